@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.adjustment import adjust
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import make_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
@@ -42,7 +42,7 @@ SPACING = 6.3
 
 def network(kind: str, stations: int, targets: int, pointings: int) -> Recording:
     """Set-ups on a circle, or an arc of it, each of which sees the targets nearest to it, with the stated noise."""
-    rng = stream(4, "network", kind, stations)
+    rng = random_stream(4, "network", kind, stations)
     share = 1.0 if kind == "ring" else 0.25
     radius = stations * SPACING / (2 * np.pi * share)
     along = 2 * np.pi * share * np.arange(stations) / stations

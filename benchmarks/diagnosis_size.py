@@ -22,7 +22,7 @@ import numpy as np
 
 import ltsim as lt
 from benchmarks.adjust_size import network
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICRORADIAN
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import make_construction
@@ -38,7 +38,7 @@ PACE = 5.0
 
 def watched(pointings: int) -> Recording:
     """One station and its targets, again and again, with columns that sway as an arm does."""
-    rng = stream(20, "watched", pointings)
+    rng = random_stream(20, "watched", pointings)
     bearing, elevation, range_ = (
         rng.uniform(-3, 3, TARGETS),
         rng.uniform(-0.5, 0.8, TARGETS),

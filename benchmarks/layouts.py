@@ -21,7 +21,7 @@ from multiprocessing.synchronize import Barrier
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.planning.loading import load_plan
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.search_inputs import layout_objective, make_search_space
@@ -33,13 +33,13 @@ Rate = tuple[int, float, float]
 def searcher(faces: int) -> LayoutSearcher:
     """The search of the built-in plan."""
     file, scenario = load_plan("paper-workshop")
-    site = make_search_space(file, scenario, stations=5, faces=faces)
+    site = make_search_space(file, scenario, n_stations=5, n_faces=faces)
     return LayoutSearcher(site, layout_objective(file, site.survey))
 
 
 def from_scratch(search: LayoutSearcher, number: int) -> int:
     """A batch of layouts, everything computed anew; how many of them may be."""
-    draw, count = stream(2, "layouts", number), search.n_stations
+    draw, count = random_stream(2, "layouts", number), search.n_stations
     grid = search.grid_setups(0).setup_positions
     position = grid[draw.integers(0, len(grid), (BATCH, count))] + draw.uniform(-0.05, 0.05, (BATCH, count, 3))
     yaw = draw.uniform(0, 2 * np.pi, (BATCH, count))
@@ -54,7 +54,7 @@ def from_scratch(search: LayoutSearcher, number: int) -> int:
 
 def exchanged(search: LayoutSearcher, number: int) -> int:
     """One station of a layout replaced by every set-up of the table."""
-    draw, table = stream(3, "exchange", number), search.grid_setups(0)
+    draw, table = random_stream(3, "exchange", number), search.grid_setups(0)
     chosen = draw.integers(0, len(table.setup_positions), search.n_stations)
     search.best_replacement(table.select(chosen), int(draw.integers(search.n_stations)), table)
     return len(table.setup_positions)

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ltsim.adjustment.evaluation.bench import BenchReadings, eccentricity_design
+from ltsim.adjustment.evaluation.bench import ReflectorBenchReadings, eccentricity_design
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS, TABLE_ANGLES
 
@@ -57,22 +57,22 @@ def vertex_table(axial: float, side: float, angles: Floats = TABLE_ANGLES) -> Fl
     return eccentricity_design(angles) @ np.array([axial, side])
 
 
-def measure_bench(bench: BenchTest, seed: int, *key: str | int) -> BenchReadings:
+def measure_bench(bench: BenchTest, seed: int, *key: str | int) -> ReflectorBenchReadings:
     """Do the test once: lengths at the table's angles, displacements of the surface at the probe's."""
 
     def noise(what: str, count: int) -> Floats:
-        return stream(seed, *key, "bench", what).standard_normal(count)
+        return random_stream(seed, *key, "bench", what).standard_normal(count)
 
     lengths = bench.table + eccentricity_design(TABLE_ANGLES) @ bench.eccentricity
     turned = bench.probe_angles - PROBE
     surface = np.stack([np.cos(turned), -np.sin(turned)], axis=1) @ bench.eccentricity
-    phase = 2 * np.pi * stream(seed, *key, "bench", "lobes").random(len(LOBES))
+    phase = 2 * np.pi * random_stream(seed, *key, "bench", "lobes").random(len(LOBES))
     for lobes, start in zip(LOBES, phase, strict=True):
         surface = surface + bench.roundness * np.cos(lobes * turned + start)
-    return BenchReadings(
-        angles=TABLE_ANGLES,
+    return ReflectorBenchReadings(
+        table_angles_of_lengths=TABLE_ANGLES,
         lengths=lengths + bench.length_sigma * noise("length", len(lengths)),
-        probe_angles=bench.probe_angles,
+        table_angles_of_probe=bench.probe_angles,
         probe_direction=PROBE,
         displacements=surface + bench.probe_sigma * noise("probe", len(surface)),
         length_sigma=bench.length_sigma,

@@ -151,7 +151,7 @@ def _write_result(result_file: ResultFile, path: Path, recording: Recording | No
 
             named = {table.file for table in COMPANION_TABLES.get(result_file.FILE, ())}
             tables = [result_file.table(name) for name in result_file._tables()]
-            write_result(path, result_file, {table.file: table.csv() for table in tables if table.file in named})
+            write_result(path, result_file, {table.file: table.csv_text() for table in tables if table.file in named})
         case _:
             raise ModelError(f"a {type(result_file).__name__} has no files; a recording, truth, calibration, ... has")
 

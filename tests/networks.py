@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.adjustment.evaluation.clouds import CalibrationErrors, align_to_points, cloud_error, measured_points
 from ltsim.core.arrays import Floats
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
@@ -60,7 +60,7 @@ def network(
     rows = [
         (s, t, f, r)
         for s in range(stations)
-        for t in stream(1, "order", s).permutation(len(points))
+        for t in random_stream(1, "order", s).permutation(len(points))
         for f in range(1, faces + 1)
         for r in range(1, repeats + 1)
     ]
@@ -101,7 +101,7 @@ def network(
     readings = MeasurementModel(recording, built).predict(state)
     recording = recording.with_readings(readings)
     if seed is not None:
-        noise = stream(seed, "noise").standard_normal(readings.shape)
+        noise = random_stream(seed, "noise").standard_normal(readings.shape)
         recording = recording.with_readings(readings + recording.sigma() * noise)
     return recording, Truth(state, built)
 
@@ -109,7 +109,7 @@ def network(
 def drawn(construction: GeometricErrorModel, seed: int) -> Floats:
     """Instrument parameters drawn from their priors."""
     sigma = np.array([p.prior_sigma for p in construction.parameters])
-    return sigma * stream(seed, "instrument").standard_normal(construction.n_parameters)
+    return sigma * random_stream(seed, "instrument").standard_normal(construction.n_parameters)
 
 
 def with_effect(effect: Effect, values: list[float], *, noise: float = 1.0, seed: int = 11) -> Recording:
@@ -117,7 +117,7 @@ def with_effect(effect: Effect, values: list[float], *, noise: float = 1.0, seed
     recording, truth = network(faces=2)
     model = MeasurementModel(recording, misalignment_construction(), (effect,))
     exact = model.predict(replace(truth.state, extra_parameters=np.array(values)))
-    white = stream(seed, "noise").standard_normal(exact.shape)
+    white = random_stream(seed, "noise").standard_normal(exact.shape)
     return recording.with_readings(exact + noise * recording.sigma() * white)
 
 

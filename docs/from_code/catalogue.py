@@ -33,7 +33,7 @@ AXES = {
     "elevation": ("elevation [°]", lambda s: s.elevation / DEGREE),
     "distance": ("range [m]", lambda s: s.range_),
     "time": ("time [min]", lambda s: s.time / 60.0),
-    "incidence": ("incidence [°]", lambda s: s.incidence / DEGREE),
+    "incidence": ("incidence [°]", lambda s: s.incidence_angle / DEGREE),
     "height": ("height of the target [m]", lambda s: s.target_points[s.target, 2]),
 }
 SIDES = ("along the beam", "to its left", "upward")

@@ -14,7 +14,7 @@ from ltsim.campaigns.trial_calibrators import CalibratedBlock, recording_of_tria
 from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Ints
 from ltsim.core.parallel import run_parallel
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
@@ -66,7 +66,7 @@ class WithoutOutliers:
 
 def with_outliers(truth: CellTruth, block: TrialBatch, percent: float, seed: int) -> TrialBatch:
     """The block with some readings shifted; the same readings are hit first whatever the share."""
-    draw = stream(seed, "outliers", int(block.trials[0]))
+    draw = random_stream(seed, "outliers", int(block.trials[0]))
     shape = block.reading_deviations.shape
     chance, sign = draw.random(shape), draw.choice([-1.0, 1.0], shape)
     size = draw.uniform(*SIZE, shape)

@@ -19,7 +19,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.prior_information import ParameterSelection
 from ltsim.core.errors import RecordError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import matrix_from_rotation_vector
@@ -327,7 +327,7 @@ def rounded(trial: int | None) -> Recording:
     base = scanner(True)
     start = adjust(base, effects=FIRST_ORDER).state
     objects = {n: np.array(base.target_setup(n).known_mm) * MILLIMETRE for n in base.targets}
-    moved = np.zeros((2, 2, 3)) if trial is None else stream(4, "rounding", trial).normal(0, 1e-4, (2, 2, 3))
+    moved = np.zeros((2, 2, 3)) if trial is None else random_stream(4, "rounding", trial).normal(0, 1e-4, (2, 2, 3))
     state = NetworkState(
         start.station_positions + moved[0], matrix_from_rotation_vector(moved[1]) @ start.station_rotations,
         np.array(list(objects.values())),

@@ -6,9 +6,9 @@ import numpy as np
 
 from experiments.common import Made, Options, tell, write_figure, write_table
 from experiments.virtual_bench import MIDDLE, BenchTest, measure_bench, vertex_table
-from ltsim.adjustment.evaluation.bench import BenchEstimates, evaluate_bench, fit_vertex_offset
+from ltsim.adjustment.evaluation.bench import ReflectorBenchEstimates, evaluate_reflector_bench, fit_vertex_offset
 from ltsim.core.arrays import Floats
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.effects.smr_incidence import TABLE_ANGLES
 from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
@@ -21,14 +21,16 @@ def table_of(reflector: dict[str, Any]) -> Floats:
     return vertex_table(reflector.get("axial_um", 0.0) * MICROMETRE, reflector.get("side_um", 0.0) * MICROMETRE)
 
 
-def trial(table: Floats, eccentricity: float, probe: Floats, seed: int, number: int) -> BenchEstimates:
+def trial(table: Floats, eccentricity: float, probe: Floats, seed: int, number: int) -> ReflectorBenchEstimates:
     """One test of a reflector whose sphere is off the table's axis by `eccentricity` [m] in a drawn direction."""
-    way = 2 * np.pi * stream(seed, "direction", number).random()
+    way = 2 * np.pi * random_stream(seed, "direction", number).random()
     off = eccentricity * np.array([np.cos(way), np.sin(way)])
-    return evaluate_bench(measure_bench(BenchTest(table=table, eccentricity=off, probe_angles=probe), seed, number))
+    return evaluate_reflector_bench(
+        measure_bench(BenchTest(table=table, eccentricity=off, probe_angles=probe), seed, number)
+    )
 
 
-def row_of(results: list[BenchEstimates], table: Floats) -> dict[str, float]:
+def row_of(results: list[ReflectorBenchEstimates], table: Floats) -> dict[str, float]:
     """How far the found tables are from the one put in [um], and the explanation by a vertex."""
     true = table - table[MIDDLE]
 
@@ -51,7 +53,7 @@ def row_of(results: list[BenchEstimates], table: Floats) -> dict[str, float]:
     }
 
 
-def panel(name: str, table: Floats, results: list[BenchEstimates]) -> list[SweepPoint]:
+def panel(name: str, table: Floats, results: list[ReflectorBenchEstimates]) -> list[SweepPoint]:
     """How far the found tables are from the one put in, with and without the probe: mean and middle 90 % of trials."""
     lines = {
         "lengths as recorded": [r.uncorrected_lengths for r in results],

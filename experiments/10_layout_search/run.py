@@ -8,7 +8,7 @@ import numpy as np
 import ltsim as lt
 from experiments.common import Made, Options, Row, show_table, write_figure
 from ltsim.core.arrays import Floats
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.information import CriteriaPredictor, LayoutInformation
 from ltsim.planning.loading import load_plan
@@ -36,7 +36,7 @@ def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tup
     corners = np.vstack(
         [search.grid_setups(0).setup_positions.min(axis=0), search.grid_setups(0).setup_positions.max(axis=0)]
     )
-    rng, values, best = stream(seed, "unsearched"), np.zeros(0), (np.inf, site.survey)
+    rng, values, best = random_stream(seed, "unsearched"), np.zeros(0), (np.inf, site.survey)
     while len(values) < count:
         position = rng.uniform(*corners, (256, search.n_stations, 3))
         yaw = rng.uniform(0, 2 * np.pi, position.shape[:2])

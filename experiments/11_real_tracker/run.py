@@ -161,7 +161,9 @@ def lines(out: Path) -> None:
                 names = [seen.targets[t] for t in seen.target]
                 single = {
                     "as read": from_polar(seen.readings),
-                    "parameters of the other set-up": own.construction.point(seen.readings, own.estimates[0]),
+                    "parameters of the other set-up": own.construction.points_from_readings(
+                        seen.readings, own.estimates[0]
+                    ),
                 }
                 parts += [gaps(spans, names, points).assign(coordinates=f"one face, {how}")
                           for how, points in single.items()]  # fmt: skip

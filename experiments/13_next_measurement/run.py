@@ -9,7 +9,7 @@ from experiments.common import Made, Options, Row, show_table
 from ltsim.adjustment.remedies.candidates import CandidateMeasurement
 from ltsim.adjustment.remedies.next_measurement import rank_next_measurements
 from ltsim.core.parallel import run_parallel
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
 from ltsim.diagnosis.detectability import explanations_of_ambiguous_finding
 from ltsim.diagnosis.diagnose import diagnose
@@ -40,7 +40,7 @@ def measured(candidate: CandidateMeasurement, before: Recording, truth: Truth, s
         readings = readings + applied.effect.reading_change(
             sightings_at_state(recording, state), applied.parameter_values
         )
-    noise = stream(seed, "added").normal(size=readings.shape) * recording.sigma()
+    noise = random_stream(seed, "added").normal(size=readings.shape) * recording.sigma()
     added = np.arange(len(recording)) >= len(before)
     return recording.with_readings(np.where(added[:, None], readings + noise, recording.readings))
 

@@ -13,7 +13,7 @@ from scipy import stats
 
 from experiments.common import Made, Options, Row, show_table, write_table
 from ltsim.core.arrays import Floats
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect
@@ -35,7 +35,7 @@ def sensitivity(predictor: CriteriaPredictor, ranges: Ranges, samples: int, seed
         return np.stack([getattr(expected, output.replace(" ", "_")) for output in OUTPUTS])
 
     dists = [stats.uniform(loc=low, scale=high - low) for low, high in logs]
-    found = stats.sobol_indices(func=criteria, n=samples, dists=dists, random_state=stream(seed, "sobol"))
+    found = stats.sobol_indices(func=criteria, n=samples, dists=dists, random_state=random_stream(seed, "sobol"))
     # An output that an input does not move has no bootstrap distribution; its interval is the index itself.
     with np.errstate(invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)

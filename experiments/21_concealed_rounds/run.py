@@ -28,7 +28,7 @@ def examine(folder: Path, out: Path) -> None:
     """Diagnose one recording with default settings, and write it down."""
     found = diagnose(read(folder))
     diagnosis = json.dumps(found.content(), allow_nan=False) + "\n"
-    write_texts(out / folder.name, {"diagnosis.json": diagnosis, "targets.csv": found.table("targets").csv()})
+    write_texts(out / folder.name, {"diagnosis.json": diagnosis, "targets.csv": found.table("targets").csv_text()})
 
 
 def recordings_of(name: str) -> list[Path]:

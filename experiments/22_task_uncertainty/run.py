@@ -11,7 +11,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
 from ltsim.measurands.inputs import TaskInputs
 from ltsim.measurands.measurands import Measurand, align_with_scale
-from ltsim.measurands.propagation import LinearUncertainty, part_expansion, propagate
+from ltsim.measurands.propagation import LinearUncertainty, expansion_of_part, propagate
 from ltsim.measurands.spec import Tasks, load_tasks
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.simulation.scenario import Scenario, load_scenario
@@ -55,7 +55,7 @@ def predicted(truth: CellTruth, tasks: Tasks, dropped: str = "") -> tuple[Linear
     inputs = TaskInputs.from_recording(truth.recording, told)
     measurands = [Measurand.from_task(task, inputs.target_names, inputs.points) for task in told.task]
     names = [(m.task.name, o.name, o.unit, o.si_per_unit) for m in measurands for o in m.outputs]
-    return propagate(inputs, measurands, part_expansion(None)), names, inputs.point_source.state.target_points
+    return propagate(inputs, measurands, expansion_of_part(None)), names, inputs.point_source.state.target_points
 
 
 def table_of(case: str, errors: Floats, linear: LinearUncertainty, names: Names) -> list[Any]:

@@ -9,7 +9,7 @@ import pandas as pd
 from experiments.common import Made, Options, Row, show_table, write_figure
 from ltsim.acceptance.prediction import AcceptancePlan, point_errors_by_constant
 from ltsim.acceptance.spec import builtin_tests, envelope_points
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.polar import to_polar
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.specification import data_sheet
@@ -33,7 +33,7 @@ def population(config: dict[str, Any], trials: int) -> pd.DataFrame:
     limit = np.hypot(np.sqrt(2) * limits.transverse_limit(range_), limits.range_limit(range_))
     parts = []
     for start in range(0, trials, BLOCK):
-        rng = stream(config["seed"], "population", start)
+        rng = random_stream(config["seed"], "population", start)
         size = np.exp(rng.uniform(*np.log(config["spread"]), BLOCK))
         units = rng.standard_normal((BLOCK, built.n_parameters)) * size[:, None]
         gaps = np.linalg.norm((units @ harm.T).reshape(BLOCK, -1, 3), axis=2)

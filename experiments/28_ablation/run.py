@@ -19,7 +19,7 @@ from ltsim.diagnosis.law_search_space import law_batches
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
 from ltsim.diagnosis.prior import log_prior_of_each_explanation
-from ltsim.physics.laws.regressors import Regressor, operator_input
+from ltsim.physics.laws.regressors import Regressor, name_without_memory_prefix
 from ltsim.physics.model.construction import declared_construction
 from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
 
@@ -34,7 +34,7 @@ def part_of(driver: Regressor) -> str:
     """A driver's operator, or how it is made of others; what has neither is a curve, a wave or a formula."""
     if driver.kind == "product":
         return "across the room" if any(f.kind == "field" for f in driver.factors) else "product"
-    memory = any(operator_input(name) != name or name == "lapse" for name in driver.covariates)
+    memory = any(name_without_memory_prefix(name) != name or name == "lapse" for name in driver.covariates)
     return "memory" if memory and driver.kind != "lagging" else driver.kind
 
 

@@ -42,7 +42,7 @@ class TestEntry(Entry):
     """Expected or measured error [um]; for a two-face test the distance perpendicular to the beam."""
     expanded_um: OptionalFloat = None
     """Expanded uncertainty (95 %) of the error [um]; null if it was not reported."""
-    passes: OptionalFloat = None
+    pass_probability: OptionalFloat = None
     """Predicted probability that the error is within the limit; null for a measured error."""
     judgement: Judgement | None = None
     """Judgement of a measured error; null for a predicted one."""
@@ -53,7 +53,7 @@ class TestEntry(Entry):
         return (abs(self.error_um) - (self.expanded_um or 0.0)) / self.limit_um
 
     @property
-    def ease(self) -> tuple[float, int, float]:
+    def hardest_first_key(self) -> tuple[float, int, float]:
         """Key by which the hardest tests come first: by probability to pass, then judgement, then ratio to the limit.
 
         The ratio is the one that decides: the smallest for a rejected error, otherwise the largest.
@@ -61,7 +61,7 @@ class TestEntry(Entry):
         share = self.guarded_limit_ratio
         if self.judgement != "rejected":
             share += 2 * (self.expanded_um or 0.0) / self.limit_um
-        return self.passes or 0.0, JUDGEMENT_ORDER.index(self.judgement or "accepted"), -share
+        return self.pass_probability or 0.0, JUDGEMENT_ORDER.index(self.judgement or "accepted"), -share
 
 
 class GroupEntry(Entry):
@@ -71,7 +71,7 @@ class GroupEntry(Entry):
     """Name of the group."""
     tests: int
     """Number of tests in the group."""
-    passes: OptionalFloat = None
+    pass_probability: OptionalFloat = None
     """Predicted probability that all tests are within their limits; null for measured errors."""
     judgement: Judgement | None = None
     """Judgement of all measured errors; null for predicted ones."""
@@ -85,10 +85,10 @@ TESTS_TABLE = Table(
     columns_of(
         TestEntry,
         name={"name": "test"},
-        limit_um={"form": ".6g", "shown": ".1f"},
-        error_um={"form": ".6g", "shown": ".1f"},
-        expanded_um={"name": "U_um", "form": ".6g", "shown": ".1f"},
-        passes={"form": ".4g"},
+        limit_um={"csv_format": ".6g", "display_format": ".1f"},
+        error_um={"csv_format": ".6g", "display_format": ".1f"},
+        expanded_um={"name": "U_um", "csv_format": ".6g", "display_format": ".1f"},
+        pass_probability={"csv_format": ".4g"},
         judgement={"kind": "text"},
     ),
 )
@@ -100,9 +100,9 @@ GROUPS_TABLE = Table(
     columns_of(
         GroupEntry,
         name={"name": "group"},
-        passes={"title": "all pass", "digits": 3},
+        pass_probability={"title": "all pass", "n_digits": 3},
         judgement={"kind": "text"},
-        largest_limit_ratio={"shown": ".2f"},
+        largest_limit_ratio={"display_format": ".2f"},
     ),
 )
 
@@ -149,7 +149,7 @@ class AcceptanceFile(ResultFile):
     """Limits of the manufacturer."""
     assumption: str = ""
     """Assumption by which limits were converted to standard deviations."""
-    passes: OptionalFloat = None
+    pass_probability: OptionalFloat = None
     """Predicted probability that all tests pass; null for measured errors."""
     judgement: Judgement | None = None
     """Judgement of all measured errors by ISO 14253-1: rejected if one is, accepted if all are and no test of the plan
@@ -199,7 +199,7 @@ def group_entries(
         GroupEntry(
             name=name,
             tests=len(entries),
-            passes=predicted.get(name),
+            pass_probability=predicted.get(name),
             judgement=None if predicted else joint_judgement([t.judgement for t in entries if t.judgement]),
             largest_limit_ratio=max(map(limit_ratio, entries)),
         )

@@ -16,7 +16,7 @@ from ltsim.acceptance.files import (
 )
 from ltsim.acceptance.spec import AcceptanceSettings, AcceptanceTest, envelope_points
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import components_across_beam, from_polar, to_polar, unit_vectors
 from ltsim.geometry.rigid import remove_rigid_motion
@@ -116,7 +116,7 @@ class AcceptancePlan:
         The probability to pass is estimated with `n_trials` draws of constants and noise, whose errors are linearised
         about the mean.
         """
-        rng = stream(seed, "accept")
+        rng = random_stream(seed, "accept")
         mean_errors = self.test_errors(mean_constants)
         root = _covariance_root(covariance)
         passed = np.zeros(len(self.tests))
@@ -251,7 +251,7 @@ def predicted_result(
     errors = np.where(plan.is_length, prediction.expected_errors[:, 0], error_sizes)
     expanded_uncertainties = 2 * np.sqrt(np.sum(prediction.error_sigmas**2, axis=1))
     tests = tuple(
-        TestEntry(name=t.name, group=t.group, limit_um=limit, error_um=e, expanded_um=u, passes=float(p))
+        TestEntry(name=t.name, group=t.group, limit_um=limit, error_um=e, expanded_um=u, pass_probability=float(p))
         for t, limit, e, u, p in zip(
             plan.tests,
             *(np.asarray(x) / MICROMETRE for x in (plan.permissible_errors, errors, expanded_uncertainties)),
@@ -282,7 +282,7 @@ def predicted_result(
         plan=acceptance_settings.plan_name,
         specification=plan.specification,
         assumption=plan.specification.assumption_sentence,
-        passes=prediction.p_all_pass,
+        pass_probability=prediction.p_all_pass,
         sentence=sentence,
         groups=group_entries(tests, prediction.pass_probability_by_group),
         tests=tests,

@@ -56,7 +56,7 @@ class TestedNetwork:
     """True to test the readings after their correction by the estimated constants of the instrument."""
 
     @cached_property
-    def _extra_slices(self) -> list[tuple[LinearEffect, slice]]:
+    def _extra_parameter_slices(self) -> list[tuple[LinearEffect, slice]]:
         """Estimated effects and nuisance errors, each with the slice of its additional parameters."""
         effects = self.adjustment.problem.model.extra_effects
         ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
@@ -65,7 +65,7 @@ class TestedNetwork:
     @cached_property
     def _is_recording_error(self) -> Bools:
         """Flags (q,) of the additional parameters of errors of the recording."""
-        flags = [np.full(at.stop - at.start, is_recording_error(effect)) for effect, at in self._extra_slices]
+        flags = [np.full(at.stop - at.start, is_recording_error(effect)) for effect, at in self._extra_parameter_slices]
         return np.concatenate([np.zeros(0, dtype=bool), *flags])
 
     @cached_property
@@ -87,7 +87,7 @@ class TestedNetwork:
         if self.is_corrected_for_constants:
             constants = adjustment.state.instrument_parameters[0]
             readings = corrected_readings(adjustment.recording, adjustment.construction, constants)
-        for effect, at in self._extra_slices:
+        for effect, at in self._extra_parameter_slices:
             if is_recording_error(effect):
                 readings -= effect.reading_change(adjustment.sightings, adjustment.state.extra_parameters[at])
         return to_polar(from_polar(readings))

@@ -28,7 +28,7 @@ from ltsim.acceptance.spec import (
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_calibration
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import SetupError, as_setup_error, unknown_name
+from ltsim.core.errors import SetupError, as_setup_error, unknown_name_error
 from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.model.construction import construction_of_beam_origin
@@ -151,7 +151,7 @@ def read_measured(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -
     for line, row in read_table_rows(file, ("test", "error_um"), ("U_um",)):
         name = row["test"].strip()
         if name not in place:
-            raise SetupError(f"{file}: row {line}: {unknown_name('test', name, place)}")
+            raise SetupError(f"{file}: row {line}: {unknown_name_error('test', name, place)}")
         if name in entry_by_test:
             raise SetupError(f"{file}: row {line}: test '{quoted_text(name)}' has two rows; keep its largest error")
         numbers = [
@@ -230,8 +230,8 @@ def _judgement_sentence(test_entries: Sequence[TestEntry], n_unmeasured_tests: i
         sentence = f"{numbers['rejected']} of {total} errors {exceed}; the worst is {phrase}"
         sentence += f"; undecided: {numbers['undecided']}" if numbers["undecided"] else ""
     elif judgement == "undecided":
-        sentence = f"no error is shown to exceed its limit; {numbers['undecided']} of {total} are undecided, "
-        sentence += f"because their uncertainty includes the limit; the closest is {phrase}"
+        sentence = f"no error demonstrably exceeds its limit; {numbers['undecided']} of {total} are undecided, "
+        sentence += f"because the limit lies within their uncertainty; the closest is {phrase}"
     else:
         sentence = f"all {total} measured errors are within their limits"
     n_without = sum(t.expanded_um is None for t in test_entries)

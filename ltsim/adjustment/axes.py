@@ -18,7 +18,7 @@ from ltsim.adjustment.frame import alignment_distances
 from ltsim.adjustment.significance import MIN_MISFIT_RATIO, SINGLE_TEST_LEVEL
 from ltsim.adjustment.start import initial_network
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import NetworkError, RecordError, option
+from ltsim.core.errors import NetworkError, RecordError, option_text
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly
 from ltsim.physics.model.measurement import plumb_directions
@@ -31,7 +31,7 @@ MAX_RELATIVE_MISCLOSURE = 0.05
 """Median misclosure of declared coordinates, relative to the size of the network, from which they are rejected; nominal
 coordinates of a drawing differ less. The same limit applies to the scale.
 """
-ALL_AXES_IN_USE: Mapping[str, Axes] = MappingProxyType({})
+NO_EXCLUDED_AXES: Mapping[str, Axes] = MappingProxyType({})
 """Empty mapping from targets to axes: every declared coordinate is used."""
 
 
@@ -174,7 +174,7 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
 
 def _require_free_frame(recording: Recording, source: str | None = None) -> None:
     if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
-        message = f"the recording's known points define the axes already: leave {option('frame')} out"
+        message = f"the recording's known points define the axes already: leave {option_text('frame')} out"
         raise RecordError(message, file=source)
 
 
@@ -200,7 +200,8 @@ def _require_same_shape(network_points: Floats, declared_points: Floats, source:
         return
     scale = float(np.median(declared / np.maximum(lengths, 1e-9)))
     if abs(scale - 1.0) > MAX_RELATIVE_MISCLOSURE:
-        message = f"its distances between targets are {scale:.4g} times the measured ones, expected millimetres"
+        message = f"the distances between its targets are {scale:.4g} times the measured ones"
+        message += "; give its coordinates in millimetres"
         raise RecordError(message, file=source)
     reason = "they are left-handed" if is_mirrored else "check the hall and the names"
     message = f"its coordinates differ from the network by {typical / MILLIMETRE:.3g} mm in the median: {reason}"
@@ -210,7 +211,7 @@ def _require_same_shape(network_points: Floats, declared_points: Floats, source:
 def _with_datum(
     recording: Recording,
     points_by_target: Mapping[str, Floats],
-    axes_by_target: Mapping[str, Axes] = ALL_AXES_IN_USE,
+    axes_by_target: Mapping[str, Axes] = NO_EXCLUDED_AXES,
     source: str | None = None,
 ) -> Recording:
     """Recording whose datum is defined by the positions [m] of some targets.

@@ -71,7 +71,7 @@ def apply_corrections(recording: Recording, blunders: Sequence[BlunderWithCorrec
 
 
 def detect_blunders(adjustment: Adjustment) -> list[BlunderWithCorrection]:
-    """Blunders that explain gross pointings of an adjustment: once corrected, the pointings agree with targets."""
+    """Blunders that explain pointings with gross errors; after the correction the pointings agree with targets."""
     remaining, corrections = adjustment.is_gross_pointing.copy(), []
     for kind in (_swapped_targets, _wrong_heights, _unit_and_face_errors):
         for mend in kind(adjustment, remaining) if remaining.any() else ():
@@ -83,10 +83,12 @@ def detect_blunders(adjustment: Adjustment) -> list[BlunderWithCorrection]:
 def _points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
     """Points (k, 3) [m] in the network frame, from readings (k, 3) that replace those of the pointings `rows` (k,)."""
     station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
-    local_points = adjustment.construction.point(readings, adjustment.state.instrument_parameters[instrument])
+    local_points = adjustment.construction.points_from_readings(
+        readings, adjustment.state.instrument_parameters[instrument]
+    )
     rotated = np.einsum("nij,nj->ni", adjustment.state.station_rotations[station], local_points)
     network_points: Floats = rotated + adjustment.state.station_positions[station]
-    lift = adjustment.problem.model.geometry(adjustment.state).sight_vector_offsets
+    lift = adjustment.problem.model.sightings_without_covariates(adjustment.state).sight_vector_offsets
     return network_points if lift is None else network_points - lift[rows]
 
 
@@ -99,7 +101,7 @@ def _target_distances(adjustment: Adjustment, readings: Floats, rows: Ints) -> F
 def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderWithCorrection]:
     """Blunders of exchanged targets: two that were exchanged at a station, or one that was mistaken for another.
 
-    `is_gross` (n,) flags the gross pointings; the same holds for the other kinds of blunders.
+    `is_gross` (n,) flags the pointings with gross errors; the same holds for the other kinds of blunders.
     """
     recording, points = adjustment.recording, adjustment.state.target_points
     indices = np.flatnonzero(is_gross & recording.is_measured.all(axis=1))

@@ -45,7 +45,7 @@ class MarkOccupation:
 class CentringErrors:
     """Centring errors of k occupations, and the global test of the adjustment with them."""
 
-    adjustment_without_errors: Adjustment
+    adjustment_without_centring: Adjustment
     """Adjustment without centring errors."""
     occupations: tuple[MarkOccupation, ...]
     """Occupations with a centring error."""
@@ -83,18 +83,18 @@ class CentringErrors:
     @property
     def sentence(self) -> str:
         """Sentence on all centring errors and their effect on the global test."""
-        suffix = (
+        weighting_text = (
             f" (readings to {', '.join(self.noisy_targets)} weighted by their observed noise)"
             if self.noisy_targets
             else ""
         )
         before, after = (
-            f"{self.adjustment_without_errors.chi2:.1f}/{self.adjustment_without_errors.dof}",
+            f"{self.adjustment_without_centring.chi2:.1f}/{self.adjustment_without_centring.dof}",
             f"{self.chi2:.1f}/{self.dof}",
         )
         return (
             f"centring errors (tripod not re-occupied at the same point): {'; '.join(self.descriptions)}; "
-            f"with these errors in the model chi2/dof falls from {before} to {after}{suffix}"
+            f"with these errors in the model chi2/dof falls from {before} to {after}{weighting_text}"
         )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import ModelError, unknown_name
+from ltsim.core.errors import ModelError, unknown_name_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import matrix_from_rotation_vector, rigid_motion_design
 from ltsim.physics.model.measurement import NetworkState
@@ -51,7 +51,7 @@ class DatumPoints:
                 columns.append(unknowns.pose_columns[stations[name], :3])
                 places.append(state.station_positions[stations[name]] - marks.instrument_offsets[stations[name]])
             else:
-                raise unknown_name("target of the datum", name, [*targets, *stations])
+                raise unknown_name_error("target of the datum", name, [*targets, *stations])
             setup = recording.target_setup(name)
             approximate.append(setup.approximate_mm or setup.known_mm or (np.nan,) * 3)
             axes.append([axis in setup.datum_axes for axis in "xyz"])

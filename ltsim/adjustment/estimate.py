@@ -164,7 +164,7 @@ def adjust(
 
 
 def _is_over_wrong_mark(recording: Recording, is_gross: Bools) -> Bools:
-    """Flags (n,) of pointings from set-ups over marks with mostly gross pointings: mark or height may be wrong."""
+    """Flags (n,) of pointings from set-ups over marks of which most have gross errors: mark or height may be wrong."""
     n_stations = len(recording.stations)
     has_mark = np.array([recording.station_setup(name).over is not None for name in recording.stations])
     share = np.bincount(recording.station, is_gross, n_stations) / np.bincount(recording.station, minlength=n_stations)
@@ -182,8 +182,9 @@ def _require_fixed_smr_offsets(problem: NetworkProblem) -> None:
     rotated = np.cross(problem.free_motions[3:].T[:, None], offsets[None])
     if np.any(np.abs(rotated) > MAX_SOLUTION_ROUNDING_ERROR * np.abs(offsets).max()):
         raise NetworkError(
-            "SMRs of several radii are offset along the normals of their nests, and the network has no frame for these "
-            "normals: declare three known points (known_mm), or levels where all such normals are vertical"
+            "the centres of SMRs with different radii lie at different heights over their nests, along the normals of "
+            "the nests, but the network has no frame in which these normals are known: declare three known points "
+            "(known_mm); levels suffice if all these normals are vertical"
         )
 
 

@@ -120,12 +120,12 @@ def _unique_solution(
 
 
 def _iterate_best_starts(
-    evaluate: ResidualFunction, free_unknowns: Bools, start_positions: Floats, rotation: Floats
+    evaluate: ResidualFunction, is_free_unknown: Bools, start_positions: Floats, rotation: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Sums of squares (b,) in ascending order, positions (b, 3) and rotations (b, 3, 3) of b iterated solutions.
 
     Levenberg-Marquardt iterations start at those of the start positions (s, 3) and rotations (s, 3, 3) that fit best.
-    `free_unknowns` (6,) flags the components of translation and rotation that are estimated.
+    `is_free_unknown` (6,) flags the components of translation and rotation that are estimated.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         best = np.argsort(_sum_of_squares(evaluate(start_positions, rotation)[0]))[:N_ITERATED_STARTS]
@@ -142,7 +142,7 @@ def _iterate_best_starts(
             weight = np.maximum(damping, MAX_ROUNDING_ERROR)[:, None] * np.einsum("bii->bi", normal) + 1e-9
             lifted = normal + weight[:, :, None] * np.eye(normal.shape[1])
             right = np.nan_to_num(np.einsum("bmi,bm->bi", by, gap), posinf=0.0)
-            step[:, free_unknowns] = np.linalg.solve(lifted, right[..., None])[..., 0]
+            step[:, is_free_unknown] = np.linalg.solve(lifted, right[..., None])[..., 0]
             there = start_positions + step[:, :3], matrix_from_rotation_vector(step[:, 3:]) @ rotation
             ahead = *there, *evaluate(*there)
             new_cost = _sum_of_squares(ahead[2])

@@ -214,9 +214,9 @@ class DeclaredFrame:
             float(np.angle(np.sum(np.exp(1j * (self.plan_yaws[mask] - np.arctan2(headings[:, 1], headings[:, 0]))))))
         )
 
-    def levelling_rotation(self, rotation: Floats, joined_stations: Bools) -> Floats:
+    def levelling_rotation(self, rotation: Floats, is_joined_station: Bools) -> Floats:
         """Smallest rotation (3, 3) that brings the axes of levelled stations to their plumb lines."""
-        mask = self.is_levelled & joined_stations
+        mask = self.is_levelled & is_joined_station
         if not mask.any():
             return np.eye(3)
         axis = (rotation[mask] @ VERTICAL).mean(axis=0)
@@ -311,10 +311,10 @@ class StationTargetPairs:
     """Coordinates of the target in the station's frame, (m, 3) [m]."""
     first_pair_of_station: Ints
     """Index of the first pair of each of S stations, and m at the end, (S + 1,)."""
-    target_order: Ints
+    pair_order_by_target: Ints
     """Indices of the pairs in the order of their targets, (m,)."""
     first_pair_of_target: Ints
-    """Index in `target_order` of the first pair of each of T targets, and m at the end, (T + 1,)."""
+    """Index in `pair_order_by_target` of the first pair of each of T targets, and m at the end, (T + 1,)."""
 
     @classmethod
     def from_recording(cls, recording: Recording, points: Floats | None = None) -> StationTargetPairs:
@@ -361,7 +361,7 @@ class StationTargetPairs:
         for part in batches(len(targets), 3 * int(np.diff(self.first_pair_of_target).max(initial=1))):
             first, end = self.first_pair_of_target[targets[part]], self.first_pair_of_target[targets[part] + 1]
             place = first[:, None] + np.arange((end - first).max(initial=0))
-            pair = self.target_order[np.minimum(place, len(self) - 1)]
+            pair = self.pair_order_by_target[np.minimum(place, len(self) - 1)]
             medians[part] = _nan_median(np.where((place < end[:, None])[:, :, None], pair_values[pair], np.nan))
         return medians
 

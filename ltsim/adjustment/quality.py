@@ -106,7 +106,7 @@ def _control_difference_text(network_points: Floats, control_points: Floats) -> 
         return "all of these points have the same coordinates"
     scale, mirrored = spread[1] / spread[0], "check the order and the signs of their axes, or the sense of the azimuths"
     misfit_by_text = {
-        f"they fit scaled by {1 / scale:.6g}; check their unit": _rigid_fit_misfit(
+        f"they fit if multiplied by {1 / scale:.6g}; check their unit": _rigid_fit_misfit(
             network_points * scale, control_points
         ),
         f"they fit mirrored; {mirrored}": _rigid_fit_misfit(-network_points, control_points),

@@ -177,7 +177,7 @@ def relax_exact_references(problem: NetworkProblem, state: NetworkState) -> Netw
     """Problem in which exact reference values have a small standard deviation, so that a test of them is possible."""
     if not problem.is_used_reading.any():
         return problem
-    range_ = problem.model.geometry(state).range_
+    range_ = problem.model.sightings_without_covariates(state).range_
     sigma_lengths = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
     floor = MIN_RELATIVE_SIGMA * float(np.median(sigma_lengths[problem.is_used_reading]))
     if not floor > 0.0:  # angles alone, to a target in the place of the station

@@ -121,14 +121,15 @@ def p_value_of_tau(tau: Floats, dof: Floats, n_readings: int) -> Floats:
 
 
 def iterative_snooping(
-    residuals: Floats, redundancy_matrix: Floats, scale: Floats, dof: Floats, n_readings: int, alpha: float
+    residuals: Floats, redundancy_matrix: Floats, noise_factors: Floats, dof: Floats, n_readings: int, alpha: float
 ) -> list[tuple[int, float, float, float]]:
     """Outliers among k readings, the most significant first: index, estimated error, normalised residual w, p-value.
 
     `residuals` (k,) and the estimated errors are in standard deviations of the readings. Element (i, j) of
     `redundancy_matrix` (k, k) is the change of residual i by an error of reading j. Outliers are removed one after
-    another; readings that cannot be distinguished from an outlier follow it in the list. `scale` and `dof` (k,) are the
-    noise factor and its degrees of freedom, `n_readings` is the number of tested readings, `alpha` their joint level.
+    another; readings that cannot be distinguished from an outlier follow it in the list. `noise_factors` and `dof` (k,)
+    are the noise factors and their degrees of freedom, `n_readings` is the number of tested readings, `alpha` their
+    joint level.
     """
     outliers, redundancy = list[tuple[int, float, float, float]](), np.diag(redundancy_matrix).copy()
     while (redundancy > MAX_SOLUTION_ROUNDING_ERROR).any():
@@ -137,7 +138,10 @@ def iterative_snooping(
             residuals / np.sqrt(np.maximum(redundancy, MAX_SOLUTION_ROUNDING_ERROR)),
             0.0,
         )
-        chance, k = p_value_of_tau(np.abs(w) / scale, dof, n_readings), int(np.argmax(np.abs(w) / scale))
+        chance, k = (
+            p_value_of_tau(np.abs(w) / noise_factors, dof, n_readings),
+            int(np.argmax(np.abs(w) / noise_factors)),
+        )
         if not chance[k] < alpha:
             break
         is_equivalent = (

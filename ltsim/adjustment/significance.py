@@ -14,8 +14,8 @@ import numpy as np
 GLOBAL_TEST_LEVEL = 0.05
 """Significance level of the test of a whole model, for example of chi-square of a network."""
 FAMILY_WISE_LEVEL = 0.01
-"""Probability that a recording without errors fails any test of a family of single hypotheses (Sidak, Bonferroni or
-Holm over the family)."""
+"""Probability that a recording without errors fails at least one test of a family of single hypotheses (Sidak,
+Bonferroni or Holm over the family)."""
 SINGLE_TEST_LEVEL = 0.001
 """Significance level of a test of one hypothesis that was selected in advance."""
 TEST_POWER = 0.8

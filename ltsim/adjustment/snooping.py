@@ -171,11 +171,11 @@ def pose_defect_sentence(problem: NetworkProblem, state: NetworkState) -> str:
 
 
 class ScreenedNetwork(NamedTuple):
-    """Start values of a network, and its gross pointings and unconnected targets."""
+    """Start values of a network, and its pointings with gross errors and unconnected targets."""
 
     recording: Recording
     """Recording without the readings to unconnected targets."""
-    start_coordinates: tuple[Floats, Floats, Floats]
+    start_poses_and_points: tuple[Floats, Floats, Floats]
     """Positions (S, 3) [m] and rotations (S, 3, 3) of S stations, and positions (T, 3) [m] of T targets."""
     is_gross_pointing: Bools
     """Flags (n,) of the pointings with errors beyond any tracker error."""
@@ -185,7 +185,7 @@ class ScreenedNetwork(NamedTuple):
 
 @raise_for_singular_network
 def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
-    """Start values of a network, and its gross pointings; raises NetworkError.
+    """Start values of a network, and its pointings with gross errors; raises NetworkError.
 
     Gross pointings have far larger misclosures than other pointings, for example because of an exchanged reflector or a
     wrong unit in one row. A long chain of stations that are joined one by one has large misclosures too. If any
@@ -213,7 +213,7 @@ def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats
     readings, predicted = model.recording.readings, model.predict(state)
     gap = readings - predicted
     gap[:, 1:] = wrap_angle(gap[:, 1:])
-    range_ = model.geometry(state).range_
+    range_ = model.sightings_without_covariates(state).range_
     gap[:, 1] *= range_ * np.cos(predicted[:, 2])
     gap[:, 2] *= range_
     miss = np.linalg.norm(np.nan_to_num(gap), axis=1)
@@ -261,14 +261,14 @@ def snoop_readings(
     tried_sets: set[bytes] = set()
     placed, target = state.target_points, problem.model.recording.target
     while True:
-        reduced = drop_undetermined_targets(
+        reduced_problem = drop_undetermined_targets(
             replace(problem, is_used_reading=problem.is_used_reading & ~rejected), state
         )
-        solution = solve(reduced, state, max_iterations=MAX_INTERMEDIATE_STEPS)
+        solution = solve(reduced_problem, state, max_iterations=MAX_INTERMEDIATE_STEPS)
         tried_sets.add(rejected.tobytes())
         if solution.factor is None:  # Too much at once: what is left does not hold the network.
             if not rejected.any():
-                return reduced, solution
+                return reduced_problem, solution
             whole = rejected | (
                 _is_mostly_rejected_setup(rejected, problem)[problem.model.recording.station][:, None]
                 & problem.is_used_reading
@@ -276,14 +276,14 @@ def snoop_readings(
             if not np.array_equal(whole, rejected):  # a set-up of which little is left holds its pose by nothing
                 rejected = whole
                 continue
-            size = np.where(rejected, whitened_residuals(problem, state), -1.0)
+            size = np.where(rejected, absolute_whitened_residuals(problem, state), -1.0)
             half = np.argsort(-size, axis=None)[: int(rejected.sum()) // 2]
             rejected = np.isin(np.arange(size.size), half).reshape(size.shape)
             continue
         state = solution.x
-        new = _test_rejected_again(problem, reduced, solution, rejected, limit)
+        new = _test_rejected_again(problem, reduced_problem, solution, rejected, limit)
         if np.array_equal(new, rejected):
-            return reduced, solution if solution.has_converged else solve(reduced, state)
+            return reduced_problem, solution if solution.has_converged else solve(reduced_problem, state)
         if (
             new.tobytes() in tried_sets or len(tried_sets) >= max_passes
         ):  # On the edge: what is out in either stays out.
@@ -291,7 +291,7 @@ def snoop_readings(
                 replace(problem, is_used_reading=problem.is_used_reading & ~(new | rejected)), state
             )
             ended = solve(last, state)
-            return (reduced, solve(reduced, state)) if ended.factor is None else (last, ended)
+            return (reduced_problem, solve(reduced_problem, state)) if ended.factor is None else (last, ended)
         rejected = new
         held = np.bincount(target, (problem.is_used_reading & ~rejected).any(axis=1), len(placed)) > 0
         state = replace(
@@ -321,12 +321,12 @@ def _is_mostly_rejected_setup(is_rejected: Bools, problem: NetworkProblem) -> Bo
     return np.asarray(out > MIN_FAULTY_FRACTION_OF_PLACE * used)
 
 
-def whitened_residuals(problem: NetworkProblem, state: NetworkState) -> Floats:
+def absolute_whitened_residuals(problem: NetworkProblem, state: NetworkState) -> Floats:
     """Absolute residuals (n, 3) in standard deviations of the readings; 0 if not measured."""
-    return _whitened_residuals_of(problem, problem.model.predict(state))
+    return _absolute_whitened_residuals(problem, problem.model.predict(state))
 
 
-def _whitened_residuals_of(problem: NetworkProblem, readings: Floats) -> Floats:
+def _absolute_whitened_residuals(problem: NetworkProblem, readings: Floats) -> Floats:
     """Absolute residuals (n, 3) of given predicted readings (n, 3), in standard deviations."""
     return np.nan_to_num(np.abs(problem.reading_residuals(readings) / problem.sigma))
 
@@ -359,7 +359,11 @@ def _test_readings(
 
 
 def _test_rejected_again(
-    problem: NetworkProblem, reduced: NetworkProblem, solution: Solution[NetworkState], is_rejected: Bools, limit: float
+    problem: NetworkProblem,
+    reduced_problem: NetworkProblem,
+    solution: Solution[NetworkState],
+    is_rejected: Bools,
+    limit: float,
 ) -> Bools:
     """Flags (n, 3) of the rejected readings after a test of all rejected and used readings."""
     assert solution.factor is not None
@@ -367,7 +371,7 @@ def _test_rejected_again(
     targets, stations = problem.model.recording.target, problem.model.recording.station
     prediction = problem.model.linearise(solution.x) if out.any() else None
     readings = problem.model.predict(solution.x) if prediction is None else prediction.readings
-    w, scale, redundancy = _test_readings(problem, reduced, readings, solution.factor)
+    w, scale, redundancy = _test_readings(problem, reduced_problem, readings, solution.factor)
     new: Bools = (w > limit * scale) & (redundancy > MAX_SOLUTION_ROUNDING_ERROR)
     if new.any():
         new &= w > 0.5 * w.max()
@@ -375,10 +379,10 @@ def _test_rejected_again(
         spread = prediction_sigmas(problem, solution, out, prediction)
         still, alone = (
             np.zeros_like(is_rejected),
-            np.zeros(len(reduced.undetermined_unknowns.is_unmeasured_target), dtype=bool),
+            np.zeros(len(reduced_problem.undetermined_unknowns.is_unmeasured_target), dtype=bool),
         )
         lost = np.zeros(len(problem.model.recording.stations), dtype=bool)
-        still[out] = _whitened_residuals_of(problem, readings)[out] / spread > limit * scale
+        still[out] = _absolute_whitened_residuals(problem, readings)[out] / spread > limit * scale
         unpredicted = np.argwhere(out)[spread > MAX_PREDICTION_SIGMA, 0]
         is_open = _is_mostly_rejected_setup(out, problem)[
             stations[unpredicted]
@@ -388,7 +392,7 @@ def _test_rejected_again(
         # A target that is left out by now cannot speak for its readings, nor can one that is as good as that.
         new |= (
             still
-            | (is_rejected & reduced.undetermined_unknowns.is_unmeasured_target[targets][:, None])
+            | (is_rejected & reduced_problem.undetermined_unknowns.is_unmeasured_target[targets][:, None])
             | (problem.is_used_reading & alone[targets][:, None])
         )
         new |= problem.is_used_reading & lost[stations][:, None]

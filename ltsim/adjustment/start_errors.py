@@ -32,7 +32,8 @@ def require_connected_stations(recording: Recording, is_joined: Bools, points: F
         what = f"shares only {n_targets} target{'s' * (n_targets != 1)} with the network; at least three"
     raise NetworkError(
         f"station {lost}: {what} are needed (two between levelled stations, more where ranges or angles are missing), "
-        f'or approximate coordinates of all; for a station over a target, set over = "TARGET"{undetermined_lines}'
+        'or approximate coordinates of all stations and targets; for a station over a target, set over = "TARGET"'
+        f"{undetermined_lines}"
     )
 
 

@@ -58,10 +58,10 @@ class UnknownColumns:
         stations, targets = len(recording.stations), len(recording.targets)
         size = 0
 
-        def next_columns(n_rows: int, width: int) -> Ints:
+        def next_columns(n_rows: int, n_columns: int) -> Ints:
             nonlocal size
-            first, size = size, size + n_rows * width
-            return np.arange(first, size).reshape(n_rows, width)
+            first, size = size, size + n_rows * n_columns
+            return np.arange(first, size).reshape(n_rows, n_columns)
 
         has_columns = np.ones((stations, 6), dtype=bool)
         has_columns[:, :3] = (~over & (marks.first_setup_on_mark == np.arange(stations)))[:, None]

@@ -155,16 +155,16 @@ def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants:
         fit = f"With these constants estimated sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
         if sigma0 <= high:
             smaller = "" if sigma0 >= low else ", so that the noise is smaller than declared"
-            return f"The instrument's constants are in the readings. {fit}{smaller}."
+            return f"The readings contain errors of the instrument's constants. {fit}{smaller}."
         return (
-            "The noise is larger than declared, or a systematic effect is missing from the model. The instrument's "
-            f"constants do not suffice as the reason. {fit}."
+            "The noise is larger than declared, or a systematic effect is missing from the model. Errors of the "
+            f"instrument's constants are not the only reason. {fit}."
         )
     if adjustment.construction.n_parameters or adjustment.recording.is_corrected:
         return "The noise is larger than declared, or a systematic effect is missing from the model."
     return (
-        "The instrument's constants are in the readings, the noise is larger than declared, or a systematic effect is "
-        "missing from the model."
+        "The readings contain errors of the instrument's constants, the noise is larger than declared, or a systematic "
+        "effect is missing from the model."
     )
 
 

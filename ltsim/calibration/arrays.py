@@ -12,10 +12,10 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import WIDENED_SIGMA_FACTOR
 from ltsim.calibration.schema import DISPLAY_UNITS, RESIDUALS_TABLE, TARGETS_TABLE, ParameterEntry
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import ModelError, RecordError, unknown_name
+from ltsim.core.equality import ValueEquality
+from ltsim.core.errors import ModelError, RecordError, unknown_name_error
 from ltsim.core.results import Table
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT, permitted_units_text
-from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import GeometricErrorModel, construction_for_parameters
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.recording import OBSERVABLES
@@ -122,7 +122,7 @@ def arrays_from_file_rows(
         raise RecordError(str(problem), file=file_path) from None
     instruments = tuple(dict.fromkeys(row.instrument for row in parameter_entries)) or ("",)
     place = {(i, name): k for k, (i, name) in enumerate((i, n) for i in instruments for n in built.parameter_names)}
-    flat_indices = _flat_parameter_indices(
+    flat_indices = _parameter_vector_indices(
         construction_name, parameter_entries, place, built.parameter_names, file_path
     )
     factor = np.array([SI_PER_UNIT[row.unit] for row in parameter_entries])
@@ -162,7 +162,7 @@ def arrays_from_file_rows(
     return arrays, [f"{n}@{i}" if i else n for (i, n), k in place.items() if k not in flat_indices]
 
 
-def _flat_parameter_indices(
+def _parameter_vector_indices(
     construction: str,
     parameter_entries: Sequence[ParameterEntry],
     index_by_instrument_and_name: dict[tuple[str, str], int],
@@ -177,7 +177,9 @@ def _flat_parameter_indices(
     for number, row in enumerate(parameter_entries, start=1):
         if (row.instrument, row.name) not in index_by_instrument_and_name:
             kind = f"parameter of construction {construction}"
-            raise RecordError(f"parameters: {unknown_name(kind, quoted_text(row.name), names)}", file=file, row=number)
+            raise RecordError(
+                f"parameters: {unknown_name_error(kind, quoted_text(row.name), names)}", file=file, row=number
+            )
         if row.unit not in SI_PER_UNIT:
             expected = f"expected one of {permitted_units_text()}"
             raise RecordError(f"parameters: unknown unit '{quoted_text(row.unit)}'; {expected}", file=file, row=number)

@@ -39,7 +39,7 @@ from ltsim.calibration.schema import (
 from ltsim.calibration.uncertainty import UncertaintyEntry, uncertainty_sentences
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import RecordError
-from ltsim.core.probability import format_p, two_sided
+from ltsim.core.probability import p_relation_text, two_sided_p_value
 from ltsim.core.results import Table
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.physics.effects.linear_effect import Parameter
@@ -270,7 +270,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     def _lines(self) -> list[str]:
         fit, count = self.fit, len(self.instrument_parameter_names)
         test = f"chi2/dof {fit.chi2:.1f}/{fit.dof}"
-        test += "" if fit.p_value is None else f", two-sided {format_p(two_sided(fit.p_value))}"
+        test += "" if fit.p_value is None else f", two-sided {p_relation_text(two_sided_p_value(fit.p_value))}"
         n_determined = int(((self.sigma < MAX_SIGMA_RATIO_DETERMINED * self.prior_sigma) & ~self.is_fixed).sum())
         targets = f" and {len(self.target_names)} targets" if self.target_names else ""
         lines = [f"Calibration ({self.method}, {self.construction_name}): {fit.status}, {test}"]

@@ -22,8 +22,8 @@ from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import LikelihoodInformation, likelihood_information
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import RecordError, option
-from ltsim.core.values import ValueEquality
+from ltsim.core.equality import ValueEquality
+from ltsim.core.errors import RecordError, option_text
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.result_file import Entry, Finite
 from ltsim.solve.design import NORMAL_RANK_TOLERANCE
@@ -129,7 +129,7 @@ class CalibrationSeries(ValueEquality):
             raise RecordError("the calibrations hold no instrument parameters, expected those of `ltsim calibrate`")
         for label, calibration in labelled_calibrations:
             if calibration.history_prior:
-                how = f"{label} was calibrated with earlier calibrations as its prior ({option('prior')})"
+                how = f"{label} was calibrated with earlier calibrations as its prior ({option_text('prior')})"
                 raise RecordError(f"{how}; expected calibrations that are independent of each other")
         calibrations = _with_common_parameters(
             [single_instrument(calibration, instrument, label) for label, calibration in labelled_calibrations]
@@ -244,18 +244,18 @@ class CalibrationSeries(ValueEquality):
         """Changes between each calibration and the previous one."""
         return [self.change(i, i + 1) for i in range(len(self) - 1)]
 
-    def constancy_test(self, parameter: int | None = None) -> ChiSquareEntry:
+    def constancy_test(self, parameter_index: int | None = None) -> ChiSquareEntry:
         """Chi-square test that the parameters are equal in all calibrations.
 
-        It concerns the parameter with the index `parameter`, or all parameters for None.
+        It concerns the parameter with the index `parameter_index`, or all parameters for None.
         """
         contrast = np.diff(np.eye(len(self)), axis=0)
-        if parameter is None:
+        if parameter_index is None:
             return _chi_square_test(*self._contrasts_and_covariance(contrast, self._informative_combinations))
-        if not self._mean_variance_reduction[parameter] > MAX_UNINFORMATIVE_GAIN:
+        if not self._mean_variance_reduction[parameter_index] > MAX_UNINFORMATIVE_GAIN:
             return ChiSquareEntry.from_statistic(0.0, 0)
         return _chi_square_test(
-            *self._contrasts_and_covariance(contrast, np.eye(self.construction.n_parameters)[:, [parameter]])
+            *self._contrasts_and_covariance(contrast, np.eye(self.construction.n_parameters)[:, [parameter_index]])
         )
 
     def _contrasts_and_covariance(self, contrast: Floats, combination: Floats) -> tuple[Floats, Floats]:
@@ -340,7 +340,7 @@ def single_instrument(calibration: Calibration, instrument: str | None, label: s
     if len(names) == 1:
         return calibration
     if instrument not in names:
-        raise RecordError(f"{label} holds the instruments {', '.join(names)}: choose one ({option('instrument')})")
+        raise RecordError(f"{label} holds the instruments {', '.join(names)}: choose one ({option_text('instrument')})")
     return calibration.for_instrument(names.index(instrument), np.arange(calibration.construction.n_parameters))
 
 

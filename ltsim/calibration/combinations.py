@@ -54,6 +54,6 @@ UNDETERMINED_TABLE = Table(
         *text_columns(
             combination="coefficients, in units of the prior sigma", determined_by="measurement that determines it"
         ),
-        Column("information_percent", "fraction of the prior variance that the readings removed", shown=".1f"),
+        Column("information_percent", "fraction of the prior variance that the readings removed", display_format=".1f"),
     ),
 )

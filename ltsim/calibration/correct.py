@@ -6,7 +6,7 @@ from ltsim.adjustment.start import initial_network
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import CalibrationSource, load_calibration
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.errors import NetworkError, RecordError, option
+from ltsim.core.errors import NetworkError, RecordError, option_text
 from ltsim.geometry.polar import to_face, to_polar, wrap_angle
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.physics.model.incidence import incidence_reading_change
@@ -60,7 +60,7 @@ def correct(
         raise RecordError(
             f"the readings of the calibration contradict its model (sigma0 = {corrections.uncertainty_factor:.3g}), "
             "and another cause may be in its parameters: run ltsim diagnose on its recording and calibrate again "
-            f"without that cause, or give {option('allow_rejected=True')} to use it nevertheless"
+            f"without that cause, or give {option_text('allow_rejected=True')} to use it nevertheless"
         )
     parameter_values = corrections.applied_values_for(source)
     uncorrected = source.with_readings(source.readings - incidence_reading_changes(source, corrections))
@@ -94,7 +94,7 @@ def corrected_readings(recording: Recording, construction: GeometricErrorModel, 
     `values` are the parameters of the instrument, shape (parameters,) or (pointings, parameters) [SI].
     """
     raw_readings = np.where(recording.is_measured, recording.readings, _replacement_readings(recording))
-    ideal = to_face(to_polar(construction.point(raw_readings, values)), recording.face)
+    ideal = to_face(to_polar(construction.points_from_readings(raw_readings, values)), recording.face)
     change = ideal - raw_readings
     change[:, 1:] = wrap_angle(change[:, 1:])
     return np.where(recording.is_measured, raw_readings + change, np.nan)

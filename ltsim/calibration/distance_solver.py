@@ -198,9 +198,9 @@ def _start_values(
     return unknowns, np.ones(n_parameters, dtype=bool) if fixed_mask is None else ~fixed_mask
 
 
-def _require_compared_distances(compared_distances: ComparedDistances, free_unknowns: Bools) -> None:
+def _require_compared_distances(compared_distances: ComparedDistances, is_free_unknown: Bools) -> None:
     """Check that a comparison of distances depends on the unknowns to estimate; raises NetworkError otherwise."""
-    if not np.any(compared_distances.unknown_derivatives[:, free_unknowns]):
+    if not np.any(compared_distances.unknown_derivatives[:, is_free_unknown]):
         raise NetworkError("no distance can be compared: stations share no pair of targets, and there is no gauge")
 
 
@@ -245,19 +245,19 @@ def objective_of(compared_distances: ComparedDistances, norm: ObjectiveNorm) -> 
 
 
 def determined_combinations(
-    compared_distances: ComparedDistances, free_unknowns: Bools
+    compared_distances: ComparedDistances, is_free_unknown: Bools
 ) -> tuple[Floats, tuple[ParameterCombination, ...]]:
     """Combinations of unknowns to estimate, and combinations to fix at zero.
 
     The former have the shape (unknowns, combinations). The latter have a gain below `MIN_DETERMINED_GAIN`; they are
-    listed in the order of their gains. Only unknowns in the mask `free_unknowns` take part.
+    listed in the order of their gains. Only unknowns in the mask `is_free_unknown` take part.
     """
     strength, eigenvectors = np.linalg.eigh(
-        compared_distances.unknown_derivatives[:, free_unknowns].T
-        @ compared_distances.unknown_derivatives[:, free_unknowns]
+        compared_distances.unknown_derivatives[:, is_free_unknown].T
+        @ compared_distances.unknown_derivatives[:, is_free_unknown]
     )
-    vectors = np.zeros((len(free_unknowns), len(eigenvectors)))
-    vectors[free_unknowns] = eigenvectors
+    vectors = np.zeros((len(is_free_unknown), len(eigenvectors)))
+    vectors[is_free_unknown] = eigenvectors
     nonzero = strength > 1e-12 * strength[-1]
     noise_response = np.asarray(
         (compared_distances.noise_derivatives.T @ (compared_distances.unknown_derivatives @ vectors)).T
@@ -271,17 +271,17 @@ def determined_combinations(
 
 
 def _split_observable_combinations(
-    compared_distances: ComparedDistances, free_unknowns: Bools
+    compared_distances: ComparedDistances, is_free_unknown: Bools
 ) -> tuple[Floats, Floats]:
     """Combinations of unknowns that change a compared distance, and combinations that change none.
 
-    Both have the shape (unknowns, combinations). Only unknowns in the mask `free_unknowns` take part.
+    Both have the shape (unknowns, combinations). Only unknowns in the mask `is_free_unknown` take part.
     """
     _, strength, right_vectors = np.linalg.svd(
-        compared_distances.unknown_derivatives[:, free_unknowns], full_matrices=False
+        compared_distances.unknown_derivatives[:, is_free_unknown], full_matrices=False
     )
-    vectors = np.zeros((len(free_unknowns), len(right_vectors)))
-    vectors[free_unknowns] = right_vectors.T
+    vectors = np.zeros((len(is_free_unknown), len(right_vectors)))
+    vectors[is_free_unknown] = right_vectors.T
     nonzero = strength > MAX_ROUNDING_ERROR * strength[0]
     return vectors[:, nonzero], vectors[:, ~nonzero]
 
@@ -296,14 +296,14 @@ def _unbounded_step(design: Floats, residual: Floats, norm: ObjectiveNorm) -> Fl
 def _bounded_step(
     compared_distances: ComparedDistances,
     unknowns: Floats,
-    free_unknowns: Bools,
+    is_free_unknown: Bools,
     norm: ObjectiveNorm,
     bound_in_prior_sigmas: float | None,
 ) -> Floats:
     """Step of the free unknowns to the minimum of the linearised objective within the bounds."""
-    design = compared_distances.unknown_derivatives[:, free_unknowns]
+    design = compared_distances.unknown_derivatives[:, is_free_unknown]
     if bound_in_prior_sigmas is None:
-        visible = _split_observable_combinations(compared_distances, free_unknowns)[0][free_unknowns]
+        visible = _split_observable_combinations(compared_distances, is_free_unknown)[0][is_free_unknown]
         return visible @ _unbounded_step(design @ visible, compared_distances.residuals, norm)
     bounded_solver = _least_squares_in_bounds if norm == "squares" else _least_absolute_in_bounds
     return bounded_solver(

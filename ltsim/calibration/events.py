@@ -127,7 +127,7 @@ def _step_p_value(
     )
     for n, share in enumerate(TIME_GROWTH_FRACTIONS):
         shape = 1.0 - share + share * relative_durations
-        scale = _moment_variance(difference[other_steps], sigma[other_steps], shape[other_steps])
+        scale = _variance_by_moments(difference[other_steps], sigma[other_steps], shape[other_steps])
         variance = sigma**2 + scale * shape
         gap = difference[other_steps] ** 2 / variance[other_steps] + np.log(
             variance[other_steps] / sigma[other_steps] ** 2
@@ -140,7 +140,7 @@ def _step_p_value(
     return float(weight @ chance), float(np.sqrt(weight @ usual))
 
 
-def _moment_variance(difference: Floats, sigma: Floats, relative_variances: Floats) -> float:
+def _variance_by_moments(difference: Floats, sigma: Floats, relative_variances: Floats) -> float:
     """Variance of steps that are no events, at which their expected chi-square equals their number; at least 0."""
     from scipy.optimize import brentq  # imported here: it takes a tenth of a second
 

@@ -15,7 +15,7 @@ from ltsim.adjustment.refit import ParameterEstimate, Refit, refit_with_effects
 from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.schema import FittedEffectEntry, FittedParameterEntry
-from ltsim.core.errors import ModelError, option
+from ltsim.core.errors import ModelError, option_text
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect, LinearEffect, Parameter, ShapeParameter
@@ -43,7 +43,7 @@ class RequestedEffect:
         """Check that the effect can be estimated with the calibration of a recording; raises ModelError otherwise."""
         effect, name = self.effect, self.effect.name
         if isinstance(effect, NoiseEffect):
-            how = f"use {option('noise_from_data=True')} to estimate the noise"
+            how = f"use {option_text('noise_from_data=True')} to estimate the noise"
             raise ModelError(f"{name} changes the noise, not the readings; {how}")
         if isinstance(effect, Blunder):
             raise ModelError(f"{name} is a blunder in the recording and has no size; ltsim diagnose corrects it")

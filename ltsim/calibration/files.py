@@ -8,7 +8,7 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.reported_uncertainty import joint_covariance_csv_text
 from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import RecordError, unknown_name
+from ltsim.core.errors import RecordError, unknown_name_error
 from ltsim.core.notation import listing
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.smr_incidence import SmrIncidence
@@ -29,9 +29,9 @@ def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
     RecordError
         If the folder cannot be written; no partial files remain.
     """
-    texts = {TARGETS_TABLE.file: calibration.table("targets").csv()}
+    texts = {TARGETS_TABLE.file: calibration.table("targets").csv_text()}
     if calibration.adjustment is not None:
-        texts[RESIDUALS_TABLE.file] = calibration.table("residuals").csv()
+        texts[RESIDUALS_TABLE.file] = calibration.table("residuals").csv_text()
         covariance = joint_covariance_csv_text(calibration)
         texts |= {} if covariance is None else {COVARIANCE_FILE_NAME: covariance}
     return write_result(folder, calibration, texts)
@@ -46,7 +46,7 @@ def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:
         When a column is missing or a field is no number.
     """
     table = TARGETS_TABLE.parse_csv(read_text(file), file)
-    coordinates_and_sigmas = table.numbers(*TARGETS_TABLE.header[1:]) * MILLIMETRE
+    coordinates_and_sigmas = table.float_array(*TARGETS_TABLE.header[1:]) * MILLIMETRE
     return tuple(table.column("target")), coordinates_and_sigmas[:, :3], coordinates_and_sigmas[:, 3:]
 
 
@@ -72,7 +72,7 @@ def read_calibration(path: Path) -> Calibration:
     file_values = calibration.parameters, calibration.parameter_covariance
     arrays, missing = arrays_from_file_rows(calibration.construction_name, *file_values, file)
     return calibration.with_arrays(
-        arrays, warnings=(*_missing_parameters_warning(missing, file), *_rejected_fit_warning(calibration, file))
+        arrays, warnings=(*_missing_parameters_warnings(missing, file), *_rejected_fit_warnings(calibration, file))
     )
 
 
@@ -82,14 +82,14 @@ def _check_reflector_parameters(calibration: Calibration, file: Path) -> None:
     for entry in calibration.reflectors:
         for row in entry.parameters:
             if row.name not in unit_by_name:
-                unknown = unknown_name("parameter of smr-incidence", quoted_text(row.name), tuple(unit_by_name))
+                unknown = unknown_name_error("parameter of smr-incidence", quoted_text(row.name), tuple(unit_by_name))
                 raise RecordError(f"reflectors: {unknown}", file=file)
             if row.unit != unit_by_name[row.name] or isinstance(row.value, str):
                 problem = f"{quoted_text(row.name)} is '{quoted_text(str(row.value))} {quoted_text(row.unit)}'"
                 raise RecordError(f"reflectors: {problem}; expected a number in {unit_by_name[row.name]}", file=file)
 
 
-def _rejected_fit_warning(content: Calibration, file: Path) -> tuple[str, ...]:
+def _rejected_fit_warnings(content: Calibration, file: Path) -> tuple[str, ...]:
     """Warning that the readings of a calibration contradict its model; empty if they do not."""
     if content.uncertainty_factor == 1.0:
         return ()
@@ -100,7 +100,7 @@ def _rejected_fit_warning(content: Calibration, file: Path) -> tuple[str, ...]:
     )
 
 
-def _missing_parameters_warning(names: list[str], file: Path) -> tuple[str, ...]:
+def _missing_parameters_warnings(names: list[str], file: Path) -> tuple[str, ...]:
     """Warning that lists the parameters missing in a file; empty if there are none."""
     if not names:
         return ()

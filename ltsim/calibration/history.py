@@ -12,7 +12,7 @@ from ltsim.calibration.events import EventEntry, significant_steps
 from ltsim.calibration.schema import FitEntry
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import listing
-from ltsim.core.probability import format_p
+from ltsim.core.probability import p_relation_text
 from ltsim.core.results import Column, ColumnValues, Table, columns_of, text_columns
 from ltsim.recordings.result_file import Entry, Finite, NotNegative, OptionalFloat, ResultFile
 
@@ -52,7 +52,7 @@ INSTRUMENT_CHANGES_TABLE = Table(
     "changes of an instrument between its calibrations",
     (
         *text_columns(**{"from": "the earlier calibration"}, to="the later one", above_all="parameters that differ"),
-        Column("chi2", "weighted sum of squares of the differences", shown=".1f"),
+        Column("chi2", "weighted sum of squares of the differences", display_format=".1f"),
         Column("parameters", "degrees of freedom"),
         Column("p_value", "p-value of such differences without a change", "chance", title="p"),
     ),
@@ -62,11 +62,11 @@ PARAMETER_HISTORIES_TABLE = Table(
     "parameters that the calibrations determine",
     (
         *text_columns(parameter="name"),
-        Column("last", "estimate of the last calibration", sigma="sigma_last"),
+        Column("last", "estimate of the last calibration", sigma_column="sigma_last"),
         Column("sigma_last", "its standard deviation"),
         *text_columns(unit="of all numbers of the row"),
-        Column("mean", "weighted mean of the estimates", digits=3),
-        Column("spread", "standard deviation over the calibrations", digits=3),
+        Column("mean", "weighted mean of the estimates", n_digits=3),
+        Column("spread", "standard deviation over the calibrations", n_digits=3),
         Column("p_constant", "p-value of no change", "chance"),
     ),
 )
@@ -75,9 +75,9 @@ FITS_TABLE = Table(
     "agreement of readings and model of each calibration",
     (
         *text_columns(calibration="label"),
-        Column("chi2", "weighted sum of squares", digits=3),
+        Column("chi2", "weighted sum of squares", n_digits=3),
         Column("degrees_of_freedom", "of the fit"),
-        Column("sigma0", "standard deviation of unit weight", digits=3),
+        Column("sigma0", "standard deviation of unit weight", n_digits=3),
     ),
 )
 EVENTS_TABLE = Table(
@@ -88,7 +88,7 @@ EVENTS_TABLE = Table(
         "from_ to name difference sigma usual_step_sigma unit p_value",
         from_={"name": "from"},
         name={"name": "parameter"},
-        difference={"name": "step", "sigma": "sigma"},
+        difference={"name": "step", "sigma_column": "sigma"},
         usual_step_sigma={"name": "usual_step"},
         p_value={"kind": "chance", "title": "p"},
     ),
@@ -110,7 +110,7 @@ class History(ResultFile):
     mean_covariance: tuple[tuple[Finite, ...], ...] = ()
     """Covariance of the mean parameters, in their units. Combinations that no calibration determines have their prior
     variance."""
-    constant: ChiSquareEntry | None = None
+    constancy_test: ChiSquareEntry | None = None
     """Chi-square test that no parameter changed."""
     changes: tuple[ChangeEntry, ...] = ()
     """Changes between successive calibrations."""
@@ -132,7 +132,7 @@ class History(ResultFile):
             ),
             parameters=tuple(_parameter_history(series, k) for k in range(series.construction.n_parameters)),
             mean_covariance=(series.population.covariance / np.outer(factors, factors)).tolist(),
-            constant=series.constancy_test(),
+            constancy_test=series.constancy_test(),
             changes=tuple(series.changes()),
             events=significant_steps(series),
             since_first=series.change(0, len(series) - 1),
@@ -161,7 +161,7 @@ class History(ResultFile):
         since, labels = self.since_first, self.labels
         return [
             f"History: {len(labels)} calibrations, {labels[0]} to {labels[-1]}",
-            f"first to last: chi2 {since.chi2:.1f}/{since.dof}, {format_p(since.p_value)}",
+            f"first to last: chi2 {since.chi2:.1f}/{since.dof}, {p_relation_text(since.p_value)}",
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Table | ColumnValues]]:

@@ -276,7 +276,9 @@ def _cause_sentences(selection: CauseSelection) -> tuple[str, ...]:
 def _require_available_datum(adjustment: Adjustment, datum: Sequence[str] | None) -> Adjustment:
     """Adjustment unchanged; raises NetworkError if a datum is requested but control points define the frame."""
     if datum and not adjustment.problem.free_motions.shape[1]:
-        raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
+        raise NetworkError(
+            "the control points define the frame already: leave out the datum, or the coordinates of the control points"
+        )
     return adjustment
 
 

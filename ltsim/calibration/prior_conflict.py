@@ -13,7 +13,7 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import forward_select, likelihood_information, log_evidence, score_test
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.notation import MAX_LISTED_ITEMS, MAX_LISTED_SENTENCES, with_sigma
-from ltsim.core.probability import P_CONSTANT
+from ltsim.core.probability import P_WRONG_CONSTANT
 
 MAX_NOISE_FREE_SIGMA0 = 0.1
 """Value of sigma0 below which readings count as free of noise, as in a simulation without noise."""
@@ -113,7 +113,7 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
     odds = log_odds_of_errors(w, gain, freed.size + size * (len(freed) > 1))
     contradictions = [int(k) for k in np.argsort(-odds) if odds[k] > 0.0]
     if not contradictions:
-        return (*sentences, *_combination_sentence(calibration, prior, scale))
+        return (*sentences, *_combination_sentences(calibration, prior, scale))
     for k in contradictions[:MAX_LISTED_SENTENCES]:
         name, p = rows[k]
         sentences.append(
@@ -135,7 +135,7 @@ def log_odds_of_errors(normalised_changes: Floats, information: Floats, n_consta
     """
     information = np.maximum(information, 0.0)
     return log_evidence((normalised_changes**2 * information)[:, None], information[:, None]) + np.log(
-        P_CONSTANT / n_constants
+        P_WRONG_CONSTANT / n_constants
     )
 
 
@@ -148,7 +148,7 @@ def _normalised_deviations(deviation: Floats, information_gain: Floats) -> Float
     )
 
 
-def _combination_sentence(calibration: Calibration, prior: ParameterPrior, scale: float) -> tuple[str, ...]:
+def _combination_sentences(calibration: Calibration, prior: ParameterPrior, scale: float) -> tuple[str, ...]:
     """Sentence on the combination of parameters that contradicts the prior most; empty if none does significantly.
 
     The tested combinations are independent: eigenvectors of the covariance in prior standard deviations.

@@ -13,7 +13,7 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_calibration
 from ltsim.calibration.history import History
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import ModelError, RecordError, SetupError, unknown_name
+from ltsim.core.errors import ModelError, RecordError, SetupError, unknown_name_error
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.model.construction import GeometricErrorModel, all_parameter_names
 from ltsim.recordings.recording import Recording
@@ -198,11 +198,11 @@ def parameter_vector_indices(
     """
     name, at, instrument = parameter_or_prefix.strip().partition("@")
     if at and instrument not in instruments:
-        raise unknown_name("instrument", instrument, [label or "unnamed" for label in instruments])
+        raise unknown_name_error("instrument", instrument, [label or "unnamed" for label in instruments])
     matches = [k for k, p in enumerate(parameters) if p == name]
     matches = matches or [k for k, p in enumerate(parameters) if p.startswith((name + "-", name + "_", name + "."))]
     if not matches:
-        raise unknown_name("parameter", name, parameters)
+        raise unknown_name_error("parameter", name, parameters)
     instrument_indices = [instruments.index(instrument)] if at else range(len(instruments))
     return [i * len(parameters) + k for i in instrument_indices for k in matches]
 
@@ -216,5 +216,5 @@ def check_prior_names(recording: Recording, construction: GeometricErrorModel) -
         for name in instrument.prior.parameters:
             if name not in parameter_names:
                 raise SetupError(
-                    f"[{table}.prior.parameters]: {unknown_name('parameter', name, construction.parameter_names)}"
+                    f"[{table}.prior.parameters]: {unknown_name_error('parameter', name, construction.parameter_names)}"
                 )

@@ -100,24 +100,25 @@ def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> t
 
 
 def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
-    """Entries of outlying readings: gross pointings, other excluded readings, then outliers by w-test or tau-test."""
+    """Entries of outlying readings: gross errors, other excluded readings, then outliers by w-test or tau-test."""
     recording = adjustment.recording
-    scaled = np.nan_to_num(adjustment.residuals / adjustment.problem.sigma)
+    whitened = np.nan_to_num(adjustment.residuals / adjustment.problem.sigma)
 
-    def row(i: int, column: int, normalised_residual: float, w: float, **other_fields: Any) -> OutlierRow:
+    def row(i: int, column: int, size_si: float, w: float, **other_fields: Any) -> OutlierRow:
         unit, factor = DISPLAY_UNITS[column]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         observable = OBSERVABLES[column]
         named = {"row": i + 1, "station": station, "target": target, "observable": observable, "unit": unit}
-        return OutlierRow(size=normalised_residual / factor, w=w, **named, **other_fields)
+        return OutlierRow(size=size_si / factor, w=w, **named, **other_fields)
 
     outliers = []
     for i in np.flatnonzero(adjustment.is_gross_pointing).tolist():
-        k = int(np.argmax(np.abs(scaled[i])))
-        outliers.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), gross=True, excluded=True))
-    single = adjustment.is_rejected & ~adjustment.is_gross_pointing[:, None] & _has_estimated_error(adjustment, scaled)
-    for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(scaled[at[0], at[1]])):
-        outliers.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), excluded=True))
+        k = int(np.argmax(np.abs(whitened[i])))
+        outliers.append(row(i, k, adjustment.residuals[i, k], float(whitened[i, k]), gross=True, excluded=True))
+    single = adjustment.is_rejected & ~adjustment.is_gross_pointing[:, None]
+    single &= _has_estimated_error(adjustment, whitened)
+    for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(whitened[at[0], at[1]])):
+        outliers.append(row(i, k, adjustment.residuals[i, k], float(whitened[i, k]), excluded=True))
     flagged_readings = adjustment.flagged_readings(uses_estimated_noise=verdict_entry(adjustment).uses_estimated_noise)
     return (
         *outliers,
@@ -128,7 +129,7 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     )
 
 
-def _has_estimated_error(adjustment: Adjustment, scaled_residuals: Floats) -> Bools:
+def _has_estimated_error(adjustment: Adjustment, whitened_residuals: Floats) -> Bools:
     """Mask (pointings, 3) of readings whose residual estimates their error.
 
     Of an undetermined target only contradicting readings are included.
@@ -136,7 +137,7 @@ def _has_estimated_error(adjustment: Adjustment, scaled_residuals: Floats) -> Bo
     recording = adjustment.recording
     lost = np.isin(recording.targets, adjustment.undetermined_targets)[recording.target]
     is_unconnected = np.isin(recording.targets, adjustment.unconnected_targets)[recording.target]
-    return ~is_unconnected[:, None] & (~lost[:, None] | (np.abs(scaled_residuals) > MAX_CHANCE_SIGMAS))
+    return ~is_unconnected[:, None] & (~lost[:, None] | (np.abs(whitened_residuals) > MAX_CHANCE_SIGMAS))
 
 
 def verdict_entry(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:
@@ -396,4 +397,4 @@ def range_zero_notes(adjustment: Adjustment) -> tuple[str, ...]:
         return ("two distance meters were used with one range zero assumed for both; method network estimates both",)
     value, sigma = adjustment.state.extra_parameters[0], np.sqrt(adjustment.effect_covariance[0, 0])
     zero = with_sigma(value / MICROMETRE, sigma / MICROMETRE, "um")
-    return (f"the interferometer's range zero less the absolute meter's, was estimated: {zero} (range-mode)",)
+    return (f"the range zero of the interferometer less that of the absolute distance meter is {zero} (range-mode)",)

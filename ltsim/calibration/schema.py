@@ -9,7 +9,7 @@ from scipy import special
 from ltsim.adjustment.verdict import Verdict
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number_text, with_sigma
-from ltsim.core.probability import format_p
+from ltsim.core.probability import p_relation_text
 from ltsim.core.results import Column, Table, columns_of, number_columns, text_columns
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.recordings.result_file import (
@@ -334,15 +334,14 @@ class FittedEffectEntry(Entry):
         """Sentence with the estimated size of the effect and its significance."""
         name = self.effect + (f" at {self.place_text}" if self.place_text else "")
         if not self.n_distinguishable_parameters:
-            return (
-                f"{name}: not estimated, because the readings do not distinguish it from poses, targets and parameters"
-            )
+            return f"{name}: not estimated, because the readings do not separate it from poses, targets and parameters"
         phrase = ", ".join(
             f"{p.name} {p.value}" if isinstance(p.value, str) else f"{p.name} {with_sigma(p.value, p.sigma, p.unit)}"
             for p in self.parameters
         )
         candidates_text = f", the best of {self.n_candidates}" if self.n_candidates > 1 else ""
-        return f"{name}: {phrase}; chi-square falls by {self.chi2_drop:.1f} ({format_p(self.p_value)}{candidates_text})"
+        p_text = p_relation_text(self.p_value)
+        return f"{name}: {phrase}; chi-square falls by {self.chi2_drop:.1f} ({p_text}{candidates_text})"
 
 
 class ReflectorEntry(Entry):
@@ -360,8 +359,8 @@ PARAMETERS_TABLE = Table(
     columns_of(
         ParameterEntry,
         "name instrument value sigma unit prior_sigma held applied",
-        value={"sigma": "sigma"},
-        prior_sigma={"shown": ".3g"},
+        value={"sigma_column": "sigma"},
+        prior_sigma={"display_format": ".3g"},
         name={"name": "parameter"},
     ),
 )
@@ -372,7 +371,12 @@ OUTLIERS_TABLE = Table("outliers.csv", "outlying readings", columns_of(OutlierRo
 NOISE_TABLE = Table(
     "noise.csv",
     "noise estimated from the readings",
-    columns_of(NoiseRow, factor={"sigma": "factor_sigma"}, redundancy={"shown": ".1f"}, typical_sigma={"shown": ".3g"}),
+    columns_of(
+        NoiseRow,
+        factor={"sigma_column": "factor_sigma"},
+        redundancy={"display_format": ".1f"},
+        typical_sigma={"display_format": ".3g"},
+    ),
 )
 REFLECTOR_INCIDENCE_TABLE = Table(
     "reflectors.csv",
@@ -388,7 +392,7 @@ STATION_COORDINATES_TABLE = Table(
     (
         *text_columns(name="of the target or station"),
         *number_columns(display_format=".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
-        *(Column(f"U_{axis}_um", "expanded uncertainty, k = 2", digits=2) for axis in "xyz"),
+        *(Column(f"U_{axis}_um", "expanded uncertainty, k = 2", n_digits=2) for axis in "xyz"),
     ),
 )
 STATIONS_TABLE = Table(

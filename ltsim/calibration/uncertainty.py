@@ -59,8 +59,8 @@ def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
         )
     if result.air_text:
         sentences.append(
-            f"The standard deviations of targets and stations include the {result.air_text}. Change it as [air] of the "
-            "set-up."
+            f"The standard deviations of targets and stations include the {result.air_text}. Change these values in "
+            "the table [air] of the set-up."
         )
     if result.hidden_errors:
         sizes = "; ".join(

@@ -23,7 +23,7 @@ from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.prior_information import EarlierCalibrationPrior, ParameterSelection
 from ltsim.calibration.reported_uncertainty import with_reported_uncertainty
 from ltsim.core.arguments import check_mapping
-from ltsim.core.errors import LtsimError, ModelError, RecordError, option, unknown_name
+from ltsim.core.errors import LtsimError, ModelError, RecordError, option_text, unknown_name_error
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import SizedEffect, effect_tuple, make_effect, name_tuple
 from ltsim.physics.laws.text_form import parse_law
@@ -112,7 +112,7 @@ def calibrate(
     """
     check_mapping("hold", hold)
     if method not in ("network", *NORM_BY_DISTANCE_METHOD):
-        raise unknown_name("method", method, ("network", *NORM_BY_DISTANCE_METHOD))
+        raise unknown_name_error("method", method, ("network", *NORM_BY_DISTANCE_METHOD))
     if isinstance(construction, GeometricErrorModel):
         if harmonics is not None or degree is not None:
             raise ModelError("harmonics and degree can be set only if construction is a name, such as 'dh'")
@@ -129,7 +129,7 @@ def calibrate(
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": datum_names}
     effects = effect_tuple(with_effects)
     if box is not None and not method.startswith("equation-9"):
-        raise ModelError(f"{option('box')} needs the method equation-9 or equation-9-l1, not {method}")
+        raise ModelError(f"{option_text('box')} needs the method equation-9 or equation-9-l1, not {method}")
     source = load_recording(recording)
     if method == "network":
         extra_effects = [parse_requested_effect(asked, source) for asked in effects]
@@ -144,8 +144,10 @@ def calibrate(
             )
         )
     if any(options.values()) or prior is not None or effects:
-        listed = ", ".join(map(option, ("robust", "noise_from_data", "datum", "prior")))
-        raise ModelError(f"{listed} and {option('with_effects')} need {option('method')} network, not {method}")
+        listed = ", ".join(map(option_text, ("robust", "noise_from_data", "datum", "prior")))
+        raise ModelError(
+            f"{listed} and {option_text('with_effects')} need {option_text('method')} network, not {method}"
+        )
     return with_reported_uncertainty(
         calibrate_distance(
             source, built, method=method, advise=advise, parameter_selection=choice, bound_in_prior_sigmas=box
@@ -200,7 +202,7 @@ def _named_construction(name: str | None, harmonics: int | None, degree: int | N
     if name is not None:
         return construction_called(name, harmonics, degree)
     if harmonics is not None or degree is not None:
-        raise ModelError(f"{option('harmonics')} and {option('degree')} need the construction dh")
+        raise ModelError(f"{option_text('harmonics')} and {option_text('degree')} need the construction dh")
     return None
 
 

@@ -2,7 +2,7 @@
 
 import os
 
-from ltsim.core.errors import require
+from ltsim.core.errors import require_extra
 
 REQUIRED_PACKAGES = ("duckdb", "filelock", "numba", "pyarrow")
 """Packages that only campaigns need; they are a third of the size of a complete installation."""
@@ -10,7 +10,7 @@ REQUIRED_PACKAGES = ("duckdb", "filelock", "numba", "pyarrow")
 
 def require_packages() -> None:
     """Check that the packages of campaigns are installed; raises SetupError that says what to install."""
-    require(REQUIRED_PACKAGES, "campaigns", "campaigns")
+    require_extra(REQUIRED_PACKAGES, "campaigns", "campaigns")
 
 
 # Numba reads a `.numba_config.yaml` in the working folder, which may be somebody else's, at every compilation. It may

@@ -251,7 +251,7 @@ class BatchNetwork:
         return self.model.extra_design(self._extra_sightings)
 
     @cached_property
-    def _expected_shift(self) -> Floats | None:
+    def _expected_reading_change(self) -> Floats | None:
         """Expected change (n, 3, 1) of the readings by range errors of tested reflectors; None if none was tested."""
         if not any(
             isinstance(error, IncidenceErrors) and error.mean_parameters.any() for error in self.model.nuisance_errors
@@ -283,8 +283,8 @@ class BatchNetwork:
         `deviation` (n, 3, B) is readings minus nominal readings, `length_errors` (g, B) [m] are the errors of the g
         reference lengths.
         """
-        if self._expected_shift is not None:
-            deviation = deviation - self._expected_shift
+        if self._expected_reading_change is not None:
+            deviation = deviation - self._expected_reading_change
         x, predicted = self._first_step(deviation, length_errors)
         last_costs = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])

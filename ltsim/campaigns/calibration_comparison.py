@@ -26,14 +26,14 @@ recordings differs by more.
 """
 NEW_POINT_ERRORS_TABLE = Table(
     "new_points.csv",
-    "errors of points that no calibration used, rms over stations and points, the new readings' noise in them",
+    "rms errors, over stations and points, of points that no calibration used, with the noise of the new readings",
     (
         *text_columns(calibration="its name"),
         *number_columns(
             display_format=".1f",
             error_raw_um="readings without corrections",
             error_calibrated_um="readings corrected by the estimates, or by the applied part of them",
-            error_true_parameters_um="readings corrected by the true parameters: the floor",
+            error_true_parameters_um="readings corrected by the true parameters: limit by noise and other effects",
         ),
         *number_columns(display_format=".3f", share_removed="of the mean square above the floor"),
     ),

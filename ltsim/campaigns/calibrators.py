@@ -318,8 +318,8 @@ class StackedNetwork(BatchNetwork):
         return np.stack([part._point_derivatives for part in self.networks], axis=-1)
 
     @cached_property
-    def _expected_shift(self) -> Floats | None:
-        shifts = [shift for part in self.networks if (shift := part._expected_shift) is not None]
+    def _expected_reading_change(self) -> Floats | None:
+        shifts = [shift for part in self.networks if (shift := part._expected_reading_change) is not None]
         return np.concatenate(shifts, axis=-1) if shifts else None
 
     @cached_property

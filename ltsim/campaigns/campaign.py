@@ -38,7 +38,7 @@ from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.stopping import ShardKey, iterate_rounds
 from ltsim.campaigns.store import CAMPAIGN_FILE, CampaignFolder, interruption_error
 from ltsim.core.arguments import check_bounds, check_choice
-from ltsim.core.errors import SetupError, WorkerError, as_setup_error, option
+from ltsim.core.errors import SetupError, WorkerError, as_setup_error, option_text
 from ltsim.core.parallel import run_parallel
 from ltsim.core.storage import check_writable
 from ltsim.recordings.files import quoted_text
@@ -71,11 +71,13 @@ class WorkerSettings:
         check_bounds(jobs=self.n_processes, required_argument="jobs")
         check_choice("backend", self.backend, ("local", "dask"))
         if self.scheduler and self.backend != "dask":
-            raise SetupError(f"{option('scheduler')} is {self.scheduler}, which needs {option('backend=dask')}")
+            raise SetupError(
+                f"{option_text('scheduler')} is {self.scheduler}, which needs {option_text('backend=dask')}"
+            )
         if self.backend == "dask" and not self.scheduler:
             raise SetupError(
-                f"{option('backend=dask')} needs {option('scheduler')}, an address such as tcp://127.0.0.1:8786 or a "
-                "cluster file"
+                f"{option_text('backend=dask')} needs {option_text('scheduler')}, an address such as "
+                "tcp://127.0.0.1:8786 or a cluster file"
             )
 
 
@@ -110,7 +112,7 @@ def run_campaign(
     that were finished since the last call.
     """
     with as_setup_error():
-        check_writable(folder, folder=True)
+        check_writable(folder, is_folder=True)
     campaign, scenarios = load_campaign(file, changes, tables)
     factors, cells = make_cells(campaign, scenarios, file)
     notes, store = _configuration_notes(campaign, factors, cells, file), CampaignFolder(folder)
@@ -118,8 +120,8 @@ def run_campaign(
     taken = [] if store.has_campaign or force else store.conflicting_files(sources)
     if taken:
         raise SetupError(
-            f"{folder}: contains {', '.join(taken)} but no campaign; name another {option('out')}, "
-            f"or replace them with {option('force=True')}"
+            f"{folder}: contains {', '.join(taken)} but no campaign; name another {option_text('out')}, "
+            f"or replace them with {option_text('force=True')}"
         )
     chosen_workers = workers or WorkerSettings()
     if chosen_workers.backend == "dask":
@@ -137,7 +139,7 @@ def run_campaign(
             store.write_manifest(manifest, sources)
         store.remove_unfinished_files()
         done, existing = 0, 0
-        for wanted in iterate_rounds(campaign, len(cells), partial(_half_intervals, folder)):
+        for wanted in iterate_rounds(campaign, len(cells), partial(_confidence_half_widths, folder)):
             waiting, damaged = _pending_shards(store, campaign, cells, wanted, progress)
             notes += damaged
             done, existing = done + len(waiting), existing + len(wanted) - len(waiting)
@@ -201,14 +203,14 @@ def _extended_campaign(
     """
     if not resume:
         raise SetupError(
-            f"{store.folder}: holds a campaign; continue it with {option('resume=True')}, "
-            f"name another {option('out')}, or start again with {option('force=True')}"
+            f"{store.folder}: holds a campaign; continue it with {option_text('resume=True')}, "
+            f"name another {option_text('out')}, or start again with {option_text('force=True')}"
         )
     manifest = store.manifest()
     if not all(old.digest for old in manifest.cells):
         raise SetupError(
-            f"{store.folder}: started by an earlier version of ltsim; start again with another {option('out')}, "
-            f"or with {option('force=True')}"
+            f"{store.folder}: the campaign was started by an earlier version of ltsim; start again with another "
+            f"{option_text('out')}, or with {option_text('force=True')}"
         )
     before, ordered, remaining = manifest.settings, list[CampaignCell](), list(cells)
     for old in manifest.cells:
@@ -220,14 +222,14 @@ def _extended_campaign(
             ]
             raise SetupError(
                 f"{file}: changed since this campaign started ({', '.join(changed)}); its rows in {store.folder} stay: "
-                f"continue with {store.folder / CAMPAIGN_FILE}, or start again with another {option('out')}"
+                f"continue with {store.folder / CAMPAIGN_FILE}, or start again with another {option_text('out')}"
             )
         remaining.remove(same)
         ordered.append(same)
     if [*manifest.cells[0].levels] != [*cells[0].levels]:
         raise SetupError(
             f"{file}: varies {', '.join(cells[0].levels) or 'nothing'}, but the campaign in {store.folder} varies "
-            f"{', '.join(manifest.cells[0].levels) or 'nothing'}: a different factor needs another {option('out')}"
+            f"{', '.join(manifest.cells[0].levels) or 'nothing'}: a different factor needs another {option_text('out')}"
         )
     statistics = tuple(dict.fromkeys((*before.get("statistics", ()), *campaign.statistics)))
     extension = {"trials": max(campaign.trials, manifest.trials), "statistics": statistics}
@@ -245,8 +247,8 @@ def _environment_change_notes(store: CampaignFolder) -> list[str]:
         if then.get(name) != today[name]:
             before = quoted_text(str(then.get(name)))
             raise SetupError(
-                f"{store.folder}: started with {name} {before}, this is {today[name]}, whose rows may differ; "
-                f"continue with the same version, or start again with another {option('out')}"
+                f"{store.folder}: the campaign was started with {name} {before}; rows may differ with {today[name]}; "
+                f"continue with the same version, or start again with another {option_text('out')}"
             )
     notes = []
     if (begun := manifest.commit) != (now := checkout_commit()):
@@ -254,7 +256,7 @@ def _environment_change_notes(store: CampaignFolder) -> list[str]:
         notes.append(f"started with {before}, continued with {after}; if the solver changed, rows may differ")
     if (built := manifest.processor) != (here := processor_type()):
         notes.append(f"started on a processor of type {built}, continued on {here}; last digits of rows may differ")
-    return [f"{store.folder}: {note}" for note in notes]
+    return [f"{store.folder}: the campaign was {note}" for note in notes]
 
 
 def _package_versions() -> dict[str, str]:
@@ -340,7 +342,7 @@ def _pending_shards(
     return waiting, notes
 
 
-def _half_intervals(folder: Path, statistic: str, n_shards: int) -> dict[tuple[int, str], float]:
+def _confidence_half_widths(folder: Path, statistic: str, n_shards: int) -> dict[tuple[int, str], float]:
     """Half-width of the 95 % confidence interval of a statistic's mean, by combination of settings (cell) and method.
 
     Only the first `n_shards` shards of each cell are used.

@@ -7,7 +7,7 @@ replace a singular value decomposition.
 
 import numpy as np
 
-from ltsim.campaigns.compilation import compile_function, trial_value
+from ltsim.campaigns.compilation import compile_function, value_of_trial
 from ltsim.core.arrays import Bools, Floats, Ints
 
 N_ROTATION_STEPS = 3
@@ -45,9 +45,24 @@ def transform_to_network(clouds: Floats, rotation: Floats, position: Floats) -> 
             x, y, z = clouds[s, k, 0], clouds[s, k, 1], clouds[s, k, 2]
             for t in range(len(x)):
                 a, b, c = x[t], y[t], z[t]
-                x[t] = trial_value(p0, t) + trial_value(r00, t) * a + trial_value(r01, t) * b + trial_value(r02, t) * c
-                y[t] = trial_value(p1, t) + trial_value(r10, t) * a + trial_value(r11, t) * b + trial_value(r12, t) * c
-                z[t] = trial_value(p2, t) + trial_value(r20, t) * a + trial_value(r21, t) * b + trial_value(r22, t) * c
+                x[t] = (
+                    value_of_trial(p0, t)
+                    + value_of_trial(r00, t) * a
+                    + value_of_trial(r01, t) * b
+                    + value_of_trial(r02, t) * c
+                )
+                y[t] = (
+                    value_of_trial(p1, t)
+                    + value_of_trial(r10, t) * a
+                    + value_of_trial(r11, t) * b
+                    + value_of_trial(r12, t) * c
+                )
+                z[t] = (
+                    value_of_trial(p2, t)
+                    + value_of_trial(r20, t) * a
+                    + value_of_trial(r21, t) * b
+                    + value_of_trial(r22, t) * c
+                )
 
 
 @compile_function

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.schema import PARAMETER_UNIT_TEXT, TRIAL_STATUSES, WITHOUT_RESULT, find_column
 from ltsim.core.arrays import Floats
+from ltsim.core.results import ColumnValues
 from ltsim.physics.effects.effect import Effect, Parameter, effect_parameter_names
 from ltsim.physics.model.construction import GeometricErrorModel
 
@@ -43,7 +44,7 @@ def parameter_labels(
     return labels + [ParameterLabel(name, *pair) for name, pair in zip(names_of_effects, parameters, strict=True)]
 
 
-def parameter_columns(labels: Sequence[ParameterLabel], parameters: Floats, prefix: str) -> ResultColumns:
+def error_parameter_columns(labels: Sequence[ParameterLabel], parameters: Floats, prefix: str) -> ResultColumns:
     """Columns of P parameters (P, B) [SI], converted to units of display; names such as ``estimate:beam-tilt``."""
     return {
         f"{prefix}:{label.text}": row / label.parameter.si_per_display_unit
@@ -124,3 +125,8 @@ def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> 
         empty = np.isnan(values) | (is_lost if name.startswith(("z:", "estimate:")) or "after" in name else False)
         columns[name] = pa.array(values.astype(np.float32), pa.float32(), mask=empty)
     return pa.table(columns)
+
+
+def columns_from_rows(table_rows: Sequence[Mapping[str, Any]]) -> ColumnValues:
+    """Values of each column, from rows with the same keys."""
+    return {key: [row[key] for row in table_rows] for key in (table_rows[0] if table_rows else ())}

@@ -40,14 +40,14 @@ def compile_inlined(function: Callable[..., ReturnType]) -> Callable[..., Return
     return cast(Callable[..., ReturnType], compiler(function))
 
 
-def trial_value(value: Floats | float, trial: int) -> float:
+def value_of_trial(value: Floats | float, trial: int) -> float:
     """Value of a trial: the common number of all trials, or the entry of an array (B,)."""
     return value if isinstance(value, float) else float(value[trial])
 
 
-@overload(trial_value, strict=False)
-def _compiled_trial_value(value: object, trial: object) -> Callable[..., object]:
-    """Compiled form of `trial_value`: a scalar itself, or the entry of an array for the trial."""
+@overload(value_of_trial, strict=False)
+def _compiled_value_of_trial(value: object, trial: object) -> Callable[..., object]:
+    """Compiled form of `value_of_trial`: a scalar itself, or the entry of an array for the trial."""
     if isinstance(value, types.Float):
         return lambda value, trial: value
     return lambda value, trial: value[trial]

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ltsim.core.arrays import Floats
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import unit_of_key
 from ltsim.recordings.result_file import Entry
 from ltsim.recordings.setup import Finite, TomlSection
@@ -77,7 +77,7 @@ class Design(TomlSection):
         """
         from scipy.stats import qmc  # a second to load, and few campaigns have a design
 
-        draw = stream(seed, "campaign", "design", self.kind)
+        draw = random_stream(seed, "campaign", "design", self.kind)
         sampler = qmc.Sobol if self.kind == "sobol" else qmc.LatinHypercube
         shares = sampler(len(self.ranges), seed=draw).random(self.cells)
         columns = [

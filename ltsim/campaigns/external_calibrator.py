@@ -19,8 +19,8 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from ltsim.core.errors import CalibratorError, RecordError, SetupError, option
-from ltsim.core.parallel import SAFE_PATH
+from ltsim.core.errors import CalibratorError, RecordError, SetupError, option_text
+from ltsim.core.parallel import SAFE_PATH_VARIABLE
 from ltsim.core.units import SI_PER_UNIT, permitted_units_text
 from ltsim.recordings import Recording, write as write_recording
 from ltsim.recordings.files import quoted_text
@@ -55,11 +55,11 @@ def split_command(command: str) -> list[str]:
     for place in (RECORDING_PLACEHOLDER, OUTPUT_PLACEHOLDER):
         if place not in command:
             expected = f"'CMD {RECORDING_PLACEHOLDER} {OUTPUT_PLACEHOLDER}'"
-            raise SetupError(f"{option('calibrator')} '{quoted_text(command)}' lacks {place}: expected {expected}")
+            raise SetupError(f"{option_text('calibrator')} '{quoted_text(command)}' lacks {place}: expected {expected}")
     try:
         return shlex.split(command)
     except ValueError as problem:
-        raise SetupError(f"{option('calibrator')} '{quoted_text(command)}': {problem}") from None
+        raise SetupError(f"{option_text('calibrator')} '{quoted_text(command)}': {problem}") from None
 
 
 def run_external_calibrator(
@@ -86,12 +86,14 @@ def run_external_calibrator(
             word.replace(RECORDING_PLACEHOLDER, str(folder)).replace(OUTPUT_PLACEHOLDER, str(out)) for word in words
         ]
         try:
-            environment = {name: value for name, value in os.environ.items() if name != SAFE_PATH}  # of our processes
+            environment = {
+                name: value for name, value in os.environ.items() if name != SAFE_PATH_VARIABLE
+            }  # of our processes
             done = subprocess.run(
                 filled, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False, env=environment
             )
         except OSError as problem:
-            message = f"{option('calibrator')}: {quoted_text(words[0])} cannot be started ({problem.strerror})"
+            message = f"{option_text('calibrator')}: {quoted_text(words[0])} cannot be started ({problem.strerror})"
             raise SetupError(message) from None
         what = f"'{quoted_text(calibrator, MAX_LINE_LENGTH)}' ended with status {done.returncode} for {trial_text}"
         lines = done.stderr.decode("utf-8", "replace").split("\n")

@@ -14,7 +14,7 @@ from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.verbs import diagnose
 from ltsim.physics.effects import find_effect
@@ -102,7 +102,7 @@ def inject(
         [],
     )
     for number, cause in enumerate(causes):
-        rng = stream(seed, "inject", number)
+        rng = random_stream(seed, "inject", number)
         drawn, values = _scaled_injection(injector, cause, noncentrality, rng)
         changed_recording, entry = injector.inject(drawn, values, _catalogue_name(cause), rng)
         injector = injector.with_recording(changed_recording)

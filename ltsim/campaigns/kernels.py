@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.campaigns.chain_program import ChainProgram
-from ltsim.campaigns.compilation import compile_function, compile_inlined, trial_value
+from ltsim.campaigns.compilation import compile_function, compile_inlined, value_of_trial
 from ltsim.core.arrays import Floats, Ints
 
 NEWTON_STEP_TOLERANCE = 1e-9
@@ -63,16 +63,16 @@ def _motion_amounts(
             b = basis[k, pointing]
             if varies[k] == 0:
                 for t in range(n_trials):
-                    row[t] += value[t] * trial_value(b, t)
+                    row[t] += value[t] * value_of_trial(b, t)
             else:
                 b0, b1, b2 = slope[k, pointing, 0], slope[k, pointing, 1], slope[k, pointing, 2]
                 d0, d1, d2 = deviation[0], deviation[1], deviation[2]
                 for t in range(n_trials):
                     row[t] += value[t] * (
-                        trial_value(b, t)
-                        + trial_value(b0, t) * d0[t]
-                        + trial_value(b1, t) * d1[t]
-                        + trial_value(b2, t) * d2[t]
+                        value_of_trial(b, t)
+                        + value_of_trial(b0, t) * d0[t]
+                        + value_of_trial(b1, t) * d1[t]
+                        + value_of_trial(b2, t) * d2[t]
                     )
         if sign[m] != 1.0:
             for t in range(n_trials):
@@ -97,13 +97,13 @@ def _forward_chain(pointing: int, chain: ChainProgram, amounts: Floats, path: Fl
         if is_rotation[m] == 0:
             fixed = amount[m, pointing, 0]
             for t in range(n_trials):
-                along2[t] = along[t] + (trial_value(fixed, t) + delta[t])
+                along2[t] = along[t] + (value_of_trial(fixed, t) + delta[t])
                 across2[t] = across[t]
                 above2[t] = above[t]
         else:
             c0, s0 = amount[m, pointing, 0], amount[m, pointing, 1]
             for t in range(n_trials):
-                cosine, sine = _add_small_angle(trial_value(c0, t), trial_value(s0, t), delta[t])
+                cosine, sine = _add_small_angle(value_of_trial(c0, t), value_of_trial(s0, t), delta[t])
                 along2[t] = along[t]
                 across2[t] = cosine * across[t] - sine * above[t]
                 above2[t] = sine * across[t] + cosine * above[t]
@@ -141,22 +141,22 @@ def _backpropagate(
                 b_ = basis[k, pointing]
                 if varies[k] == 0:
                     for t in range(n_trials):
-                        row[t] -= moment[t] * trial_value(b_, t)
+                        row[t] -= moment[t] * value_of_trial(b_, t)
                 else:
                     b0, b1, b2 = slope[k, pointing, 0], slope[k, pointing, 1], slope[k, pointing, 2]
                     d0, d1, d2 = deviation[0], deviation[1], deviation[2]
                     for t in range(n_trials):
                         row[t] -= moment[t] * (
-                            trial_value(b_, t)
-                            + trial_value(b0, t) * d0[t]
-                            + trial_value(b1, t) * d1[t]
-                            + trial_value(b2, t) * d2[t]
+                            value_of_trial(b_, t)
+                            + value_of_trial(b0, t) * d0[t]
+                            + value_of_trial(b1, t) * d1[t]
+                            + value_of_trial(b2, t) * d2[t]
                         )
         if is_rotation[m] != 0:
             c0, s0 = amount[m, pointing, 0], amount[m, pointing, 1]
             delta = amounts[m]
             for t in range(n_trials):
-                cosine, sine = _add_small_angle(trial_value(c0, t), trial_value(s0, t), delta[t])
+                cosine, sine = _add_small_angle(value_of_trial(c0, t), value_of_trial(s0, t), delta[t])
                 f1, f2 = across[t], above[t]
                 across[t] = cosine * f1 + sine * f2
                 above[t] = cosine * f2 - sine * f1
@@ -205,9 +205,9 @@ def compute_readings(
                 row = deviation[i, c]
                 for t in range(trials):
                     step = (
-                        trial_value(j0, t) * (trial_value(l0, t) - x[t])
-                        + trial_value(j1, t) * (trial_value(l1, t) - y[t])
-                        + trial_value(j2, t) * (trial_value(l2, t) - z[t])
+                        value_of_trial(j0, t) * (value_of_trial(l0, t) - x[t])
+                        + value_of_trial(j1, t) * (value_of_trial(l1, t) - y[t])
+                        + value_of_trial(j2, t) * (value_of_trial(l2, t) - z[t])
                     )
                     row[t] += step
                     largest = max(largest, abs(step))
@@ -311,15 +311,15 @@ def _station_to_target(
     ax, ay, az, mx, my, mz = work_rows[0], work_rows[1], work_rows[2], work_rows[3], work_rows[4], work_rows[5]
     for t in range(len(px)):
         x, y, z = (
-            trial_value(a0, t) + px[t] - tx[t],
-            trial_value(a1, t) + py[t] - ty[t],
-            trial_value(a2, t) + pz[t] - tz[t],
+            value_of_trial(a0, t) + px[t] - tx[t],
+            value_of_trial(a1, t) + py[t] - ty[t],
+            value_of_trial(a2, t) + pz[t] - tz[t],
         )
         bx, by, bz = _rotate_by_small_vector(-wx[t], -wy[t], -wz[t], x, y, z)
         ax[t], ay[t], az[t] = x, y, z
-        mx[t] = (trial_value(r00, t) * bx + trial_value(r10, t) * by + trial_value(r20, t) * bz) - qx[t]
-        my[t] = (trial_value(r01, t) * bx + trial_value(r11, t) * by + trial_value(r21, t) * bz) - qy[t]
-        mz[t] = (trial_value(r02, t) * bx + trial_value(r12, t) * by + trial_value(r22, t) * bz) - qz[t]
+        mx[t] = (value_of_trial(r00, t) * bx + value_of_trial(r10, t) * by + value_of_trial(r20, t) * bz) - qx[t]
+        my[t] = (value_of_trial(r01, t) * bx + value_of_trial(r11, t) * by + value_of_trial(r21, t) * bz) - qy[t]
+        mz[t] = (value_of_trial(r02, t) * bx + value_of_trial(r12, t) * by + value_of_trial(r22, t) * bz) - qz[t]
 
 
 @compile_function
@@ -347,21 +347,21 @@ def _reading_force(
     e0, e1, e2 = residual[0], residual[1], residual[2]
     fx, fy, fz = force[0], force[1], force[2]
     for t in range(len(cost)):
-        n0 = f0[t] + (trial_value(j00, t) * mx[t] + trial_value(j01, t) * my[t] + trial_value(j02, t) * mz[t])
-        n1 = f1[t] + (trial_value(j10, t) * mx[t] + trial_value(j11, t) * my[t] + trial_value(j12, t) * mz[t])
-        n2 = f2[t] + (trial_value(j20, t) * mx[t] + trial_value(j21, t) * my[t] + trial_value(j22, t) * mz[t])
+        n0 = f0[t] + (value_of_trial(j00, t) * mx[t] + value_of_trial(j01, t) * my[t] + value_of_trial(j02, t) * mz[t])
+        n1 = f1[t] + (value_of_trial(j10, t) * mx[t] + value_of_trial(j11, t) * my[t] + value_of_trial(j12, t) * mz[t])
+        n2 = f2[t] + (value_of_trial(j20, t) * mx[t] + value_of_trial(j21, t) * my[t] + value_of_trial(j22, t) * mz[t])
         f0[t], f1[t], f2[t] = n0, n1, n2
         d0, d1, d2 = (
-            trial_value(w0, t) * (y0[t] - n0),
-            trial_value(w1, t) * (y1[t] - n1),
-            trial_value(w2, t) * (y2[t] - n2),
+            value_of_trial(w0, t) * (y0[t] - n0),
+            value_of_trial(w1, t) * (y1[t] - n1),
+            value_of_trial(w2, t) * (y2[t] - n2),
         )
         e0[t], e1[t], e2[t] = d0, d1, d2
         cost[t] += d0 * d0 + d1 * d1 + d2 * d2
-        d0, d1, d2 = trial_value(w0, t) * d0, trial_value(w1, t) * d1, trial_value(w2, t) * d2
-        fx[t] = trial_value(j00, t) * d0 + trial_value(j10, t) * d1 + trial_value(j20, t) * d2
-        fy[t] = trial_value(j01, t) * d0 + trial_value(j11, t) * d1 + trial_value(j21, t) * d2
-        fz[t] = trial_value(j02, t) * d0 + trial_value(j12, t) * d1 + trial_value(j22, t) * d2
+        d0, d1, d2 = value_of_trial(w0, t) * d0, value_of_trial(w1, t) * d1, value_of_trial(w2, t) * d2
+        fx[t] = value_of_trial(j00, t) * d0 + value_of_trial(j10, t) * d1 + value_of_trial(j20, t) * d2
+        fy[t] = value_of_trial(j01, t) * d0 + value_of_trial(j11, t) * d1 + value_of_trial(j21, t) * d2
+        fz[t] = value_of_trial(j02, t) * d0 + value_of_trial(j12, t) * d1 + value_of_trial(j22, t) * d2
 
 
 @compile_function
@@ -378,9 +378,9 @@ def _add_forces(
     hx, hy, hz = pose_gradient[3], pose_gradient[4], pose_gradient[5]
     kx, ky, kz = target_gradient[0], target_gradient[1], target_gradient[2]
     for t in range(len(fx)):
-        nx = trial_value(r00, t) * fx[t] + trial_value(r01, t) * fy[t] + trial_value(r02, t) * fz[t]
-        ny = trial_value(r10, t) * fx[t] + trial_value(r11, t) * fy[t] + trial_value(r12, t) * fz[t]
-        nz = trial_value(r20, t) * fx[t] + trial_value(r21, t) * fy[t] + trial_value(r22, t) * fz[t]
+        nx = value_of_trial(r00, t) * fx[t] + value_of_trial(r01, t) * fy[t] + value_of_trial(r02, t) * fz[t]
+        ny = value_of_trial(r10, t) * fx[t] + value_of_trial(r11, t) * fy[t] + value_of_trial(r12, t) * fz[t]
+        nz = value_of_trial(r20, t) * fx[t] + value_of_trial(r21, t) * fy[t] + value_of_trial(r22, t) * fz[t]
         vx, vy, vz = _rotate_by_small_vector(wx[t], wy[t], wz[t], nx, ny, nz)
         kx[t] += vx
         ky[t] += vy

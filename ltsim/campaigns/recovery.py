@@ -42,7 +42,7 @@ from ltsim.campaigns.recovery_trials import (
 from ltsim.campaigns.schema import ErrorOrigin, NonNegativeInt
 from ltsim.campaigns.scoring import TrialScore
 from ltsim.core.arguments import check_bounds, check_mapping
-from ltsim.core.errors import ModelError, SetupError, option, unknown_name
+from ltsim.core.errors import ModelError, SetupError, option_text, unknown_name_error
 from ltsim.core.notation import listing
 from ltsim.core.results import Table
 from ltsim.core.units import parse_in_unit
@@ -79,7 +79,7 @@ class Recovery(ResultFile):
     seed: NonNegativeInt
     """Root of the random draws."""
     checks: tuple[RecoveryCheck, ...]
-    """Checks of one number each; with these bounds a correct model fails any of them in one run of a hundred."""
+    """Checks of one number each; with these bounds a correct model fails at least one in one run of a hundred."""
     parameters: tuple[RecoveredParameter, ...] = ()
     """Errors of each parameter over the trials."""
     ltsim_parameters: tuple[str, ...] = ()
@@ -137,7 +137,7 @@ class Recovery(ResultFile):
         }
 
     def failed_checks(self) -> list[RecoveryCheck]:
-        """Checks of the trials that failed."""
+        """Failed checks of the trials."""
         return [check for check in self.checks if not check.passed]
 
     def comparison_sentences(self) -> list[str]:
@@ -148,8 +148,8 @@ class Recovery(ResultFile):
         names = ", ".join(p.parameter for p in self.parameters)
         return [
             f"The calibrator estimates {len(self.parameters)} parameters ({names}). In the comparison ltsim estimates "
-            f"{len(self.ltsim_parameters)}, also {listing(more, MAX_LISTED_PARAMETERS)}: its errors contain the "
-            "uncertainty of these, and those of the calibrator what it does not model."
+            f"{len(self.ltsim_parameters)}, also {listing(more, MAX_LISTED_PARAMETERS)}. Its errors contain the "
+            "uncertainty of these further parameters; the errors of the calibrator contain their neglected effects."
         ]
 
     def verdict_text(self) -> str:
@@ -174,14 +174,16 @@ class Recovery(ResultFile):
         if self.problem and self.converged < self.trials:
             sentences.insert(0, self.problem)
         if unchecked := self.unchecked:
-            example = f"{option('tolerance')} {unchecked[0]}='2 {self.parameters[0].unit}'"
+            example = f"{option_text('tolerance')} {unchecked[0]}='2 {self.parameters[0].unit}'"
             several = (
                 f"{len(unchecked)} of {len(self.parameters)} parameters "
                 f"({listing(unchecked, MAX_LISTED_PARAMETERS)}) are"
             )
             sentence = f"{several if len(unchecked) > 1 else f'{unchecked[0]} is'} not checked: the calibrator does "
             sentence += "not declare the standard deviation in every trial"
-            advice = f"; let it declare one, or give a tolerance such as {example}, or {option('allow_unchecked=True')}"
+            advice = (
+                f"; let it declare one, or give a tolerance such as {example}, or {option_text('allow_unchecked=True')}"
+            )
             sentences.append(sentence if self.allow_unchecked else sentence + advice)
         return sentences
 
@@ -237,7 +239,7 @@ def recover(
     -------
     Recovery
         Result with `passed`, `checks` and `failure_sentences()`; `failed_checks()` lists the failed checks. A correct
-        model fails any check in one run of a hundred.
+        model fails at least one check in one run of a hundred.
 
     Examples
     --------
@@ -250,9 +252,9 @@ def recover(
     scenario, given = scenario_of(source), tolerance or {}
     true_construction, mode = make_scenario_construction(scenario), errors or suggested_error_origin(scenario)
     if true_construction.name == "dh" and construction not in (None, "dh"):
-        raise SetupError(f"the scenario's instrument is a dh one: recover with {option('construction')} dh")
+        raise SetupError(f"the scenario's instrument has the construction dh: set {option_text('construction')} to dh")
     if mode not in ("drawn", "stated"):
-        raise unknown_name("mode of errors", mode, ("drawn", "stated"))
+        raise unknown_name_error("mode of errors", mode, ("drawn", "stated"))
     if isinstance(calibrator, str):
         split_command(calibrator)
     elif calibrator is not None:

@@ -2,8 +2,8 @@
 
 Mean, standard deviation and coverage of the z-scores (error divided by declared sigma) have two-sided limits. The
 limits are those of the specification of ltsim (mean within 0.1, standard deviation within 5 %, coverage within 1.5 %),
-widened by the sampling error of a finite number of trials. A correct model thus fails any check in one run of a
-hundred.
+widened by the sampling error of a finite number of trials. A correct model thus fails at least one check in one run of
+a hundred.
 """
 
 import math
@@ -19,7 +19,7 @@ from ltsim.core.results import Table, columns_of
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
 FALSE_ALARM_RATE = 0.01
-"""Probability that a correct model fails any of the checks."""
+"""Probability that a correct model fails at least one of the checks."""
 NOMINAL_COVERAGE = 0.95
 """Nominal fraction of the intervals that contain the truth."""
 MIN_TRIALS = 2
@@ -102,7 +102,7 @@ def recovery_checks(
         Limit by parameter within which 95 % of its errors must lie. If any is given, only the parameters with a limit
         are checked.
     alpha : float
-        Probability that a correct calibrator fails any of the checks of sigmas.
+        Probability that a correct calibrator fails at least one of the checks of sigmas.
 
     Returns
     -------
@@ -127,7 +127,8 @@ def recovery_checks(
     names_used = [str(k + 1) for k in range(estimate.shape[1])] if names is None else list(names)
     if estimate.shape != truth.shape or len(names_used) != estimate.shape[1]:
         raise ModelError(
-            f"estimates are {estimate.shape}, truths {truth.shape}, names {len(names_used)}: give one of each"
+            f"estimates have the shape {estimate.shape}, truths {truth.shape}, and there are {len(names_used)} names: "
+            "give one truth for each estimate and one name for each parameter"
         )
     if len(estimate) < MIN_TRIALS:
         raise ModelError(f"there are estimates of {len(estimate)} trials, expected {MIN_TRIALS} or more")
@@ -135,7 +136,8 @@ def recovery_checks(
         raise ModelError("neither sigma nor tolerance is given, so nothing can be checked: give one of them")
     if sigma is not None and np.atleast_2d(sigma).shape != estimate.shape:
         raise ModelError(
-            f"sigmas are {np.atleast_2d(sigma).shape}, estimates {estimate.shape}: give one sigma per value"
+            f"sigmas have the shape {np.atleast_2d(sigma).shape}, estimates {estimate.shape}: "
+            "give one sigma per estimate"
         )
     if unknown := [name for name in tolerance or () if name not in names_used]:
         raise ModelError(f"tolerance '{unknown[0]}' belongs to none of {', '.join(names_used)}")

@@ -30,10 +30,10 @@ from ltsim.campaigns.scoring import (
     score_estimates,
 )
 from ltsim.core.arrays import Floats
+from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import CalibratorError, ConvergenceError, LtsimError
 from ltsim.core.parallel import run_parallel
 from ltsim.core.results import Table, columns_of, number_columns, text_columns
-from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings import Recording
 from ltsim.recordings.result_file import Entry, OptionalFloat
@@ -87,9 +87,10 @@ TRIALS_TABLE = Table(
     "trials.csv",
     "estimates of the trials with a result, one row per trial and parameter",
     (
-        *number_columns(trial="number: `ltsim simulate --per-trial --trial` makes its recording"),
+        *number_columns(trial="number of the trial; `ltsim simulate --per-trial --trial NUMBER` makes its recording"),
         *text_columns(
-            parameter="name; of an effect EFFECT:PARAMETER and its place", unit="of truth, estimate and sigma"
+            parameter="name of the parameter; for an effect EFFECT:PARAMETER and the place",
+            unit="of truth, estimate and sigma",
         ),
         *number_columns("r", truth="true value", estimate="estimate of the calibrator", sigma="that it states"),
         *number_columns(".6g", z="(estimate - truth) / sigma"),
@@ -278,7 +279,7 @@ class RecoveryTrials(ValueEquality):
         }
 
     def checks(self) -> list[RecoveryCheck]:
-        """All checks; with these bounds a correct model fails any of them in one run of a hundred."""
+        """All checks; with these bounds a correct model fails at least one in one run of a hundred."""
         n_lost = len(self.trials) - len(self.trials_with_result)
         checks = [RecoveryCheck.from_value(CONVERGENCE_CHECK_NAME, "trials without a result", n_lost, 0, 0)]
         if len(self.trials_with_result) < MIN_TRIALS:

@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ltsim.campaigns.columns import columns_from_rows
 from ltsim.campaigns.schema import RATIO_STATISTICS, SOLVER_DIFFERENCE_COLUMN, find_column, sql_terms
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.summary import StatisticSummary
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import ModelError, missing_extra, unknown_name
+from ltsim.core.errors import ModelError, missing_extra_error, unknown_name_error
 from ltsim.core.plotting import plotting_module
-from ltsim.core.randomness import stream
-from ltsim.core.results import ColumnValues, Result, columns_from_rows
+from ltsim.core.randomness import random_stream
+from ltsim.core.results import ColumnValues, Result
 from ltsim.core.units import parse_in_unit, unit_of_key
 
 if TYPE_CHECKING:
@@ -91,9 +92,9 @@ class CampaignResults(CampaignStatistics, Result):
                 count = values.shape[1]
                 if not count:
                     continue
-                draws = stream(0, "bootstrap", cell).integers(count, size=(N_BOOTSTRAP_RESAMPLES, count))
-                value = _checked_number(function, values)
-                again = [_checked_number(function, values[:, draw]) for draw in draws]
+                draws = random_stream(0, "bootstrap", cell).integers(count, size=(N_BOOTSTRAP_RESAMPLES, count))
+                value = _statistic_value(function, values)
+                again = [_statistic_value(function, values[:, draw]) for draw in draws]
                 low, high = np.nanquantile(again, [0.025, 0.975]).tolist()
                 interval = {"mean": value, "low": low, "high": high, "deviation": float(np.nanstd(again, ddof=1))}
                 spreads.append(StatisticSummary(cell=cell, method=method, column=name, trials=count, **interval))
@@ -144,7 +145,7 @@ class CampaignResults(CampaignStatistics, Result):
         try:
             from xarray import Dataset
         except ImportError:
-            raise missing_extra("datasets with axes", "xarray") from None
+            raise missing_extra_error("datasets with axes", "xarray") from None
         axes, places, along = self._xarray_axes()
         methods = list(self.manifest.methods)
         shape = (len(methods), *(len(axes[name][1]) for name in axes))
@@ -181,7 +182,7 @@ class CampaignResults(CampaignStatistics, Result):
         return {"cell": ("cell", list(range(len(levels))))}, [(k,) for k in range(len(levels))], along
 
 
-def _checked_number(function: Callable[..., float], columns: Floats) -> float:
+def _statistic_value(function: Callable[..., float], columns: Floats) -> float:
     """Value of a function of k columns with n trials, (k, n); raises ModelError if it is not a number."""
     result = np.asarray(function(*columns))
     if result.size != 1 or result.dtype.kind not in "fiub":
@@ -282,7 +283,7 @@ def _comparison_pairs(
     methods, levels = results.manifest.methods, results.levels
     factors = [factor.name for factor in results.factors]
     if factor_name not in ("method", *factors):
-        raise unknown_name("factor of this campaign", factor_name, ("method", *factors))
+        raise unknown_name_error("factor of this campaign", factor_name, ("method", *factors))
     choices = list(methods) if factor_name == "method" else [level[factor_name] for level in levels]
     first_level, second_level = (_matching_level(factor_name, level, choices) for level in (first_level, second_level))
     for cell, settings in enumerate(levels):
@@ -313,7 +314,7 @@ def _matching_level(factor_name: str, requested_level: Any, levels: Sequence[Any
         near = [k for k in numbers if math.isclose(k, value, rel_tol=MAX_LEVEL_ROUNDING_ERROR)]
         if len(near) == 1:
             return near[0]
-    raise unknown_name(f"level of {factor_name}", str(requested_level), [str(k) for k in distinct])
+    raise unknown_name_error(f"level of {factor_name}", str(requested_level), [str(k) for k in distinct])
 
 
 def _trial_values(results: CampaignStatistics, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:

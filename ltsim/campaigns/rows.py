@@ -21,8 +21,8 @@ from ltsim.campaigns.calibrators import (
 from ltsim.campaigns.columns import (
     ResultColumns,
     append_settings,
+    error_parameter_columns,
     method_table,
-    parameter_columns,
     parameter_labels,
     z_score_columns,
 )
@@ -329,9 +329,11 @@ class TrialBatchRows:
         if "z-scores" in wanted:
             columns |= z_score_columns(labels, values, sigma, true_labels, true)
         if "estimates" in wanted:
-            columns |= parameter_columns(labels, values, "estimate") | parameter_columns(labels, sigma, "sigma")
+            columns |= error_parameter_columns(labels, values, "estimate") | error_parameter_columns(
+                labels, sigma, "sigma"
+            )
         if "truth" in wanted:
-            columns |= parameter_columns(true_labels, true, "true")
+            columns |= error_parameter_columns(true_labels, true, "true")
         return columns
 
     def _validation_columns(self, calibrated_block: CalibratedBlock, calibrator: TrialCalibrator) -> ResultColumns:

@@ -140,7 +140,7 @@ ROWS_TABLE = Table(
     (
         *number_columns(cell="number"),
         *text_columns(method="name"),
-        *number_columns(trial="number: `ltsim simulate --trial` writes its recording"),
+        *number_columns(trial="number of the trial; `ltsim simulate --trial NUMBER` writes its recording"),
         *text_columns(status="converged, full solver (the batch was not enough), failed"),
         *RESULT_COLUMNS,
     ),

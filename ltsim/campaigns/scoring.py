@@ -13,9 +13,9 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.campaigns.external_calibrator import ParameterEstimate
 from ltsim.campaigns.schema import ErrorOrigin
 from ltsim.core.arrays import Floats, Ints
+from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import CalibratorError, SetupError
-from ltsim.core.units import SI_PER_UNIT, has_same_kind
-from ltsim.core.values import ValueEquality
+from ltsim.core.units import SI_PER_UNIT, are_convertible_units
 from ltsim.physics.effects.effect import effect_parameter_names
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.recordings.files import quoted_text
@@ -290,7 +290,7 @@ def score_estimates(
     names = tuple(name for name in true if name in estimates)
     units = tuple(true[name].unit for name in names)
     for name, unit in zip(names, units, strict=True):
-        if not has_same_kind(estimates[name].unit, unit):
+        if not are_convertible_units(estimates[name].unit, unit):
             raise CalibratorError(
                 f"the calibrator's {name} is in {estimates[name].unit}, expected {unit} or a unit of that kind"
             )

@@ -13,11 +13,11 @@ from pydantic import Field, model_validator
 from ltsim.adjustment.evaluation.criteria import read_nominal
 from ltsim.campaigns.design import Design, Factor, short_key_names
 from ltsim.campaigns.schema import RESULT_COLUMNS, ManifestFile, StatisticGroup, find_column
-from ltsim.core.errors import SetupError, as_setup_error, unknown_name
+from ltsim.core.errors import SetupError, as_setup_error, unknown_name_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.recordings.setup import Positive, TomlSection
-from ltsim.simulation.keys import convert_value, unit_of, value_type_of_key
+from ltsim.simulation.keys import convert_value, unit_of_scenario_key, value_type_of_key
 from ltsim.simulation.scenario import REMOVAL_VALUE, Scenario, change_scenario, load_scenario
 from ltsim.simulation.sections import PlacedEffect
 
@@ -161,7 +161,9 @@ class CampaignFile(TomlSection):
         column = find_column(self.stop.statistic)
         if column is None:
             columns = [column.name for column in RESULT_COLUMNS]
-            raise ValueError(f"stop.statistic: {unknown_name('column of the rows', self.stop.statistic, columns)}")
+            raise ValueError(
+                f"stop.statistic: {unknown_name_error('column of the rows', self.stop.statistic, columns)}"
+            )
         if column.group and column.group not in self.statistics:
             message = f"it should have '{column.group}' among its statistics, since stop needs {self.stop.statistic}"
             raise ValueError(message)
@@ -213,7 +215,12 @@ class CampaignFile(TomlSection):
             {name: self.link.get(name, (name,)) for name in self.varied_keys},
         )
         factors = (
-            Factor(name=titles[name], keys=keys, unit=unit_of(scenario, keys[0]), kind=value_type_of_key(keys[0]))
+            Factor(
+                name=titles[name],
+                keys=keys,
+                unit=unit_of_scenario_key(scenario, keys[0]),
+                kind=value_type_of_key(keys[0]),
+            )
             for name, keys in given.items()
         )
         return tuple(factor for factor in factors if factor.kind != "table" or "title" not in self.varied_keys)

@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from ltsim.campaigns.columns import columns_from_rows
 from ltsim.campaigns.schema import (
     FULL_SOLVER,
     QUANTILE_LEVELS,
@@ -30,8 +31,8 @@ from ltsim.campaigns.stopping import interval_error_rate, student_quantile
 from ltsim.campaigns.store import CampaignFolder, sql_path
 from ltsim.campaigns.summary import CampaignSummary, SolverComparison, StatisticSummary, ZScoreSummary
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import ModelError, SetupError, option, unknown_name
-from ltsim.core.results import ColumnValues, Table, columns_from_rows
+from ltsim.core.errors import ModelError, SetupError, option_text, unknown_name_error
+from ltsim.core.results import ColumnValues, Table
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.result_file import Entry
 
@@ -190,7 +191,7 @@ class CampaignStatistics:
 
     def _sql_column(self, column: str) -> str:
         if column not in self.columns:
-            raise unknown_name("column of these rows", column, self.columns)
+            raise unknown_name_error("column of these rows", column, self.columns)
         return sql_identifier(column)
 
     def half_interval(self, n_trials: int, deviation: float) -> float:
@@ -344,5 +345,5 @@ def _nan_if_none(value: float | None) -> float:
 
 def _damaged_folder_error(folder: Path, problem: Exception) -> SetupError:
     reason = quoted_text(str(problem).split("\n")[0], 200)
-    repair = f"Run the campaign again with {option('resume=True')} to repair the folder"
+    repair = f"Run the campaign again with {option_text('resume=True')} to repair the folder"
     return SetupError(f"{folder}: a file of rows (shard) cannot be read: {reason}. {repair}")

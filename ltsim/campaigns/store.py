@@ -26,7 +26,7 @@ import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
 from ltsim.campaigns.schema import SUMMARY_FILE, ManifestFile
-from ltsim.core.errors import RecordError, SetupError, option
+from ltsim.core.errors import RecordError, SetupError, option_text
 from ltsim.core.storage import complete_interrupted_moves, path_in_folder, write_files
 from ltsim.recordings.result_file import read_result
 
@@ -66,7 +66,7 @@ def read_shard(path: Path) -> pa.Table:
 
 def interruption_error(folder: Path, reason: object, remedy: str = "") -> SetupError:
     """Error for a campaign that ended early and can be continued; `remedy` is an action before that."""
-    action = f"{f'{remedy} and ' if remedy else ''}continue with {option('resume=True')}"
+    action = f"{f'{remedy} and ' if remedy else ''}continue with {option_text('resume=True')}"
     return SetupError(f"{folder}: {reason}; complete files of rows remain in the folder: {action}")
 
 
@@ -91,7 +91,7 @@ class CampaignFolder:
         try:
             return read_shard(path)
         except (pa.ArrowException, OSError) as problem:
-            repair = f"continue with {option('resume=True')} to repair it"
+            repair = f"continue with {option_text('resume=True')} to repair it"
             raise SetupError(f"{path}: cannot be read ({problem}); {repair}") from None
 
     def verify(self, shards: Iterable[Path], cell_digests: Mapping[int, str]) -> None:
@@ -173,12 +173,12 @@ class CampaignFolder:
                 shutil.rmtree(self.folder / ROWS_FOLDER)
 
     def shard_status(
-        self, cell: int, shard: int, key: Mapping[str, str], n_rows: int, digests: Mapping[str, str]
+        self, cell: int, shard: int, required_metadata: Mapping[str, str], n_rows: int, digests: Mapping[str, str]
     ) -> str:
         """Status of a shard: `whole` (complete), `missing`, `damaged`, or `short` (rows or columns are missing).
 
-        `key` is the metadata that the shard should have, `n_rows` its number of rows, and `digests` the recorded
-        digests.
+        `required_metadata` is the metadata that the shard should have, `n_rows` its number of rows, and `digests` the
+        recorded digests.
         """
         path = self.shard_path(cell, shard)
         if not path.exists():
@@ -187,9 +187,11 @@ class CampaignFolder:
             table = read_shard(path)
             noted, label = digests.get(path.relative_to(self.folder).as_posix()), _shard_metadata(table)
             same = noted in (None, _file_digest(path)) and all(
-                label[k] == key[k] for k in ("campaign", "cell", "shard")
+                label[k] == required_metadata[k] for k in ("campaign", "cell", "shard")
             )
-            short = len(table) < n_rows or not set(key["statistics"].split()) <= {*stored_statistics(table)}
+            short = len(table) < n_rows or not set(required_metadata["statistics"].split()) <= {
+                *stored_statistics(table)
+            }
         except (pa.ArrowException, OSError, ValueError, KeyError):
             return "damaged"
         if not same or len(table) > n_rows:

@@ -66,10 +66,10 @@ class TrialEvaluator:
         """Flags (S,) of the stations whose targets determine a frame; only these are compared with the truth."""
         return self._determines_frame(self.is_measured)
 
-    def _determines_frame(self, used_targets: Bools) -> Bools:
+    def _determines_frame(self, is_used_target: Bools) -> Bools:
         """Flags (k,) of the k sets of used targets (k, T) that determine a frame."""
         return determines_pose(
-            self._true_targets(1)[:, :, 0], used_targets, min_relative_width=MAX_UNDETERMINED_ROTATION_RATIO
+            self._true_targets(1)[:, :, 0], is_used_target, min_relative_width=MAX_UNDETERMINED_ROTATION_RATIO
         )
 
     def station_clouds(
@@ -91,11 +91,11 @@ class TrialEvaluator:
         )
         return clouds
 
-    def criteria_columns(self, clouds: Floats, suffix: str) -> ResultColumns:
+    def criteria_columns(self, clouds: Floats, stage: str) -> ResultColumns:
         """Columns of the distance and coordinate criteria, mean and maximum [um], from clouds (S, T, 3, B) [m]."""
         trials = clouds.shape[3]
         columns = {
-            f"{kind}_{suffix}_{which}_um": np.empty(trials)
+            f"{kind}_{stage}_{which}_um": np.empty(trials)
             for kind in ("distance", "coordinate")
             for which in ("mean", "max")
         }

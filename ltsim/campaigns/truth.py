@@ -28,7 +28,7 @@ from ltsim.recordings.reflectors import smr_names
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.draws import EffectDistribution, StandardNormalSource, TrialDistributions, TrialDraw
 from ltsim.simulation.fieldwork import MeasurementGeometry, make_geometry
-from ltsim.simulation.physics import instrument_resolutions, nominal_noise
+from ltsim.simulation.physics import instrument_resolutions, true_noise_sigmas
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import error_free_recording, occurring_blunders, simulate_readings, trial_distributions
 from ltsim.simulation.workshop import WorkshopLayout
@@ -286,7 +286,7 @@ def make_cell_truth(
         and (s.station_names, s.target_names) == (reference.stations, reference.targets)
     ):
         pointings = {name: getattr(s, name) for name in ("station", "target", "face", "repeat", "time", "covariates")}
-        there = replace(reference_truth.distributions, sightings=s, noise_sigmas=nominal_noise(scenario, s))
+        there = replace(reference_truth.distributions, sightings=s, noise_sigmas=true_noise_sigmas(scenario, s))
         nominal, state = (
             reference.replace(**pointings, readings=s.raw_readings, notes=geometry.hidden_pair_notes),
             _state_in_start_frame(geometry, there.instrument_means),

@@ -16,7 +16,7 @@ from ltsim.campaigns import require_packages
 from ltsim.cli.output_checks import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOption
 from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, write_line
-from ltsim.core.arguments import bounded_parser, range_text, source_path
+from ltsim.core.arguments import bounded_parser, bounds_text, source_path
 from ltsim.core.errors import SetupError, StoppedError
 from ltsim.core.storage import with_digest_comment
 from ltsim.recordings.files import write_text
@@ -96,7 +96,7 @@ def campaign(
         ) from None
     results = CampaignResults(folder)
     summary = results.summary()
-    write_text(folder / "summary.csv", results.table("summary").csv())
+    write_text(folder / "summary.csv", results.table("summary").csv_text())
     for note in outcome.notes:
         terminal.print_note(note)
     terminal.print_json(summary.model_dump(mode="json"))
@@ -132,7 +132,7 @@ RecoverJobsOption = Annotated[
         "--jobs",
         "-j",
         parser=bounded_parser("jobs"),
-        metavar=f"NUMBER: {range_text('jobs')}",
+        metavar=f"NUMBER: {bounds_text('jobs')}",
         help="Number of processes; default all cores, one for few trials.",
     ),
 ]
@@ -175,7 +175,7 @@ def recover(
     workers = (1 if options["trials"] < MIN_PARALLEL_TRIALS else os.cpu_count() or 1) if jobs is None else jobs
     with terminal.show_progress("trials", options["trials"]) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options)
-    result = terminal.write_result(result, lambda: {TRIALS_TABLE.file: result.table("trials").csv()})
+    result = terminal.write_result(result, lambda: {TRIALS_TABLE.file: result.table("trials").csv_text()})
     if junit is not None:
         write_text(junit, with_digest_comment(junit_xml(result, str(scenario))))
     terminal.print_json(result.content())

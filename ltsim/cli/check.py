@@ -55,7 +55,7 @@ def check(
     terminal: ResultFolderTerminal,
     **options: Any,
 ) -> int:
-    """Go or no-go: two-face differences, gross pointings, bumps, drift, level and scatter; status 1 for no-go.
+    """Go or no-go: two-face differences, gross errors, bumps, drift, level and scatter; status 1 for no-go.
 
     One set-up is enough. Repeated and two-face measurements of a target are compared, with the instrument's errors
     fitted. Writes check.json, two_face.csv and the picture check.svg to --out.
@@ -182,7 +182,7 @@ def accept(
     terminal.check_overwrite(AcceptanceFile, TESTS_TABLE.file)
     with terminal.show_progress("evaluating the tests"):
         content = lt.accept(file)
-    content = terminal.write_result(content, lambda: {TESTS_TABLE.file: content.table("tests").csv()})
+    content = terminal.write_result(content, lambda: {TESTS_TABLE.file: content.table("tests").csv_text()})
     terminal.print_result(content)
     return int(content.judgement not in (None, "accepted"))
 
@@ -248,7 +248,7 @@ def compare(
     )
     with terminal.show_progress("comparing"):
         comparison = lt.compare(first, later, **options)
-    comparison = terminal.write_result(comparison, lambda: {DISPLACEMENTS_TABLE.file: comparison.table().csv()})
+    comparison = terminal.write_result(comparison, lambda: {DISPLACEMENTS_TABLE.file: comparison.table().csv_text()})
     terminal.print_result(comparison)
     return int(bool(comparison.moved_points))
 
@@ -301,7 +301,7 @@ def uncertainty(
         content = lt.uncertainty(recording, tasks, **options)
     comparison = None if against is None else normalised_errors_of_files(content, read_result(against, Uncertainty))
     tables = [content.table(name) for name in ("results", "budget")]
-    content = terminal.write_result(content, lambda: {table.file: table.csv() for table in tables})
+    content = terminal.write_result(content, lambda: {table.file: table.csv_text() for table in tables})
     json_content = content.content()
     if comparison is not None:
         json_content["against"] = [{"result": name, "E_n": value} for name, value in comparison]

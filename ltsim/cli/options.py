@@ -22,8 +22,8 @@ from ltsim.core.arguments import (
     MAPPING_SYNTAX,
     MAX_MAPPING_NUMBER,
     bounded_parser,
+    bounds_text,
     check_choice,
-    range_text,
 )
 from ltsim.core.errors import FLAG_SPELLINGS, RecordError, SetupError
 
@@ -42,7 +42,7 @@ JobsOption = Annotated[
         "--jobs",
         "-j",
         parser=bounded_parser("jobs"),
-        metavar=f"NUMBER: {range_text('jobs')}",
+        metavar=f"NUMBER: {bounds_text('jobs')}",
         help="Number of processes; the result does not depend on it.",
     ),
 ]
@@ -295,7 +295,7 @@ class FunctionOption:
         elif self.is_name_list:
             metavar = "NAME,..."
         elif self.name in ARGUMENT_BOUNDS:
-            metavar = f"NUMBER: {range_text(self.name)}"
+            metavar = f"NUMBER: {bounds_text(self.name)}"
         elif metavar is None:
             metavar = "FILE" if "Path" in self.annotation else "NAME" if kind is str else "N"
         default = self.default
@@ -388,10 +388,10 @@ def with_axes_of_frame(recording: Recording, frame: Path) -> Recording:
 
     if frame.exists() and str(frame) not in builtin_names():
         if frame.suffix.lower() != ".toml":
-            return with_axes_from_points(recording, read_points(frame, requires_all_axes=False).by_name, str(frame))
+            coordinates = read_points(frame, requires_all_axes=False).coordinates_by_name
+            return with_axes_from_points(recording, coordinates, str(frame))
         frame_table = read_toml(frame, "frame")
-        keys = ("origin", "x_axis", "xy_plane")
-        if set(keys) <= frame_table.keys():
+        if {*(keys := ("origin", "x_axis", "xy_plane"))} <= frame_table.keys():
             return with_axes_from_three_targets(recording, *(str(frame_table[key]) for key in keys))
     from ltsim.simulation.scenario import load_scenario
     from ltsim.simulation.workshop import planned_layout

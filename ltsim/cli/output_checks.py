@@ -122,7 +122,7 @@ def _existing_file_names(folder: Path, names: Iterable[str]) -> list[str]:
 
     Interrupted writes of a killed process are completed and not counted, since they were never reported.
     """
-    check_writable(folder, folder=True)
+    check_writable(folder, is_folder=True)
     finished_moves = complete_interrupted_moves(folder) if folder.is_dir() else set()
     for name in names:
         path_in_folder(folder, name)
@@ -191,7 +191,7 @@ def _compare_content(path: Path, write: Callable[[Path], Any]) -> _SameContent |
 
 def check_empty_folder(folder: Path, force: bool) -> None:
     """Check that the folder is new or empty; raises RecordError."""
-    check_writable(folder, folder=True)
+    check_writable(folder, is_folder=True)
     if folder.is_dir() and not force:
         existing_names = sorted(p.name for p in folder.iterdir())
         if existing_names:
@@ -203,7 +203,7 @@ def check_new_file(file: Path, force: bool) -> None:
 
     Raises RecordError.
     """
-    check_writable(file, folder=False)
+    check_writable(file, is_folder=False)
     if force or not os.path.lexists(file) or is_device(file):
         return
     if file.is_file() and is_unmodified(file):
@@ -217,7 +217,7 @@ def check_new_file(file: Path, force: bool) -> None:
 
 def check_compared_file(file: Path, force: bool) -> None:
     """Check that a file can be written, and read if it exists, for `write_outputs`; raises RecordError."""
-    check_writable(file, folder=False)
+    check_writable(file, is_folder=False)
     if os.path.lexists(file) and not file.exists() and not force:
         raise RecordError("is a link that leads nowhere; choose another name, or replace it with --force", file=file)
 
@@ -270,7 +270,7 @@ RECORDING_OUTPUT = OutputKind(check_recording_folder)
 """Check of an output folder for a recording, which must not contain files of other programs."""
 EMPTY_FOLDER_OUTPUT = OutputKind(check_empty_folder)
 """Check of an output folder that must be new or empty."""
-COMMAND_CHECKED_OUTPUT = OutputKind(lambda folder, force: check_writable(folder, folder=True))
+COMMAND_CHECKED_OUTPUT = OutputKind(lambda folder, force: check_writable(folder, is_folder=True))
 """Check that an output folder can be written to; the command checks the files that it would replace."""
-FILE_OR_FOLDER_OUTPUT = OutputKind(lambda path, force: check_writable(path, folder=path.is_dir()))
+FILE_OR_FOLDER_OUTPUT = OutputKind(lambda path, force: check_writable(path, is_folder=path.is_dir()))
 """Check that an output can be written to, which is a file or a folder depending on other options."""

@@ -46,7 +46,7 @@ SiteOption = Annotated[
     typer.Option(
         "--site",
         metavar="PLAN",
-        help="With --after: plan, its folder, or scenario of the hall; new stations meet its floor, bodies and sights.",
+        help="With --after: plan, its folder, or scenario of the hall; its floor and obstacles restrict new stations.",
     ),
 ]
 WithoutOption = Annotated[
@@ -280,5 +280,5 @@ def _propose_next_measurement(
     content = content.model_copy(update={"diagnosis": summary})
     if result_folder is not None:
         table = content.table()
-        content = write_result(result_folder, content, {table.file: table.csv()})
+        content = write_result(result_folder, content, {table.file: table.csv_text()})
     terminal.print_result(content, result_folder)

@@ -186,11 +186,11 @@ def _run_injection_curve(
     with terminal.show_progress("injecting and diagnosing"):
         detection_curve = lt.injection_curve(recording, effect_text, **options)
     table = detection_curve.table()
-    terminal.print_json({"background": list(detection_curve.background_effects), "curve": table.json()})
+    terminal.print_json({"background": list(detection_curve.effects_without_injection), "curve": table.json_rows()})
     terminal.print_text(detection_curve._lines()[0])
     terminal.print_text(table.text())
     if file is not None:
-        write_text(file, table.csv())
+        write_text(file, table.csv_text())
         terminal.print_text(f"written to {file}")
 
 
@@ -271,10 +271,10 @@ def calibrate_workshop(demo_folder: Path, seed: int) -> str:
 
 def diagnose_injected_effect(demo_folder: Path, seed: int) -> str:
     """Inject an effect into a second recording, diagnose the recording, and return effect and diagnosis in words."""
-    from ltsim.core.randomness import stream
+    from ltsim.core.randomness import random_stream
     from ltsim.physics.effects import effect_title
 
-    entry = DEMO_EFFECTS[int(stream(seed, "demo", "hidden").integers(len(DEMO_EFFECTS)))]
+    entry = DEMO_EFFECTS[int(random_stream(seed, "demo", "hidden").integers(len(DEMO_EFFECTS)))]
     recording, truth = lt.simulate("paper-workshop-two-face", seed=seed, changes={"effects": [entry]})
     folder = demo_folder / "concealed"
     diagnosis = lt.diagnose(recording, seed=seed, held_out=True)
@@ -292,7 +292,7 @@ def run_demo_campaign(demo_folder: Path, seed: int) -> str:
 
     write_texts(demo_folder, {"campaign.toml": DEMO_CAMPAIGN.format(seed=seed)})
     results = lt.campaign(demo_folder / "campaign.toml", force=True)
-    write_texts(demo_folder / "campaign", {"summary.csv": results.table("summary").csv()})
+    write_texts(demo_folder / "campaign", {"summary.csv": results.table("summary").csv_text()})
     return campaign_section(demo_folder / "campaign").summary
 
 

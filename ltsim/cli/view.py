@@ -13,7 +13,7 @@ import ltsim as lt
 from ltsim.cli.options import ReadingOptionsWithFrame
 from ltsim.cli.output_checks import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOption, OutputKind, check_new_file
 from ltsim.cli.terminal import QuietOption, Terminal, flush_streams
-from ltsim.core.errors import RecordError, SetupError, require
+from ltsim.core.errors import RecordError, SetupError, require_extra
 from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import ReportHeader
 
@@ -84,7 +84,7 @@ def view(
 
     Example: ltsim view paper-workshop --html workshop.html
     """
-    require(("pyvista", "trame_vtk"), "3D views", "view")
+    require_extra(("pyvista", "trame_vtk"), "3D views", "view")
     terminal = Terminal(quiet)
     if plan is not None and place is None:
         _serve_planner(terminal, plan, out or Path(f"{Path(plan).stem}-moved"), port, force=force)

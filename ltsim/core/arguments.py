@@ -7,7 +7,7 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
 
-from ltsim.core.errors import SetupError, option
+from ltsim.core.errors import SetupError, option_text
 
 MAX_JOBS = 256
 """Largest number of worker processes that `jobs` accepts."""
@@ -34,7 +34,7 @@ MAX_MAPPING_NUMBER = 1e12
 """Largest magnitude of a number in an argument NAME=NUMBER; a larger number is refused."""
 
 
-def range_text(argument_name: str) -> str:
+def bounds_text(argument_name: str) -> str:
     """Range of an argument as text: `0 or more`, `1 to 256`."""
     low, high = ARGUMENT_BOUNDS[argument_name]
     number_format = ",d" if isinstance(low, int) else "g"
@@ -54,7 +54,7 @@ def check_bounds(*, required_argument: str = "", **argument_values: object) -> N
         good = is_number and low <= value and (high is None or value <= high)  # type: ignore[operator]
         if not (good or (value is None and name not in required_argument.split())):
             kind = "a whole number" if whole else "a number"
-            raise SetupError(f"{option(name)} is {value}, expected {kind}, {range_text(name)}")
+            raise SetupError(f"{option_text(name)} is {value}, expected {kind}, {bounds_text(name)}")
 
 
 def bounded_parser(argument_name: str) -> Callable[[object], int | float]:
@@ -80,16 +80,16 @@ def check_choice(
 ) -> None:
     """Check that an argument is one of its choices (or None with `allow_none`); raises SetupError otherwise."""
     if argument_value not in choices and not (allow_none and argument_value is None):
-        raise SetupError(f"{option(argument_name)} is {argument_value}, expected {' or '.join(choices)}")
+        raise SetupError(f"{option_text(argument_name)} is {argument_value}, expected {' or '.join(choices)}")
 
 
 def check_mapping(argument_name: str, argument_value: object) -> None:
     """Check that an argument is a mapping with names as keys, or None; raises SetupError otherwise."""
     if argument_value is not None and not isinstance(argument_value, Mapping):
-        raise SetupError(f"{option(argument_name)} is {argument_value}, expected a mapping")
+        raise SetupError(f"{option_text(argument_name)} is {argument_value}, expected a mapping")
     for key, value in (argument_value or {}).items():
         if not isinstance(key, str) or not key.strip():
-            raise SetupError(f"{option(argument_name)} {key}={value}: expected {MAPPING_SYNTAX[argument_name]}")
+            raise SetupError(f"{option_text(argument_name)} {key}={value}: expected {MAPPING_SYNTAX[argument_name]}")
 
 
 def source_path(path_or_name: object) -> Path:

@@ -26,7 +26,7 @@ class DescribedModel(BaseModel):
         """JSON schema of the model with the descriptions of its fields."""
         reference = handler(core_schema)
         properties: dict[str, Any] = handler.resolve_ref_schema(reference).get("properties", {})
-        meanings = descriptions(cls)
+        meanings = field_descriptions(cls)
         for name, field in cls.model_fields.items():
             entry = properties.get(name) or properties.get(field.alias or name)
             if entry is not None and name in meanings:
@@ -34,26 +34,26 @@ class DescribedModel(BaseModel):
         return reference
 
 
-def descriptions(model: type[BaseModel]) -> dict[str, str]:
+def field_descriptions(model: type[BaseModel]) -> dict[str, str]:
     """Description of each field of a model, by the name of the field; fields of base classes are included."""
     meanings: dict[str, str] = {}
     for kind in reversed(model.__mro__):
         if issubclass(kind, BaseModel) and kind is not BaseModel:
-            meanings |= _docstrings(kind.__module__).get(kind.__qualname__, {})
+            meanings |= _attribute_docstrings(kind.__module__).get(kind.__qualname__, {})
     return meanings | {name: field.description for name, field in model.model_fields.items() if field.description}
 
 
 @cache
-def _docstrings(module_name: str) -> dict[str, dict[str, str]]:
+def _attribute_docstrings(module_name: str) -> dict[str, dict[str, str]]:
     """Docstring of each annotated attribute, for each class of a module by its qualified name."""
     try:
         tree = ast.parse(inspect.getsource(sys.modules[module_name]))
     except (OSError, TypeError):  # no source is at hand, as in an interactive session
         return {}
-    return dict(_descriptions_of_classes(tree.body, ""))
+    return dict(_attribute_docstrings_of_classes(tree.body, ""))
 
 
-def _descriptions_of_classes(statements: list[ast.stmt], prefix: str) -> list[tuple[str, dict[str, str]]]:
+def _attribute_docstrings_of_classes(statements: list[ast.stmt], name_prefix: str) -> list[tuple[str, dict[str, str]]]:
     """Qualified name of each class among parsed statements, and the docstrings of its annotated attributes."""
     classes = []
     for node in statements:
@@ -65,5 +65,8 @@ def _descriptions_of_classes(statements: list[ast.stmt], prefix: str) -> list[tu
                 if isinstance(second, ast.Expr) and isinstance(second.value, ast.Constant)
                 if isinstance(second.value.value, str)
             }
-            classes += [(prefix + node.name, texts), *_descriptions_of_classes(node.body, f"{prefix}{node.name}.")]
+            classes += [
+                (name_prefix + node.name, texts),
+                *_attribute_docstrings_of_classes(node.body, f"{name_prefix}{node.name}."),
+            ]
     return classes

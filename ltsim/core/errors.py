@@ -92,7 +92,7 @@ class ConvergenceError(LtsimError):
 
 MAX_QUOTED_NAME_LENGTH = 60
 """Number of characters up to which a message quotes a name in full; longer names are shortened."""
-_SPELLING = {"flags": False}
+_OPTION_SPELLING = {"flags": False}
 """Spelling of options in messages: as flags of the command line, or as arguments in Python."""
 FLAG_SPELLINGS = {
     "with_effects": "--with", "scaled": "--scale", "hints": "--hint", "changes": "--set",
@@ -103,30 +103,30 @@ FLAG_SPELLINGS = {
 
 @contextmanager
 def options_are_flags() -> Iterator[None]:
-    """Context in which `option` spells names as flags of the command line."""
-    before, _SPELLING["flags"] = _SPELLING["flags"], True
+    """Context in which `option_text` spells names as flags of the command line."""
+    before, _OPTION_SPELLING["flags"] = _OPTION_SPELLING["flags"], True
     try:
         yield
     finally:
-        _SPELLING["flags"] = before
+        _OPTION_SPELLING["flags"] = before
 
 
-def option(argument_name: str) -> str:
+def option_text(argument_name: str) -> str:
     """Name of an option as the user writes it: `resume=True` in Python, `--resume` on the command line."""
-    if not _SPELLING["flags"]:
+    if not _OPTION_SPELLING["flags"]:
         return argument_name
     return FLAG_SPELLINGS.get(argument_name) or "--" + argument_name.removesuffix("=True").replace("_", "-")
 
 
-def missing_extra(feature_name: str, extra_name: str) -> SetupError:
+def missing_extra_error(feature_name: str, extra_name: str) -> SetupError:
     """SetupError that says how to install the packages of an optional extra, which `feature_name` needs."""
     return SetupError(f"{feature_name} need the extra '{extra_name}': pip install \"ltsim[{extra_name}]\"")
 
 
-def require(package_names: Sequence[str], feature_name: str, extra_name: str) -> None:
+def require_extra(package_names: Sequence[str], feature_name: str, extra_name: str) -> None:
     """Check that the packages of an optional extra are installed; SetupError with the command to install them."""
     if not all(is_installed(name) for name in package_names):
-        raise missing_extra(feature_name, extra_name)
+        raise missing_extra_error(feature_name, extra_name)
 
 
 def is_installed(package_name: str) -> bool:
@@ -142,7 +142,7 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c in "\n\t" else "?" for c in text)
 
 
-def unknown_name(object_kind: str, unknown_name_text: str, valid_names: Iterable[str]) -> ModelError:
+def unknown_name_error(object_kind: str, unknown_name_text: str, valid_names: Iterable[str]) -> ModelError:
     """ModelError for a name that does not exist, with the most similar valid names."""
     choices = sorted(valid_names)
     short = printable(

@@ -10,10 +10,10 @@ import re
 
 from ltsim.core.errors import ModelError, RecordError
 
-MIB = 1024 * 1024
+BYTES_PER_MIB = 1024 * 1024
 """Number of bytes of a mebibyte."""
 
-MAX_FILE_BYTES = 32 * MIB
+MAX_FILE_BYTES = 32 * BYTES_PER_MIB
 """Largest size [bytes] of an input file; a table of 500,000 pointings has 25 MiB."""
 MAX_TEXT_LINES = 500_000
 """Largest number of lines of a text file, or of rows of all sheets of a workbook together; a pointing takes 600 bytes
@@ -48,7 +48,7 @@ processes).
 POINTINGS_LIMIT_VARIABLE = "LTSIM_MAX_POINTINGS"
 """Environment variable that raises the largest number of pointings of every command, for machines with more memory."""
 
-MAX_TOML_BYTES = 8 * MIB
+MAX_TOML_BYTES = 8 * BYTES_PER_MIB
 """Largest size [bytes] of a TOML file; the parser, written in Python, reads 1 MiB in a second."""
 MAX_TOML_DEPTH = 32
 """Largest nesting depth of tables, arrays and dotted keys in a TOML file; the deepest file of ltsim has 6. Time and
@@ -88,7 +88,7 @@ takes 120 bytes while it is read.
 MAX_JOINT_COORDINATES = 4_000
 """Largest number of coordinates with a joint covariance matrix, as compared epochs have it: a matrix takes 130 MB."""
 
-MAX_WORKBOOK_BYTES = 16 * MIB
+MAX_WORKBOOK_BYTES = 16 * BYTES_PER_MIB
 """Largest size [bytes] of all unpacked parts of a workbook, checked by their headers and again while unpacking. A cell
 takes 30 bytes and 30 us of reading time.
 """
@@ -105,9 +105,9 @@ MAX_WORKBOOK_PARTS = 1_000
 MAX_WORKBOOK_SHEETS = 200
 """Largest number of sheets in a workbook."""
 
-MAX_CAD_BYTES = 512 * MIB
+MAX_CAD_BYTES = 512 * BYTES_PER_MIB
 """Largest size [bytes] of a CAD file."""
-MAX_CAD_MEMORY = 250 * MIB
+MAX_CAD_MEMORY = 250 * BYTES_PER_MIB
 """Memory [bytes] that the process that reads a CAD file may take beyond its libraries (125 MB); proportionally more for
 a file larger than `MAX_FILE_BYTES`. The process that waits for it takes 110 MB.
 """
@@ -115,7 +115,7 @@ MAX_CAD_SECONDS = 25
 """Processor time [s] that the process that reads a CAD file may take; proportionally more for a file larger than
 `MAX_FILE_BYTES`.
 """
-MAX_IN_PROCESS_CAD_BYTES = MIB // 2
+MAX_IN_PROCESS_CAD_BYTES = BYTES_PER_MIB // 2
 """Size [bytes] up to which an OBJ or PLY file is read without a separate process: a polygon with many corners becomes
 360 bytes per byte of the file.
 """

@@ -93,6 +93,6 @@ def fixed_point_text(value: float | None, n_decimals: int) -> str:
     return unsigned_zero(f"{value:.{n_decimals}f}")
 
 
-def unsigned_zero(number: str) -> str:
+def unsigned_zero(decimal_text: str) -> str:
     """Text of a number, without the minus sign if it is rounded to zero."""
-    return number if number.strip("-0.") else number.removeprefix("-")
+    return decimal_text if decimal_text.strip("-0.") else decimal_text.removeprefix("-")

@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from ltsim.core.arguments import check_bounds
-from ltsim.core.errors import WorkerError, option
+from ltsim.core.errors import WorkerError, option_text
 
 PARENT_CHECK_INTERVAL_S = 1.0
 """Time [s] between two checks of a worker process that its parent process still exists."""
-SAFE_PATH = "PYTHONSAFEPATH"
+SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
 """Environment variable that keeps Python from adding the working folder to its module search path."""
 ReturnType = TypeVar("ReturnType")
 
@@ -51,7 +51,7 @@ def run_parallel(
                 yield result
     except TerminatedWorkerError:
         raise WorkerError(
-            f"a worker process was killed, possibly because memory ran out; use fewer {option('jobs')}"
+            f"a worker process was killed, possibly because memory ran out; use fewer {option_text('jobs')}"
         ) from None
     finally:
         with warnings.catch_warnings():
@@ -65,23 +65,23 @@ def _without_working_folder() -> Iterator[None]:
 
     A file `numpy.py` in the working folder would otherwise be imported in place of numpy.
     """
-    old_value = os.environ.get(SAFE_PATH)
-    os.environ[SAFE_PATH] = "1"
+    old_value = os.environ.get(SAFE_PATH_VARIABLE)
+    os.environ[SAFE_PATH_VARIABLE] = "1"
     try:
         yield
     finally:
         if old_value is None:
-            del os.environ[SAFE_PATH]
+            del os.environ[SAFE_PATH_VARIABLE]
         else:
-            os.environ[SAFE_PATH] = old_value
+            os.environ[SAFE_PATH_VARIABLE] = old_value
 
 
 def _watch_parent(parent_process_id: int) -> None:
     """Start of a thread that ends this process as soon as its parent process no longer exists."""
 
-    def look() -> None:
+    def end_with_parent() -> None:
         while os.getppid() == parent_process_id:
             time.sleep(PARENT_CHECK_INTERVAL_S)
         os._exit(1)
 
-    threading.Thread(target=look, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()

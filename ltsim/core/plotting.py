@@ -3,14 +3,14 @@
 from collections.abc import Callable
 from typing import Any
 
-_loaders: list[Callable[[str], Any]] = []
+_plotting_loaders: list[Callable[[str], Any]] = []
 
 
 def register_plotting(import_module: Callable[[str], Any]) -> None:
     """Registration of the function that imports a plotting module by its name in `ltsim.reports`."""
-    _loaders[:] = [import_module]
+    _plotting_loaders[:] = [import_module]
 
 
 def plotting_module(module_name: str) -> Any:
     """Plotting module of the given name, imported by the registered function."""
-    return _loaders[0](module_name)
+    return _plotting_loaders[0](module_name)

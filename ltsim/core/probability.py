@@ -8,11 +8,11 @@ AGREEMENT_LEVEL = 0.02
 """Two-sided p-value of the global test (chi-square) below which readings and model disagree: 1 % on each side."""
 SIZE_PRIOR = {0.03: 0.15, 0.1: 0.2, 0.3: 0.25, 1.0: 0.22, 3.0: 0.13, 10.0: 0.05}
 """Prior probability of each size of an unmodelled effect; the size is a multiple of the effect's plausible size."""
-P_CONSTANT = 0.04
+P_WRONG_CONSTANT = 0.04
 """Prior probability that the cause of a misfit is a wrong constant of an instrument."""
 
 
-def two_sided(upper_tail_probability: float) -> float:
+def two_sided_p_value(upper_tail_probability: float) -> float:
     """Two-sided p-value of a chi-square test from its upper tail probability."""
     return 2.0 * min(upper_tail_probability, 1.0 - upper_tail_probability)
 
@@ -26,7 +26,7 @@ def p_text(p_value: float | None) -> str:
     return "> 0.99" if p_value > 0.99 else f"{p_value:.2g}"
 
 
-def format_p(p_value: float) -> str:
+def p_relation_text(p_value: float) -> str:
     """Text of a p-value in a sentence: `p = 0.02`, `p < 1e-6` or `p > 0.99`."""
     text = p_text(p_value)
     return f"p {text}" if text[0] in "<>" else f"p = {text}"

@@ -1,7 +1,7 @@
 """Independent streams of random numbers, each addressed by a key that names its purpose.
 
-For example, ``stream(seed, "truth", "beam-tilt", 17)``. A draw depends only on the seed and the key, so that neither
-the number of worker processes nor the list of effects can change it.
+For example, ``random_stream(seed, "truth", "beam-tilt", 17)``. A draw depends only on the seed and the key, so that
+neither the number of worker processes nor the list of effects can change it.
 """
 
 import zlib
@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 
 from ltsim.core.errors import SetupError
 
-WORD_SIZE = 2**32
+SEED_UPPER_BOUND = 2**32
 """Upper bound of the integers in a seed: NumPy's SeedSequence takes unsigned integers of 32 bits."""
 TRIALS_PER_STREAM = 256
 """Number of consecutive trials whose numbers come from one stream. It defines the numbers and must not change."""
 
 
 @lru_cache(maxsize=4096)
-def _key_number(key_text: str) -> int:
+def _key_checksum(key_text: str) -> int:
     """Integer for one part of a key: a checksum of a name."""
     return zlib.crc32(key_text.encode())
 
 
-def stream(seed: int, *stream_key: str | int) -> np.random.Generator:
+def random_stream(seed: int, *stream_key: str | int) -> np.random.Generator:
     """Random generator for the key `stream_key` and the seed.
 
     Parameters
@@ -47,8 +47,8 @@ def stream(seed: int, *stream_key: str | int) -> np.random.Generator:
     """
     if seed < 0:
         raise SetupError(f"seed is {seed}, expected 0 or more")
-    spawn_key = tuple([_key_number(part) if isinstance(part, str) else part for part in stream_key])
-    if max(seed, *spawn_key) >= WORD_SIZE:
+    spawn_key = tuple([_key_checksum(part) if isinstance(part, str) else part for part in stream_key])
+    if max(seed, *spawn_key) >= SEED_UPPER_BOUND:
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=spawn_key))
     # The state that SeedSequence makes of seed and key if each is one word, in a third of the time.
     words = np.array([seed, 0, 0, 0, *spawn_key], dtype=np.uint32)
@@ -69,20 +69,22 @@ def standard_normal_trials(
         and not first % TRIALS_PER_STREAM
         and np.array_equal(trial_numbers, np.arange(first, first + TRIALS_PER_STREAM))
     ):
-        return _block_numbers(seed, first // TRIALS_PER_STREAM, n_values, *stream_key)
+        return _normals_of_stream(seed, first // TRIALS_PER_STREAM, n_values, *stream_key)
     if count == 1 and not first:
-        return stream(seed, *stream_key).standard_normal((n_values, 1))
+        return random_stream(seed, *stream_key).standard_normal((n_values, 1))
     blocks, places = np.divmod(trial_numbers, TRIALS_PER_STREAM)
     normal_numbers = np.empty((n_values, count))
     for block in np.unique(blocks).tolist():
         in_block = blocks == block
-        normal_numbers[:, in_block] = _block_numbers(seed, block, n_values, *stream_key)[:, places[in_block]]
+        normal_numbers[:, in_block] = _normals_of_stream(seed, block, n_values, *stream_key)[:, places[in_block]]
     return normal_numbers
 
 
-def _block_numbers(seed: int, block_number: int, n_values: int, *stream_key: str | int) -> NDArray[np.float64]:
+def _normals_of_stream(seed: int, stream_number: int, n_values: int, *stream_key: str | int) -> NDArray[np.float64]:
     """Standard normal numbers of all trials that share one stream, shape (n_values, `TRIALS_PER_STREAM`)."""
-    normal_numbers = stream(seed, *stream_key, "block", block_number).standard_normal((n_values, TRIALS_PER_STREAM))
-    if not block_number:
-        normal_numbers[:, 0] = stream(seed, *stream_key).standard_normal(n_values)
+    normal_numbers = random_stream(seed, *stream_key, "block", stream_number).standard_normal(
+        (n_values, TRIALS_PER_STREAM)
+    )
+    if not stream_number:
+        normal_numbers[:, 0] = random_stream(seed, *stream_key).standard_normal(n_values)
     return normal_numbers

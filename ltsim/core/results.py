@@ -19,14 +19,14 @@ import numpy as np
 from pydantic import BaseModel
 
 from ltsim.core.arrays import Floats
-from ltsim.core.descriptions import descriptions
-from ltsim.core.errors import ModelError, RecordError, missing_extra, printable, unknown_name
+from ltsim.core.descriptions import field_descriptions
+from ltsim.core.equality import ValueEquality
+from ltsim.core.errors import ModelError, RecordError, missing_extra_error, printable, unknown_name_error
 from ltsim.core.limits import MAX_TEXT_LINES
 from ltsim.core.notation import MISSING_TEXT, align_columns, decimals_of_sigma, number_text, unsigned_zero, with_sigma
 from ltsim.core.plotting import plotting_module
 from ltsim.core.probability import p_text
 from ltsim.core.units import UNIT_BY_KEY_ENDING, unit_of_key
-from ltsim.core.values import ValueEquality
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -56,35 +56,35 @@ class Column:
         Definition of the column.
     kind : str
         `text`, `number`, `flag` (true or false) or `chance` (a p-value).
-    form : str
+    csv_format : str
         Number format in CSV, as of `format`; `r` for full precision.
-    shown : str
-        Number format for display; by default `digits` significant digits.
-    sigma : str
+    display_format : str
+        Number format for display; by default `n_digits` significant digits.
+    sigma_column : str
         Name of the column with its standard deviation; both are displayed in one cell, `1.23 +- 0.10`.
-    like : str
+    precision_column : str
         Name of the column whose two significant digits set the displayed decimals, such as U for a value.
     unit : str
         Unit; by default the one in the name.
     title : str
         Displayed title; by default the name without its unit.
-    field : str
+    attribute : str
         Attribute of a row object that holds the value; by default the name.
-    digits : int
+    n_digits : int
         Significant digits of a number that is displayed without `display_format`.
     """
 
     name: str
     meaning: str = ""
     kind: ColumnKind = "number"
-    form: str = ""
-    shown: str = ""
-    sigma: str = ""
-    like: str = ""
+    csv_format: str = ""
+    display_format: str = ""
+    sigma_column: str = ""
+    precision_column: str = ""
     unit: str = ""
     title: str = ""
-    field: str = ""
-    digits: int = 4
+    attribute: str = ""
+    n_digits: int = 4
 
     @property
     def heading(self) -> str:
@@ -94,18 +94,18 @@ class Column:
         title = self.title or self.name.removesuffix(ending).replace("_", " ")
         return f"{title} [{unit}]" if unit else title
 
-    def cell(self, value: Any) -> Any:
+    def csv_cell(self, value: Any) -> Any:
         """Value for a cell of the CSV file; empty if it is missing."""
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return ""
         if self.kind == "text":
             return guard_formula(str(value))
-        if self.form:
-            return repr(float(value)) if self.form == "r" else format(value, self.form)
+        if self.csv_format:
+            return repr(float(value)) if self.csv_format == "r" else format(value, self.csv_format)
         return f"{value:.6g}" if isinstance(value, float) and abs(value) < 1e4 else value
 
-    def display(self, value: Any, precision: Any = None) -> str:
-        """Displayed text of a value to the digits of `precision`, the value of its column `sigma` or `like`."""
+    def displayed_text(self, value: Any, precision_value: Any = None) -> str:
+        """Displayed text of a value to two digits of `precision_value`, from `sigma_column` or `precision_column`."""
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return MISSING_TEXT
         if isinstance(value, bool | np.bool_):
@@ -114,13 +114,13 @@ class Column:
             return str(value)
         if self.kind == "chance":
             return p_text(value)
-        if self.sigma:
-            return with_sigma(float(value), precision)
-        if self.like and precision and 0 < precision < math.inf:
-            return unsigned_zero(f"{value:.{decimals_of_sigma(precision)}f}")
-        if self.shown:
-            return unsigned_zero(format(value, self.shown))
-        return str(value) if isinstance(value, int | np.integer) else number_text(float(value), self.digits)
+        if self.sigma_column:
+            return with_sigma(float(value), precision_value)
+        if self.precision_column and precision_value and 0 < precision_value < math.inf:
+            return unsigned_zero(f"{value:.{decimals_of_sigma(precision_value)}f}")
+        if self.display_format:
+            return unsigned_zero(format(value, self.display_format))
+        return str(value) if isinstance(value, int | np.integer) else number_text(float(value), self.n_digits)
 
 
 def text_columns(**columns: str) -> tuple[Column, ...]:
@@ -130,7 +130,9 @@ def text_columns(**columns: str) -> tuple[Column, ...]:
 
 def number_columns(format_text: str = "", display_format: str = "", **columns: str) -> tuple[Column, ...]:
     """Columns of a table that hold numbers of one format; further arguments are names and definitions, `name="..."`."""
-    return tuple(Column(name, about, form=format_text, shown=display_format) for name, about in columns.items())
+    return tuple(
+        Column(name, about, csv_format=format_text, display_format=display_format) for name, about in columns.items()
+    )
 
 
 def flag_columns(**columns: str) -> tuple[Column, ...]:
@@ -142,14 +144,14 @@ def columns_of(model: type[BaseModel], names: str = "", **column_options: Mappin
     """Columns of the fields of a model, with the descriptions of the fields as meanings.
 
     `names` are the fields in their order, separated by blanks; default all. Further arguments of the `Column` of a
-    field are given by its name: ``value={"sigma": "sigma"}``.
+    field are given by its name: ``value={"sigma_column": "sigma"}``.
     """
-    made, meanings = [], descriptions(model)
+    made, meanings = [], field_descriptions(model)
     for name in names.split() or model.model_fields:
         field = model.model_fields[name]
         kind = "flag" if field.annotation is bool else "text" if _is_text(field.annotation) else "number"
-        how: dict[str, Any] = {"name": name, "kind": kind, "field": name, **column_options.get(name, {})}
-        made.append(Column(meaning=meanings.get(name, "").rstrip("."), **how))
+        options: dict[str, Any] = {"name": name, "kind": kind, "attribute": name, **column_options.get(name, {})}
+        made.append(Column(meaning=meanings.get(name, "").rstrip("."), **options))
     return tuple(made)
 
 
@@ -167,28 +169,28 @@ class Table(ValueEquality):
 
     file: str
     """Name of the CSV file; without its suffix, the name of the table."""
-    about: str
+    description: str
     columns: tuple[Column, ...]
     rows: tuple[tuple[Any, ...], ...] = ()
 
     @classmethod
-    def from_columns(cls, table_name: str, columns: ColumnValues, table_description: str = "") -> Table:
+    def from_columns(cls, table_name: str, columns: ColumnValues, description: str = "") -> Table:
         """Table of columns that are not declared in advance, such as further columns of a recording."""
         table_columns = tuple(Column(head, kind=_column_kind(column)) for head, column in columns.items())
-        return cls(f"{table_name}.csv", table_description, table_columns, tuple(zip(*columns.values(), strict=True)))
+        return cls(f"{table_name}.csv", description, table_columns, tuple(zip(*columns.values(), strict=True)))
 
     def with_rows(self, rows: Iterable[Any]) -> Table:
         """Copy of the table with rows: sequences in the order of the columns, or objects or mappings by name."""
-        return replace(self, rows=tuple(self._row(row) for row in rows))
+        return replace(self, rows=tuple(self._row_values(row) for row in rows))
 
-    def _row(self, row: Any) -> tuple[Any, ...]:
+    def _row_values(self, row: Any) -> tuple[Any, ...]:
         if isinstance(row, Mapping):
-            return tuple(row[c.field or c.name] for c in self.columns)
+            return tuple(row[c.attribute or c.name] for c in self.columns)
         if isinstance(row, Sequence):
             if len(row) != len(self.columns):
                 raise ModelError(f"a row of {self.file} has {len(row)} cells for {len(self.columns)} columns")
             return tuple(row)
-        return tuple(getattr(row, c.field or c.name) for c in self.columns)
+        return tuple(getattr(row, c.attribute or c.name) for c in self.columns)
 
     @property
     def name(self) -> str:
@@ -204,7 +206,9 @@ class Table(ValueEquality):
         """Copy of the table with the columns `names` (separated by blanks), and with their standard deviations."""
         column_by_name = {column.name: column for column in self.columns}
         columns_used = [column_by_name[name] for name in names.split() if name in column_by_name]
-        names_used = dict.fromkeys(name for c in columns_used for name in (c.name, c.sigma or c.like) if name)
+        names_used = dict.fromkeys(
+            name for c in columns_used for name in (c.name, c.sigma_column or c.precision_column) if name
+        )
         indices = [self.header.index(name) for name in names_used]
         rows = tuple(tuple(row[i] for i in indices) for row in self.rows)
         return replace(self, columns=tuple(self.columns[i] for i in indices), rows=rows)
@@ -212,29 +216,29 @@ class Table(ValueEquality):
     def column(self, column_name: str) -> list[Any]:
         """All values of one column; raises ModelError for an unknown name."""
         if column_name not in self.header:
-            raise unknown_name(f"column of {self.name}", column_name, self.header)
+            raise unknown_name_error(f"column of {self.name}", column_name, self.header)
         column_index = self.header.index(column_name)
         return [row[column_index] for row in self.rows]
 
-    def json(self) -> list[dict[str, Any]]:
+    def json_rows(self) -> list[dict[str, Any]]:
         """Rows of the table as mappings from column name to value."""
         return [dict(zip(self.header, row, strict=True)) for row in self.rows]
 
-    def frame(self) -> pd.DataFrame:
+    def data_frame(self) -> pd.DataFrame:
         """Data frame of the table; raises SetupError without pandas."""
         try:
             from pandas import DataFrame
         except ImportError:
-            raise missing_extra("data frames", "pandas") from None
+            raise missing_extra_error("data frames", "pandas") from None
         return DataFrame({name: self.column(name) for name in self.header})
 
-    def csv(self) -> str:
+    def csv_text(self) -> str:
         """Content of the CSV file."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow([guard_formula(name) for name in self.header])
         for row in self.rows:
-            writer.writerow([column.cell(value) for column, value in zip(self.columns, row, strict=True)])
+            writer.writerow([column.csv_cell(value) for column, value in zip(self.columns, row, strict=True)])
         return stream.getvalue()
 
     def parse_csv(self, text: str, file: object = None) -> Table:
@@ -260,7 +264,7 @@ class Table(ValueEquality):
         except csv.Error as problem:
             raise RecordError(f"is not CSV ({problem})", file=file) from None
 
-    def numbers(self, *names: str) -> Floats:
+    def float_array(self, *names: str) -> Floats:
         """Values of the named columns as a float array (rows, columns)."""
         columns = [np.array(self.column(name), dtype=np.float64) for name in names]
         return np.stack(columns, axis=1) if columns else np.zeros((len(self.rows), 0))
@@ -268,7 +272,7 @@ class Table(ValueEquality):
     @property
     def _displayed_columns(self) -> list[Column]:
         """Columns that are displayed: not empty, and not the standard deviations that share a cell with their value."""
-        merged_names = {column.sigma for column in self.columns}
+        merged_names = {column.sigma_column for column in self.columns}
         empty_names = {
             c.name for i, c in enumerate(self.columns) if self.rows and all(r[i] in (None, "") for r in self.rows)
         }
@@ -287,15 +291,15 @@ class Table(ValueEquality):
     def cells(self) -> list[list[str]]:
         """Displayed texts of the rows, in the order of `headings`."""
         at = {name: i for i, name in enumerate(self.header)}
-        column_pairs = [(c, c.sigma or c.like) for c in self._displayed_columns]
-        return [[c.display(row[at[c.name]], row[at[p]] if p else None) for c, p in column_pairs] for row in self.rows]
+        pairs = [(c, c.sigma_column or c.precision_column) for c in self._displayed_columns]
+        return [[c.displayed_text(row[at[c.name]], row[at[p]] if p else None) for c, p in pairs] for row in self.rows]
 
     def text(self) -> str:
         """Aligned text of the table for a terminal: text flush left, numbers flush right."""
         kinds = [column.kind == "text" for column in self._displayed_columns]
         return align_columns(self.headings, self.cells(), kinds.index(False) if False in kinds else len(kinds))
 
-    def html(self) -> str:
+    def html_table(self) -> str:
         """HTML table of the first rows for a notebook; texts are escaped."""
         if not self.columns:
             return ""
@@ -331,7 +335,7 @@ class Result(ValueEquality):
     def _repr_html_(self) -> str:
         """HTML of the summary and of the first rows of the default table."""
         head = "<br>".join(escape(line) for line in self._lines())
-        return f"<p>{head}</p>" + (self.table().html() if self._tables() else "")
+        return f"<p>{head}</p>" + (self.table().html_table() if self._tables() else "")
 
     def table(self, table_name: str | None = None) -> Table:
         """A table of the result.
@@ -350,13 +354,15 @@ class Result(ValueEquality):
         name = next(iter(tables), "") if table_name is None else table_name
         if name not in tables:
             kind = type(self).__name__
-            raise unknown_name(f"table of a {kind}", name, tables) if tables else ModelError(f"{kind} has no table")
+            raise (
+                unknown_name_error(f"table of a {kind}", name, tables) if tables else ModelError(f"{kind} has no table")
+            )
         content = tables[name]()
         return content if isinstance(content, Table) else Table.from_columns(name, content)
 
     def to_dataframe(self, table: str | None = None) -> pd.DataFrame:
         """Data frame of a table of the result; raises ModelError for an unknown table and SetupError without pandas."""
-        return self.table(table).frame()
+        return self.table(table).data_frame()
 
     def plot(self) -> Figure:
         """Figure of the result (matplotlib); raises ModelError for a result without a figure."""
@@ -391,8 +397,3 @@ def _parse_value(column: Column, cell: str, file: object, row: int) -> Any:
     if abs(value) > MAX_MAGNITUDE:
         raise RecordError(f"'{printable(cell[:40])}' is not a number", file=file, row=row, column=column.name)
     return value
-
-
-def columns_from_rows(table_rows: Sequence[Mapping[str, Any]]) -> ColumnValues:
-    """Values of each column, from rows with the same keys."""
-    return {key: [row[key] for row in table_rows] for key in (table_rows[0] if table_rows else ())}

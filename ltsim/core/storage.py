@@ -79,7 +79,7 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
         except ValueError:  # killed while it wrote the journal
             valid = False
         if valid:
-            moves = {source: name for source, name in moves.items() if _is_inside(folder, source)}
+            moves = {source: name for source, name in moves.items() if _is_inside_folder(folder, source)}
             _rename_files(folder, moves, flush_to_disk=False)
             finished_names.update(moves.values())
         journal.unlink(missing_ok=True)
@@ -121,20 +121,20 @@ def is_device(path: Path) -> bool:
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
-def check_writable(path: Path, *, folder: bool) -> None:
-    """Check that a file, or a folder if `folder` is true, can be written at a path; raises RecordError otherwise.
+def check_writable(path: Path, *, is_folder: bool) -> None:
+    """Check that a file, or a folder if `is_folder` is true, can be written at a path; raises RecordError otherwise.
 
     Parent folders may be missing.
     """
     try:
-        if path.is_dir() != folder and path.exists():
-            wrong = "the path is a file, expected a folder" if folder else "the path is a folder, expected a file"
+        if path.is_dir() != is_folder and path.exists():
+            wrong = "the path is a file, expected a folder" if is_folder else "the path is a folder, expected a file"
             raise RecordError(f"{wrong} to write to", file=path)
         if is_device(path):
             if not os.access(path, os.W_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
             return
-        above = path if folder else path.parent
+        above = path if is_folder else path.parent
         while not os.path.lexists(above):
             above = above.parent
         with contextlib.suppress(FileNotFoundError):
@@ -145,12 +145,12 @@ def check_writable(path: Path, *, folder: bool) -> None:
         TemporaryFile(dir=above).close()
     except (OSError, ValueError) as problem:
         raise RecordError(f"cannot be written ({getattr(problem, 'strerror', problem)})", file=path) from None
-    if not folder:
+    if not is_folder:
         path_in_folder(path.parent, path.name)
 
 
-def _temporary_name(suffix: str) -> str:
-    return f".ltsim-{os.getpid()}-{_PROCESS_TOKEN}-{secrets.token_hex(4)}.{suffix}"
+def _temporary_name(file_suffix: str) -> str:
+    return f".ltsim-{os.getpid()}-{_PROCESS_TOKEN}-{secrets.token_hex(4)}.{file_suffix}"
 
 
 def _create_file(path: Path, content: bytes, *, flush_to_disk: bool) -> None:
@@ -178,23 +178,23 @@ def _rename_files(folder: Path, final_name_by_temporary: Mapping[str, str], *, f
             os.close(handle)
 
 
-def _is_inside(folder: Path, file_name: str) -> bool:
+def _is_inside_folder(folder: Path, file_name: str) -> bool:
     return Path(os.path.realpath(folder / file_name)).is_relative_to(os.path.realpath(folder))
 
 
-def _abandoned_files(folder: Path, suffix: str) -> Iterator[Path]:
+def _abandoned_files(folder: Path, file_suffix: str) -> Iterator[Path]:
     """Temporary files in a folder and its subfolders whose processes have ended."""
-    for path in [*folder.glob(f".ltsim-*.{suffix}"), *folder.glob(f"*/.ltsim-*.{suffix}")]:
+    for path in [*folder.glob(f".ltsim-*.{file_suffix}"), *folder.glob(f"*/.ltsim-*.{file_suffix}")]:
         match = _TEMPORARY_NAME.fullmatch(path.name)
         if match and not _is_running(int(match[1]), match[2]):
             yield path
 
 
-def _is_running(process_id: int, process_mark: str) -> bool:
+def _is_running(process_id: int, process_token: str) -> bool:
     if os.name == "nt":  # where `os.kill` would end the process
         return True
     if process_id == os.getpid():
-        return process_mark == _PROCESS_TOKEN
+        return process_token == _PROCESS_TOKEN
     try:
         os.kill(process_id, 0)
     except ProcessLookupError:

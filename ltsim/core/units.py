@@ -72,7 +72,7 @@ CONVERTIBLE_UNITS = (
     frozenset({"um/m", "ppm"}),
 )
 """Groups of units of the same kind of quantity, which can be converted into each other."""
-_SPELLINGS = MappingProxyType(
+_SPELLINGS_BY_UNIT = MappingProxyType(
     {
         "deg": "deg degree degrees ° grad° º", "gon": "gon gons grad grads g gr neugrad", "rad": "rad radian radians",
         "dms": "dms ddmmss d_m_s °_'_\" °'\" dd_mm_ss d.ms d.mmss dd.mmss ddd.mmss ddd.mmssss",
@@ -84,7 +84,7 @@ _SPELLINGS = MappingProxyType(
     }
 )  # fmt: skip
 UNITS_BY_SPELLING = MappingProxyType(
-    {word.replace("_", " "): unit for unit, words in _SPELLINGS.items() for word in words.split()}
+    {word.replace("_", " "): unit for unit, words in _SPELLINGS_BY_UNIT.items() for word in words.split()}
 )
 """Unit for each spelling in lower case; `dms` means degrees, minutes and seconds in one cell."""
 ANGLE_UNITS = ("deg", "gon", "rad", "dms")
@@ -134,7 +134,7 @@ def unit_of_key(key_name: str) -> str:
     return UNIT_BY_KEY_BEGINNING.get(key_name.partition("_")[0], "")
 
 
-def has_same_kind(unit: str, other_unit: str) -> bool:
+def are_convertible_units(unit: str, other_unit: str) -> bool:
     """True if two units measure the same kind of quantity, for example two units of length."""
     return unit == other_unit or any({unit, other_unit} <= kind for kind in CONVERTIBLE_UNITS)
 
@@ -150,6 +150,6 @@ def parse_in_unit(text: str, unit: str) -> float | None:
     value, given = float(match[1]), match[2].replace("µ", "u").replace('"', "arcsec")
     if given == unit:
         return value
-    if not has_same_kind(given, unit):
+    if not are_convertible_units(given, unit):
         return None
     return float(f"{value * SI_PER_UNIT[given] / SI_PER_UNIT[unit]:.15g}")

@@ -12,10 +12,10 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.calibration.arrays import residuals_table
 from ltsim.core.arrays import Floats
+from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import ModelError
 from ltsim.core.results import Table
 from ltsim.core.units import MILLIMETRE
-from ltsim.core.values import ValueEquality
 from ltsim.diagnosis.schema import (
     DETECTABLE_TABLE,
     DIAGNOSED_TARGETS_TABLE,

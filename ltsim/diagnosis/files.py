@@ -39,9 +39,9 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
         When the folder cannot be written.
     """
     texts = {
-        DIAGNOSED_TARGETS_TABLE.file: diagnosis.table("targets").csv(),
-        RESIDUALS_TABLE.file: diagnosis.table("residuals").csv(),
-        RESIDUALS_BEFORE_TABLE.file: diagnosis.table("residuals_before").csv(),
+        DIAGNOSED_TARGETS_TABLE.file: diagnosis.table("targets").csv_text(),
+        RESIDUALS_TABLE.file: diagnosis.table("residuals").csv_text(),
+        RESIDUALS_BEFORE_TABLE.file: diagnosis.table("residuals_before").csv_text(),
     }
     air_covariance = joint_covariance_due_to_air(diagnosis.final_adjustment)
     covariance = covariance_csv_text(

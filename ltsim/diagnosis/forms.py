@@ -263,7 +263,7 @@ def response_curve(
         return None
     law, way, means, spread = law.law_at_largest_effect(coefficient_mean, coefficient_covariance, sightings)
     coefficient_mean, coefficient_covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
-    x = sightings.quantities[regressor.covariates[0]][law.row_weights(sightings) > 0]
+    x = sightings.covariate_values[regressor.covariates[0]][law.row_weights(sightings) > 0]
     if regressor.kind in ("wave", "cycle"):
         cycles = float(np.ptp(x)) * regressor.constant / (2 * np.pi)
         at = np.linspace(x.min(), x.max(), int(np.clip(N_POINTS_PER_CYCLE * cycles, N_CURVE_POINTS, MAX_CURVE_POINTS)))

@@ -20,7 +20,7 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import MIN_SIGNIFICANT_SIGMAS
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import wide_prior_posterior
 from ltsim.diagnosis.search import Searcher
@@ -94,7 +94,7 @@ def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
     """Rows of the used readings of each fold, drawn at random: all pointings of a target from a set-up together."""
     pointing, sightings = np.nonzero(space.is_used_reading)[0], space.sightings
     pair = np.unique(np.stack([sightings.station, sightings.target]), axis=1, return_inverse=True)[1]
-    fold_of_pair = stream(seed, "diagnose", "folds").permutation(int(pair.max(initial=-1)) + 1) % N_FOLDS
+    fold_of_pair = random_stream(seed, "diagnose", "folds").permutation(int(pair.max(initial=-1)) + 1) % N_FOLDS
     row_folds = (np.flatnonzero(fold_of_pair[pair][pointing] == fold) for fold in range(N_FOLDS))
     return [rows for rows in row_folds if len(rows)]
 

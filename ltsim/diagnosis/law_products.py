@@ -60,7 +60,7 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, conditioning
     weights = [
         scalar_regressor(name, "power")
         for name in SECOND_FACTOR_COVARIATES
-        if np.ptp(sightings.quantities[name]) > 0 and name not in law.regressor.covariates
+        if np.ptp(sightings.covariate_values[name]) > 0 and name not in law.regressor.covariates
     ]
     if _is_of_time(law.regressor):
         function = LEVER_FUNCTION if "distance" not in law.response.observables else ""

@@ -41,7 +41,7 @@ def candidate_variance_functions(
     `instrument_places` are the places of laws of single instruments.
     """
     regressors = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
-    regressors += ["incidence"] if np.isfinite(sightings.incidence).any() else []
+    regressors += ["incidence"] if np.isfinite(sightings.incidence_angle).any() else []
     places = [
         VarianceFunction(),
         *(VarianceFunction(stations=p.stations, instruments=p.instruments) for p in instrument_places),
@@ -89,7 +89,7 @@ def _covariate_bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, f
                 yield name, band
     names = ["elevation", "distance", "height", "lapse", "move-azimuth", "move-elevation"]
     names += additional_column_names(sightings)
-    names += ["incidence"] if np.isfinite(sightings.incidence).any() else []
+    names += ["incidence"] if np.isfinite(sightings.incidence_angle).any() else []
     for name in names:
         x = noise_covariate(sightings, name)
         low, high = float(x.min()), float(x.max())

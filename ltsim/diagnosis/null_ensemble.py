@@ -19,7 +19,7 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.shrinkage import MAX_DENSE_UNKNOWNS
 from ltsim.core.arrays import Floats, Ints, Singles, batches
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.solve.projection import BasisResidualProjector
 
 MIN_SIMULATED_RECORDINGS = 300
@@ -60,9 +60,9 @@ class NullEnsemble:
         n_basis_vectors = N_GRAM_DRAWS if basis is None else basis.shape[1]
         vectors = np.empty((space.n_rows, 1 + n_trials + n_basis_vectors), dtype=np.float32)
         vectors[:, 0] = space.residuals
-        _simulate_residuals(space, stream(seed, "diagnose", "null"), vectors[:, 1 : 1 + n_trials])
+        _simulate_residuals(space, random_stream(seed, "diagnose", "null"), vectors[:, 1 : 1 + n_trials])
         if basis is None:
-            _simulate_residuals(space, stream(seed, "diagnose", "gauges"), vectors[:, 1 + n_trials :])
+            _simulate_residuals(space, random_stream(seed, "diagnose", "gauges"), vectors[:, 1 + n_trials :])
         else:
             vectors[:, 1 + n_trials :] = basis
         empty_basis = np.zeros((space.n_rows, 0))

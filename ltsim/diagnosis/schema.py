@@ -24,7 +24,7 @@ DIAGNOSED_TARGETS_TABLE = Table(
     ),
 )
 RESIDUALS_BEFORE_TABLE = replace(
-    RESIDUALS_TABLE, file="residuals_before.csv", about="residuals of the ordinary adjustment"
+    RESIDUALS_TABLE, file="residuals_before.csv", description="residuals of the ordinary adjustment"
 )
 
 
@@ -232,7 +232,7 @@ FINDINGS_TABLE = Table(
         *text_columns(observables="observables on which the effect acts; empty for all"),
         Column("probability", "posterior probability of this effect against all other explanations"),
         *text_columns(parameter="name of a parameter of the effect"),
-        Column("value", "estimated size", sigma="sigma"),
+        Column("value", "estimated size", sigma_column="sigma"),
         Column("sigma", "standard deviation of the size"),
         *text_columns(unit="unit of value and sigma"),
     ),
@@ -244,13 +244,13 @@ FIT_TABLE = Table(
         *text_columns(model="model without or with the findings"),
         Column("chi2", "chi-square, the weighted sum of squared residuals"),
         Column("degrees_of_freedom"),
-        Column("ratio", "chi-square per degree of freedom", shown=".3f"),
-        Column("held_out_error", "normalised error of held-out readings", digits=3),
+        Column("ratio", "chi-square per degree of freedom", display_format=".3f"),
+        Column("held_out_error", "normalised error of held-out readings", n_digits=3),
     ),
 )
 UNDETECTABLE_TABLE = Table(
     "undetectable.csv",
     "effects that are not detectable in this network",
-    columns_of(UndetectableEntry, undetected_target_error_um={"digits": 2}, detectable_at_factor={"digits": 2}),
+    columns_of(UndetectableEntry, undetected_target_error_um={"n_digits": 2}, detectable_at_factor={"n_digits": 2}),
 )
 DETECTABLE_TABLE = Table("detectable.csv", "smallest detectable sizes of effects", columns_of(DetectableEntry))

@@ -120,7 +120,7 @@ def _span_gram_and_score(
 ) -> SpanGramAndScore:
     """Gram matrix and score of a law in the spans from each of `step_regressors` to the next."""
     sightings, count = calculator.space.sightings, len(step_regressors)
-    x = sightings.quantities[step_regressors[0].covariates[0]]
+    x = sightings.covariate_values[step_regressors[0].covariates[0]]
     after = x[:, None] > [step.constant for step in step_regressors]
     gram, score = calculator.grams_and_scores([law.with_steps(step_regressors)], conditioning_model)[0]
     n_components = len(law.response.component_names)

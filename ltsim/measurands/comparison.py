@@ -18,7 +18,7 @@ from ltsim.adjustment.reliability import noncentrality
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.notation import listing
-from ltsim.core.probability import format_p
+from ltsim.core.probability import p_relation_text
 from ltsim.core.results import Column, Table, number_columns
 from ltsim.core.units import MICROMETRE, MILLIMETRE, PPM
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
@@ -30,7 +30,7 @@ DISPLACEMENTS_TABLE = Table(
         Column("target", "name", "text"),
         Column("moved", "True if the point moved", "flag"),
         *number_columns(".4f", x_mm="place in the first epoch", y_mm="as x_mm", z_mm="as x_mm"),
-        *(Column(f"d{a}_um", "displacement, second less first epoch", sigma=f"s{a}_um") for a in "xyz"),
+        *(Column(f"d{a}_um", "displacement, second less first epoch", sigma_column=f"s{a}_um") for a in "xyz"),
         *(Column(f"s{a}_um", f"standard deviation of d{a}_um") for a in "xyz"),
         *number_columns("", ".1f", a_um="semi-axis of the 95 % confidence ellipsoid", b_um="as a_um", c_um="as a_um"),
         Column("p_value", "p-value of no motion, corrected for the number of points", "chance"),
@@ -107,8 +107,8 @@ class Comparison(ResultFile):
         return [
             self.sentence,
             *self.notes,
-            f"p-value of no motion: {format_p(self.p_value)} for all points, "
-            f"{format_p(self.p_value_after)} for the points that did not move",
+            f"p-value of no motion: {p_relation_text(self.p_value)} for all points, "
+            f"{p_relation_text(self.p_value_after)} for the points that did not move",
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
@@ -294,7 +294,7 @@ def _result_sentence(displacements: Sequence[Displacement]) -> str:
     size_by_target = {d.target: float(np.linalg.norm(d.shift_um)) for d in displacements if d.moved}
     if not size_by_target:
         sure = max(d.detectable_um[1] for d in displacements)
-        return f"no point moved; a motion of {sure:.0f} um would have been found anywhere in 4 of 5 cases"
+        return f"no point moved; a motion of {sure:.0f} um at any point would be detected with a probability of 80 %"
     names_by_size = sorted(size_by_target, key=lambda name: -size_by_target[name])
     names = listing([f"{name} by {size_by_target[name]:.0f} um" for name in names_by_size])
     return f"{len(names_by_size)} of {len(displacements)} points moved: {names}"

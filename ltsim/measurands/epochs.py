@@ -18,7 +18,7 @@ import scipy.linalg
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.coordinate_uncertainty import air_covariance, displacement_per_observation
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import ModelError, NetworkError, option, unknown_name
+from ltsim.core.errors import ModelError, NetworkError, option_text, unknown_name_error
 from ltsim.core.notation import listing
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.geometry.rigid import align_rigidly, rigid_motion_design
@@ -143,10 +143,10 @@ def _with_rigid_motion(
     free = compare_with_free_motions()
     if 2 * len(free.moved_points) > n_points:
         return fixed_frame_result
-    suffix = f": {listing(list(free.moved_points))}" if free.moved_points else ""
+    moved_names_text = f": {listing(list(free.moved_points))}" if free.moved_points else ""
     note = (
-        f"the points moved together, like one rigid body: aligned by {option('free=True')}, "
-        f"{len(free.moved_points)} of {n_points} points moved{suffix}"
+        f"the points moved together, like one rigid body: aligned by {option_text('free=True')}, "
+        f"{len(free.moved_points)} of {n_points} points moved{moved_names_text}"
     )
     return fixed_frame_result.model_copy(update={"notes": (*fixed_frame_result.notes, note), "is_rigid_motion": True})
 
@@ -186,7 +186,7 @@ def _stable_point_mask(
     """
     for name in stable_names or ():
         if name not in common_names:
-            raise unknown_name("common point", name, common_names)
+            raise unknown_name_error("common point", name, common_names)
     if len(common_names) < n_frame_points + 1:
         needed = f"at least {n_frame_points + 1} are needed to see one of them move"
         raise NetworkError(f"the {point_noun} share {len(common_names)} points; {needed}")
@@ -307,7 +307,7 @@ def _align_epochs(
     shared = first_epoch.common_observation_response @ second_epoch.common_observation_response.T @ big.T
     covariance = first_epoch.covariance + big @ second_epoch.covariance @ big.T - shared - shared.T
     motions = rigid_motion_design(before, centre)
-    motions = motions @ _motions_about(free, centre) if free.shape[1] else motions[:, :0]
+    motions = motions @ _motions_about_centre(free, centre) if free.shape[1] else motions[:, :0]
     motions = motions.reshape(len(before), 3, -1)[:, axes].reshape(len(covariance), -1)
     motions = motions[:, np.linalg.norm(motions, axis=0) > MAX_ROUNDING_ERROR * np.abs(before - centre).max()]
     if motions.shape[1]:
@@ -320,7 +320,7 @@ def _align_epochs(
     )
 
 
-def _motions_about(free_motions: Floats, centre: Floats) -> Floats:
+def _motions_about_centre(free_motions: Floats, centre: Floats) -> Floats:
     """Motions (6, f) whose rotations are about a given centre, from rotations about the origin."""
     about = free_motions.copy()
     about[:3] += np.cross(free_motions[3:].T, centre).T
@@ -394,6 +394,6 @@ def exchanged_names_sentence(names: Sequence[str], point_order: Ints) -> str:
 def undetermined_motions_note(n_motions: int) -> str:
     """Note on the number of undetermined motions of the whole network, and on the alignment that fixes them."""
     return (
-        f"the covariances leave {n_motions} motions of the whole network open (free networks): the second epoch is "
-        "aligned with the first along them"
+        f"the covariances leave {n_motions} motions of the whole network undetermined (free networks): the second "
+        "epoch is aligned with the first along them"
     )

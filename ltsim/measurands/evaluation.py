@@ -15,7 +15,7 @@ from ltsim.measurands.propagation import (
     LinearUncertainty,
     MonteCarloUncertainty,
     curvature_differences,
-    part_expansion,
+    expansion_of_part,
     propagate,
     run_monte_carlo,
 )
@@ -66,7 +66,11 @@ class TaskEvaluation:
     def warnings(self) -> list[str]:
         """Warnings on results that are less reliable than they seem, one sentence each."""
         air = self.inputs.air_text
-        warnings = [f"all budgets include the {air}; change it as [air] of the task file or the set-up"] if air else []
+        warnings = (
+            [f"all budgets include the {air}; change these values in the table [air] of the task file or of the set-up"]
+            if air
+            else []
+        )
         for i, (task, output) in enumerate(self.outputs):
             what = f"{task.name}, {output.name}"
             if self.curvature_ratios[i] > MAX_CURVATURE_RATIO:
@@ -171,19 +175,19 @@ class TaskEvaluation:
 @raise_for_singular_network
 def evaluate_tasks(recording: Recording, tasks: Tasks) -> TaskEvaluation:
     """Results of tasks on a recording, with uncertainty by propagation and Monte Carlo; errors as `lt.uncertainty`."""
-    return _evaluate(TaskInputs.from_recording(recording, tasks), tasks)
+    return _evaluate_tasks(TaskInputs.from_recording(recording, tasks), tasks)
 
 
 def evaluate_listed_tasks(coordinates: EpochCoordinates, tasks: Tasks) -> TaskEvaluation:
     """Results of tasks on a list of coordinates with their covariance."""
-    return _evaluate(TaskInputs.from_coordinates(coordinates, tasks), tasks)
+    return _evaluate_tasks(TaskInputs.from_coordinates(coordinates, tasks), tasks)
 
 
 @single_threaded
-def _evaluate(task_inputs: TaskInputs, tasks: Tasks) -> TaskEvaluation:
+def _evaluate_tasks(task_inputs: TaskInputs, tasks: Tasks) -> TaskEvaluation:
     """Results of tasks on points with known sources of uncertainty."""
     measurands = tuple(Measurand.from_task(task, task_inputs.target_names, task_inputs.points) for task in tasks.task)
-    stretch = part_expansion(tasks.growth)
+    stretch = expansion_of_part(tasks.growth)
     linear = propagate(task_inputs, measurands, stretch)
     drawn = run_monte_carlo(task_inputs, measurands, stretch, tasks.monte_carlo, linear)
     gap = curvature_differences(task_inputs, measurands, tasks.monte_carlo.seed)

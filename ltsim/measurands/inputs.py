@@ -19,9 +19,9 @@ from ltsim.adjustment.coordinate_uncertainty import (
     relevant_air_uncertainty,
 )
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import ModelError, SetupError, unknown_name
+from ltsim.core.equality import ValueEquality
+from ltsim.core.errors import ModelError, SetupError, unknown_name_error
 from ltsim.core.units import MILLIMETRE
-from ltsim.core.values import ValueEquality
 from ltsim.measurands.spec import Tasks, TypeBEffect
 from ltsim.physics.effects.air import air_uncertainty_text
 from ltsim.physics.effects.air_gradient import AirGradient
@@ -105,7 +105,7 @@ class TaskInputs(ValueEquality):
         names = _target_names(tasks)
         for name in names:
             if name not in recording.targets:
-                raise unknown_name("target", name, recording.targets)
+                raise unknown_name_error("target", name, recording.targets)
             if name in adjustment.undetermined_targets:
                 raise ModelError(f"the readings do not determine target {name}, which a task uses")
         indices = np.array([recording.targets.index(name) for name in names])
@@ -131,13 +131,13 @@ class TaskInputs(ValueEquality):
         ModelError is raised for points or axes that the list lacks, and for sources that act on readings.
         """
         if tasks.type_b:
-            raise ModelError("a list of coordinates has no readings: type_b acts on readings; give their recording")
+            raise ModelError("type_b acts on readings, and a list of coordinates has none; give the recording")
         if len(coordinates.axes) < 3:
             raise ModelError(f"the list has only {coordinates.axes}, but tasks need x, y and z")
         names = _target_names(tasks)
         for name in names:
             if name not in coordinates.names:
-                raise unknown_name("target", name, coordinates.names)
+                raise unknown_name_error("target", name, coordinates.names)
         indices = np.array([coordinates.names.index(name) for name in names])
         row_indices = (3 * indices[:, None] + np.arange(3)).ravel()
         values, vectors = np.linalg.eigh(coordinates.covariance[np.ix_(row_indices, row_indices)])
@@ -305,12 +305,12 @@ def _effect_and_sizes(recording: Recording, type_b_entry: TypeBEffect, entry_num
     ):
         unknown_names = [name for name in wanted if name not in choices]
         if unknown_names:
-            raise SetupError(f"type_b.{entry_number}.{what}s: {unknown_name(what, unknown_names[0], choices)}")
+            raise SetupError(f"type_b.{entry_number}.{what}s: {unknown_name_error(what, unknown_names[0], choices)}")
     parameter_names = [p.name for p in effect.parameters]
     unknown_parameters = [name for name in type_b_entry.sizes if name not in parameter_names]
     if unknown_parameters:
         raise SetupError(
-            f"type_b.{entry_number}.sizes: {unknown_name('parameter', unknown_parameters[0], parameter_names)}"
+            f"type_b.{entry_number}.sizes: {unknown_name_error('parameter', unknown_parameters[0], parameter_names)}"
         )
     if not type_b_entry.sizes:
         return effect, np.array([p.prior_sigma for p in effect.parameters])

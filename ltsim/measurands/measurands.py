@@ -7,9 +7,9 @@ from typing import Self
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import ModelError, NetworkError, unknown_name
+from ltsim.core.equality import ValueEquality
+from ltsim.core.errors import ModelError, NetworkError, unknown_name_error
 from ltsim.core.units import DEGREE, MILLIMETRE, PPM
-from ltsim.core.values import ValueEquality
 from ltsim.geometry.rigid import align_with_scale
 from ltsim.measurands.features import FittedFeature, fit_feature
 from ltsim.measurands.spec import Task
@@ -54,7 +54,7 @@ class Measurand(ValueEquality):
         """Measurand of a task on targets at points (targets, 3) [m]."""
         for name in task.targets:
             if name not in targets:
-                raise unknown_name("target", name, targets)
+                raise unknown_name_error("target", name, targets)
         target_indices = np.array([targets.index(name) for name in task.targets])
         undetermined = [task.targets[i] for i in np.flatnonzero(~np.isfinite(points[target_indices]).all(axis=1))]
         if undetermined:
@@ -68,7 +68,7 @@ class Measurand(ValueEquality):
         wrong = [name for name in task.tolerances if name not in {o.name for o in measurand.outputs}]
         if wrong:
             raise ModelError(
-                f"task {task.name}: {unknown_name('result', wrong[0], [o.name for o in measurand.outputs])}"
+                f"task {task.name}: {unknown_name_error('result', wrong[0], [o.name for o in measurand.outputs])}"
             )
         return measurand
 
@@ -145,13 +145,13 @@ class Measurand(ValueEquality):
         task = self.task
         nominal = np.array([task.nominal_mm[name] for name in task.targets]) * MILLIMETRE
         if task.kind == "deviation" and not task.fit:
-            return _distances(feature_points - nominal)
+            return _difference_components(feature_points - nominal)
         rotation, shift, scale = align_with_scale(nominal, feature_points, estimates_scale=task.scale)
         if task.kind == "deviation":
             back = (
                 np.einsum("...ji,...nj->...ni", rotation, feature_points - shift[..., None, :]) / scale[..., None, None]
             )
-            return _distances(back - nominal)
+            return _difference_components(back - nominal)
         from scipy.spatial.transform import Rotation  # slow to load
 
         turn = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec().reshape(shift.shape)
@@ -167,7 +167,8 @@ def _angle_of_points(three_points: Floats) -> Floats:
     return np.arctan2(across, np.einsum("...i,...i->...", first, second))
 
 
-def _distances(difference_vectors: Floats) -> Floats:
+def _difference_components(difference_vectors: Floats) -> Floats:
+    """Components x, y, z and length of each of k difference vectors (..., k, 3), joined to (..., 4 k)."""
     differences = np.concatenate(
         [difference_vectors, np.linalg.norm(difference_vectors, axis=-1, keepdims=True)], axis=-1
     )

@@ -19,9 +19,9 @@ from scipy import optimize, special
 
 from ltsim.adjustment import adjust
 from ltsim.core.arrays import Bools, Floats, batches
-from ltsim.core.randomness import stream
+from ltsim.core.equality import ValueEquality
+from ltsim.core.randomness import random_stream
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
-from ltsim.core.values import ValueEquality
 from ltsim.geometry.expansion import ThermalExpansion
 from ltsim.measurands.inputs import STREAM_KEYS, TaskInputs
 from ltsim.measurands.measurands import Measurand
@@ -35,7 +35,7 @@ MAX_CURVATURE_RATIO = 0.05
 given."""
 
 
-def part_expansion(declared_expansion: PartExpansion | None) -> ThermalExpansion:
+def expansion_of_part(declared_expansion: PartExpansion | None) -> ThermalExpansion:
     """Thermal expansion of the part from the reference temperature to the measurement, as an input quantity."""
     if declared_expansion is None:
         return ThermalExpansion()
@@ -130,7 +130,7 @@ def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measuran
     used, count = problem.is_used_reading, int(problem.is_used_reading.sum())
     largest_differences = np.zeros(sum(len(m.outputs) for m in measurands))
     for i in range(N_CURVATURE_CHECKS):
-        noise = stream(seed, "curvature", i).standard_normal(count)
+        noise = random_stream(seed, "curvature", i).standard_normal(count)
         readings = recording.readings.copy()
         readings[used] += noise * problem.sigma[used]
         again = adjust(
@@ -256,11 +256,11 @@ def _draw_errors(
     for i, source in enumerate(task_inputs.sources):
         shape = TRIALS_PER_BATCH, source.point_response.shape[1]
         key = STREAM_KEYS.get(source.name, source.name)
-        rng = stream(seed, "uncertainty", key, i, batch_number)
+        rng = random_stream(seed, "uncertainty", key, i, batch_number)
         shift += draw_variates(rng, source.distribution, shape) @ source.point_response.T
     grown = np.zeros(TRIALS_PER_BATCH)
     for name, sigma in expansion_errors(thermal_expansion):
-        grown += sigma * stream(seed, "uncertainty", name, batch_number).standard_normal(TRIALS_PER_BATCH)
+        grown += sigma * random_stream(seed, "uncertainty", name, batch_number).standard_normal(TRIALS_PER_BATCH)
     return shift, grown
 
 

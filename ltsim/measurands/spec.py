@@ -89,7 +89,7 @@ class Task(TomlSection):
         if len(set(self.targets)) < len(self.targets):
             raise ValueError("it should name each target once")
         if (self.kind == "rod") != (self.beyond_mm != 0):
-            raise ValueError("it should give beyond_mm, not 0, for a rod and only for a rod")
+            raise ValueError("it should give beyond_mm (not 0) for a rod, and for no other kind")
         if self.kind in ("transformation", "pose", "deviation"):
             missing = [name for name in self.targets if name not in self.nominal_mm]
             if missing:

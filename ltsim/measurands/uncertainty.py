@@ -18,12 +18,12 @@ RESULTS_TABLE = Table(
     "results of the tasks",
     (
         *text_columns(task="name", result="name", unit="of all numbers"),
-        Column("value", "estimate", form=".9g", like="U"),
-        Column("u", "standard uncertainty", form=".9g", shown=".2g"),
-        Column("U", "expanded uncertainty for the coverage", form=".9g", like="U"),
-        Column("mc_u", "standard uncertainty by Monte Carlo", form=".9g", shown=".2g"),
-        Column("mc_low", "lower limit of the interval by Monte Carlo", form=".9g", like="U"),
-        Column("mc_high", "upper limit of the interval by Monte Carlo", form=".9g", like="U"),
+        Column("value", "estimate", csv_format=".9g", precision_column="U"),
+        Column("u", "standard uncertainty", csv_format=".9g", display_format=".2g"),
+        Column("U", "expanded uncertainty for the coverage", csv_format=".9g", precision_column="U"),
+        Column("mc_u", "standard uncertainty by Monte Carlo", csv_format=".9g", display_format=".2g"),
+        Column("mc_low", "lower limit of the interval by Monte Carlo", csv_format=".9g", precision_column="U"),
+        Column("mc_high", "upper limit of the interval by Monte Carlo", csv_format=".9g", precision_column="U"),
         Column("agrees", "True if the interval by propagation and the one by Monte Carlo agree", "flag"),
         *text_columns(
             judgement="accepted, rejected or undecided; empty without a tolerance",
@@ -45,11 +45,11 @@ CONFORMITY_TABLE = Table(
     "results against their tolerances (JCGM 106)",
     (
         *text_columns(task="name", result="name"),
-        Column("lower", "limit of the tolerance", digits=6),
-        Column("upper", "limit of the tolerance", digits=6),
-        Column("guard_band", "between the limits of tolerance and of acceptance", digits=6),
+        Column("lower", "limit of the tolerance", n_digits=6),
+        Column("upper", "limit of the tolerance", n_digits=6),
+        Column("guard_band", "between the limits of tolerance and of acceptance", n_digits=6),
         *text_columns(unit="of limits and guard band"),
-        Column("conforms_percent", "probability that the true value lies within the tolerance", shown=".1f"),
+        Column("conforms_percent", "probability that the true value lies within the tolerance", display_format=".1f"),
         *text_columns(judgement="accepted, rejected or undecided"),
     ),
 )
@@ -58,7 +58,7 @@ HIDDEN_ERRORS_TABLE = Table(
     "undetectable errors that the uncertainty does not include",
     (
         *text_columns(task="name", result="name", error="its description"),
-        Column("change", "of the result, in its unit", digits=3),
+        Column("change", "of the result, in its unit", n_digits=3),
         *text_columns(unit="of the change"),
     ),
 )

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.core.errors import ModelError, option
+from ltsim.core.errors import ModelError, option_text
 from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.epochs import compare_adjustments as compared, compare_coordinates
 from ltsim.measurands.evaluation import evaluate_listed_tasks, evaluate_tasks
@@ -119,16 +119,18 @@ def compare(
     ]
     stable_names = None if stable is None else name_tuple(stable)
     if lists and (same_instrument or robust or not calibrate):
-        asked = ", ".join(option(name) for name in ("same_instrument=True", "robust=True", "calibrate=False"))
+        asked = ", ".join(option_text(name) for name in ("same_instrument=True", "robust=True", "calibrate=False"))
         raise ModelError(f"lists of coordinates contain no readings, so {asked} have no effect")
     if len(lists) == 2:
         return compare_coordinates(
             *lists, stable_names=stable_names, has_free_motions=free, with_scale=scaled, alpha=level
         )
     if lists:
-        raise ModelError("a list of coordinates is compared with another one alone")
+        raise ModelError("a list of coordinates can be compared only with another list of coordinates")
     if free:
-        raise ModelError(f"{option('free=True')} is for lists of coordinates: a recording declares its free motions")
+        raise ModelError(
+            f"{option_text('free=True')} is for lists of coordinates: a recording declares its free motions"
+        )
 
     def adjust_epoch(recording: Recording) -> Adjustment:
         adjustment = adjust(

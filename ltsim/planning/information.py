@@ -28,7 +28,7 @@ from ltsim.adjustment.remedies.undetermined import (
 )
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import NetworkError, unknown_name
+from ltsim.core.errors import NetworkError, unknown_name_error
 from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
@@ -162,7 +162,7 @@ class ExpectedCriteria:
 
     These are the criteria of Sensors 2021, 21, 7479, eq. 11 and 12.
 
-    Each field is (k,): one value for each of k requested sets of error sizes.
+    Each field is (k,): one value for each of k assumptions on the sizes of the errors.
     """
 
     distance_before: Floats
@@ -220,14 +220,14 @@ class CriteriaPredictor:
         return cls(names, distance, coordinate)
 
     def expected_criteria(self, group_sizes: Mapping[str, Floats | float] | None = None) -> ExpectedCriteria:
-        """Expected criteria for k sets of error sizes.
+        """Expected criteria for k assumptions on the sizes of the errors.
 
-        `group_sizes` holds factors (k,) on the nominal size of the errors of each group, default 1.
+        `group_sizes` holds, for each group of errors, the k factors on their nominal size; default 1.
         """
         wanted = dict(group_sizes or {})
         for name in wanted:
             if name not in self.error_groups:
-                raise unknown_name("group of errors", name, self.error_groups)
+                raise unknown_name_error("group of errors", name, self.error_groups)
         scale = np.stack(
             np.broadcast_arrays(*(np.atleast_1d(wanted.get(name, 1.0)) for name in self.error_groups)), axis=1
         )
@@ -267,7 +267,7 @@ def expected_length(variances: Floats, n_nodes: int = 48) -> Floats:
 
 
 def _unit_error_displacements(
-    information: LayoutInformation, unmodelled: Sequence[Effect]
+    information: LayoutInformation, unmodelled_effects: Sequence[Effect]
 ) -> tuple[tuple[Floats, Floats], list[str]]:
     """Displacements of measured points by a unit error of each of e error sources, before and after calibration.
 
@@ -292,9 +292,11 @@ def _unit_error_displacements(
     answer = adjustment.factorised_normals.covariance_columns(columns).T @ design.T
     by_extra = (noise / problem.sigma.ravel()) @ problem.model.extra_design(sightings).reshape(noise.shape[1], n_extra)
     errors = np.zeros((design.shape[0], 0))
-    if unmodelled:
+    if unmodelled_effects:
         space = ResidualSpace.from_adjustment(adjustment)
-        errors = np.hstack([space.whitened_design(e) * [p.prior_sigma for p in e.parameters] for e in unmodelled])
+        errors = np.hstack(
+            [space.whitened_design(e) * [p.prior_sigma for p in e.parameters] for e in unmodelled_effects]
+        )
     is_used = np.flatnonzero(problem.is_used_reading.ravel())
     columns_used = np.r_[0 : count + lengths, priors : priors + params + n_extra]
     first_response = np.zeros((len(noise), len(columns_used) + errors.shape[1]))
@@ -310,7 +312,7 @@ def _unit_error_displacements(
     labels = np.where(is_used % 3 == 0, RANGE_NOISE_GROUP, ANGLE_NOISE_GROUP).tolist() + [GAUGE_LENGTHS_GROUP] * lengths
     labels += [PARAMETER_GROUPS[p.prior_kind] for p in construction.parameters]
     labels += [REFLECTORS_GROUP] * n_extra
-    return (first_response, second_response), labels + [e.name for e in unmodelled for _ in e.parameters]
+    return (first_response, second_response), labels + [e.name for e in unmodelled_effects for _ in e.parameters]
 
 
 def _averaging_matrix(information: LayoutInformation) -> Floats:

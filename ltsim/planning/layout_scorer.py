@@ -132,12 +132,12 @@ class LayoutScorer:
         other = to_dense(other_rows[: other_rows.shape[0] - self._n_free_motions])
         unknowns = problem.unknowns
         value_columns = np.concatenate([unknowns.effect_columns[: self._n_nuisances], unknowns.instrument_columns[0]])
-        self._fixed_blocks(other, unknowns.target_columns, unknowns.pose_columns, value_columns)
+        self._set_blocks(other, unknowns.target_columns, unknowns.pose_columns, value_columns)
         self._target_weights, self._used_observables = survey.normalised_target_weights, survey.is_recorded_observable
         self._fixes_datum_rotations = problem.undetermined_unknowns.fixes_datum_rotations
         self._target_motions = rigid_motion_design(survey.target_points) @ self._free_motions
 
-    def _fixed_blocks(self, design: Floats, target_columns: Ints, pose_columns: Ints, parameter_columns: Ints) -> None:
+    def _set_blocks(self, design: Floats, target_columns: Ints, pose_columns: Ints, parameter_columns: Ints) -> None:
         """Normal equations of gauge, control points, levels and priors, in the order and units of this class.
 
         `design` is whitened; the columns of targets (T, 3), poses (S, 6) and parameters are given.
@@ -201,8 +201,8 @@ class LayoutScorer:
             first = position[:1], yaw[:1], np.zeros(1, dtype=np.int64)
             whole = (np.concatenate(pair) for pair in zip(first, (position, yaw, station_indices), strict=True))
             by_target, by_value = self._derivatives(self.sightings(*whole))
-            first_rows = len(self.survey.target_points) * len(self.survey.faces)
-            by_target, by_value = by_target[first_rows:], by_value[first_rows:]
+            n_first_rows = len(self.survey.target_points) * len(self.survey.faces)
+            by_target, by_value = by_target[n_first_rows:], by_value[n_first_rows:]
         else:
             by_target, by_value = self._derivatives(self.sightings(position, yaw, station_indices))
         weight = (np.sqrt(self.survey.repeats) * is_visible)[:, :, None, None]
@@ -222,7 +222,7 @@ class LayoutScorer:
             for e, acts in self._incidence_errors
         ]
         designs = [*reflectors, by_value, *(effect.design(sightings) for effect in self.effects)]
-        sigma = self.survey.nominal_noise(sightings)
+        sigma = self.survey.true_noise_sigmas(sightings)
         if self.survey.air is not None:
             sigma = np.sqrt(sigma**2 + turbulence_variance(self.survey.air, sightings))
         white = (self._used_observables / sigma)[:, :, None]

@@ -77,7 +77,7 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
     if made.air is not None:
         scenario = scenario.model_copy(update={"air": made.air})
     _check_names(made, scenario, path)
-    _check_counts(made, scenario, path)
+    _check_dependent_keys(made, scenario, path)
     return made, scenario
 
 
@@ -141,10 +141,11 @@ def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
     targets = frozenset(scenario.target_names)
     for name, count in Counter(new_names).items():
         if count > 1 or name in targets:
-            raise SetupError(f"{file}: reflectors: the name '{quoted_text(name)}' is given twice, or is a target's")
+            fault = "the name of a target" if name in targets else "given twice"
+            raise SetupError(f"{file}: reflectors: the name '{quoted_text(name)}' is {fault}")
 
 
-def _check_counts(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
+def _check_dependent_keys(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
     """Check that keys that belong together are given together; raises SetupError."""
     if plan_file.goal.tolerances and not plan_file.listed_points:
         raise SetupError(f"{file}: goal.tolerances needs points; give them as a list or a file")

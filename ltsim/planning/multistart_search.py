@@ -58,7 +58,7 @@ class PlanningProblem:
 
     def search_space(self, task: SearchTask) -> SearchSpace:
         """Search space for the numbers of stations and faces of a task."""
-        return make_search_space(self.plan_file, self.scenario, stations=task.n_stations, faces=task.n_faces)
+        return make_search_space(self.plan_file, self.scenario, n_stations=task.n_stations, n_faces=task.n_faces)
 
     def make_searcher(
         self,

@@ -11,7 +11,7 @@ from ltsim.calibration.combinations import UndeterminedEntry
 from ltsim.core.units import MICROMETRE, MILLIMETRE, SI_PER_UNIT
 from ltsim.planning.objective import TARGETS_QUALITY_NAME
 from ltsim.planning.reflector_changes import to_degrees, to_millimetres
-from ltsim.planning.tolerances import ToleranceCheck, is_met, percent_text
+from ltsim.planning.tolerances import ToleranceCheck, is_tolerance_met, percent_text
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive, Vector
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ class ReflectorEntry(Entry):
         within, used = check.error_by_point[name] / MILLIMETRE, check.tolerance_ratio(name)
         return {
             "within_mm": within, "tolerance_mm": check.tolerance_by_point[name] / MILLIMETRE,
-            "tolerance_ratio": used, "met": is_met(used),
+            "tolerance_ratio": used, "met": is_tolerance_met(used),
         }  # fmt: skip
 
 
@@ -164,7 +164,10 @@ class ImprovementEntry(Entry):
 
     @classmethod
     def from_criteria(cls, expected_criteria: ExpectedCriteria) -> dict[str, Self]:
-        """Entries of the distance and coordinate criteria, by name, for the first requested set of error sizes."""
+        """Expected improvement of the distance and of the coordinate criterion, by the name of the criterion.
+
+        If criteria are given for several assumptions on the sizes of the errors, the first is used.
+        """
         e = expected_criteria
         criteria = {
             "distance": (e.distance_before, e.distance_after, e.distance_improvement),

@@ -7,7 +7,7 @@ import numpy as np
 
 from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress
 from ltsim.core.errors import NetworkError, SetupError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.multistart_search import (
     LayoutsByCount,
@@ -24,7 +24,12 @@ from ltsim.planning.planner import (
     objective_and_qualities,
 )
 from ltsim.planning.search import LayoutSearcher
-from ltsim.planning.search_inputs import layout_objective, make_search_space, min_sights_of_reflector, procedures
+from ltsim.planning.search_inputs import (
+    candidate_procedures,
+    layout_objective,
+    make_search_space,
+    min_sights_of_reflector,
+)
 from ltsim.planning.search_space import SearchSpace, StationPlacement
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
@@ -110,7 +115,7 @@ class _PlanSearch:
     @property
     def face_and_round_choices(self) -> tuple[list[int], list[int]]:
         """Numbers of faces, and numbers of rounds, among which the search may choose."""
-        return procedures(self.plan_file, self.problem.scenario)
+        return candidate_procedures(self.plan_file, self.problem.scenario)
 
     def _run_searches(self, tasks: Sequence[SearchTask], report_progress: Callable[[float], float]) -> LayoutsByCount:
         """Layouts of the searches; the callbacks receive the best one so far."""
@@ -143,7 +148,7 @@ class _PlanSearch:
         """Best layout for the given number of stations, or for the working hours of the budget."""
         scenario = self.problem.scenario
         count, work = self.plan_file.stations.count or len(scenario.stations), scenario.work
-        site = make_search_space(self.plan_file, scenario, stations=count, faces=work.faces)
+        site = make_search_space(self.plan_file, scenario, n_stations=count, n_faces=work.faces)
         file = with_feasible_min_sights(self.plan_file, site)
         self.problem = replace(self.problem, plan_file=file)
         faces, settings = self.face_and_round_choices[0], file.search
@@ -169,7 +174,7 @@ class _PlanSearch:
         if not paid:
             cheapest = min(o.hours for o in options)
             raise SetupError(
-                f"budget.hours is {hours:g} h, but the cheapest way of working takes {cheapest:.1f} h; give more hours"
+                f"budget.hours is {hours:g} h, but the fastest procedure takes {cheapest:.1f} h: increase budget.hours"
             )
         return min(paid, key=lambda o: o.objective_value)
 
@@ -188,14 +193,14 @@ class _PlanSearch:
         min_count = max(
             MIN_STATIONS if alone else 3, len(file.stations.fixed), 1 if min_stations == "all" else min_stations
         )
-        counts = range(min_count, max(min_count, file.stations.max_count) + 1)
+        station_counts = range(min_count, max(min_count, file.stations.max_count) + 1)
         placement = placement_seeing_all_points(
-            make_search_space(file, scenario, stations=counts[-1], faces=faces[-1]), file
+            make_search_space(file, scenario, n_stations=station_counts[-1], n_faces=faces[-1]), file
         )
         judgements: list[tuple[float, TradeoffPoint]] = []
         k = 0
-        for n in counts:
-            if n < counts[-1] and (
+        for n in station_counts:
+            if n < station_counts[-1] and (
                 lacking := _never_visible_text(self.problem.search_space(SearchTask(n, faces[-1], 0)), placement)
             ):
                 self.station_count_results.append(StationCountResult(n, None, False, lacking))
@@ -221,7 +226,7 @@ class _PlanSearch:
             if self.is_stopped or self._has_converged():
                 break
         if not judgements:
-            raise SetupError(self._no_layout_message(counts))
+            raise SetupError(self._no_layout_message(station_counts))
         return min(judgements, key=lambda judgement: (judgement[0], judgement[1].hours))[1]
 
     def _closest_layout(
@@ -249,17 +254,16 @@ class _PlanSearch:
         ]
         return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > MAX_ERROR_RATIO_AFTER_BEFORE**2 * ratios[-3]
 
-    def _no_layout_message(self, counts: range) -> str:
+    def _no_layout_message(self, station_counts: range) -> str:
         """Error message if no layout was found for these numbers of stations."""
         hours = self.plan_file.budget.hours
         if self.is_stopped:
             return STOPPED_MESSAGE
         if hours and any(outcome.has_layout for outcome in self.station_count_results):
-            return (
-                f"no layout of {counts[0]} to {counts[-1]} stations takes at most {hours:g} h; give more budget.hours"
-            )
+            range_text = f"{station_counts[0]} to {station_counts[-1]}"
+            return f"no layout of {range_text} stations takes at most {hours:g} h; give more budget.hours"
         try:
-            search_from_start(self.problem, SearchTask(counts[-1], self.face_and_round_choices[0][-1], 0))
+            search_from_start(self.problem, SearchTask(station_counts[-1], self.face_and_round_choices[0][-1], 0))
         except (SetupError, NetworkError) as problem:
             return f"{problem}, or give more stations.max_count"
         return "the search found no layout; enlarge the floor or give more stations.max_count"
@@ -346,7 +350,7 @@ def with_feasible_min_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
             site.replace(min_sights=min_sights), grid_step=step, n_yaws=1, n_heights=settings.heights
         )
         try:
-            searcher.random_layout(stream(settings.seed, "plan", "sights"))
+            searcher.random_layout(random_stream(settings.seed, "plan", "sights"))
         except SetupError as problem:
             return problem
         return None

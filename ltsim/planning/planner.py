@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.core.arrays import Bools
+from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import NetworkError
-from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.information import CriteriaPredictor, ExpectedCriteria, LayoutInformation
 from ltsim.planning.layout_scorer import LayoutScorer
@@ -25,7 +25,7 @@ from ltsim.planning.tolerances import (
     plan_verdict,
 )
 from ltsim.recordings.setup import Target
-from ltsim.scene.visibility import Visibility, aim_nest_normals, compute_visibility
+from ltsim.scene.visibility import Visibility, best_nest_normals, compute_visibility
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 
@@ -125,7 +125,11 @@ def evaluate_plan(plan_file: PlanFile, scenario: Scenario, survey: PlannedSurvey
     """Planned network of a given layout, without a search."""
     built, demands = planned_construction(scenario), PointTolerances.from_plan_file(plan_file)
     site = make_search_space(
-        plan_file, scenario, stations=len(survey.station_positions), faces=len(survey.faces), repeats=survey.repeats
+        plan_file,
+        scenario,
+        n_stations=len(survey.station_positions),
+        n_faces=len(survey.faces),
+        n_repeats=survey.repeats,
     )
     objective = layout_objective(plan_file, survey)
     return PlannedNetwork(
@@ -183,7 +187,7 @@ def evaluate_layout(
 def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visibility:
     """Visibility between stations and targets; fixed nests with a free direction are aimed at the stations."""
     normal, aimed = (
-        aim_nest_normals(survey.station_positions, survey.target_points)[0],
+        best_nest_normals(survey.station_positions, survey.target_points)[0],
         _is_aimed(search_space, survey),
     )
     return compute_visibility(
@@ -205,7 +209,7 @@ def _is_aimed(search_space: SearchSpace, survey: PlannedSurvey) -> Bools:
 
 def with_aimed_nests(search_space: SearchSpace, survey: PlannedSurvey) -> PlannedSurvey:
     """Survey whose set-up declares the normals of fixed nests, aimed at the stations of the survey."""
-    targets, normals = dict(survey.setup.targets), aim_nest_normals(survey.station_positions, survey.target_points)[0]
+    targets, normals = dict(survey.setup.targets), best_nest_normals(survey.station_positions, survey.target_points)[0]
     for at in np.flatnonzero(_is_aimed(search_space, survey)).tolist():
         name = survey.target_names[at]
         aim = {"nest_normal": tuple(normals[at].tolist()), "reaimed": False}

@@ -16,7 +16,7 @@ from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFil
 class ProposalEntry(Entry):
     """Proposal of an additional measurement."""
 
-    do: str
+    action: str
     """Text of the action."""
     kind: str = ""
     """Kind of measurement: pointings, return, station, survey, length or reflectors."""
@@ -46,7 +46,7 @@ class ProposalEntry(Entry):
         """Entry of a proposal of `next_measurement`."""
         p, there = proposal, proposal.candidate.added_setup_on_plan
         return cls(
-            do=p.candidate.instruction,
+            action=p.candidate.instruction,
             kind=p.candidate.kind,
             minutes=round(p.candidate.duration / 60, 2),
             sigma_ratio=p.sigma_ratio,
@@ -65,14 +65,14 @@ PROPOSALS_TABLE = Table(
     "proposals of further measurements in the order of benefit",
     columns_of(
         ProposalEntry,
-        "kind minutes sigma_ratio most_improved_parameter most_improved_ratio distinguishes distinguishes_all do",
-        minutes={"title": "time", "unit": "min", "shown": ".0f"},
-        sigma_ratio={"title": "factor on sigmas", "shown": ".2f"},
+        "kind minutes sigma_ratio most_improved_parameter most_improved_ratio distinguishes distinguishes_all action",
+        minutes={"title": "time", "unit": "min", "display_format": ".0f"},
+        sigma_ratio={"title": "factor on sigmas", "display_format": ".2f"},
         most_improved_parameter={"title": "most for"},
-        most_improved_ratio={"title": "factor for it", "shown": ".2f"},
+        most_improved_ratio={"title": "factor for it", "display_format": ".2f"},
         distinguishes={"kind": "text"},
         distinguishes_all={"kind": "text"},
-        do={"title": "measurement"},
+        action={"title": "measurement"},
     ),
 )
 
@@ -119,7 +119,7 @@ class NextMeasurement(ResultFile):
 
     def _lines(self) -> list[str]:
         question = f" between {list_text([effect_title(name) for name in self.between])}" if self.between else ""
-        return [f"Next measurement{question}: {self.proposals[0].do}, of {len(self.proposals)} proposals"]
+        return [f"Next measurement{question} (best of {len(self.proposals)} proposals): {self.proposals[0].action}"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {"proposals": self._proposals_table, "separation": self._evidence_table}
@@ -133,7 +133,7 @@ class NextMeasurement(ResultFile):
         """Table of chi-square differences between the first effect and each other one: now, after each measurement."""
         rivals = self.between[1:]
         against = tuple(
-            Column(f"chi2_against_{name}", "expected difference of chi-square", digits=3) for name in rivals
+            Column(f"chi2_against_{name}", "expected difference of chi-square", n_digits=3) for name in rivals
         )
         columns = (
             *text_columns(measurement="action"),
@@ -142,7 +142,7 @@ class NextMeasurement(ResultFile):
         )
         table_rows = [["current recording", *(self.evidence_now.get(name, 0.0) for name in rivals), ""]]
         table_rows += [
-            [p.do, *(p.evidence.get(name, 0.0) for name in rivals), "yes" if p.distinguishes_all else "no"]
+            [p.action, *(p.evidence.get(name, 0.0) for name in rivals), "yes" if p.distinguishes_all else "no"]
             for p in self.proposals
             if p.evidence
         ]

@@ -28,7 +28,7 @@ from ltsim.planning.planner import (
 )
 from ltsim.planning.search_inputs import layout_objective
 from ltsim.planning.search_space import MAX_NAMES_IN_RULE_TEXT, broken_rules_text, is_too_near
-from ltsim.planning.tolerances import is_met, loss_sentences, text_distinct_from_limit
+from ltsim.planning.tolerances import is_tolerance_met, loss_sentences, text_distinct_from_limit
 
 CRITERION_PHRASES = {
     "D": "in the geometric mean over all combinations (D-optimality)",
@@ -41,18 +41,18 @@ CRITERION_PHRASES = {
 def reason_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences on the reasons for a plan, the result first."""
     sentences = [
-        *_result_sentence(plan),
+        *_result_sentences(plan),
         *_tolerance_sentences(plan),
-        *_reference_sentence(plan),
+        *_reference_sentences(plan),
         *_station_contribution_sentences(plan),
     ]
     return [
         *sentences,
-        *_air_sentence(plan),
+        *_air_sentences(plan),
         *_limit_sentences(plan),
         *_tradeoff_sentences(plan),
-        *_undetermined_sentence(plan),
-        *_search_sentence(plan),
+        *_undetermined_sentences(plan),
+        *_search_sentences(plan),
     ]
 
 
@@ -76,7 +76,7 @@ def _target_rms_text(layout: LayoutEvaluation, weighted_rms: float) -> str:
     return f"{text}{weighted if layout.survey.target_weights else ''})"
 
 
-def _result_sentence(plan: PlannedNetwork) -> list[str]:
+def _result_sentences(plan: PlannedNetwork) -> list[str]:
     work = f"{plan.layout.survey.extent_text}; {_quality_text(plan)}"
     if plan.verdict is not None:
         return [f"{plan.verdict.sentences}.", f"{work}."]
@@ -102,7 +102,7 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
         return []
     *fewer, last = plan.station_count_results
     outcomes = _count_result_clauses(fewer, plan.search_space.min_sights)
-    meets_tolerance = last.max_error_ratio is not None and is_met(last.max_error_ratio)
+    meets_tolerance = last.max_error_ratio is not None and is_tolerance_met(last.max_error_ratio)
     n_stations = len(plan.layout.survey.station_positions)
     sentences = (
         [f"{last.n_stations} stations are the fewest for which the search found a layout that meets the tolerances."]
@@ -150,17 +150,17 @@ def _count_result_clauses(results: Sequence[StationCountResult], min_stations: i
     return [counts_clause(text, list(same)) for text, same in groupby(results, key=result_text)]
 
 
-def _air_sentence(plan: PlannedNetwork) -> list[str]:
+def _air_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentence on the uncertainty of the air that the results include."""
     adjustment = plan.layout.information.adjustment
     air = relevant_air_uncertainty(adjustment)
     if air is None:
         return []
     words = air_uncertainty_text(air, longest_range(adjustment))
-    return [f"All point errors include the {words}; change it as [air] of the plan."]
+    return [f"All point errors include the {words}; change these values in the table [air] of the plan."]
 
 
-def _reference_sentence(plan: PlannedNetwork) -> list[str]:
+def _reference_sentences(plan: PlannedNetwork) -> list[str]:
     reference, chosen = plan.reference_evaluation, plan.layout
     if plan.plan_file.workshop is not None:
         return []
@@ -183,7 +183,7 @@ def _reference_sentence(plan: PlannedNetwork) -> list[str]:
             f"way, the quality of {name} is {max(factor, 1 / factor):.2f} times "
             f"{'better' if factor >= 1 else 'worse'} ({_quality_value_text(name, reference.qualities[name])} there)."
         )
-    sentences += _parameter_sentence(reference, chosen)
+    sentences += _parameter_sentences(reference, chosen)
     if reference.expected_criteria is not None and chosen.expected_criteria is not None:
         a, b = reference.expected_criteria, chosen.expected_criteria
         sentences.append(
@@ -200,7 +200,7 @@ def _quality_value_text(name: str, value: float) -> str:
     return f"weighted point error {value / MICROMETRE:.1f} um" if name == TARGETS_QUALITY_NAME else f"{value:.3f}"
 
 
-def _parameter_sentence(reference: LayoutEvaluation, evaluation: LayoutEvaluation) -> list[str]:
+def _parameter_sentences(reference: LayoutEvaluation, evaluation: LayoutEvaluation) -> list[str]:
     entry_pairs = list(
         zip(
             PlannedParameterEntry.from_information(reference.information),
@@ -354,7 +354,7 @@ def _reference_objective(plan: PlannedNetwork) -> float:
     )[0]
 
 
-def _undetermined_sentence(plan: PlannedNetwork) -> list[str]:
+def _undetermined_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences on the number of undetermined combinations, and the measurement that determines most of them."""
     information = plan.layout.information
     count = len(information.undetermined_combinations)
@@ -366,7 +366,7 @@ def _undetermined_sentence(plan: PlannedNetwork) -> list[str]:
     return [f"{phrase} not determined by this layout (see the table){cure}."]
 
 
-def _search_sentence(plan: PlannedNetwork) -> list[str]:
+def _search_sentences(plan: PlannedNetwork) -> list[str]:
     n_searches = len(plan.start_objectives)
     if plan.is_stopped:
         return ["The search was stopped; this is the best layout until then."]

@@ -31,7 +31,7 @@ def to_degrees(angle: float) -> float:
 class PlanChange(Entry):
     """Change of one reflector of a plan: moved, added or removed."""
 
-    do: Literal["move", "add", "remove"]
+    kind: Literal["move", "add", "remove"]
     """Type of the change."""
     words: str = ""
     """Change and its benefit, as a sentence."""
@@ -133,10 +133,10 @@ class _ChangeEvaluator:
             movable_reflectors.normal_matrix_table,
             objective,
         )
-        self.present_places = np.arange(movable_reflectors.n_present)
-        self.present_normal_matrix = self.normal_matrix_table.normal_matrix(self.present_places)
+        self.present_place_indices = np.arange(movable_reflectors.n_present)
+        self.present_normal_matrix = self.normal_matrix_table.normal_matrix(self.present_place_indices)
         self.present_objective = self.normal_matrix_table.objective_values(
-            self.present_normal_matrix[None], self.present_places[None], objective
+            self.present_normal_matrix[None], self.present_place_indices[None], objective
         )[0]
         self.present_sigmas = self._parameter_sigmas(self.present_normal_matrix)
         gap = distances_in_pairs(movable_reflectors.places)
@@ -172,12 +172,12 @@ class _ChangeEvaluator:
     def _free_places(self, used_places: Ints) -> Ints:
         """Indices of the places that are free and far enough from the reflectors in use."""
         open_ = np.asarray(~self.is_too_near[:, used_places].any(axis=1))
-        open_[self.present_places] = False
+        open_[self.present_place_indices] = False
         return np.flatnonzero(open_)
 
     def evaluate_all(self) -> ReflectorChanges:
         """Results of all moves, additions and removals of one reflector, each evaluated with all others unchanged."""
-        terms, chosen = self.normal_matrix_table.place_normal_matrices, self.present_places
+        terms, chosen = self.normal_matrix_table.place_normal_matrices, self.present_place_indices
         candidates: dict[ChangeKind, list[ChangeResult]] = {what: [] for what in CHANGE_KINDS}
         tried, helped = dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0)
 
@@ -208,7 +208,7 @@ class _ChangeEvaluator:
         record_change("add", None, self._free_places(chosen))
         reported: list[PlanChange] = []
         for what, made in candidates.items():
-            best = _best_onset_per_place(sorted(made, key=lambda pair: pair[0]))[:MAX_REPORTED_CHANGES]
+            best = _best_change_per_place(sorted(made, key=lambda pair: pair[0]))[:MAX_REPORTED_CHANGES]
             reported += [
                 self._make_change(what, *change)
                 for change in best
@@ -219,9 +219,8 @@ class _ChangeEvaluator:
     def _make_change(
         self, kind: ChangeKind, value: float, removed_index: int | None, place_index: int | None, normal_matrix: Floats
     ) -> PlanChange:
-        remaining_places = (
-            self.present_places if removed_index is None else np.delete(self.present_places, removed_index)
-        )
+        present_indices = self.present_place_indices
+        remaining_places = present_indices if removed_index is None else np.delete(present_indices, removed_index)
         matrices = np.stack([self.present_normal_matrix, normal_matrix])
         before, after = self.normal_matrix_table.weighted_target_rms(matrices, remaining_places)
         if self._has_target_goal_only:
@@ -238,7 +237,7 @@ class _ChangeEvaluator:
         affected_parameter = (min if kind != "remove" else max)(ratios, key=lambda name: ratios[name])
         names, places = self.movable_reflectors.place_names, self.movable_reflectors.places
         change = PlanChange(
-            do=kind,
+            kind=kind,
             reflector="" if removed_index is None else names[removed_index],
             place="" if place_index is None else names[place_index],
             position_mm=None if place_index is None else to_millimetres(places[place_index]),
@@ -257,12 +256,12 @@ def _change_sentence(change: PlanChange) -> str:
     better = f"{100 * abs(1 - change.quality):.1f} % {'better' if change.quality <= 1 else 'worse'}"
     other = f"{abs(change.gain_um):.2f} um {'less' if change.gain_um >= 0 else 'more'} error of the other points"
     sigma = 100 * (change.most_affected_ratio - 1)
-    phrase = "hardest on" if change.do == "remove" else "most for"
+    phrase = "hardest on" if change.kind == "remove" else "most for"
     parameter = change.most_affected_parameter
     return f"{change.action_text}: quality {better}, {other}, {phrase} {parameter} (sigma {sigma:+.1f} %)"
 
 
-def _best_onset_per_place(change_results: list[ChangeResult]) -> list[ChangeResult]:
+def _best_change_per_place(change_results: list[ChangeResult]) -> list[ChangeResult]:
     """Best change for each place, and every change that needs no place (a removal)."""
     distinct, places = [], set()
     for change in change_results:

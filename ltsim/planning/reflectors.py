@@ -18,7 +18,7 @@ from ltsim.planning.layout_scorer import LayoutPrecision, LayoutScorer
 from ltsim.planning.objective import MIN_SWEEP_IMPROVEMENT, LayoutObjective
 from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.survey import PlannedSurvey
-from ltsim.scene.visibility import aim_nest_normals
+from ltsim.scene.visibility import best_nest_normals
 
 MAX_REFLECTOR_SWEEPS = 8
 """Largest number of sweeps of exchanges over all reflectors."""
@@ -226,7 +226,7 @@ def _is_usable_place(search_space: SearchSpace, survey: PlannedSurvey, places: F
         search_space.min_sights, len(survey.station_positions)
     )
     if search_space.is_aimed_nest.any():
-        is_usable &= aim_nest_normals(survey.station_positions, places)[1] <= search_space.sight_limits.max_incidence
+        is_usable &= best_nest_normals(survey.station_positions, places)[1] <= search_space.sight_limits.max_incidence
     return is_usable
 
 
@@ -236,9 +236,9 @@ def _is_near_point(points: Floats, places: Floats, distance: float) -> Bools:
     return np.asarray((gap < distance).any(axis=1))
 
 
-def _initial_places(places: Floats, present_places: Bools, n_reflectors: int, spacing: float) -> Ints:
+def _initial_places(places: Floats, is_present_place: Bools, n_reflectors: int, spacing: float) -> Ints:
     """Indices (n_reflectors,) of initial places: the present ones, then places far from all that are chosen."""
-    chosen: list[int] = np.flatnonzero(present_places).tolist()
+    chosen: list[int] = np.flatnonzero(is_present_place).tolist()
     while len(chosen) < n_reflectors:
         gap = np.linalg.norm(places[:, None] - places[chosen][None], axis=2).min(axis=1, initial=np.inf)
         best = int(np.argmax(gap))

@@ -34,7 +34,8 @@ from ltsim.simulation.sections import PlannedStation, PlannedTarget
 from ltsim.simulation.workshop import placed_obstacles
 
 FRAME_TEXT = (
-    "the workshop's: its corner is the origin, z is up; yaw is the direction of azimuth zero, counter-clockwise from x"
+    "the frame of the hall: the origin is a corner, z is up; yaw is the direction of azimuth zero, "
+    "counter-clockwise from x"
 )
 """Text on the coordinate system of all coordinates in a plan."""
 
@@ -209,7 +210,7 @@ def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | 
     companions = [plan.table(name) for name in plan._tables()]
     companions += [tables.make_visibility_table(network.layout), tables.make_work_order_table(network)]
     scenario, cad = copy_cad_files(scenario_of_plan(network))
-    texts = {table.file: table.csv() for table in companions} | {SCENARIO_FILE: scenario_to_toml(scenario)}
+    texts = {table.file: table.csv_text() for table in companions} | {SCENARIO_FILE: scenario_to_toml(scenario)}
     return write_result(folder, plan, {**texts, **cad, **(pictures or {})})
 
 

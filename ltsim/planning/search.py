@@ -14,7 +14,7 @@ import numpy as np
 from ltsim.adjustment.remedies.next_measurement import no_progress
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.planning.layout_scorer import LayoutScorer, NormalBlocks
 from ltsim.planning.objective import MIN_SWEEP_IMPROVEMENT, LayoutObjective
@@ -185,11 +185,11 @@ class LayoutSearcher:
         return best_index, float(objectives[best_index])
 
     def _exchange_sweep(
-        self, layout: NormalBlocks, value: float, candidates: Callable[[NormalBlocks, int], NormalBlocks | None]
+        self, layout: NormalBlocks, value: float, candidate_function: Callable[[NormalBlocks, int], NormalBlocks | None]
     ) -> tuple[NormalBlocks, float]:
         """Layout and objective after one sweep, in which each station is replaced by its best candidate if better."""
         for station_index in self._movable_stations:
-            alternatives = candidates(layout, station_index)
+            alternatives = candidate_function(layout, station_index)
             if alternatives is None:
                 continue
             which, best = self.best_replacement(layout, station_index, alternatives)
@@ -222,7 +222,10 @@ class LayoutSearcher:
         reach = 0.5 * self.grid_step
 
         def neighbouring_setups(layout: NormalBlocks, station_index: int) -> NormalBlocks | None:
-            """Set-ups near a station, with x, y, height and yaw changed separately and together."""
+            """Normal equations of trial set-ups near a station; None if no trial position is permitted.
+
+            Position, height and yaw are changed separately and together.
+            """
             axes = np.concatenate([np.eye(4), -np.eye(4)])
             steps = [reach, reach, reach, reach / self.grid_step]
             moves = np.concatenate([axes, random_generator.uniform(-1, 1, (16, 4))]) * steps
@@ -303,7 +306,7 @@ class LayoutSearcher:
 
         Start 0 is the layout in the scenario if the rules permit it; all other starts are random.
         """
-        rng = stream(seed, "plan", self.n_stations, start_number)
+        rng = random_stream(seed, "plan", self.n_stations, start_number)
         current = self.search_space.survey.station_positions, self.search_space.survey.station_yaws
         begins_there = start_number == 0 and np.isfinite(self.evaluate_layout(*current).objective_value)
         layout = self.layout_blocks(*current) if begins_there else self.random_layout(rng)

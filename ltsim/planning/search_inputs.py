@@ -26,7 +26,7 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.floor import areas_and_keep_outs
 from ltsim.scene.meshes import candidate_nest_places, wall_triangles
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.sections import Placing
+from ltsim.simulation.sections import PlacingSigmas
 from ltsim.simulation.simulator import simulate
 from ltsim.simulation.workshop import (
     WorkshopLayout,
@@ -47,8 +47,8 @@ RANGE_ONLY_OBSERVABLES = ("distance",)
 """Observables of an instrument that measures distances only."""
 MIN_RANGE_STATIONS = 3
 """Smallest number of stations whose ranges alone determine a reflector."""
-ZERO_PLACEMENT_SCATTER = Placing(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
-"""Placing without random deviations: stations, targets and gauge stand exactly as planned."""
+ZERO_PLACEMENT_SCATTER = PlacingSigmas(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
+"""PlacingSigmas without random deviations: stations, targets and gauge stand exactly as planned."""
 
 
 def planned_survey(scenario: Scenario) -> PlannedSurvey:
@@ -97,7 +97,7 @@ def _target_ranks(recording: Recording, layout: WorkshopLayout) -> Ints:
 
 
 def make_search_space(
-    plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, repeats: int = 1
+    plan: PlanFile, scenario: Scenario, *, n_stations: int, n_faces: int, n_repeats: int = 1
 ) -> SearchSpace:
     """Search space of a plan for a number of stations and a measuring procedure (faces and rounds)."""
     survey, layout, mm, air = (
@@ -113,17 +113,18 @@ def make_search_space(
     longest = max(np.linalg.norm(area.outline[:, None] - survey.target_points[:, :2], axis=2).max() for area in areas)
     places, names = candidate_places(plan, scenario)
     min_stations = plan.stations.min_stations_per_target
-    least = stations if min_stations == "all" else min(min_stations, stations)
+    least = n_stations if min_stations == "all" else min(min_stations, n_stations)
     if not survey.records_angles and least < MIN_RANGE_STATIONS:
-        if stations < MIN_RANGE_STATIONS or plan.requires_sights:
+        if n_stations < MIN_RANGE_STATIONS or plan.requires_sights:
             raise SetupError(
-                f"ranges alone determine a reflector from {MIN_RANGE_STATIONS} stations, not from {least}; require more"
+                f"ranges alone determine a reflector from {MIN_RANGE_STATIONS} stations, but the plan requires only "
+                f"{least} to see it; give more stations, or a larger stations.min_stations_per_target"
             )
         least = MIN_RANGE_STATIONS
     return SearchSpace(
-        survey=with_station_count(survey, stations).replace(
-            faces=tuple(range(1, faces + 1)),
-            repeats=repeats,
+        survey=with_station_count(survey, n_stations).replace(
+            faces=tuple(range(1, n_faces + 1)),
+            repeats=n_repeats,
             target_weights=point_weights(plan),
             air=air if air.is_relevant(float(longest)) else None,
             seconds_per_pointing=plan.budget.seconds_per_pointing or survey.seconds_per_pointing,
@@ -156,11 +157,13 @@ def unsearched_plan(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, Searc
     """
     asked = file if file.requires_sights else file.with_min_stations(min_sights_of_reflector(scenario))
     work = scenario.work
-    site = make_search_space(asked, scenario, stations=len(scenario.stations), faces=work.faces, repeats=work.repeats)
+    site = make_search_space(
+        asked, scenario, n_stations=len(scenario.stations), n_faces=work.faces, n_repeats=work.repeats
+    )
     return asked, site.replace(survey=site.survey.replace(is_visible=site.is_visible(site.survey.station_positions)))
 
 
-def procedures(plan_file: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
+def candidate_procedures(plan_file: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
     """Numbers of faces, and numbers of rounds, to choose from; those of the scenario if the plan gives no choice."""
     if not plan_file.chooses_procedure:
         return [scenario.work.faces], [scenario.work.repeats]

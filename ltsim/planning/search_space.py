@@ -15,9 +15,9 @@ import scipy.sparse as sp
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import SetupError
 from ltsim.core.notation import listing
-from ltsim.core.values import ValueEquality
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.scene.floor import KeepOutArea, StandingArea, grid_over_area, is_allowed_position, refusal_reason
 from ltsim.scene.meshes import Obstacles
@@ -138,7 +138,7 @@ class SearchSpace(ValueEquality):
         is_visible_place &= table.ranges - self.position_tolerance >= self.sight_limits.range_min
         if self.obstacles is not None and self.position_tolerance:
             s, t = np.nonzero(is_visible_place)
-            is_visible_place[s, t] = ~self.obstacles.is_blocked_near(
+            is_visible_place[s, t] = ~self.obstacles.is_blocked_within_tolerance(
                 position[s], self.obstacles.moved_to_surface(goal)[t], self.position_tolerance
             )
         return is_visible_place

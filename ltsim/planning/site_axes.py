@@ -7,7 +7,7 @@ import numpy as np
 from ltsim.adjustment import adjust
 from ltsim.adjustment.remedies.candidates import FloorPlan
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import NetworkError, SetupError, option
+from ltsim.core.errors import NetworkError, SetupError, option_text
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rotation_about_z
 from ltsim.physics.model.construction import declared_construction
@@ -42,8 +42,8 @@ def with_positions_on_site(recording: Recording, site: SearchSpace, site_name: s
     plan = _floor_plan_from_points(recording, adjustment.state, site, adjustment.undetermined_targets, site_name)
     if plan is None and not nominal:
         raise SetupError(
-            f"{option('site')} needs positions on the floor plan; set position_mm of the stations in setup.toml, or "
-            "name targets as in the plan"
+            f"{option_text('site')} needs positions on the floor plan; set position_mm of the stations in setup.toml, "
+            "or name targets as in the plan"
         )
     positions = (plan or FloorPlan.from_recording(recording, adjustment.state)).positions_on_plan(
         adjustment.state.station_positions

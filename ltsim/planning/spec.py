@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection, Vector
 from ltsim.scene.floor import Floor
-from ltsim.simulation.sections import ScenarioInstrument, Smr, Work, Workshop
+from ltsim.simulation.sections import MeasurementProcedure, ScenarioInstrument, Smr, Workshop
 
 WALLS_NAME = "walls"
 """Name of the walls of the room in the list of bodies on which reflectors may be placed."""
@@ -217,7 +217,7 @@ class PlanFile(TomlSection):
     """Tracker for this hall, with the keys of a scenario file."""
     smr: Smr | None = None
     """Reflectors, with the keys of a scenario file."""
-    work: Work | None = None
+    work: MeasurementProcedure | None = None
     """Order and timing of the measurement, with the keys of a scenario file; the default order is as listed."""
     air: AirUncertainty | None = None
     """Uncertainty of the air for long ranges, included in all results; default that of the scenario."""

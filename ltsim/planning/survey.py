@@ -71,7 +71,7 @@ class PlannedSurvey:
         if not set(self.faces) <= {1, 2} or not self.faces or len(set(self.faces)) < len(self.faces):
             raise SetupError(f"faces are {list(self.faces)}, expected [1], [2] or [1, 2]")
 
-    def nominal_noise(self, sightings: Sightings) -> Floats:
+    def true_noise_sigmas(self, sightings: Sightings) -> Floats:
         """Declared standard deviations (n, 3) [m, rad, rad] of the readings, without the uncertainty of the air."""
         nominal = [self.setup.instrument.noise]
         return noise_sigma(nominal, sightings.instrument, sightings.range_, sightings.elevation)

@@ -76,18 +76,25 @@ SETUPS_TABLE = Table(
         ),
         Column("towards", "direction of azimuth zero", "text", title="azimuth zero looks"),
         Column(
-            "height_m", "height of the centre of the head above the floor", shown=".2f", title="head over floor [m]"
+            "height_m",
+            "height of the centre of the head above the floor",
+            display_format=".2f",
+            title="head over floor [m]",
         ),
     ),
 )
 TRADEOFF_TABLE = Table(
     "tradeoff.csv",
-    "ways of working, each with its best layout",
+    "measuring procedures, each with its best layout",
     (
         *columns_of(TradeoffEntry, "stations faces repeats pointings hours"),
         *columns_of(TradeoffEntry, "value", value={"title": "objective"}),
-        Column("point_error_um", "the objective, if it is only the error of the targets", title="weighted point error"),
-        *columns_of(TradeoffEntry, "efficient", efficient={"title": "best layout in its time"}),
+        Column(
+            "point_error_um",
+            "the objective in um, if it consists only of the error of the targets",
+            title="weighted point error",
+        ),
+        *columns_of(TradeoffEntry, "efficient", efficient={"title": "best for its duration"}),
     ),
 )
 EFFECTS_TABLE = Table("effects.csv", "minimal detectable sizes of effects", columns_of(DetectableSize))
@@ -101,7 +108,9 @@ TOLERANCES_TABLE = Table(
             within_mm="error at the confidence level of the goal",
             tolerance_mm="limit of the error",
         ),
-        *text_columns(tolerance_ratio="error divided by the limit, with enough digits to show its side of the limit"),
+        *text_columns(
+            tolerance_ratio="error divided by the limit, with enough digits to show on which side of 1 it is"
+        ),
         *flag_columns(met="the tolerance is met"),
     ),
 )

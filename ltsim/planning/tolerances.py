@@ -31,7 +31,7 @@ UNDETERMINED_TEXT = "the network no longer determines its points"
 """Text for a network with free motions, in which point errors do not exist."""
 
 
-def is_met(ratio: float) -> bool:
+def is_tolerance_met(ratio: float) -> bool:
     """True if an error meets its tolerance; `ratio` is the unrounded error divided by the unrounded tolerance."""
     return ratio <= 1.0
 
@@ -125,7 +125,7 @@ class ToleranceCheck:
     @property
     def meets_all(self) -> bool:
         """True if all tolerances are met."""
-        return is_met(self.max_ratio)
+        return is_tolerance_met(self.max_ratio)
 
     @property
     def is_sight_loss(self) -> bool:
@@ -135,7 +135,7 @@ class ToleranceCheck:
     @property
     def exceeding_points(self) -> list[str]:
         """Determined points whose errors exceed their tolerances."""
-        return [name for name in self.error_by_point if not is_met(self.tolerance_ratio(name))]
+        return [name for name in self.error_by_point if not is_tolerance_met(self.tolerance_ratio(name))]
 
     def tolerance_ratio(self, name: str) -> float:
         """Ratio of a point's error to its tolerance."""
@@ -268,7 +268,7 @@ def feasibility_and_ratio(
     largest_ratio = max(
         loss.max_ratio for loss in checks_after_losses(survey, tolerances, construction, tolerances.withstood_loss)
     )
-    return is_met(largest_ratio), largest_ratio
+    return is_tolerance_met(largest_ratio), largest_ratio
 
 
 @dataclass(frozen=True)
@@ -307,7 +307,7 @@ def plan_verdict(
     )
     if worst_loss is not None:
         lost = (
-            "without any one station all are met"
+            "after the loss of any one station all are met"
             if worst_loss.meets_all
             else f"without {worst_loss.lost_text} they are not met"
         )

@@ -10,7 +10,7 @@ from ltsim.adjustment.remedies.candidates import VisibilityFunction
 from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress, rank_next_measurements as ranked
 from ltsim.core.arguments import MAX_MAPPING_NUMBER, STATION_POSITION_SYNTAX, check_bounds, check_mapping
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.errors import SetupError, option, unknown_name
+from ltsim.core.errors import SetupError, option_text, unknown_name_error
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.planning.multistart_search import PlanningProblem
@@ -109,8 +109,9 @@ def next_measurement(
         fits the residuals best.
     site : str or Path, optional
         Plan file, scenario or folder of a plan. New stations are then proposed only where its floor and bodies permit a
-        tripod, for the targets in sight. The adjusted network is placed in its axes by the targets with names of its
-        points, or with fewer than three of them by the positions of stations in the set-up.
+        tripod, for the targets in sight. The adjusted network is transformed to the axes of this
+        plan by the targets that have names of its points. If there are fewer than three of them, the positions of the
+        stations in the set-up are used.
     minutes_per_move : float
         Time [min] for moving the tripod.
     progress : callable
@@ -205,7 +206,7 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
         work.layout_blocks(survey.station_positions, survey.station_yaws), station_index, table
     )
     objectives[
-        _distances(table.setup_positions, survey.station_positions[station_index]) < MIN_ALTERNATIVE_DISTANCE
+        _horizontal_distances(table.setup_positions, survey.station_positions[station_index]) < MIN_ALTERNATIVE_DISTANCE
     ] = np.inf
     # Sights of points with a tolerance that would be missing decide first.
     demanded = PointTolerances.from_plan_file(file).tolerance_by_point or survey.target_names
@@ -216,7 +217,7 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
     alternatives: list[StationAlternative] = []
     for best in np.lexsort((objectives, lacking)).tolist():
         near = [
-            _distances(table.setup_positions[[best]], option_.survey.station_positions[station_index])[0]
+            _horizontal_distances(table.setup_positions[[best]], option_.survey.station_positions[station_index])[0]
             < MIN_ALTERNATIVE_DISTANCE
             for option_ in alternatives
         ]
@@ -251,7 +252,7 @@ def _plan_with_moved_stations(
     survey = survey.replace(station_positions=position, station_yaws=yaw)
     wrong = [rule for rule in site.broken_position_rules(survey) if {*rule.stations} & {*new_positions}]
     if wrong:
-        raise SetupError(f"{option('move')}: {broken_rules_text(wrong)}")
+        raise SetupError(f"{option_text('move')}: {broken_rules_text(wrong)}")
     return evaluate_plan(file, scenario, survey.replace(is_visible=site.is_visible(position)))
 
 
@@ -263,7 +264,9 @@ def _position_numbers(name: str, position: object) -> Floats:
     except (TypeError, ValueError):
         place = np.zeros(0)
     if not 2 <= len(place) <= 4 or not np.all(np.abs(place) <= MAX_MAPPING_NUMBER):
-        raise SetupError(f"{option('move')} {name}={','.join(map(str, words))}: expected {STATION_POSITION_SYNTAX}")
+        raise SetupError(
+            f"{option_text('move')} {name}={','.join(map(str, words))}: expected {STATION_POSITION_SYNTAX}"
+        )
     return place
 
 
@@ -273,14 +276,14 @@ def _position_text(station: str, place: Floats) -> str:
     return f"{station} at ({x:.2f}, {y:.2f}, {z:.2f}) m"
 
 
-def _distances(places: Floats, place: Floats) -> Floats:
+def _horizontal_distances(places: Floats, place: Floats) -> Floats:
     """Horizontal distances (N,) [m] of places (N, 3) from one place (3,)."""
     return np.linalg.norm(places[:, :2] - place[:2], axis=1)
 
 
 def _station_index(survey: PlannedSurvey, name: str) -> int:
     if name not in survey.station_names:
-        raise SetupError(str(unknown_name("station", name, survey.station_names)))
+        raise SetupError(str(unknown_name_error("station", name, survey.station_names)))
     return survey.station_names.index(name)
 
 

@@ -100,7 +100,7 @@ def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]
     survey, built = plan.layout.survey, plan.layout.information.construction
     recording = survey.noise_free_recording(built)
     sightings = sightings_at_state(recording, survey.nominal_state(built))
-    sigma = survey.nominal_noise(sightings) * survey.is_recorded_observable
+    sigma = survey.true_noise_sigmas(sightings) * survey.is_recorded_observable
     horizontal = sightings.range_ * np.cos(sightings.elevation)
     error = np.linalg.norm(sigma * np.stack([np.ones_like(horizontal), horizontal, sightings.range_], axis=1), axis=1)
     settings = []
@@ -141,7 +141,7 @@ def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[
     plumbed = [*((name, point) for name, point in targets if point[2] <= MAX_PLUMB_HEIGHT), *corners]
     level = [TapeDistance.from_station(name, point, place, is_along_floor=True) for name, point in plumbed]
     tapes = [np.stack([place[:2], mark.end_point[:2]]) for mark in level]
-    crossed = [any(area.is_crossed(tape) for area in plan.search_space.forbidden_areas) for tape in tapes]
+    crossed = [any(area.is_crossed_by_path(tape) for area in plan.search_space.forbidden_areas) for tape in tapes]
     level = [mark for mark, is_crossed in zip(level, crossed, strict=True) if not is_crossed]
     if obstacles is not None:
         ends = np.array([[*mark.end_point[:2], FREE_TAPE_HEIGHT] for mark in level])

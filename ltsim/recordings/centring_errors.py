@@ -33,7 +33,7 @@ class CentringUncertainty(TomlSection):
         """Centring errors of only the given stations and targets; None if they have none."""
         names_by_key = {
             key: tuple(name for name in chosen if name in names)
-            for key, chosen, names in self._names(stations, targets)
+            for key, chosen, names in self._declared_names(stations, targets)
         }
         return self.model_copy(update=names_by_key) if all(names_by_key.values()) else None
 
@@ -44,10 +44,10 @@ class CentringUncertainty(TomlSection):
 
         `stations` and `targets` are the names in the recording.
         """
-        for key, chosen, names in self._names(stations, targets):
+        for key, chosen, names in self._declared_names(stations, targets):
             yield from ((key, name, names) for name in chosen if name not in names)
 
-    def _names(
+    def _declared_names(
         self, stations: Sequence[str], targets: Sequence[str]
     ) -> Iterator[tuple[str, tuple[str, ...], Sequence[str]]]:
         """Key (`stations` or `targets`), names declared under it, and names in the recording; only keys with names."""

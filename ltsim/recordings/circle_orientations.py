@@ -34,18 +34,18 @@ def circle_orientations(occupation: Ints, sight_number: Ints, readings: Floats) 
     `sight_number` (n,) numbers the pointings from one occupation to one target on one face, `readings` are (n, 3) [m,
     rad]. An occupation whose rows cannot all be assigned has one orientation.
     """
-    _, first_rows, code = np.unique(sight_number, return_index=True, return_inverse=True)
-    change = readings - readings[first_rows[code]]
+    _, first_row_of_sight, code = np.unique(sight_number, return_index=True, return_inverse=True)
+    change = readings - readings[first_row_of_sight[code]]
     rotations_from_first = wrap_angle(change[:, 1])
     is_moved = (np.abs(change[:, 0]) > MAX_DISTANCE_DIFFERENCE_M) | (np.abs(change[:, 2]) > MAX_DIRECTION_DIFFERENCE)
-    rotations_from_first[is_moved | (first_rows[code] == np.arange(len(sight_number)))] = (
+    rotations_from_first[is_moved | (first_row_of_sight[code] == np.arange(len(sight_number)))] = (
         np.nan
     )  # new targets, and those that moved
     turned_setups = np.unique(occupation[np.abs(rotations_from_first) > MIN_CIRCLE_RESET_ROTATION])
     orientation = np.zeros(len(occupation), dtype=np.int64)
     for number in turned_setups.tolist():
         rows = np.flatnonzero(occupation == number)
-        local = np.searchsorted(rows, first_rows[code[rows]])
+        local = np.searchsorted(rows, first_row_of_sight[code[rows]])
         orientation[rows] = _orientations_of_occupation(local.tolist(), rotations_from_first[rows].tolist())
     return orientation if orientation.any() else None
 
@@ -58,21 +58,22 @@ def zeroed_circle_note(n_orientations: int, n_occupations: int) -> str:
     )
 
 
-def _orientations_of_occupation(first_rows: list[int], rotations_from_first: list[float]) -> list[int]:
+def _orientations_of_occupation(first_row_of_same_target: list[int], rotations_from_first: list[float]) -> list[int]:
     """Number of the orientation of each row of one occupation; all 0 if too many rows contradict the orientations.
 
-    `first_rows` holds, for each row, the row of the first pointing to the same target. `rotations_from_first` is
-    the direction of the row minus the direction in that first row [rad], NaN for a first pointing.
+    `first_row_of_same_target` holds, for each row, the row of the first pointing to the same target.
+    `rotations_from_first` is the direction of the row minus the direction in that first row [rad], NaN for a first
+    pointing.
     """
     rotations, orientations = [0.0], list[int]()
     n_repeated = n_contradictory = 0
-    for row, first in enumerate(first_rows):
+    for row, first in enumerate(first_row_of_same_target):
         circle_rotation = math.nan if first == row else rotations_from_first[row] + rotations[orientations[first]]
         if not math.isnan(circle_rotation):
             n_repeated += 1
             if not _is_equal_direction(circle_rotation, rotations[-1]):
                 if abs(_wrap(circle_rotation - rotations[-1])) > MIN_CIRCLE_RESET_ROTATION and _is_confirmed(
-                    row, first_rows, rotations_from_first, circle_rotation, rotations, orientations
+                    row, first_row_of_same_target, rotations_from_first, circle_rotation, rotations, orientations
                 ):
                     rotations.append(circle_rotation)
                 else:
@@ -83,7 +84,7 @@ def _orientations_of_occupation(first_rows: list[int], rotations_from_first: lis
 
 def _is_confirmed(
     row: int,
-    first_rows: list[int],
+    first_row_of_same_target: list[int],
     rotations_from_first: list[float],
     circle_rotation: float,
     rotations: list[float],
@@ -94,9 +95,9 @@ def _is_confirmed(
     `rotations` holds the rotation [rad] of each earlier orientation, `orientations` the number of the orientation of
     each earlier row.
     """
-    agreeing = {first_rows[row]}
-    for later in range(row + 1, min(row + MAX_ROWS_AHEAD, len(first_rows))):
-        first = first_rows[later]
+    agreeing = {first_row_of_same_target[row]}
+    for later in range(row + 1, min(row + MAX_ROWS_AHEAD, len(first_row_of_same_target))):
+        first = first_row_of_same_target[later]
         if first >= row or first in agreeing or math.isnan(rotations_from_first[later]):
             continue
         if not _is_equal_direction(rotations_from_first[later] + rotations[orientations[first]], circle_rotation):

@@ -86,18 +86,18 @@ class PolarReadings:
 
     station: Ints
     target: Ints
-    horizontal: Floats
-    vertical: Floats
+    horizontal_angles: Floats
+    vertical_angles: Floats
     distance: Floats
 
-    def points(self, angle: AngleUnit, vertical: VerticalKind) -> Floats:
+    def points(self, angle: AngleUnit, vertical_kind: VerticalKind) -> Floats:
         """Coordinates (n, 3) in each station's frame, in the unit of the distances.
 
         Azimuths are taken as counter-clockwise.
         """
-        vertical_angle = self.vertical * SI_PER_UNIT[angle]
-        elevation = np.pi / 2 - vertical_angle if vertical == "zenith" else vertical_angle
-        return from_polar(np.stack([self.distance, self.horizontal * SI_PER_UNIT[angle], elevation], axis=1))
+        vertical_angle = self.vertical_angles * SI_PER_UNIT[angle]
+        elevation = np.pi / 2 - vertical_angle if vertical_kind == "zenith" else vertical_angle
+        return from_polar(np.stack([self.distance, self.horizontal_angles * SI_PER_UNIT[angle], elevation], axis=1))
 
 
 def angle_convention(polar: PolarReadings, hints: Hints, file: object) -> tuple[AngleUnit, VerticalKind, list[str]]:
@@ -139,7 +139,7 @@ def _is_possible_convention(
     therefore holds zenith angles, unless the user declared the kind of vertical angle (`is_declared`).
     """
     circle = FULL_CIRCLE_BY_UNIT[angle]
-    horizontal, readings = polar.horizontal, polar.vertical
+    horizontal, readings = polar.horizontal_angles, polar.vertical_angles
     if np.nanmax(np.abs(horizontal), initial=0) > circle * 1.001 or np.nanmax(np.abs(readings), initial=0) > circle:
         return False
     if vertical == "elevation":
@@ -157,13 +157,15 @@ def _same_target_rows(polar: PolarReadings) -> tuple[Ints, Ints]:
     return first[is_repeated], next_[is_repeated]
 
 
-def _count_two_face_pairs(polar: PolarReadings, angle: AngleUnit, vertical: VerticalKind) -> int:
+def _count_two_face_pairs(polar: PolarReadings, angle: AngleUnit, vertical_kind: VerticalKind) -> int:
     """Number of pairs of rows with one target on both faces: azimuths half a circle apart, matching vertical angles."""
     first, other = _same_target_rows(polar)
     circle = FULL_CIRCLE_BY_UNIT[angle]
-    sum_of_faces = circle if vertical == "zenith" else circle / 2
-    azimuth_misfit = np.abs(np.mod(polar.horizontal[first] - polar.horizontal[other], circle) - circle / 2)
-    vertical_misfit = np.abs(polar.vertical[first] + polar.vertical[other] - sum_of_faces)
+    sum_of_faces = circle if vertical_kind == "zenith" else circle / 2
+    azimuth_misfit = np.abs(
+        np.mod(polar.horizontal_angles[first] - polar.horizontal_angles[other], circle) - circle / 2
+    )
+    vertical_misfit = np.abs(polar.vertical_angles[first] + polar.vertical_angles[other] - sum_of_faces)
     is_two_face_pair: Bools = (azimuth_misfit < 1e-3 * circle) & (vertical_misfit < 1e-3 * circle)
     return int(is_two_face_pair.sum())
 
@@ -260,13 +262,14 @@ def _azimuth_sense_by_alignment(
         rows = rows[np.all(np.isfinite(local_points[rows]), axis=1)]
         if len(np.unique(polar.target[rows])) < 4:
             continue
-        misfit = _misfits(local_points[rows], np.array([points_by_target[int(t)] for t in polar.target[rows]]))
+        fixed_points = np.array([points_by_target[int(t)] for t in polar.target[rows]])
+        misfit = _rigid_misfits(local_points[rows], fixed_points)
         if max(misfit) > MIN_MISFIT_RATIO * min(misfit):
             station_senses.append(int(np.argmin(misfit)))
     return _unanimous_sense(station_senses)
 
 
-def _misfits(points: Floats, fixed_points: Floats) -> list[float]:
+def _rigid_misfits(points: Floats, fixed_points: Floats) -> list[float]:
     """Median misfits [m] of points (n, 3), and of their mirror image, to `fixed_points` (n, 3) after a rigid alignment.
 
     A misfit is 1 if no alignment exists.
@@ -320,7 +323,7 @@ def _unanimous_sense(station_senses: list[int]) -> AzimuthSense | None:
     return "clockwise" if station_senses[0] else "counter-clockwise"
 
 
-def clock_question(recording: Recording) -> tuple[str, ...]:
+def clock_questions(recording: Recording) -> tuple[str, ...]:
     """Question about the unit of time, if the median time between targets is implausible; otherwise empty."""
     is_change = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
     paces = np.abs(np.diff(recording.time))[is_change]
@@ -337,7 +340,7 @@ def clock_question(recording: Recording) -> tuple[str, ...]:
     )
 
 
-def vertical_pointings_note(recording: Recording) -> tuple[str, ...]:
+def vertical_pointings_notes(recording: Recording) -> tuple[str, ...]:
     """Note on pointings along the vertical axis, of which an adjustment uses only the distances; empty without them."""
     vertical_rows = np.flatnonzero(recording.is_vertical & recording.is_measured[:, 1:].any(axis=1))
     if not len(vertical_rows):
@@ -381,7 +384,7 @@ def _mirrored_station_pairs(local_points: Floats, recording: Recording) -> list[
     for other, s in neighbour_pairs(recording.station[measured], recording.target[measured], len(recording.stations)):
         common = sorted(clouds[other].keys() & clouds[s].keys())
         here, there = (np.array([clouds[k][t] for t in common]) for k in (s, other))
-        misfit, mirror = _misfits(here, there)
+        misfit, mirror = _rigid_misfits(here, there)
         if misfit > MIN_MISFIT_RATIO * mirror and mirror < MAX_MIRROR_MISFIT * float(np.ptp(there, axis=0).max()):
             pairs.append((other, s))
     return pairs

@@ -85,7 +85,7 @@ class PointList:
         return np.sqrt(np.einsum("nii->ni", self.covariance))
 
     @property
-    def by_name(self) -> dict[str, Floats]:
+    def coordinates_by_name(self) -> dict[str, Floats]:
         """Coordinates (3,) [m] of each point that has all three, by name."""
         is_whole = np.asarray(np.isfinite(self.points).all(axis=1))
         return {name: p for name, p, whole in zip(self.names, self.points, is_whole.tolist(), strict=True) if whole}
@@ -200,7 +200,7 @@ class _PointRowReader:
         additional = [c for c in self.columns if c.is_additional and c.role not in self.numbers]
         texts = {c.title: tuple(row.cell(c.position) for row, _ in named_rows.values()) for c in additional}
         lines = tuple(row.line for row, _ in named_rows.values())
-        covariance = _covariance(numbers_by_column, len(named_rows))
+        covariance = _point_covariances(numbers_by_column, len(named_rows))
         axes = [role in COORDINATE_ROLES for role in self.numbers]
         gaps_m = np.array([np.subtract(*pair) for pair in ignored]).reshape(-1, len(axes)) * scale
         largest_gap_m = float(np.nanmax(np.linalg.norm(gaps_m[:, axes], axis=1), initial=0.0))
@@ -235,7 +235,7 @@ class _PointRowReader:
         return np.array(scales) ** [1 + role.startswith("covariance") for role in self.numbers], notes
 
 
-def _covariance(numbers_by_column: Mapping[str, Floats], n_points: int) -> Floats:
+def _point_covariances(numbers_by_column: Mapping[str, Floats], n_points: int) -> Floats:
     """Covariance (n, 3, 3) [m^2] of n points from columns with a full matrix, or with standard deviations."""
     if "covariance 0" in numbers_by_column:
         full = np.stack([numbers_by_column[f"covariance {i}"] for i in range(9)], axis=1).reshape(n_points, 3, 3)

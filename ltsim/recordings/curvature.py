@@ -35,7 +35,8 @@ def with_earth_curvature(recording: Recording) -> Recording:
     drop = longest**2 / (2.0 * EARTH_RADIUS) / MILLIMETRE
     note = (
         f"the set-ups are levelled on a curved earth: over the longest sight, {longest:.4g} m, a level surface leaves "
-        f"the plane by {drop:.2g} mm; coordinates refer to one plumb line (curved = false in setup.toml: parallel ones)"
+        f"the plane by {drop:.2g} mm; coordinates refer to one plumb line (for parallel plumb lines "
+        "set curved = false in setup.toml)"
     )
     if setup.refraction is None and sum(DEFAULT_REFRACTION) * angle_in_sigmas > MIN_CURVATURE_SIGMAS:
         setup_changes["refraction"] = DEFAULT_REFRACTION

@@ -7,14 +7,14 @@ from types import ModuleType
 
 from pydantic import ValidationError
 
-from ltsim.core.errors import RecordError, unknown_name
+from ltsim.core.errors import RecordError, unknown_name_error
 from ltsim.recordings import coordinates, native
 from ltsim.recordings.conventions import (
     NO_HINTS,
     Hints,
-    clock_question,
+    clock_questions,
     mirror_image_sentences,
-    vertical_pointings_note,
+    vertical_pointings_notes,
 )
 from ltsim.recordings.files import decode_head, with_unix_line_ends
 from ltsim.recordings.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
@@ -55,7 +55,7 @@ class FileFormat:
     """
 
     name: str
-    about: str
+    description: str
     suffixes: tuple[str, ...]
     recognises: Callable[[Path, str], bool]
     read: Callable[[Path, Hints], Recording]
@@ -152,8 +152,8 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     notes = (
         *recording.notes,
         *mirror_image_sentences(recording),
-        *clock_question(recording),
-        *vertical_pointings_note(recording),
+        *clock_questions(recording),
+        *vertical_pointings_notes(recording),
     )
     return recording.replace(notes=notes)
 
@@ -181,7 +181,10 @@ def recognise_format(path: Path) -> FileFormat:
     if not (path / native.OBSERVATIONS_FILE).is_file() and (
         inside := sorted(path.glob(f"*/{native.OBSERVATIONS_FILE}"))
     ):
-        raise RecordError(f"is not a recording, but contains {len(inside)}; give {inside[0].parent}", file=path)
+        advice = f"a recording; give {inside[0].parent}"
+        if len(inside) > 1:
+            advice = f"{len(inside)} recordings; give one of them, such as {inside[0].parent}"
+        raise RecordError(f"is not a recording, but contains {advice}", file=path)
     beginning = ""
     if path.is_file():
         try:
@@ -196,7 +199,7 @@ def recognise_format(path: Path) -> FileFormat:
         )
     fitting_formats = [f for f in FORMATS if f.recognises(path, beginning)]
     if not fitting_formats:
-        formats = "; ".join(f"{f.name} ({f.about})" for f in FORMATS)
+        formats = "; ".join(f"{f.name} ({f.description})" for f in FORMATS)
         raise RecordError(f"has none of the formats that ltsim reads: {formats}", file=path)
     return next(
         (f for f in fitting_formats if f.has_signature or path.suffix.lower() in f.suffixes), fitting_formats[0]
@@ -218,5 +221,5 @@ def write(recording: Recording, path: Path | str, format: str = "native") -> Non
 def _format_by_name(name: str, formats: tuple[FileFormat, ...]) -> FileFormat:
     format_by_name = {f.name: f for f in formats}
     if name not in format_by_name:
-        raise RecordError(str(unknown_name("format", name, format_by_name)))
+        raise RecordError(str(unknown_name_error("format", name, format_by_name)))
     return format_by_name[name]

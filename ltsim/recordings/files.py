@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import MAX_FILE_BYTES, MAX_LINE_CHARACTERS, MAX_TEXT_LINES, MIB
+from ltsim.core.limits import BYTES_PER_MIB, MAX_FILE_BYTES, MAX_LINE_CHARACTERS, MAX_TEXT_LINES
 from ltsim.core.storage import write_files
 
 MAX_RECORDING_NAME_LENGTH = 100
@@ -45,7 +45,7 @@ def read_bytes(path: Path, max_bytes: int = MAX_FILE_BYTES) -> bytes:
         reason = getattr(problem, "strerror", None) or "not a usable path"
         raise RecordError(f"cannot be read ({reason})", file=path) from None
     if len(content) > max_bytes:
-        raise RecordError(f"is larger than {max_bytes // MIB} MiB, the limit for reading", file=path)
+        raise RecordError(f"is larger than {max_bytes // BYTES_PER_MIB} MiB, the limit for reading", file=path)
     if not content.strip():
         raise RecordError("is empty", file=path)
     return content
@@ -133,12 +133,14 @@ class SourceLocation:
         """RecordError that names this location, to be raised by the caller."""
         return RecordError(message, file=self.file, row=self.row, column=self.column if column is None else column)
 
-    def number(self, text: str, column: str | None = None, *, limit: float = 1e12, comma: bool = False) -> float:
-        """Finite decimal number of at most `limit` in magnitude, optionally with a decimal `comma`.
+    def number(
+        self, text: str, column: str | None = None, *, limit: float = 1e12, allows_decimal_comma: bool = False
+    ) -> float:
+        """Finite decimal number of at most `limit` in magnitude, optionally with a decimal comma.
 
         Raises RecordError for any other text, including NaN, infinities and digits of other scripts.
         """
-        text = text.strip().replace(",", ".", 1) if comma else text.strip()
+        text = text.strip().replace(",", ".", 1) if allows_decimal_comma else text.strip()
         if not is_number(text):
             wanted = "expected a finite number" if is_not_finite(text) else "expected a number"
             hint = ", with a point instead of a comma" if is_number(text.replace(",", ".", 1)) else ""
@@ -184,7 +186,7 @@ class SourceLocation:
 
 def parse_comma_number(text: str, *, file: object, row: int | None = None, column: str | None = None) -> float:
     """Finite number from a text with a decimal point or a decimal comma; raises RecordError."""
-    return SourceLocation(file, row, column).number(text, comma=True)
+    return SourceLocation(file, row, column).number(text, allows_decimal_comma=True)
 
 
 def as_title(text: str) -> str:

@@ -162,7 +162,7 @@ def parse(table_rows: list[list[str]], setup: Setup, folder: Path, *, incomplete
         target=target,
         face=face,
         repeat=_integer_column(repeat, SourceLocation(file, column="repeat"), (1, 1_000_000)),
-        time=_float_column(time, SourceLocation(file, column="time_s"), optional=False),
+        time=_float_column(time, SourceLocation(file, column="time_s"), is_optional=False),
         readings=measured * [MILLIMETRE, DEGREE, DEGREE],
         covariates=covariates,
         labels=labels,
@@ -215,11 +215,11 @@ def _integer_column(column: list[str], location: SourceLocation, bounds: tuple[i
     return np.array([number_by_text[text] for text in column], dtype=np.int64)
 
 
-def _float_column(column: list[str], location: SourceLocation, *, optional: bool = True) -> Floats:
-    """Column of numbers within the bounds of its name; empty cells are NaN if `optional`."""
+def _float_column(column: list[str], location: SourceLocation, *, is_optional: bool = True) -> Floats:
+    """Column of numbers within the bounds of its name; empty cells are NaN if `is_optional`."""
     low, high = COLUMN_BOUNDS.get(location.column or "", (-1e15, 1e15))
     numbers = np.full(len(column), np.nan)
-    filled_rows = [i for i, text in enumerate(column) if text or not optional]
+    filled_rows = [i for i, text in enumerate(column) if text or not is_optional]
     texts = [column[i] for i in filled_rows]
     if max(map(len, texts), default=0) <= MAX_NUMBER_LENGTH and all(map(NUMBER_PATTERN.fullmatch, texts)):
         numbers[filled_rows] = list(map(float, texts))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import ModelError, NetworkError, option
+from ltsim.core.errors import ModelError, NetworkError, option_text
 from ltsim.core.limits import MAX_NETWORK_SETUPS, POINTINGS_LIMIT_VARIABLE, max_pointings
 from ltsim.core.results import ColumnValues, Result
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
@@ -53,13 +53,13 @@ OCCUPATION_COLUMNS = ("instrument_setup", "target_setup")
 """Text columns with the occupation of a mark by the instrument, and by the reflector, for each pointing."""
 
 
-def noise_sigma(noise: Sequence[Noise], instrument: Ints, range_: Floats, elevation: Floats) -> Floats:
+def noise_sigma(noise_declarations: Sequence[Noise], instrument: Ints, range_: Floats, elevation: Floats) -> Floats:
     """Standard deviation (n, 3) [m, rad, rad] of the range, azimuth and elevation of n pointings by the declared noise.
 
-    `instrument` (n,) is the index into `noise` of the instrument of each pointing. A range has constant + ppm * range,
-    an azimuth the noise across the beam divided by the cosine of the elevation.
+    `instrument` (n,) is the index into `noise_declarations` of the instrument of each pointing. A range has constant +
+    ppm * range, an azimuth the noise across the beam divided by the cosine of the elevation.
     """
-    noise_values = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise]
+    noise_values = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise_declarations]
     units = np.array([MILLIMETRE, PPM, ARCSECOND, ARCSECOND])
     constant, per_metre, azimuth_sigma, elevation_sigma = (np.array(noise_values) * units)[instrument].T
     cos_elevation = np.maximum(np.abs(np.cos(elevation)), MIN_COS_ELEVATION)
@@ -70,10 +70,10 @@ def repeat_numbers(station: Ints, target: Ints, face: Ints) -> Ints:
     """Repeat number (n,), 1, 2, ..., of each pointing among those from one station to one target on one face."""
     order = np.lexsort((face, target, station))
     keys = np.stack([station, target, face], axis=1)[order]
-    first_rows = np.flatnonzero(np.any(np.diff(keys, axis=0, prepend=-1), axis=1))
-    counts = np.diff(first_rows, append=len(order))
+    first_rows_of_sights = np.flatnonzero(np.any(np.diff(keys, axis=0, prepend=-1), axis=1))
+    counts = np.diff(first_rows_of_sights, append=len(order))
     repeat = np.empty(len(order), dtype=np.int64)
-    repeat[order] = np.arange(len(order)) - np.repeat(first_rows, counts) + 1
+    repeat[order] = np.arange(len(order)) - np.repeat(first_rows_of_sights, counts) + 1
     return repeat
 
 
@@ -309,7 +309,7 @@ class Recording(Result):
         for row_step in (smallest_step, 2 * smallest_step, int(sights.max())):
             count = int(np.sum(-(-sights // row_step)))
             if count <= pointings:
-                advice = f"convert it with {option('every')} {row_step}, which leaves {count} of them"
+                advice = f"convert it with {option_text('every')} {row_step}, which leaves {count} of them"
                 break
         raise NetworkError(
             f"the recording holds {len(self)} pointings; {command} takes at most {pointings}: {advice}; "

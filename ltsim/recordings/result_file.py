@@ -27,10 +27,10 @@ from pydantic import (
 from pydantic_core import CoreSchema
 
 from ltsim.core.descriptions import DescribedModel
+from ltsim.core.equality import equal_values
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_JSON_VALUES
 from ltsim.core.results import MAX_MAGNITUDE, Result
-from ltsim.core.values import equal_values
 from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.files import quoted_text, read_bytes, read_text, write_texts
 from ltsim.recordings.recording import Recording
@@ -217,8 +217,8 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
     Raises RecordError for other content, for too many values, and for a number beyond `MAX_MAGNITUDE`.
     """
 
-    def checked_number(text: str, kind: Callable[[str], float]) -> float:
-        value = kind(text) if len(text) <= 400 else math.inf
+    def checked_number(text: str, number_type: Callable[[str], float]) -> float:
+        value = number_type(text) if len(text) <= 400 else math.inf
         if not abs(value) <= MAX_MAGNITUDE:
             raise RecordError(
                 f"contains the number {quoted_text(text)}, expected a finite one, at most {MAX_MAGNITUDE:g} in size",
@@ -226,7 +226,7 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
             )
         return value
 
-    decimal, whole = (partial(checked_number, kind=kind) for kind in (float, int))
+    decimal, whole = (partial(checked_number, number_type=number_type) for number_type in (float, int))
     text = read_text(file)
     if text.count(",") + text.count("[") + text.count("{") > MAX_JSON_VALUES:
         raise RecordError(f"holds more than {MAX_JSON_VALUES} values, the limit for reading", file=file)

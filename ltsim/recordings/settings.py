@@ -82,11 +82,11 @@ def check_toml_limits(text: str, file: object) -> None:
         elif mark in "\n=,":
             line, parts = token.end() if mark == "\n" else line, 0
         elif len(mark) > MAX_TOML_WORD_CHARACTERS and mark[0] not in "\"'#":
-            raise SourceLocation(file, _row_of(token)).error(
+            raise SourceLocation(file, _line_number_of_token(token)).error(
                 f"a key or number is longer than {MAX_TOML_WORD_CHARACTERS} characters, the limit for reading"
             )
         if brackets + parts > MAX_TOML_DEPTH:
-            raise SourceLocation(file, _row_of(token)).error(
+            raise SourceLocation(file, _line_number_of_token(token)).error(
                 f"tables or keys are nested deeper than {MAX_TOML_DEPTH}, the limit for reading"
             )
         if keys > MAX_TOML_KEYS or values > MAX_TOML_VALUES:
@@ -94,7 +94,7 @@ def check_toml_limits(text: str, file: object) -> None:
             raise RecordError(f"holds more than {most}, the limit for reading", file=file)
 
 
-def _row_of(token: re.Match[str]) -> int:
+def _line_number_of_token(token: re.Match[str]) -> int:
     """Number of the line in which a token begins, from 1."""
     return token.string.count("\n", 0, token.start()) + 1
 
@@ -107,15 +107,15 @@ def validate_setup(setup_tables: Mapping[str, Any], file: object) -> Setup:
     return setup
 
 
-def with_completed_instruments(tables: Mapping[str, Any], complete: Callable[[Any, str], Any]) -> dict[str, Any]:
-    """Tables of a file in which `complete(table, key)` replaces each instrument's table, with the key of the table."""
+def with_completed_instruments(tables: Mapping[str, Any], complete_table: Callable[[Any, str], Any]) -> dict[str, Any]:
+    """Tables of a file in which `complete_table(table, key)` replaces the table of each instrument, at its key."""
     completed, named_instruments = dict(tables), tables.get("instruments")
     if isinstance(named_instruments, dict):
         completed["instruments"] = {
-            name: complete(table, f"instruments.{name}") for name, table in named_instruments.items()
+            name: complete_table(table, f"instruments.{name}") for name, table in named_instruments.items()
         }
     if "instrument" in tables:
-        completed["instrument"] = complete(tables["instrument"], "instrument")
+        completed["instrument"] = complete_table(tables["instrument"], "instrument")
     return completed
 
 
@@ -236,7 +236,7 @@ def validation_sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
     if error["type"] == "missing":
         return f"the key {quoted_text(key, 100)} is missing"
     message = error["msg"][0].lower() + error["msg"][1:]
-    expected = quoted_text(_expected_text(message), 120)
+    expected = quoted_text(_reworded_message(message), 120)
     return f"{quoted_text(key, 100)} is {value}, but {expected}" if key else expected
 
 
@@ -247,7 +247,8 @@ def _permitted_keys(root: type[BaseModel], path: Iterable[object]) -> list[str]:
 _COUNT_PATTERN = re.compile(r"^(?:tuple|list) should have (at most|at least) (\d+) items? after validation, not \d+")
 
 
-def _expected_text(message: str) -> str:
+def _reworded_message(message: str) -> str:
+    """Message of a validation error in the wording of ltsim: `it should ...`."""
     return _COUNT_PATTERN.sub(
         r"it should hold \1 \2", message.replace("input should", "it should").removeprefix("value error, ")
     )

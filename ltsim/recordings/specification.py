@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import ModelError, unknown_name
+from ltsim.core.errors import ModelError, unknown_name_error
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
 from ltsim.geometry.polar import to_polar
 from ltsim.recordings.setup import Instrument, Noise, NonNegative, Prior, TomlSection
@@ -150,7 +150,7 @@ def data_sheet_values(name: str) -> dict[str, Any]:
     Raises ModelError if there is no such sheet.
     """
     if name not in _data_sheets():
-        raise unknown_name("data sheet", name, _data_sheets())
+        raise unknown_name_error("data sheet", name, _data_sheets())
     return dict(_data_sheets()[name])
 
 
@@ -165,7 +165,7 @@ def complete_values(name: str, declared_values: Mapping[str, Any]) -> dict[str, 
         message = f"the data sheet {name} does not give {' and '.join(missing)}"
         raise ModelError(f"{message}; set {'it' if len(missing) == 1 else 'them'} in the table [specification]")
     if declared_values:
-        keys["source"] += f"; not from there: {', '.join(declared_values)}"
+        keys["source"] += f"; not from the data sheet: {', '.join(declared_values)}"
     return {**keys, **declared_values}
 
 

@@ -64,9 +64,9 @@ def _sights_on_face(recording: Recording, face: int) -> list[tuple[int, int]]:
 
 def _readings_text(recording: Recording) -> str:
     counts = recording.is_measured.sum(axis=0)
-    suffix = " (horizontal ones)" if recording.is_horizontal.any() else ""
+    horizontal_text = " (horizontal ones)" if recording.is_horizontal.any() else ""
     distances = (
-        f"{counts[0]} distances{suffix} of {_range_text(recording.readings[:, 0], '.4g')} m"
+        f"{counts[0]} distances{horizontal_text} of {_range_text(recording.readings[:, 0], '.4g')} m"
         if counts[0]
         else "no distances"
     )

@@ -26,13 +26,13 @@ class TranscriptionError:
     """Text for what the columns contain, such as "metres"."""
     right_content: str
     """Text for what the columns should contain, such as "millimetres"."""
-    changed_readings: tuple[tuple[int, float, float], ...]
+    reading_conversions: tuple[tuple[int, float, float], ...]
     """Column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad] of each changed reading."""
 
     @property
     def changed_columns(self) -> tuple[int, ...]:
         """Columns that the error changes."""
-        return tuple(column for column, _, _ in self.changed_readings)
+        return tuple(column for column, _, _ in self.reading_conversions)
 
     @property
     def cause(self) -> str:
@@ -42,20 +42,20 @@ class TranscriptionError:
     def with_error(self, readings: Floats) -> Floats:
         """Readings (n, 3) [m, rad, rad] with the error, from readings without it."""
         changed_readings = readings.copy()
-        for column, factor, offset in self.changed_readings:
+        for column, factor, offset in self.reading_conversions:
             changed_readings[:, column] = factor * readings[:, column] + offset
         return changed_readings
 
     def without_error(self, readings: Floats) -> Floats:
         """Readings (n, 3) [m, rad, rad] without the error, from readings with it."""
         corrected = readings.copy()
-        for column, factor, offset in self.changed_readings:
+        for column, factor, offset in self.reading_conversions:
             corrected[:, column] = (readings[:, column] - offset) / factor
         return corrected
 
 
-def _length_error(name: str, unit: str, millimetres: float) -> TranscriptionError:
-    return TranscriptionError(name, unit, "millimetres", ((0, 1.0 / millimetres, 0.0),))
+def _length_error(name: str, unit: str, unit_in_mm: float) -> TranscriptionError:
+    return TranscriptionError(name, unit, "millimetres", ((0, 1.0 / unit_in_mm, 0.0),))
 
 
 GON_PER_DEGREE, RADIAN_PER_DEGREE = (SI_PER_UNIT["deg"] / SI_PER_UNIT[unit] for unit in ("gon", "rad"))
@@ -208,7 +208,7 @@ def _face_sum_with_error(error: TranscriptionError) -> float | None:
 
     None if the error leaves vertical angles unchanged.
     """
-    for column, factor, offset in error.changed_readings:
+    for column, factor, offset in error.reading_conversions:
         if column == 2:
             total = factor * 180.0 + 2.0 * offset / DEGREE
             return total if abs(total) > 1e-9 else abs(factor) * 360.0

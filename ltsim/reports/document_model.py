@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from ltsim.core import results
-from ltsim.core.descriptions import descriptions
+from ltsim.core.descriptions import field_descriptions
 from ltsim.core.notation import MISSING_TEXT, align_columns, number_text
 from ltsim.recordings import Recording
 from ltsim.recordings.result_file import ResultFile, companion_path
@@ -262,7 +262,7 @@ def _table_text(table: TableBlock) -> str:
     return "\n".join(f"- {'; '.join(row)}" for row in text_rows)
 
 
-def entries_table(
+def entries_table_blocks(
     title: str,
     entries: Iterable[Any],
     *fields: str,
@@ -282,14 +282,16 @@ def entries_table(
         column_kind: results.ColumnKind = (
             "chance" if name == "p_value" else "text" if isinstance(first_value, str | tuple) else "number"
         )
-        meaning = descriptions(type(entry_list[0])).get(name, "")
+        meaning = field_descriptions(type(entry_list[0])).get(name, "")
         columns.append(
-            results.Column(name, meaning, column_kind, sigma=sigma, title=heading or {"p_value": "p"}.get(name, ""))
+            results.Column(
+                name, meaning, column_kind, sigma_column=sigma, title=heading or {"p_value": "p"}.get(name, "")
+            )
         )
         columns += [results.Column(sigma)] if sigma else []
     cells = [[_cell_text(getattr(row, column.name)) for column in columns] for row in entry_list]
     marked_rows = frozenset(i for i, row in enumerate(entry_list) if is_marked is not None and is_marked(row))
-    return table_block(
+    return table_blocks(
         title,
         results.Table("", "", tuple(columns)).with_rows(cells),
         note=note,
@@ -298,7 +300,7 @@ def entries_table(
     )
 
 
-def table_block(
+def table_blocks(
     title: str,
     table: results.Table,
     *,

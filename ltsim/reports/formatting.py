@@ -9,7 +9,7 @@ from itertools import takewhile
 from typing import TYPE_CHECKING
 
 from ltsim.core.notation import listing as listing
-from ltsim.core.probability import AGREEMENT_LEVEL, format_p, two_sided
+from ltsim.core.probability import AGREEMENT_LEVEL, p_relation_text, two_sided_p_value
 
 if TYPE_CHECKING:
     from ltsim.campaigns.schema import ScenarioSettings
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 QUALITY_MEASURES = {
     "instrument": ("instrument: sigma / prior sigma", 1.0),
     "targets": ("targets: weighted point error [um]", 1e6),
-    "diagnosis": ("effects: found / plausible size", 1.0),
+    "diagnosis": ("effects: detectable / plausible size", 1.0),
 }
 """Quality measure of each goal of a plan: name with unit, and factor from SI to the displayed unit."""
 
@@ -82,8 +82,8 @@ def global_test_verdict(chi2: float, dof: int, p_value: float | None) -> tuple[b
     if dof <= 0 or p_value is None or not math.isfinite(p_value):
         return True, "the model cannot be tested, because there is no redundancy"
     agrees, statistic_text = (
-        two_sided(p_value) >= AGREEMENT_LEVEL,
-        f"(chi2 {chi2:.0f} for {dof}, two-sided {format_p(two_sided(p_value))})",
+        two_sided_p_value(p_value) >= AGREEMENT_LEVEL,
+        f"(chi2 {chi2:.0f} for {dof}, two-sided {p_relation_text(two_sided_p_value(p_value))})",
     )
     if not agrees and p_value > 0.5:
         return False, f"the scatter of the readings is smaller than the declared noise {statistic_text}"

@@ -32,7 +32,7 @@ from ltsim.reports.document_model import (
     ReportContext,
     Section,
     WorkshopDetail,
-    table_block,
+    table_blocks,
 )
 from ltsim.reports.formatting import duration_text, natural_sort_key, typographic_text
 from ltsim.reports.sections import SECTION_WRITERS, read_content, result_section
@@ -53,7 +53,7 @@ HEADLINES = {
     ("History", "good"): "No change of the instrument was detected.",
     ("History", "bad"): "The instrument has changed.",
     ("Acceptance", "good"): "All errors are within the limits.",
-    ("Acceptance", "caution"): "No error is shown to exceed its limit, and not all are shown to be within.",
+    ("Acceptance", "caution"): "No error demonstrably exceeds its limit, but some are undecided.",
     ("Acceptance", "bad"): "Some errors exceed the limits.",
     ("Prediction", "good"): "The tracker is likely to pass all tests.",
     ("Prediction", "bad"): "The tracker is likely to fail a test.",
@@ -303,7 +303,7 @@ def _work_order_blocks(plan: Plan) -> list[Block]:
     )
     note = " ".join([note, *(f"{s.name}: {s.deficiency_sentence}" for s in stations if s.deficiency_sentence)])
     blocks: list[Block] = [
-        *table_block("Places of the tripods", places, note=note),
+        *table_blocks("Places of the tripods", places, note=note),
         PictureBlock(
             "Floor plan",
             plan.plot,
@@ -333,7 +333,7 @@ def _work_order_blocks(plan: Plan) -> list[Block]:
 
 def _reflector_proposals_block(plan: Plan) -> list[Block]:
     """List with a block of proposals to move or add a reflector before the work; empty without proposals."""
-    moves_and_additions = [change for change in plan.reflector_changes if change.do != "remove"]
+    moves_and_additions = [change for change in plan.reflector_changes if change.kind != "remove"]
     if not moves_and_additions:
         return []
     lines = [

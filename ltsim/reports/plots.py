@@ -114,12 +114,13 @@ def _(result: Plan) -> Figure:
 def _(result: BenchFile) -> Figure:
     """Figure of a bench test: the reflector's range error with two sigmas, and the measured lengths."""
     lines = {
-        "as read": [(row.as_read_um,) * 3 for row in result.angles],
+        "as read": [(row.as_read_um,) * 3 for row in result.range_errors],
         "range error, ± 2 sigma": [
-            (row.error_um, row.error_um - 2 * row.sigma_um, row.error_um + 2 * row.sigma_um) for row in result.angles
+            (row.error_um, row.error_um - 2 * row.sigma_um, row.error_um + 2 * row.sigma_um)
+            for row in result.range_errors
         ],
     }
-    return lines_figure([row.angle_deg for row in result.angles], lines, "incidence [deg]", "range error [um]")
+    return lines_figure([row.angle_deg for row in result.range_errors], lines, "incidence [deg]", "range error [um]")
 
 
 @figure_of.register
@@ -145,12 +146,14 @@ def _(result: Recovery) -> Figure:
     ends = np.percentile(shown, [50, 2.5, 97.5], axis=0).T.tolist()
     rows = {name: (middle, low, high) for name, (middle, low, high) in zip(trials.parameter_names, ends, strict=True)}
     label = f"error / {'declared sigma' if has_sigmas else 'its rms'}: median, middle 95 % of the trials"
-    return values_figure(rows, label, reference_values={"95 % of right ones": (-1.96, 1.96)} if has_sigmas else {})
+    return values_figure(
+        rows, label, reference_values={"95 % if the sigmas are right": (-1.96, 1.96)} if has_sigmas else {}
+    )
 
 
 @figure_of.register
 def _(result: NextMeasurement) -> Figure:
-    shares = {p.do: (100 * (1 - p.sigma_ratio),) * 3 for p in result.proposals[:MAX_DRAWN_PROPOSALS]}
+    shares = {p.action: (100 * (1 - p.sigma_ratio),) * 3 for p in result.proposals[:MAX_DRAWN_PROPOSALS]}
     return values_figure(shares, "sigmas of the instrument's parameters fall by [%]")
 
 

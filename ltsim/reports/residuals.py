@@ -92,7 +92,7 @@ class Residuals:
         unit_factors = np.array(
             [SI_PER_UNIT[u] / SI_PER_UNIT[OBSERVABLE_UNITS[o]] for o, u in zip(names, units, strict=True)]
         )
-        row, residual, redundancy, w = table.numbers("row", "residual", "redundancy", "w").T
+        row, residual, redundancy, w = table.float_array("row", "residual", "redundancy", "w").T
         return cls(
             data_row=row.astype(np.int64),
             station=np.array(table.column("station"), dtype=np.str_),
@@ -157,7 +157,7 @@ def _geometric_covariates(adjustment: Adjustment, rows: Ints) -> dict[str, Float
         "elevation": sightings.elevation[rows] / DEGREE,
         "distance": sightings.range_[rows],
     }
-    incidence = sightings.incidence[rows] / DEGREE
+    incidence = sightings.incidence_angle[rows] / DEGREE
     if np.isfinite(incidence).any():
         covariates["incidence"] = incidence
     other_covariates = {name: column[rows] for name, column in sightings.covariates.items()}

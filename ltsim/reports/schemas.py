@@ -94,7 +94,7 @@ def companion_tables() -> dict[str, list[dict[str, Any]]]:
         file: [
             {
                 "file": table.file,
-                "about": table.about,
+                "about": table.description,
                 "columns": [{"name": c.name, "kind": c.kind, "about": c.meaning} for c in table.columns],
             }
             for table in companions

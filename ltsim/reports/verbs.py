@@ -6,7 +6,7 @@ from html import escape
 from pathlib import Path
 
 from ltsim.core.arguments import check_choice, source_path
-from ltsim.core.errors import require
+from ltsim.core.errors import require_extra
 from ltsim.core.results import Result
 from ltsim.core.storage import check_writable
 from ltsim.recordings import Recording
@@ -20,7 +20,7 @@ from ltsim.reports.workshop_scene import (
     workshop_from_scenario,
     workshop_with_cad,
 )
-from ltsim.scene.cad import UNIT_WORDS
+from ltsim.scene.cad import UNIT_NAMES
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import Scenario
 
@@ -47,14 +47,14 @@ class View(Result):
         """Write a picture."""
         from ltsim.reports import scene3d
 
-        check_writable(Path(path), folder=False)
+        check_writable(Path(path), is_folder=False)
         write_text(Path(path), scene3d.scene_png(self.workshop))
 
     def write_html(self, path: str | Path) -> None:
         """Write an interactive page for a browser, which works offline."""
         from ltsim.reports.scene_page import scene_page
 
-        check_writable(Path(path), folder=False)
+        check_writable(Path(path), is_folder=False)
         write_text(Path(path), scene_page(self.workshop))
 
     def show(self) -> None:
@@ -99,10 +99,10 @@ def view(
     >>> lt.view("paper-workshop")
     View: The paper's workshop: 5 stations, 28 targets; write_png(), write_html() or show()
     """
-    check_choice("cad_unit", cad_unit, tuple(UNIT_WORDS), allow_none=True)
+    check_choice("cad_unit", cad_unit, tuple(UNIT_NAMES), allow_none=True)
     check_choice("cad_up", cad_up, ("y", "z"), allow_none=True)
     check_choice("colour", colour, ("incidence", "residual"))
-    require(("pyvista", "trame_vtk"), "3D views", "view")
+    require_extra(("pyvista", "trame_vtk"), "3D views", "view")
     workshop = _workshop_of(source).with_sights_coloured_by(colour)
     return View(workshop if cad is None else workshop_with_cad(workshop, Path(cad), cad_unit, cad_up))
 

@@ -13,9 +13,9 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.remedies.candidates import FloorPlan
 from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import SetupError
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import ElevationLimits, Setup
@@ -297,7 +297,7 @@ def workshop_from_scenario(scenario: Scenario) -> WorkshopScene:
         elevation_min=max(t.limits.elevation_min_deg for t in scenario.trackers_in_use.values()) * DEGREE,
         sights=_visible_sights(layout, visibility),
         obstacle_triangles=np.zeros((0, 3, 3)) if obstacles is None else obstacles.triangles,
-        blocked_sights=np.argwhere(visibility.reasons == InvisibilityReason.OBSTACLE),
+        blocked_sights=np.argwhere(visibility.reason_codes == InvisibilityReason.OBSTACLE),
         notes=notes,
     )
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import SetupError, is_installed
-from ltsim.core.limits import MAX_CAD_BYTES, MIB
+from ltsim.core.limits import BYTES_PER_MIB, MAX_CAD_BYTES
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.recordings.files import quoted_text
 from ltsim.scene.cad_process import EXACT_SUFFIXES, FACET_SUFFIXES, read_triangles
@@ -23,15 +23,15 @@ GLTF_SUFFIXES = (".glb", ".gltf")
 """Suffixes of glTF files."""
 CAD_SUFFIXES = (*FACET_SUFFIXES, *GLTF_SUFFIXES, *EXACT_SUFFIXES)
 """Suffixes of all CAD files that are read."""
-UNIT_WORDS = {"mm": "millimetres", "m": "metres", "in": "inches"}
+UNIT_NAMES = {"mm": "millimetres", "m": "metres", "in": "inches"}
 """Words for the units of CAD files."""
-MAX_SPACING_MM = 1.0
+MAX_COORDINATE_SPACING_MM = 1.0
 """Spacing [mm] of single-precision numbers at the position of a body above which a file is refused: halls are planned
 to the millimetre, and lines of sight pass bodies at a few centimetres.
 """
 SINGLE_PRECISION_SUFFIXES = (".stl", *GLTF_SUFFIXES)
 """Suffixes of files whose coordinates may be in single precision."""
-MIN_RELATIVE_LENGTH = SI_PER_UNIT["mm"] / SI_PER_UNIT["in"]
+MIN_RELATIVE_BODY_LENGTH = SI_PER_UNIT["mm"] / SI_PER_UNIT["in"]
 """Smallest length of a body divided by the length of the room at which the unit of a CAD file is not questioned.
 
 A body as long as the room has this ratio, 1 to 25.4, if its inches were read as millimetres.
@@ -66,7 +66,7 @@ class CadFile:
     def interpretation_text(self) -> str:
         """Description of the unit and the vertical axis in which the file was read, for users."""
         kind = self.file.suffix[1:].upper()
-        unit = f"numbers taken for {UNIT_WORDS[self.unit]}" if self.unit else f"in the unit that {kind} declares"
+        unit = f"numbers taken for {UNIT_NAMES[self.unit]}" if self.unit else f"in the unit that {kind} declares"
         return f"{unit}, {self.vertical_axis} up"
 
     @property
@@ -91,7 +91,7 @@ def read_mesh(path: Path, unit: str | None = None, vertical_axis: str | None = N
     try:
         status = path.stat()
         if status.st_size > MAX_CAD_BYTES:
-            raise SetupError(f"{path}: is larger than {MAX_CAD_BYTES // MIB} MiB, the limit for reading")
+            raise SetupError(f"{path}: is larger than {MAX_CAD_BYTES // BYTES_PER_MIB} MiB, the limit for reading")
         triangles = _read_triangles(path, status.st_mtime_ns, SI_PER_UNIT[file_unit or "m"], file_axis)
     except OSError as problem:
         raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
@@ -105,7 +105,7 @@ def _read_triangles(path: Path, _modification_time: int, metres_per_unit: float,
     batch_starts = range(0, len(triangles), TRIANGLES_PER_BATCH)
     corners = np.concatenate(
         [
-            _rounded_to_grid(metres_per_unit * triangles[start : start + TRIANGLES_PER_BATCH], vertical_axis)
+            _grid_coordinates(metres_per_unit * triangles[start : start + TRIANGLES_PER_BATCH], vertical_axis)
             for start in batch_starts
         ]
     )
@@ -120,7 +120,7 @@ def _read_triangles(path: Path, _modification_time: int, metres_per_unit: float,
     return rounded_triangles
 
 
-def _rounded_to_grid(triangles: Floats, vertical_axis: str) -> Ints:
+def _grid_coordinates(triangles: Floats, vertical_axis: str) -> Ints:
     """Integer grid coordinates (k, 9) of the corners of the k non-degenerate triangles among m triangles (m, 3, 3) [m].
 
     A triangle is degenerate if two of its rounded corners coincide. Each triangle starts with its lexicographically
@@ -158,15 +158,15 @@ def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
 
 
 def _require_precision(path: Path, triangles: Floats, metres_per_unit: float) -> None:
-    """Check that single-precision coordinates, in units of `factor` metres, are spaced by at most `MAX_SPACING_MM`.
+    """Check that neighbouring single-precision coordinates differ by at most `MAX_COORDINATE_SPACING_MM`.
 
-    Raises SetupError otherwise.
+    The unit of the triangles (m, 3, 3) is `metres_per_unit` [m]. Raises SetupError otherwise.
     """
     single_precision = triangles.astype(np.float32)
     if path.suffix.lower() not in SINGLE_PRECISION_SUFFIXES or not np.array_equal(single_precision, triangles):
         return
     step = float(np.spacing(np.abs(single_precision).max())) * metres_per_unit / SI_PER_UNIT["mm"]
-    if step > MAX_SPACING_MM:
+    if step > MAX_COORDINATE_SPACING_MM:
         raise SetupError(
             f"{path}: its coordinates are in single precision and reach {np.abs(triangles).max():.4g}, where they have "
             f"steps of {step:.4g} mm; export it with its origin near the body, or as OBJ"
@@ -189,20 +189,20 @@ def implausible_size_question(cad_file: CadFile, room_size: Floats) -> str:
     """
     length, least, most = (
         np.ptp(cad_file.triangles, axis=(0, 1)),
-        MIN_RELATIVE_LENGTH * room_size.max(),
+        MIN_RELATIVE_BODY_LENGTH * room_size.max(),
         1.5 * room_size.max(),
     )
     if cad_file.has_declared_unit or least <= length.max() <= most:
         return ""
     size_by_unit = {
         unit: length.max() * SI_PER_UNIT[unit] / SI_PER_UNIT[cad_file.unit]
-        for unit in UNIT_WORDS
+        for unit in UNIT_NAMES
         if unit != cad_file.unit
     }
     fitting = [unit for unit, size in size_by_unit.items() if least <= size <= most] or list(size_by_unit)
     size, other = " x ".join(f"{v:.3g}" for v in length), " or ".join(f'"{unit}"' for unit in fitting)
     return (
-        f"{cad_file.file}: is {size} m large if its numbers are {UNIT_WORDS[cad_file.unit]}, which it does not "
+        f"{cad_file.file}: is {size} m large if its numbers are {UNIT_NAMES[cad_file.unit]}, which it does not "
         f'declare; set unit = {other}, or unit = "{cad_file.unit}" if this is correct'
     )
 

@@ -19,12 +19,12 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.limits import (
+    BYTES_PER_MIB,
     MAX_CAD_MEMORY,
     MAX_CAD_SECONDS,
     MAX_FILE_BYTES,
     MAX_IN_PROCESS_CAD_BYTES,
     MAX_OBSTACLE_TRIANGLES,
-    MIB,
 )
 from ltsim.recordings.files import quoted_text
 
@@ -32,10 +32,10 @@ EXACT_SUFFIXES = (".step", ".stp", ".iges", ".igs")
 """Suffixes of files with exact surfaces."""
 FACET_SUFFIXES = (".stl", ".obj", ".ply")
 """Suffixes of files with triangles or polygons."""
-MAX_DEVIATION_MM = 1.0
+MAX_TESSELLATION_DEVIATION_MM = 1.0
 """Largest distance [mm] of a triangle from the exact surface when a curved surface is converted to triangles. Lines of
 sight need no smaller distance."""
-_START_CODE = "from ltsim.scene.cad_process import run_process; run_process()"
+_CHILD_PROCESS_CODE = "from ltsim.scene.cad_process import run_reader_process; run_reader_process()"
 _REFUSED_STATUS = 3
 """Exit status of a process whose library raised an error; the error is on standard error."""
 
@@ -86,7 +86,7 @@ def _read_in_process(path: Path, file_size: int) -> Floats:
     """Triangles read in a separate process; raises SetupError if it refuses the file, crashes or exceeds its limits."""
     limit_factor = max(1.0, file_size / MAX_FILE_BYTES)
     limits = [str(int(limit_factor * MAX_CAD_MEMORY)), str(int(limit_factor * MAX_CAD_SECONDS))]
-    process_arguments = [sys.executable, "-P", "-c", _START_CODE, str(path.resolve()), *limits]
+    process_arguments = [sys.executable, "-P", "-c", _CHILD_PROCESS_CODE, str(path.resolve()), *limits]
     thread_limits = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     completed_process = subprocess.run(
         process_arguments, capture_output=True, check=False, env={**os.environ, **thread_limits}
@@ -96,19 +96,19 @@ def _read_in_process(path: Path, file_size: int) -> Floats:
         if reason != MemoryError.__name__:
             raise _incomplete_file_error(path, reason)
     if completed_process.returncode:
-        most = f"{limit_factor * MAX_CAD_MEMORY / MIB:.0f} MiB and {limit_factor * MAX_CAD_SECONDS:.0f} s"
+        most = f"{limit_factor * MAX_CAD_MEMORY / BYTES_PER_MIB:.0f} MiB and {limit_factor * MAX_CAD_SECONDS:.0f} s"
         what = f"is damaged, or needs more than {most} of memory and time"
         raise SetupError(f"{path}: {what}; export it as STL with a coarser mesh")
     return np.frombuffer(completed_process.stdout, dtype=np.float64).reshape(-1, 3, 3)
 
 
-def run_process() -> None:
+def run_reader_process() -> None:
     """Main function of the separate process: it writes the triangles of a file to standard output.
 
     The command-line arguments are the file, the limit of memory [bytes] and the limit of processor time [s].
     """
-    path, memory, seconds = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
-    limit_process(memory, seconds)
+    path, memory_bytes, processor_seconds = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    limit_process_resources(memory_bytes, processor_seconds)
     try:
         with path.open("rb") as stream, without_library_output():
             triangles = parse_triangles(stream.read(), path.suffix.lower())
@@ -120,17 +120,17 @@ def run_process() -> None:
     sys.stdout.buffer.write(np.ascontiguousarray(triangles).tobytes())
 
 
-def limit_process(memory_bytes: int, seconds: int) -> None:
+def limit_process_resources(memory_bytes: int, processor_seconds: int) -> None:
     """Set limits of this process for memory and processor time, on operating systems that support them.
 
-    `memory_bytes` is the memory in addition to that of the imported libraries, `seconds` the processor time.
+    `memory_bytes` is the memory in addition to that of the imported libraries, `processor_seconds` the processor time.
     """
     with suppress(ImportError, ValueError, OSError):
         import resource
 
         import trimesh  # noqa: F401  # its libraries reserve 300 MB of addresses, of which they use a third
 
-        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+        resource.setrlimit(resource.RLIMIT_CPU, (processor_seconds, processor_seconds))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         status = Path("/proc/self/status").read_text(encoding="ascii")
         reserved = next(int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith("VmData"))
@@ -148,7 +148,10 @@ def parse_triangles(file_content: bytes, suffix: str) -> Floats:
         import cascadio
 
         kind = cascadio.FileType.STEP if suffix in EXACT_SUFFIXES[:2] else cascadio.FileType.IGES
-        file_content, suffix = cascadio.to_glb_bytes(file_content, kind, tol_linear=MAX_DEVIATION_MM), ".glb"
+        file_content, suffix = (
+            cascadio.to_glb_bytes(file_content, kind, tol_linear=MAX_TESSELLATION_DEVIATION_MM),
+            ".glb",
+        )
     mesh: Any = trimesh.load(
         BytesIO(file_content),
         file_type=suffix[1:],

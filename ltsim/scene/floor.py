@@ -17,8 +17,11 @@ from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection
 from ltsim.scene.meshes import Obstacles
 
 PlanPoint = tuple[Finite, Finite]
+"""Coordinates x and y [mm] of a position on the floor."""
 PlanOutline = Annotated[tuple[PlanPoint, ...], Field(min_length=3, max_length=500)]
+"""Coordinates [mm] of the corners of a polygon on the floor, in order around it."""
 HeightRange = tuple[Positive, Positive]
+"""Lowest and highest height [mm]."""
 MIN_HEAD_ROOM = 0.3
 """Free height [m] above the centre of an instrument's head."""
 N_DEFAULT_PLACES = 250
@@ -44,7 +47,7 @@ class FloorArea(TomlSection):
     obstacle is needed too if the structure hides targets."""
 
 
-class FreePlace(TomlSection):
+class FloorKeepOut(TomlSection):
     """Area to be kept free of tripods, such as the path of a crane."""
 
     name: str = ""
@@ -80,7 +83,7 @@ class Floor(TomlSection):
     stations."""
     areas: tuple[FloorArea, ...] = ()
     """Tables `[[floor.areas]]` that replace `corners_mm`: a tripod must stand in one of them."""
-    keep_outs: tuple[FreePlace, ...] = ()
+    keep_outs: tuple[FloorKeepOut, ...] = ()
     """Tables `[[floor.keep_outs]]`: areas to be kept free of tripods."""
     doors: tuple[Door, ...] = ()
     """Tables `[[floor.doors]]`: doors with a free area in front."""
@@ -211,7 +214,7 @@ class KeepOutArea:
         is_near = distance_to_outline(self.outline, places) < self.clearance + EDGE_TOLERANCE
         return is_near | is_inside_outline(self.outline, places) if len(self.outline) > 2 else is_near
 
-    def is_crossed(self, path: Floats) -> bool:
+    def is_crossed_by_path(self, path: Floats) -> bool:
         """True if the straight path between two positions (2, 2) [m] crosses the outline or the segment.
 
         The clearance is not considered.
@@ -274,7 +277,7 @@ def is_allowed_position(
     for place in keep_out_areas:
         is_allowed &= ~place.contains_places(position[:, :2])
     if obstacles is not None and is_allowed.any():
-        is_allowed[is_allowed] = ~obstacles.is_enclosed(position[is_allowed])
+        is_allowed[is_allowed] = ~obstacles.is_setup_inside_body(position[is_allowed])
     return is_allowed
 
 

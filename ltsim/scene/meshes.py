@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import perpendicular_vectors, rotation_about_z
 
 RAY_BUNDLE_RADIUS = 1e-4
@@ -83,20 +83,18 @@ class Obstacles:
 
         A line that touches an edge is blocked.
         """
-        hit = self._is_met(origins, end_points)
+        hit = self._is_ray_blocked(origins, end_points)
         if self._ray_caster is None or not hit.size:
             return hit
         sight_lengths = np.linalg.norm(end_points - origins, axis=1)
         beam = (end_points - origins) / sight_lengths[:, None]
         side, other = (RAY_BUNDLE_RADIUS * way for way in perpendicular_vectors(beam))
-        votes = [self._is_met(origins + shift, end_points + shift) for shift in (side, -side, other, -other)]
+        votes = [self._is_ray_blocked(origins + shift, end_points + shift) for shift in (side, -side, other, -other)]
         doubtful = np.flatnonzero(np.any(np.stack(votes) != hit, axis=0))
-        hit[doubtful] = (
-            count_native_hits(self.triangles, origins[doubtful], beam[doubtful], sight_lengths[doubtful]) > 0
-        )
+        hit[doubtful] = count_ray_hits(self.triangles, origins[doubtful], beam[doubtful], sight_lengths[doubtful]) > 0
         return hit
 
-    def is_blocked_near(self, origins: Floats, end_points: Floats, position_tolerance: float) -> Bools:
+    def is_blocked_within_tolerance(self, origins: Floats, end_points: Floats, position_tolerance: float) -> Bools:
         """Flags (n,) of end points (n, 3) [m] that a body may hide from an instrument near its origin (n, 3) [m].
 
         The instrument may be up to `position_tolerance` [m] from its origin. Rays therefore start at the four corners
@@ -109,10 +107,11 @@ class Obstacles:
         for across, up in product((-position_tolerance, position_tolerance), repeat=2):
             open_rows = np.flatnonzero(~hit)
             start = origins[open_rows] + across * side[open_rows] + up * other[open_rows]
-            hit[open_rows] = self._is_met(start, end_points[open_rows])  # at such a distance single precision is enough
+            # At such a distance single precision is enough.
+            hit[open_rows] = self._is_ray_blocked(start, end_points[open_rows])
         return hit
 
-    def _is_met(self, origins: Floats, end_points: Floats) -> Bools:
+    def _is_ray_blocked(self, origins: Floats, end_points: Floats) -> Bools:
         """Flags (n,) of lines from origins to end points (n, 3) [m] that a triangle blocks.
 
         The precision is single with Embree, double without it.
@@ -122,7 +121,7 @@ class Obstacles:
         sight_lengths = np.linalg.norm(end_points - origins, axis=1)
         beam = (end_points - origins) / sight_lengths[:, None]
         if self._ray_caster is None:
-            return np.asarray(count_native_hits(self.triangles, origins, beam, sight_lengths) > 0)
+            return np.asarray(count_ray_hits(self.triangles, origins, beam, sight_lengths) > 0)
         point, ray, _ = self._ray_caster.intersects_location(origins, beam, multiple_hits=False)
         hit = np.zeros(len(origins), dtype=bool)
         way = np.linalg.norm(point - origins[ray], axis=1)
@@ -138,7 +137,7 @@ class Obstacles:
         for start in range(0, len(points), step):
             x, y = flat[start : start + step].T[..., None]
             i, t = np.nonzero((west <= x) & (x <= east) & (south <= y) & (y <= north))
-            met = _ray_hits_triangle(self.triangles[t], points[start + i], TEST_RAY_DIRECTION, np.inf)
+            met = _does_ray_hit_triangle(self.triangles[t], points[start + i], TEST_RAY_DIRECTION, np.inf)
             n_crossings[start : start + step] = np.bincount(i[met], minlength=len(x))
         return n_crossings % 2 == 1
 
@@ -163,7 +162,7 @@ class Obstacles:
         order = np.argsort(kind.ravel(), kind="stable")
         shared = order[often[kind.ravel()[order]] == 2].reshape(-1, 2)
         normal, area = _normals_and_areas(points[faces])
-        angle = np.arccos(np.clip(_row_dot_products(*normal[shared // 3].transpose(1, 0, 2)), -1.0, 1.0))
+        angle = np.arccos(np.clip(_dot_products(*normal[shared // 3].transpose(1, 0, 2)), -1.0, 1.0))
         shared, angle = shared[angle < MAX_SMOOTH_ANGLE], angle[angle < MAX_SMOOTH_ANGLE]
         edge = np.linalg.norm(np.diff(points[edges[shared[:, 0]]], axis=1)[:, 0], axis=1)
         depth = np.zeros(len(faces))
@@ -193,7 +192,7 @@ class Obstacles:
             self._moved_points_cache[key] = projected
         return self._moved_points_cache[key]
 
-    def is_enclosed(self, points: Floats) -> Bools:
+    def is_setup_inside_body(self, points: Floats) -> Bools:
         """Flags (n,) of positions (n, 3) [m] whose instrument or tripod is inside a closed body."""
         if not len(self.triangles) or not len(points):
             return np.zeros(len(points), dtype=bool)
@@ -202,36 +201,38 @@ class Obstacles:
         return self.is_inside_body(points) | self.is_blocked(points, feet)
 
 
-def count_native_hits(triangles: Floats, origins: Floats, beam: Floats, ray_lengths: Floats) -> np.ndarray:
+def count_ray_hits(triangles: Floats, origins: Floats, ray_directions: Floats, ray_lengths: Floats) -> np.ndarray:
     """Number (n,) of triangles (m, 3, 3) that each ray meets within its length (n,) [m], in double precision.
 
-    Rays have origins (n, 3) and unit vectors `beam` (n, 3). Edges belong to a triangle. A ray in the plane of a
-    triangle does not meet it. Source: Moeller and Trumbore, Journal of Graphics Tools 2 (1997) 21-28.
+    Rays have origins (n, 3) [m] and unit vectors `ray_directions` (n, 3). Edges belong to a triangle. A ray in the
+    plane of a triangle does not meet it. Source: Moeller and Trumbore, Journal of Graphics Tools 2 (1997) 21-28.
     """
     n_hits = np.zeros(len(origins), dtype=np.int64)
     step = max(1, MAX_RAY_TRIANGLE_PAIRS // max(len(triangles), 1))
     for start in range(0, len(origins), step):
         rows = slice(start, start + step)
-        met = _ray_hits_triangle(triangles, origins[rows, None], beam[rows, None], ray_lengths[rows, None])
+        met = _does_ray_hit_triangle(
+            triangles, origins[rows, None], ray_directions[rows, None], ray_lengths[rows, None]
+        )
         n_hits[rows] = met.sum(axis=1)
     return n_hits
 
 
-def _ray_hits_triangle(triangles: Floats, origins: Floats, beam: Floats, length: Floats | float) -> Bools:
+def _does_ray_hit_triangle(triangles: Floats, origins: Floats, ray_directions: Floats, length: Floats | float) -> Bools:
     """Flags (...) of rays that meet their triangle (..., 3, 3) within `length` (...) [m]."""
     first, second, third = np.moveaxis(triangles, -2, 0)
     along, across = second - first, third - first
     edge_product = np.linalg.norm(along, axis=-1) * np.linalg.norm(across, axis=-1)
-    cross = np.cross(beam, across)
-    determinant = _row_dot_products(cross, along)
+    cross = np.cross(ray_directions, across)
+    determinant = _dot_products(cross, along)
     flat = np.abs(determinant) < 1e-12 * np.maximum(edge_product, 1e-300)
     inverse = 1.0 / np.where(flat, 1.0, determinant)
     gap = origins - first
     turned = np.cross(gap, along)
     u, v, way = (
-        _row_dot_products(gap, cross) * inverse,
-        _row_dot_products(beam, turned) * inverse,
-        _row_dot_products(turned, across) * inverse,
+        _dot_products(gap, cross) * inverse,
+        _dot_products(ray_directions, turned) * inverse,
+        _dot_products(turned, across) * inverse,
     )
     is_inside = (u >= -1e-12) & (v >= -1e-12) & (u + v <= 1.0 + 1e-12)
     return np.asarray(~flat & is_inside & (way > RAY_END_MARGIN) & (way < length - RAY_END_MARGIN))
@@ -247,12 +248,12 @@ def _normals_and_areas(triangles: Floats) -> tuple[Floats, Floats]:
 def nearest_points(triangles: Floats, point: Floats) -> Floats:
     """Point (m, 3) [m] of each triangle (m, 3, 3) that is nearest to a given point (3,): inside it or on an edge."""
     edge, gap = np.roll(triangles, -1, axis=1) - triangles, point - triangles
-    edge_fractions = np.clip(_row_dot_products(gap, edge) / np.maximum(_row_dot_products(edge, edge), 1e-300), 0.0, 1.0)
+    edge_fractions = np.clip(_dot_products(gap, edge) / np.maximum(_dot_products(edge, edge), 1e-300), 0.0, 1.0)
     on_edge = triangles + edge_fractions[..., None] * edge
     nearest_edge = np.linalg.norm(on_edge - point, axis=2).argmin(axis=1)
     normal, area = _normals_and_areas(triangles)
-    marked_indices = (_row_dot_products(np.cross(edge, gap), normal[:, None]) >= 0.0).all(axis=1) & (area > 0.0)
-    under = point - _row_dot_products(gap[:, 0], normal)[:, None] * normal
+    marked_indices = (_dot_products(np.cross(edge, gap), normal[:, None]) >= 0.0).all(axis=1) & (area > 0.0)
+    under = point - _dot_products(gap[:, 0], normal)[:, None] * normal
     return np.where(marked_indices[:, None], under, on_edge[np.arange(len(nearest_edge)), nearest_edge])
 
 
@@ -261,9 +262,9 @@ def _projected_along_upwards(points: Floats) -> Floats:
     return points[..., :2] - points[..., 2:] * TEST_RAY_DIRECTION[:2] / TEST_RAY_DIRECTION[2]
 
 
-def _row_dot_products(first_rows: Floats, second_rows: Floats) -> Floats:
+def _dot_products(first_vectors: Floats, second_vectors: Floats) -> Floats:
     """Inner products (...) of vectors (..., k)."""
-    return np.asarray(np.einsum("...k,...k->...", first_rows, second_rows))
+    return np.asarray(np.einsum("...k,...k->...", first_vectors, second_vectors))
 
 
 def place_triangles(triangles: Floats, position: Floats, yaw: float) -> Floats:
@@ -345,7 +346,7 @@ def candidate_nest_places(
     bodies of `obstacles`. If the body is closed, its outer side is determined for any orientation of its triangles.
     Otherwise the outer side is that of the triangles' normals.
     """
-    drawn, normal = _random_points(body_triangles, min_spacing)
+    drawn, normal = _random_surface_points(body_triangles, min_spacing)
     surface = Obstacles(body_triangles)
     if is_closed:
         normal[surface.is_inside_body(drawn + surface_offset * normal)] *= -1.0
@@ -354,17 +355,17 @@ def candidate_nest_places(
     is_valid &= ~(is_closed & surface.is_inside_body(places))
     if obstacles is not None:
         is_valid &= ~obstacles.is_inside_body(places)
-    is_valid[is_valid] = _is_flat(surface, places[is_valid], normal[is_valid], surface_offset)
-    return _thin_places(places[is_valid], min_spacing)
+    is_valid[is_valid] = _is_flat_enough(surface, places[is_valid], normal[is_valid], surface_offset)
+    return _thinned_places(places[is_valid], min_spacing)
 
 
-def _random_points(body_triangles: Floats, mean_spacing: float) -> tuple[Floats, Floats]:
+def _random_surface_points(body_triangles: Floats, mean_spacing: float) -> tuple[Floats, Floats]:
     """Random points (n, 3) [m], uniform over the area of triangles (m, 3, 3), and the surface normals (n, 3) there.
 
     The number n is `N_DRAWS_PER_PLACE` per squared `mean_spacing` [m], within limits.
     """
     normal, area = _normals_and_areas(body_triangles)
-    rng = stream(0, "nests")
+    rng = random_stream(0, "nests")
     n_points = int(np.clip(N_DRAWS_PER_PLACE * area.sum() / mean_spacing**2, 200, MAX_DRAWN_PLACES))
     face = rng.choice(len(body_triangles), size=n_points, p=area / area.sum())
     root, share = np.sqrt(rng.random(n_points))[:, None], rng.random(n_points)[:, None]
@@ -372,7 +373,7 @@ def _random_points(body_triangles: Floats, mean_spacing: float) -> tuple[Floats,
     return (1 - root) * a + root * (1 - share) * b + root * share * c, normal[face]
 
 
-def _is_flat(body_surface: Obstacles, places: Floats, surface_normals: Floats, surface_offset: float) -> Bools:
+def _is_flat_enough(body_surface: Obstacles, places: Floats, surface_normals: Floats, surface_offset: float) -> Bools:
     """Flags (n,) of positions (n, 3) [m] under which the surface is flat enough for the foot of a nest.
 
     `surface_offset` [m] is the height of the positions above the surface.
@@ -390,7 +391,7 @@ def _is_flat(body_surface: Obstacles, places: Floats, surface_normals: Floats, s
     return is_flat
 
 
-def _thin_places(places: Floats, min_spacing: float) -> Floats:
+def _thinned_places(places: Floats, min_spacing: float) -> Floats:
     """Positions in their order, without those that are closer than `min_spacing` [m] to an earlier retained one."""
     chosen: list[int] = []
     for i, place in enumerate(places):

@@ -86,7 +86,7 @@ class HallRegion:
         path: Floats = sightings.derived_cache[self]
         return path
 
-    def levers(self, sightings: Sightings) -> Floats:
+    def lever_weighted_paths(self, sightings: Sightings) -> Floats:
         """Integral (n,) [m] of w (d - s) / d over the distance s along each line of sight of length d.
 
         The weight w at s bends the line there; the factor (d - s) / d is the fraction of the line that follows. Along
@@ -96,7 +96,7 @@ class HallRegion:
         key = self, "lever"
         if key not in sightings.derived_cache:
             path = self.path_lengths(sightings)[None]
-            sightings.derived_cache[key] = region_levers(
+            sightings.derived_cache[key] = lever_weighted_region_paths(
                 sightings, self.bounded_axes, np.array([self.centre]), self.width, path
             )[0]
         lever: Floats = sightings.derived_cache[key]
@@ -115,10 +115,12 @@ class HallRegion:
         return near
 
     def path_and_bending(self, sightings: Sightings) -> tuple[Floats, Floats]:
-        """Path length (n,) [m] of each line of sight in a ball, and the bending of the line (n, 3) [m].
+        """Path length (n,) [m] of each line of sight in a region of the shape `xyz`, and its bending (n, 3) [m].
 
-        The bending is the integral over s of (d - s) times the gradient of w across the line. The component rho of
-        r - c across a straight line is constant. The integral is therefore -rho / width^2 times that of (d - s) w.
+        The weight of the region at the point r is w = exp(-|r - c|^2 / (2 width^2)), with the centre c. A line of sight
+        has the length d, and s is the distance along it. Its path length is the integral of w over s. Its bending is
+        the integral over s of (d - s) times the component of the gradient of w across the line. The component rho of
+        r - c across a straight line is constant, so that the bending is -rho / width^2 times the integral of (d - s) w.
         """
         beam, length, width = sightings.beam_vectors[0], sightings.range_, self.width
         start = sightings.station_positions[sightings.station] - np.asarray(self.centre)
@@ -151,10 +153,10 @@ def region_paths(sightings: Sightings, bounded_axes: str, region_centres: Floats
     return path
 
 
-def region_levers(
+def lever_weighted_region_paths(
     sightings: Sightings, bounded_axes: str, region_centres: Floats, width: float, path_lengths: Floats
 ) -> Floats:
-    """Integrals (r, n) [m] of w (d - s) / d along n lines of sight for r regions, as `HallRegion.levers`.
+    """Integrals (r, n) [m] of w (d - s) / d along n lines of sight for r regions, as `HallRegion.lever_weighted_paths`.
 
     `path_lengths` (r, n) [m] are the results of `region_paths` for the same regions.
     """
@@ -255,7 +257,9 @@ def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: floa
     for part in np.array_split(centres, 1 + len(centres) * len(sightings) // MAX_REGION_LINE_PAIRS):
         path_lengths = region_paths(sightings, bounded_axes, part, width)
         chosen = np.flatnonzero(is_distinctive(path_lengths > width, sightings))
-        lever_integrals = region_levers(sightings, bounded_axes, part[chosen], width, path_lengths[chosen])
+        lever_integrals = lever_weighted_region_paths(
+            sightings, bounded_axes, part[chosen], width, path_lengths[chosen]
+        )
         for i, lever in zip(chosen.tolist(), lever_integrals, strict=True):
             regions.append(region := HallRegion(bounded_axes, tuple(part[i].tolist()), width))
             sightings.derived_cache[region], sightings.derived_cache[region, "lever"] = (

@@ -241,7 +241,7 @@ class Sightings:
         return self._cumulative_sum(self.target != self.target[self.previous_rows]).astype(np.int64)
 
     @cached_property
-    def quantities(self) -> dict[str, Floats]:
+    def covariate_values(self) -> dict[str, Floats]:
         """Covariates of the readings by name, each (n,) [SI, or the unit of the recording's column].
 
         Unknown values are zero, and so are changes since the previous pointing at the first pointing of a station.
@@ -249,7 +249,7 @@ class Sightings:
         place = self.target_points[self.target]
         has_previous = self.previous_rows >= 0
         previous_polar = np.where(has_previous[:, None], self.front_face_polar[self.previous_rows], 0.0)
-        quantities = {
+        covariate_values = {
             "azimuth": self.azimuth,
             "elevation": self.elevation,
             "circle": wrap_angle(self.raw_readings[:, 1]),
@@ -262,7 +262,7 @@ class Sightings:
             "z": place[:, 2],
             "time": self.time,
             "station-time": self.station_time,
-            "incidence": self.incidence,
+            "incidence": self.incidence_angle,
             "nest-direction": self.incidence_direction,
             "face": self.face_sign,
             "bearing": np.arctan2(self.beam_vectors[0][:, 1], self.beam_vectors[0][:, 0]),
@@ -289,12 +289,12 @@ class Sightings:
                 np.where(has_previous, x - x[self.previous_rows], 0.0),
             )
         for name, (before, move) in changing.items():
-            quantities |= {
+            covariate_values |= {
                 f"last-{name}": before,
                 f"move-{name}": move,
                 f"work-{name}": self._cumulative_sum(np.abs(move)),
             }
-        return {name: np.nan_to_num(values) for name, values in (dict(self.covariates) | quantities).items()}
+        return {name: np.nan_to_num(values) for name, values in (dict(self.covariates) | covariate_values).items()}
 
     @cached_property
     def _incidence_angle_and_direction(self) -> tuple[Floats, Floats]:
@@ -311,7 +311,7 @@ class Sightings:
         return np.arccos(np.clip(along / sight_lengths, -1.0, 1.0)), np.arctan2(upward_part, horizontal_part)
 
     @property
-    def incidence(self) -> Floats:
+    def incidence_angle(self) -> Floats:
         """Incidence angle (n,) [rad] between the beam and the nest's normal; NaN if the nest is unknown."""
         return self._incidence_angle_and_direction[0]
 

@@ -19,7 +19,7 @@ from ltsim.scene.meshes import Obstacles
 
 DOWNWARD = np.array([0.0, 0.0, -1.0])
 """Unit vector of the plumb line downwards."""
-ANGLE_TOLERANCE = 1e-9
+LIMIT_TOLERANCE = 1e-9
 """Tolerance [rad or m] of comparisons with the limits of angles and of distances, for rounding errors."""
 
 
@@ -43,7 +43,7 @@ REASON_TEXTS = (
     "below the elevation limit",
     "above the elevation limit",
     "in the shadow cone",
-    "turned beyond the reflector's acceptance",
+    "outside the acceptance angle of the reflector",
     "hidden by an obstacle",
 )
 """Text of each `InvisibilityReason` for users; empty for a visible pair."""
@@ -80,7 +80,7 @@ class SightLimits:
 class Visibility:
     """Visibility of each of T targets from each of S stations."""
 
-    reasons: NDArray[np.int8]
+    reason_codes: NDArray[np.int8]
     """Value of `InvisibilityReason` for each pair of station and target, (S, T); 0 for a visible pair."""
     ranges: Floats
     """Distance of each pair, (S, T) [m]."""
@@ -95,19 +95,22 @@ class Visibility:
     @property
     def is_visible(self) -> Bools:
         """Flags (S, T) of the pairs of station and target that see each other."""
-        return np.asarray(self.reasons == InvisibilityReason.VISIBLE)
+        return np.asarray(self.reason_codes == InvisibilityReason.VISIBLE)
 
     def reason_texts(self) -> list[list[str]]:
         """Text of the reason why each pair is invisible, S lists of T texts; '' for a visible pair."""
-        return [[self._reason_text(s, t) for t in range(self.reasons.shape[1])] for s in range(self.reasons.shape[0])]
+        return [
+            [self._reason_text(s, t) for t in range(self.reason_codes.shape[1])]
+            for s in range(self.reason_codes.shape[0])
+        ]
 
-    def reason_kinds(self) -> list[list[str]]:
+    def short_reason_texts(self) -> list[list[str]]:
         """Texts as `reason_texts`, but without the values and limits of the pair."""
-        return [[REASON_TEXTS[code] for code in line] for line in self.reasons.tolist()]
+        return [[REASON_TEXTS[code] for code in line] for line in self.reason_codes.tolist()]
 
     def _reason_text(self, station: int, target: int) -> str:
         """Text of the reason why a pair is invisible, with its value, the limit and the key of the limit, if any."""
-        code, limits = self.reasons[station, target], self.limits[station]
+        code, limits = self.reason_codes[station, target], self.limits[station]
         range_, elevation = self.ranges[station, target], self.elevations[station, target] / DEGREE
         key, number = {
             InvisibilityReason.RANGE: (
@@ -166,7 +169,7 @@ def compute_visibility(
     position, points = as_floats(position, (-1, 3), "position"), as_floats(points, (-1, 3), "points")
     sight = points - position[:, None, :]
     range_ = np.linalg.norm(sight, axis=2)
-    if np.any(range_ < ANGLE_TOLERANCE):
+    if np.any(range_ < LIMIT_TOLERANCE):
         raise ModelError("a target is at the origin of a station")
     beam = sight / range_[:, :, None]
     down = np.broadcast_to(DOWNWARD, position.shape) if rotation is None else rotation @ DOWNWARD
@@ -175,10 +178,10 @@ def compute_visibility(
     reason = np.zeros(range_.shape, dtype=np.int8)
     shadow = 0.5 * limits.cone_opening - 0.5 * np.pi
     checks = (
-        (InvisibilityReason.ACCEPTANCE, incidence > limits.max_incidence + ANGLE_TOLERANCE),
-        (InvisibilityReason.SHADOW, elevation < shadow - ANGLE_TOLERANCE),
-        (InvisibilityReason.ABOVE, elevation > limits.elevation_max + ANGLE_TOLERANCE),
-        (InvisibilityReason.BELOW, elevation < limits.elevation_min - ANGLE_TOLERANCE),
+        (InvisibilityReason.ACCEPTANCE, incidence > limits.max_incidence + LIMIT_TOLERANCE),
+        (InvisibilityReason.SHADOW, elevation < shadow - LIMIT_TOLERANCE),
+        (InvisibilityReason.ABOVE, elevation > limits.elevation_max + LIMIT_TOLERANCE),
+        (InvisibilityReason.BELOW, elevation < limits.elevation_min - LIMIT_TOLERANCE),
         (InvisibilityReason.RANGE, (range_ < limits.range_min) | (range_ > limits.range_max)),
     )
     for code, holds in checks:
@@ -193,7 +196,7 @@ def join_visibility_tables(tables: Sequence[Visibility], station_order: Ints) ->
 
     `station_order` (S,) gives for each station of the result its row in the concatenated tables.
     """
-    columns = [(t.reasons, t.ranges, t.elevations, t.incidence_angles) for t in tables]
+    columns = [(t.reason_codes, t.ranges, t.elevations, t.incidence_angles) for t in tables]
     reason, range_, elevation, incidence = (
         np.concatenate(column)[station_order] for column in zip(*columns, strict=True)
     )
@@ -218,7 +221,7 @@ def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Flo
 
     Rays are cast only for pairs that no other reason excludes.
     """
-    is_inside = obstacles.is_enclosed(position)
+    is_inside = obstacles.is_setup_inside_body(position)
     sight_pairs = np.argwhere((reason_table == InvisibilityReason.VISIBLE) & ~is_inside[:, None])
     hidden_pairs = sight_pairs[
         obstacles.is_blocked(position[sight_pairs[:, 0]], obstacles.moved_to_surface(points)[sight_pairs[:, 1]])
@@ -227,7 +230,7 @@ def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Flo
     reason_table[is_inside] = InvisibilityReason.STATION_INSIDE
 
 
-def aim_nest_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
+def best_nest_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
     """Best normals (T, 3) of fixed nests for all stations, and the largest incidence angle (T,) [rad] of each.
 
     The normal is the axis of the narrowest cone from the target that contains all stations. All stations see the

@@ -42,7 +42,7 @@ class EffectDistribution:
     """Mean of each parameter of the effect, shape (parameters,) [SI]."""
     value_sigmas: Floats
     """Standard deviation of each parameter of the effect, shape (parameters,) [SI]; 0 for a declared value."""
-    index_at_place: int = 1
+    occurrence_number: int = 1
     """Number of this effect among identical effects at the same place, from 1."""
 
     @property
@@ -141,7 +141,7 @@ class TrialDistributions:
     """Names of the targets at the ends of the reference lengths."""
     effects: tuple[EffectDistribution, ...] = ()
     """Effects with the distributions of their parameters."""
-    certificate_factor: float = 1.0
+    certificate_error_factor: float = 1.0
     """Ratio of the true standard deviation of a certificate's error to the declared one."""
 
     def draw(
@@ -185,7 +185,7 @@ class TrialDistributions:
             key = (
                 distribution.effect.name,
                 distribution.effect.place_text,
-                distribution.index_at_place,
+                distribution.occurrence_number,
                 distribution.effect.parameters[k].name,
             )
             drawn = normal_source(1, "effect", *key)[0]
@@ -206,9 +206,12 @@ class TrialDistributions:
         ]
         constant = all(np.all(amount == amount[:, :1]) for _, amount in on_noise)
         trials = range(1 if constant else on_noise[0][1].shape[1])
-        return np.stack([self._effects_by_kind([(e, amount[:, k]) for e, amount in on_noise]) for k in trials], axis=2)
+        return np.stack(
+            [self._sigmas_with_noise_effects([(e, amount[:, k]) for e, amount in on_noise]) for k in trials], axis=2
+        )
 
-    def _effects_by_kind(self, noise_effects: Sequence[tuple[NoiseEffect, Floats]]) -> Floats:
+    def _sigmas_with_noise_effects(self, noise_effects: Sequence[tuple[NoiseEffect, Floats]]) -> Floats:
+        """Standard deviations of the readings (pointings, 3) with effects on the noise, each given with its sizes."""
         sigma = self.noise_sigmas
         for effect, amount in noise_effects:
             variance = effect.variance(self.sightings, sigma, amount)
@@ -231,7 +234,7 @@ class TrialDistributions:
             for a, b in zip(lengths.first_targets, lengths.second_targets, strict=True)
         ]
         unit_errors = np.reshape(draws, expansion_factors.shape)
-        certificate_errors = self.certificate_factor * lengths.certificate_sigmas[:, None] * unit_errors
+        certificate_errors = self.certificate_error_factor * lengths.certificate_sigmas[:, None] * unit_errors
         return CERTIFICATE_STEP * np.round((true_lengths / expansion_factors + certificate_errors) / CERTIFICATE_STEP)
 
     def length_change(self, effect_values: tuple[Floats, ...]) -> Floats:

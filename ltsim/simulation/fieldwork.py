@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError, as_setup_error
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rigid import matrix_from_rotation_vector, rotation_about_z
@@ -87,7 +87,7 @@ def place_layout(
     plan, placing = plan or planned_layout(scenario), scenario.placing
     position, rotation, points = plan.station_positions.copy(), plan.station_rotations.copy(), plan.target_points.copy()
     draws = np.array(
-        [stream(seed, *stream_key, "placing", "station", name).standard_normal(6) for name in scenario.stations]
+        [random_stream(seed, *stream_key, "placing", "station", name).standard_normal(6) for name in scenario.stations]
     )
     levelled = [s.levelling_sigma_arcsec * ARCSECOND if s.levelled else None for s in scenario.stations.values()]
     tilt = [placing.tilt_deg * DEGREE if tilt_of_station is None else tilt_of_station for tilt_of_station in levelled]
@@ -95,11 +95,13 @@ def place_layout(
     yaws = np.array([rotation_about_z(placing.yaw_deg * DEGREE * draw[5]) for draw in draws])
     position += placing.station_mm * MILLIMETRE * draws[:, :3]
     rotation = leans @ yaws @ rotation
-    moves = [stream(seed, *stream_key, "placing", "target", name).standard_normal(3) for name in scenario.targets]
+    moves = [
+        random_stream(seed, *stream_key, "placing", "target", name).standard_normal(3) for name in scenario.targets
+    ]
     points[: len(moves)] += placing.target_mm * MILLIMETRE * np.array(moves).reshape(-1, 3)
     if scenario.gauge is not None:
         body = slice(len(scenario.targets), None)
-        draw = stream(seed, *stream_key, "placing", "gauge").standard_normal(6)
+        draw = random_stream(seed, *stream_key, "placing", "gauge").standard_normal(6)
         turn = matrix_from_rotation_vector(placing.yaw_deg * DEGREE * draw[3:])
         centre = points[body].mean(axis=0)
         points[body] = (points[body] - centre) @ turn.T + centre + placing.gauge_mm * MILLIMETRE * draw[:3]
@@ -111,7 +113,7 @@ def _hidden_pair_notes(workshop_layout: WorkshopLayout, visibility: Visibility) 
     lost = visibility.invisible_pair_sentences(workshop_layout.station_names, workshop_layout.target_names)
     if len(lost) <= MAX_LISTED_PAIRS:
         return tuple(lost)
-    reasons = Counter(reason for line in visibility.reason_kinds() for reason in line if reason)
+    reasons = Counter(reason for line in visibility.short_reason_texts() for reason in line if reason)
     counts = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
     return (f"{len(lost)} of {visibility.is_visible.size} pairs of station and target have no line of sight: {counts}",)
 
@@ -190,7 +192,7 @@ def _target_order(
         azimuth = to_polar(workshop_layout.target_points - workshop_layout.station_positions[station])[:, 1]
         levels = _height_levels(workshop_layout.target_points[:, 2])
         return np.lexsort((azimuth, levels))
-    draw = stream(seed, *stream_key, "order", workshop_layout.station_names[station], repeat_number)
+    draw = random_stream(seed, *stream_key, "order", workshop_layout.station_names[station], repeat_number)
     return draw.permutation(n_targets)
 
 
@@ -248,7 +250,7 @@ def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *strea
             names, targets, targets_without_normal, reflectors, scenario.reference_radius_mm
         )
     for name in dict.fromkeys(names):
-        error = (reflectors[name].sigma_radius_mm or 0.0) * stream(
+        error = (reflectors[name].sigma_radius_mm or 0.0) * random_stream(
             seed, *stream_key, "reflector", name
         ).standard_normal()
         lengths[np.array(names) == name] += error * MILLIMETRE

@@ -81,7 +81,8 @@ class InjectedEffect(Result):
             "effect": cause.name, "words": self.request_text,
             "stations": list(cause.stations), "targets": list(cause.targets),
             "observables": list(cause.observables), "covariates": list(cause.covariates), "shape": shape,
-            "parameters": self.table().json(), "noncentrality": self.noncentrality, "largest": self.largest_changes,
+            "parameters": self.table().json_rows(),
+            "noncentrality": self.noncentrality, "largest": self.largest_changes,
         }  # fmt: skip
 
 
@@ -141,13 +142,13 @@ class DetectionCurve(Result):
 
     effect_text: str
     """Text of the effect."""
-    background_effects: tuple[str, ...]
+    effects_without_injection: tuple[str, ...]
     """Names of the findings in the recording without an injection."""
     rows: tuple[Mapping[str, float], ...]
     """Values of each strength, by column name."""
 
     def _lines(self) -> list[str]:
-        reported = ", ".join(self.background_effects) or "nothing"
+        reported = ", ".join(self.effects_without_injection) or "nothing"
         lines = [f"{self.effect_text}, injected into the recording; findings without the injection: {reported}"]
         return lines + [
             f"noncentrality {row['noncentrality']:.0f}: detected {row['detections']}, placed {row['placed']}, "
@@ -169,7 +170,7 @@ class Injector:
     """Residuals of the adjusted recording, from which the noncentrality of an effect is computed."""
 
     @property
-    def state(self) -> NetworkState:
+    def adjusted_state(self) -> NetworkState:
         """Adjusted poses of the stations and positions of the targets."""
         return self.residual_space.adjustment.state
 
@@ -181,7 +182,7 @@ class Injector:
         sightings, readings = self.residual_space.sightings, self.recording.readings
         if not isinstance(effect, Blunder):
             return effect.reading_change(sightings, effect_sizes)
-        done, instrument = effect.measured_sightings(sightings), self.state.instrument_parameters
+        done, instrument = effect.measured_sightings(sightings), self.adjusted_state.instrument_parameters
         errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
         construction = self.residual_space.adjustment.problem.model.construction
         moved, plain = (construction.readings(s.local_points, s.face, errors) for s in (done, sightings))
@@ -191,7 +192,10 @@ class Injector:
     def length_change(self, effect: CandidateEffect, effect_sizes: Floats) -> Floats:
         """Change of the reference lengths by an effect, shape (lengths,) [m]."""
         gauge = self.residual_space.adjustment.problem.gauge_rows
-        return effect.gauge_design(gauge.first_targets, gauge.second_targets, self.state.target_points) @ effect_sizes
+        return (
+            effect.gauge_design(gauge.first_targets, gauge.second_targets, self.adjusted_state.target_points)
+            @ effect_sizes
+        )
 
     def added_noise_sigma(self, effect: NoiseEffect, effect_sizes: Floats) -> Floats:
         """Standard deviation of the noise that an effect adds to the readings, shape (pointings, 3)."""

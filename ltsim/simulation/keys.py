@@ -33,7 +33,7 @@ def _schema_type(schema_node: dict[str, Any]) -> str:
     return "integer" if isinstance(words[0], int) else str(schema_node.get("type", "string"))
 
 
-def unit_of(scenario: Scenario, dotted_key: str) -> str:
+def unit_of_scenario_key(scenario: Scenario, dotted_key: str) -> str:
     """Unit of the value of a dotted key, from the name of the key or of the parameter in it."""
     *parents, last = dotted_key.split(".")
     try:
@@ -57,12 +57,12 @@ def convert_value(scenario: Scenario, dotted_key: str, value: Any, error_locatio
     """
     if not isinstance(value, str) or not value or value[0] not in "+-.0123456789":
         return value
-    unit = unit_of(scenario, dotted_key)
+    unit = unit_of_scenario_key(scenario, dotted_key)
     converted_number = parse_in_unit(value, unit) if unit else None
     if unit and converted_number is None:
         raise SetupError(
-            f"{error_location}: {dotted_key} is '{quoted_text(value)}', but it is in {unit}: "
-            f"write a number, or one of {unit}"
+            f"{error_location}: {dotted_key} is '{quoted_text(value)}', expected a number in {unit}, "
+            f"or a number with a unit of the same kind"
         )
     return value if converted_number is None else converted_number
 

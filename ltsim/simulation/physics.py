@@ -59,7 +59,7 @@ def _error_distribution(
     return error_means, np.where(free, instrument.error_factor * prior, 0.0)
 
 
-def nominal_noise(scenario: Scenario, sightings: Sightings) -> Floats:
+def true_noise_sigmas(scenario: Scenario, sightings: Sightings) -> Floats:
     """True standard deviations of the noise, shape (pointings, 3) [m, rad, rad]: specification times noise factor."""
     trackers = scenario.trackers_in_use.values()
     factor = np.array([tracker.noise_factor for tracker in trackers])[sightings.instrument]

@@ -24,15 +24,15 @@ from ltsim.simulation.sections import (
     PRESETS,
     Cmm,
     EffectEntry,
-    Length,
-    Placing,
+    MeasurementProcedure,
+    PlacingSigmas,
     PlannedStation,
     PlannedTarget,
     PointingLimits,
+    ReferenceLengthEntry,
     ScenarioGauge,
     ScenarioInstrument,
     Smr,
-    Work,
     Workshop,
 )
 
@@ -64,7 +64,7 @@ class Scenario(TomlSection, Result):
     """Built-in scenario whose tables are the defaults for tables of this file; the value "none" removes a table."""
     workshop: Workshop = Workshop()
     """Room, air and obstacles."""
-    placing: Placing = Placing()
+    placing: PlacingSigmas = PlacingSigmas()
     """Standard deviations of the true positions about the planned ones."""
     instrument: ScenarioInstrument = ScenarioInstrument()
     """Tracker of all stations that name no other tracker."""
@@ -80,13 +80,13 @@ class Scenario(TomlSection, Result):
     """Radius of the SMR whose centre defines the planned positions, 0 for nest seats; it is copied to `setup.toml`."""
     cmm: Cmm = Cmm()
     """Coordinate measuring machine that calibrated the gauge."""
-    work: Work = Work()
+    work: MeasurementProcedure = MeasurementProcedure()
     """Order and timing of the measurements."""
     gauge: ScenarioGauge | None = None
     """Frame of reference lengths."""
     materials: dict[str, Material] = Field(default_factory=dict)
     """Materials of reference lengths, tables `[materials.NAME]`; their true coefficients are drawn."""
-    lengths: tuple[Length, ...] = ()
+    lengths: tuple[ReferenceLengthEntry, ...] = ()
     """Reference lengths between reflectors of the mesh, tables `[[lengths]]`."""
     stations: dict[str, PlannedStation]
     """Set-ups in the order of measurement, tables `[stations.NAME]`."""
@@ -108,7 +108,7 @@ class Scenario(TomlSection, Result):
         names = sorted({station.instrument or "" for station in self.stations.values()})
         return {name: self.instruments[name] if name else self.instrument for name in names}
 
-    def stations_of(self, tracker: str) -> tuple[str, ...]:
+    def stations_of_tracker(self, tracker: str) -> tuple[str, ...]:
         """Names of the stations of a tracker."""
         return tuple(name for name, station in self.stations.items() if (station.instrument or "") == tracker)
 
@@ -141,7 +141,7 @@ def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
         whole = with_completed_instruments(_with_base(tables), lambda table, _: _with_preset(table, file))
         scenario = validate_settings(whole, Scenario, "scenario", file)
     _check_scenario(scenario, file)
-    return _resolve_paths(_with_exclusions(scenario, file), file)
+    return _resolve_paths(_with_reduced_network(scenario, file), file)
 
 
 def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, error_location: str = "") -> Scenario:
@@ -217,7 +217,7 @@ def _with_preset(instrument: Any, file: Path) -> Any:
     return merge_defaults(instrument, below)
 
 
-def _with_exclusions(scenario: Scenario, file: Path) -> Scenario:
+def _with_reduced_network(scenario: Scenario, file: Path) -> Scenario:
     """Scenario with only the numbers of stations and reflectors in ``work.stations`` and ``work.targets``.
 
     Excluded stations and targets are removed from effects, and trackers without a station are removed. SetupError is
@@ -245,19 +245,18 @@ def _with_exclusions(scenario: Scenario, file: Path) -> Scenario:
             "targets": targets,
             "instruments": {name: i for name, i in scenario.instruments.items() if name in used_instruments},
             "lengths": tuple(bar for bar in scenario.lengths if {bar.from_, bar.to} <= {*targets}),
-            "effects": tuple(_check_effects(scenario.effects, {*stations}, {*targets, *gauge})),
+            "effects": tuple(_effects_of_network(scenario.effects, {*stations}, {*targets, *gauge})),
         }
     )
 
 
-def _check_effects(effects: Sequence[EffectEntry], stations: set[str], targets: set[str]) -> Iterator[EffectEntry]:
+def _effects_of_network(effects: Sequence[EffectEntry], stations: set[str], targets: set[str]) -> Iterator[EffectEntry]:
+    """Effects, reduced to the remaining stations and targets, without those whose stations or targets are all gone."""
     for entry in effects:
-        here = {
-            "stations": tuple(name for name in entry.stations if name in stations),
-            "targets": tuple(name for name in entry.targets if name in targets),
-        }
-        if all(bool(value) == bool(getattr(entry, kind)) for kind, value in here.items()):
-            yield entry.model_copy(update=here)
+        here = tuple(name for name in entry.stations if name in stations)
+        at = tuple(name for name in entry.targets if name in targets)
+        if bool(here) == bool(entry.stations) and bool(at) == bool(entry.targets):
+            yield entry.model_copy(update={"stations": here, "targets": at})
 
 
 def _select_spread_targets(targets: Mapping[str, PlannedTarget], n_targets: int) -> dict[str, PlannedTarget]:
@@ -306,11 +305,11 @@ def _check_scenario(scenario: Scenario, file: Path) -> None:
         raise SetupError(f"{file}: {problem}")
 
 
-def unknown_name_sentence(key: str, name: str, names: Collection[str], if_empty: str = "") -> Iterator[str]:
-    """Sentence for a name that is not in a list; `if_empty` replaces the list in the sentence if it is empty."""
+def unknown_name_sentence(key: str, name: str, names: Collection[str], list_text_if_empty: str = "") -> Iterator[str]:
+    """Sentence for a name that is not in a list; `list_text_if_empty` stands for an empty list in the sentence."""
     if name not in names:
         listed = ", ".join([*names][:MAX_NAMES_IN_ERROR]) + (" ..." if len(names) > MAX_NAMES_IN_ERROR else "")
-        yield f"{key} names '{quoted_text(name)}', which is not one of {listed or if_empty}"
+        yield f"{key} names '{quoted_text(name)}', which is not one of {listed or list_text_if_empty}"
 
 
 def _name_errors(scenario: Scenario, file: Path) -> Iterator[str]:
@@ -345,7 +344,7 @@ def _instrument_errors(scenario: Scenario) -> Iterator[str]:
     for name, other in others:
         if other != first_design:
             designs_named = " and ".join(f"{tracker_table_name(n)} '{designs[n][0]}'" for n in (first, name))
-            yield f"instruments have different constructions ({designs_named}); one recording has one, with one order"
+            yield f"instruments have different constructions or orders ({designs_named}); give all the same"
 
 
 def _place_errors(scenario: Scenario) -> Iterator[str]:

@@ -24,11 +24,14 @@ from ltsim.recordings.setup import (
 )
 from ltsim.recordings.specification import data_sheet_names
 
-Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
+AngleDegrees = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
+"""Rotation or direction [deg]."""
 LengthSigma = Annotated[float, Field(ge=1e3 * MIN_SIGMA, le=1e9, allow_inf_nan=False)]
 """Standard deviation of a reference length [um], with the same lower bound as in a set-up file."""
-Fraction = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)]
+Percentage = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)]
+"""Ratio [%]."""
 Celsius = Annotated[float, Field(ge=-60, le=80, allow_inf_nan=False)]
+"""Temperature [deg C] of a workshop or of a reference length."""
 
 PAPER_PRIOR = Prior(range_scale_ppm=1.4, range_offset_mm=0.007, angle_arcsec=2.0, offset_mm=0.014)
 """Prior of the paper's instrument. Errors drawn from it reproduce the paper's Table 3 before calibration approximately:
@@ -84,11 +87,11 @@ class Obstacle(TomlSection):
     """Diameter and height of an upright cylinder that replaces a file."""
     position_mm: Vector = (0.0, 0.0, 0.0)
     """Position of the file's origin; for a box or cylinder, of the centre of its base."""
-    yaw_deg: Angle = 0.0
+    yaw_deg: AngleDegrees = 0.0
     """Rotation about the vertical."""
 
     @model_validator(mode="after")
-    def _single_shape(self) -> Self:
+    def _check_single_shape(self) -> Self:
         if sum(shape is not None for shape in (self.file, self.box_mm, self.cylinder_mm)) != 1:
             raise ValueError("it should have one of file, box_mm and cylinder_mm")
         return self
@@ -105,7 +108,7 @@ class Workshop(TomlSection):
     """Rate at which the temperature of the air rises."""
     pressure_hpa: Annotated[float, Field(ge=300, le=1200)] = 1013.2
     """Pressure of the air."""
-    humidity_pct: Fraction = 50.0
+    humidity_pct: Percentage = 50.0
     """Relative humidity of the air."""
     shadow_cone_deg: Annotated[float, Field(gt=0, lt=180)] | None = None
     """Full angle of the shadow cone under each station, which contains no target; default the cone below the elevation
@@ -115,7 +118,7 @@ class Workshop(TomlSection):
     """Obstacles in the workshop, tables `[[workshop.obstacles]]`."""
 
 
-class Placing(TomlSection):
+class PlacingSigmas(TomlSection):
     """Standard deviations of the true positions about the plan, and steps to which the recording rounds the plan."""
 
     station_mm: NonNegative = 15.0
@@ -152,7 +155,7 @@ class PointingLimits(ElevationLimits):
     """Longest range that can be measured."""
 
     @model_validator(mode="after")
-    def _outward(self) -> Self:
+    def _check_limit_order(self) -> Self:
         if self.range_min_mm >= self.range_max_mm:
             raise ValueError("it should have range_min_mm below range_max_mm")
         return self
@@ -197,7 +200,7 @@ class ScenarioInstrument(TomlSection):
     """Ratio of the declared prior to the true one; a value other than 1 simulates a wrong specification."""
 
     @model_validator(mode="after")
-    def _draw_is_a_switch(self) -> Self:
+    def _check_kinds_of_errors(self) -> Self:
         for name, value in self.errors.items():
             if isinstance(value, bool) != (name == "draw"):
                 raise ValueError("it should have numbers, and true or false only for draw")
@@ -224,7 +227,7 @@ class Smr(TomlSection):
         round(x / MICROMETRE, 6) for x in PAPER_RANGE_ERRORS
     )
     """Range error at -30, -22.5, ... +30 deg of incidence."""
-    direction_deg: Angle = 0.0
+    direction_deg: AngleDegrees = 0.0
     """Direction of positive incidence angles of the table about the nest's normal; 0 is along the horizontal."""
 
 
@@ -243,7 +246,7 @@ class Cmm(TomlSection):
     """True if the machine also measured the targets; `ltsim simulate --nominal FILE` writes them for `ltsim verify`."""
 
 
-class Work(TomlSection):
+class MeasurementProcedure(TomlSection):
     """Numbers of stations and reflectors in use, and order and timing of the measurements."""
 
     stations: Annotated[int, Field(ge=1)] | None = None
@@ -293,11 +296,11 @@ class ScenarioGauge(TomlSection):
     """Lengths of a gauge other than the paper's, tables `[[gauge.distance]]`; together they determine its shape."""
     position_mm: Vector
     """Planned position of the centre of the gauge."""
-    yaw_deg: Angle = 0.0
+    yaw_deg: AngleDegrees = 0.0
     """Rotation about z."""
-    pitch_deg: Angle = 0.0
+    pitch_deg: AngleDegrees = 0.0
     """Rotation about y."""
-    roll_deg: Angle = 0.0
+    roll_deg: AngleDegrees = 0.0
     """Rotation about x."""
     nest_normal: Vector | None = None
     """Normal of the fixed nests of the gauge."""
@@ -315,7 +318,7 @@ class ScenarioGauge(TomlSection):
     """Standard deviation of each length; default that of the measuring machine."""
 
 
-class Length(LengthConditions):
+class ReferenceLengthEntry(LengthConditions):
     """Reference length between two reflectors of the mesh: a scale bar, or a length measured by an interferometer."""
 
     from_: str = Field(alias="from")
@@ -331,11 +334,11 @@ class PlannedStation(TomlSection):
 
     position_mm: Vector
     """Planned position of the head."""
-    yaw_deg: Angle
+    yaw_deg: AngleDegrees
     """Planned direction of azimuth zero, counter-clockwise from the x axis."""
-    roll_deg: Angle = 0.0
+    roll_deg: AngleDegrees = 0.0
     """Planned rotation about x."""
-    pitch_deg: Angle = 0.0
+    pitch_deg: AngleDegrees = 0.0
     """Planned rotation about y."""
     levelled: bool = False
     """True for a standing axis that is levelled to the vertical."""

@@ -29,8 +29,8 @@ from ltsim.simulation.fieldwork import MeasurementGeometry, make_geometry, smr_n
 from ltsim.simulation.physics import (
     instrument_error_distribution,
     instrument_resolutions,
-    nominal_noise,
     round_to_resolution,
+    true_noise_sigmas,
 )
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import ScenarioInstrument
@@ -116,11 +116,11 @@ def trial_distributions(geometry: MeasurementGeometry, error_free_recording: Rec
         instruments=tuple(scenario.trackers_in_use),
         instrument_means=mean,
         instrument_sigmas=sigma,
-        noise_sigmas=nominal_noise(scenario, geometry.sightings),
+        noise_sigmas=true_noise_sigmas(scenario, geometry.sightings),
         reference_lengths=ReferenceLengths.from_recording(error_free_recording),
         length_end_names=error_free_recording.targets,
         effects=effect_distributions(scenario, geometry.effects),
-        certificate_factor=scenario.cmm.noise_factor,
+        certificate_error_factor=scenario.cmm.noise_factor,
     )
 
 
@@ -257,7 +257,7 @@ def _truth_of_trial(
     )
     units = [p.unit for p in geometry.construction.parameters] * len(trackers)
     named = tuple(
-        TrackerTruth(name=name, stations=scenario.stations_of(name), noise_factor=tracker.noise_factor)
+        TrackerTruth(name=name, stations=scenario.stations_of_tracker(name), noise_factor=tracker.noise_factor)
         for name, tracker in trackers.items()
     )
     noise = {"instruments": named} if scenario.instruments else {"noise_factor": scenario.instrument.noise_factor}

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from ltsim.adjustment.evaluation.criteria import NOMINAL_TABLE
 from ltsim.core.arrays import Floats
+from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import LtsimError, ModelError
 from ltsim.core.results import Table, number_columns, text_columns
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT, permitted_units_text
-from ltsim.core.values import ValueEquality
 from ltsim.geometry.rigid import quaternion_from_matrix
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import display_constants, make_effect
@@ -94,7 +94,7 @@ class TrueParameterValue(Entry):
     """Unit of the value."""
 
     @property
-    def si(self) -> float:
+    def si_value(self) -> float:
         """True value [SI]."""
         return self.value * SI_PER_UNIT[self.unit]
 
@@ -106,14 +106,14 @@ class TrueInstrumentValue(TrueParameterValue):
     """Name of the instrument; empty for a single unnamed one."""
 
     @classmethod
-    def from_si(cls, parameter_name: str, value_si: float, unit: str) -> Self:
+    def from_si(cls, parameter_name: str, si_value: float, unit: str) -> Self:
         """Entry of a value [SI]; `parameter_name` ends in ``@`` and the name of the instrument if there are several."""
         name, _, instrument = parameter_name.partition("@")
         whose = {"instrument": instrument} if instrument else {}
-        return cls(name=name, value=value_si / SI_PER_UNIT[unit], unit=unit, **whose)
+        return cls(name=name, value=si_value / SI_PER_UNIT[unit], unit=unit, **whose)
 
     @property
-    def flat_name(self) -> str:
+    def qualified_name(self) -> str:
         """Name of the parameter, with ``@`` and the name of the instrument if it has one."""
         return f"{self.name}@{self.instrument}" if self.instrument else self.name
 
@@ -133,7 +133,7 @@ class TrueEffect(Entry):
     """True values of the parameters of the effect."""
 
     @classmethod
-    def from_applied(cls, applied_effect: AppliedEffect) -> Self:
+    def from_applied_effect(cls, applied_effect: AppliedEffect) -> Self:
         """Entry of the file for an applied effect."""
         effect, values = applied_effect.effect, applied_effect.parameter_values.tolist()
         return cls(
@@ -147,7 +147,7 @@ class TrueEffect(Entry):
             ),
         )
 
-    def to_applied(self) -> AppliedEffect:
+    def to_applied_effect(self) -> AppliedEffect:
         """Applied effect of the entry with its values [SI]; raises LtsimError."""
         effect = make_effect(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
         value_by_parameter = {p.name: p.value for p in self.parameters}
@@ -208,7 +208,7 @@ class Truth(ResultFile):
             raise ValueError("the nominal points have other names than the targets, or another order")
         try:
             for entry in self.effects:
-                entry.to_applied()
+                entry.to_applied_effect()
         except (LtsimError, TypeError, KeyError) as problem:
             raise ValueError(f"effects: {problem}") from None
         return self
@@ -238,7 +238,7 @@ class Truth(ResultFile):
                     TrueInstrumentValue.from_si(name, value, unit)
                     for (name, value), unit in zip(truth_arrays.instrument_values.items(), parameter_units, strict=True)
                 ),
-                "effects": tuple(map(TrueEffect.from_applied, truth_arrays.effects)),
+                "effects": tuple(map(TrueEffect.from_applied_effect, truth_arrays.effects)),
                 "stations": tuple(
                     TruePose(
                         name=p.name,
@@ -266,8 +266,8 @@ class Truth(ResultFile):
                 station_positions=_entry_positions(self.stations),
                 station_rotations=Rotation.from_quat([s.rotation_quaternion for s in self.stations]).as_matrix(),
                 target_points=_entry_positions(self.targets),
-                instrument_values={p.flat_name: p.si for p in self.parameters},
-                effects=tuple(entry.to_applied() for entry in self.effects),
+                instrument_values={p.qualified_name: p.si_value for p in self.parameters},
+                effects=tuple(entry.to_applied_effect() for entry in self.effects),
                 nominal_points=None if self.nominal is None else _entry_positions(self.nominal),
             )
         return self._arrays
@@ -295,7 +295,7 @@ class Truth(ResultFile):
     @property
     def units(self) -> dict[str, str]:
         """Display unit of each parameter by its name."""
-        return {p.flat_name: p.unit for p in self.parameters}
+        return {p.qualified_name: p.unit for p in self.parameters}
 
     @property
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
@@ -319,7 +319,9 @@ class Truth(ResultFile):
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
-            "instrument": lambda: INSTRUMENT_TABLE.with_rows([p.flat_name, p.value, p.unit] for p in self.parameters),
+            "instrument": lambda: INSTRUMENT_TABLE.with_rows(
+                [p.qualified_name, p.value, p.unit] for p in self.parameters
+            ),
             "targets": lambda: POINTS_TABLE.with_rows([p.name, *p.position_mm] for p in self.targets),
         }
 
@@ -352,4 +354,4 @@ def nominal_csv(truth: Truth) -> str:
     """
     if truth.nominal is None:
         raise ModelError("the scenario measured no nominal points; set nominal = true in its table [cmm]")
-    return NOMINAL_TABLE.with_rows([p.name, *p.position_mm] for p in truth.nominal).csv()
+    return NOMINAL_TABLE.with_rows([p.name, *p.position_mm] for p in truth.nominal).csv_text()

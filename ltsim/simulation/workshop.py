@@ -10,12 +10,18 @@ from scipy.spatial.transform import Rotation
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.geometry.expansion import ThermalExpansion
 from ltsim.scene.cad import CadFile, extent_text, implausible_size_question, is_inside_room, read_mesh
 from ltsim.scene.meshes import Obstacles, box_triangles, cylinder_triangles, join_obstacles, place_triangles
-from ltsim.scene.visibility import SightLimits, Visibility, aim_nest_normals, compute_visibility, join_visibility_tables
+from ltsim.scene.visibility import (
+    SightLimits,
+    Visibility,
+    best_nest_normals,
+    compute_visibility,
+    join_visibility_tables,
+)
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Cmm, Obstacle, ScenarioGauge, ScenarioInstrument
 
@@ -144,8 +150,8 @@ def measure_nominal_points(
     """
     random = measuring_machine.constant_um * MICROMETRE / measuring_machine.coverage / np.sqrt(2.0)
     scale = MICROMETRE / MILLIMETRE / measuring_machine.length_divisor_mm / measuring_machine.coverage
-    axes = scale * stream(seed, *stream_key, "cmm", "axes").standard_normal(3)
-    draws = np.array([stream(seed, *stream_key, "cmm", "point", name).standard_normal(3) for name in names])
+    axes = scale * random_stream(seed, *stream_key, "cmm", "axes").standard_normal(3)
+    draws = np.array([random_stream(seed, *stream_key, "cmm", "point", name).standard_normal(3) for name in names])
     centre = points.mean(axis=0)
     error: Floats = measuring_machine.noise_factor * ((points - centre) * axes + random * draws.reshape(-1, 3))
     return points + error
@@ -212,7 +218,7 @@ def _nest_normals_and_flags(scenario: Scenario, position: Floats, points: Floats
     reaimed = np.array([usual if value is None else value for value in declared], dtype=bool)
     open_ = ~reaimed & ~np.isfinite(normal[:, 0])
     if open_.any():
-        normal[open_] = aim_nest_normals(position, points[open_])[0]
+        normal[open_] = best_nest_normals(position, points[open_])[0]
     return normal, reaimed
 
 
@@ -314,7 +320,7 @@ def make_visibility(scenario: Scenario, workshop_layout: WorkshopLayout | None =
     there = planned_layout(scenario) if workshop_layout is None else workshop_layout
     obstacles = make_obstacles(scenario)
     stations_of_tracker = [
-        [there.station_names.index(s) for s in scenario.stations_of(name)] for name in scenario.trackers_in_use
+        [there.station_names.index(s) for s in scenario.stations_of_tracker(name)] for name in scenario.trackers_in_use
     ]
     tables = [
         compute_visibility(

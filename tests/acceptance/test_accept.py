@@ -56,7 +56,7 @@ def test_a_calibrated_instrument_as_it_reads_and_corrected(tmp_path: Path) -> No
     assert run(["calibrate", str(_written(recording, tmp_path)), "--out", str(tmp_path / "cal"), "--quiet"]) == 0
     as_read = lt.accept({**SHEET, "calibration": "cal"}, tmp_path)
     corrected = lt.accept({**SHEET, "calibration": "cal", "corrected": True}, tmp_path)
-    assert corrected.passes > as_read.passes
+    assert corrected.pass_probability > as_read.pass_probability
     largest = [max(abs(t.error_um) for t in found.tests) for found in (as_read, corrected)]
     assert largest[1] < 0.1 * largest[0]
 
@@ -102,22 +102,22 @@ def test_measured_errors_are_judged(tmp_path: Path, capsys: pytest.CaptureFixtur
         (
             "bar,-43.5,4\nball,30,2\n",
             "undecided",
-            "No error is shown to exceed its limit",
+            "No error demonstrably exceeds its limit",
             "an expanded uncertainty of bar below 2.2",
         ),
         (
             "bar,-43.5,4\nball,45,20\n",
             "undecided",
-            "No error is shown to exceed its limit",
+            "No error demonstrably exceeds its limit",
             "all 2 undecided errors are accepted with uncertainties",
         ),
         (
             "bar,-47.5,4\nball,30,2\n",
             "undecided",
-            "No error is shown to exceed its limit",
+            "No error demonstrably exceeds its limit",
             "rejects the tracker, because this error of 47.5",
         ),
-        ("bar,-12.5,4\n", "undecided", "No error is shown to exceed its limit", "Measure the other tests"),
+        ("bar,-12.5,4\n", "undecided", "No error demonstrably exceeds its limit", "Measure the other tests"),
         ("bar,-12.5,\nball,30,\n", "accepted", "All errors are within the limits.", ""),
         ("bar,-62.5,\nball,30,\n", "rejected", "Some errors exceed the limits.", "Repeat bar: "),
     ],

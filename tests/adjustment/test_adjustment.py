@@ -7,7 +7,7 @@ from scipy import stats
 from ltsim.adjustment import adjust
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.core.errors import ConvergenceError, NetworkError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.physics.model.construction import dh_construction, ideal_construction, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.setup import Station
@@ -33,7 +33,7 @@ def test_the_design_is_the_derivative_of_the_residuals(construction):
     recording, truth = network(faces=2, values=drawn(construction, 3), construction=construction)
     problem = NetworkProblem.from_model(MeasurementModel(recording, construction))
     design = problem.linearise(truth.state).design
-    rng = stream(0, "directions")
+    rng = random_stream(0, "directions")
     scale = 1e-6
     rows = int(problem.is_used_reading.sum()) + len(problem.gauge_rows) + int(np.isfinite(problem.prior.sigma).sum())
     for _ in range(12):

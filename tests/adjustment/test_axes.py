@@ -133,7 +133,7 @@ def test_a_file_of_axes(tmp_path: Path) -> None:
     (tmp_path / "b.txt").write_text("A 1 2 1000\n")
     (tmp_path / "c.csv").write_text("# from the drawing\nname;x_mm;y_mm;z_mm\nA;1,0;2;3\nB;;;\n")
     for name in ("a.csv", "b.txt", "c.csv"):
-        found = read_points(tmp_path / name, requires_all_axes=False).by_name
+        found = read_points(tmp_path / name, requires_all_axes=False).coordinates_by_name
         assert list(found) == ["A"]
         np.testing.assert_allclose(found["A"][:2], [0.001, 0.002])
     (tmp_path / "d.csv").write_text("what;when\nA;1\n")

@@ -11,7 +11,7 @@ from ltsim.adjustment.identification.selection import identify_causes
 from ltsim.adjustment.quality import MAX_CURVATURE, adjustment_warnings, pose_curvatures
 from ltsim.adjustment.verdict import VerdictCase, verdict_on
 from ltsim.core.errors import LtsimError, NetworkError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import ideal_construction
@@ -28,7 +28,7 @@ def noisy(seed: int = 0, stations: int = 5, **readings: object) -> Recording:
     keep = recording.station < stations
     rows = {n: getattr(recording, n)[keep] for n in ("station", "target", "face", "repeat", "time", "readings")}
     recording = recording.replace(**rows, stations=recording.stations[:stations])
-    noise = stream(seed, "doubt").standard_normal(recording.readings.shape) * recording.sigma()
+    noise = random_stream(seed, "doubt").standard_normal(recording.readings.shape) * recording.sigma()
     return recording.with_readings(recording.readings + noise)
 
 
@@ -57,7 +57,7 @@ def test_gon_read_as_degrees_is_refused_with_the_unit_that_fits() -> None:
     ("change", "words"),
     [
         (lambda x: x * [1.0, -1.0, 1.0], "fit mirrored"),
-        (lambda x: 2.0 * x, "fit scaled by 0.5"),
+        (lambda x: 2.0 * x, "fit if multiplied by 0.5"),
         pytest.param(lambda x: 0.0 * x, "all of these points have the same coordinates", marks=pytest.mark.long),
         (lambda x: x[[1, 0, 2, 3, 5, 4, 6, 7]], "coordinates and names"),
     ],
@@ -192,7 +192,7 @@ def on_a_line(off: float) -> tuple[Recording, NetworkState]:
     recording, state = workshop()
     points, use = state.target_points.copy(), (recording.station != 4) | (recording.target < 10)
     line = points[0] + np.linspace(0, 3, 10)[:, None] * [0.3, 0.1, 0.2]
-    points[:10] = line + off * stream(1, "line").standard_normal((10, 3))
+    points[:10] = line + off * random_stream(1, "line").standard_normal((10, 3))
     rows = {n: getattr(recording, n)[use] for n in ("station", "target", "face", "repeat", "time", "readings")}
     recording = recording.replace(**rows)
     where = NetworkState(state.station_positions, state.station_rotations, points, np.zeros((1, 0)))
@@ -203,7 +203,7 @@ def on_a_line(off: float) -> tuple[Recording, NetworkState]:
 def test_a_pose_whose_linear_covariance_fails_is_told(off: float, bent: bool) -> None:
     """Curvature against what repeated trials show: 95 % regions hold, or hold far less often."""
     recording, where = on_a_line(off)
-    rng, inside, trials = stream(2, "bent"), 0, 40
+    rng, inside, trials = random_stream(2, "bent"), 0, 40
     for _ in range(trials):
         noise = rng.standard_normal(recording.readings.shape) * recording.sigma()
         found = adjust(recording.with_readings(recording.readings + noise), start_state=where)

@@ -11,7 +11,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.quality import pose_curvatures
 from ltsim.core.errors import NetworkError, RecordError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.recordings import read
 
 PRINTED = 5e-6
@@ -78,7 +78,7 @@ class Network:
 
     def measured(self, seed: int) -> Network:
         """The network with noisy values, in the digits of the file."""
-        rng, noisy = stream(seed, "gama-kinds"), []
+        rng, noisy = random_stream(seed, "gama-kinds"), []
         turns = {name: rng.uniform(0, 6) for name in self.sets}
         places = {name: np.array(place) for name, place in PLACES.items()}
         for s in self.observed:

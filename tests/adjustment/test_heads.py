@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import EARTH_RADIUS
 from ltsim.physics.model.measurement import with_plumb_lines
 from ltsim.recordings.native import read_recording, write_recording
@@ -22,7 +22,7 @@ def set_up_anew(seed: int, sigma_mm: float = 1.0) -> tuple[Recording, np.ndarray
         name: Station(levelled=True, levelling_sigma_arcsec=EXACT_LEVELLING_SIGMA_ARCSEC) for name in recording.stations
     }
     told = {"stations": stations, "heads_sigma_mm": sigma_mm}
-    higher = 1e-3 * sigma_mm * stream(seed, "heads").standard_normal((4, len(mesh())))
+    higher = 1e-3 * sigma_mm * random_stream(seed, "heads").standard_normal((4, len(mesh())))
     change = higher[recording.station, recording.target, None] * [0.0, 0.0, 1.0]
     by_target = adjust(recording).problem.model.linearise(adjust(recording).state).target_derivatives
     readings = recording.readings + np.einsum("nij,nj->ni", by_target, change)

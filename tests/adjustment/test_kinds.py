@@ -9,7 +9,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.fitting import multilaterate
 from ltsim.adjustment.start import initial_network
 from ltsim.core.errors import NetworkError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rigid import align_rigidly, matrix_from_rotation_vector, rotation_about_z
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
@@ -108,7 +108,7 @@ def test_ranges_alone_are_multilaterated():
 
 
 def test_the_algebraic_beginning_is_exact():
-    rng = stream(4, "points")
+    rng = random_stream(4, "points")
     points, stations = rng.uniform(-3, 3, (12, 3)), rng.uniform(-3, 3, (5, 3))
     found = multilaterate(np.linalg.norm(stations[:, None] - points[None], axis=2))
     assert found is not None
@@ -189,7 +189,7 @@ def test_a_target_that_two_ranges_place_leaves_a_robust_adjustment_where_they_co
     readings = MeasurementModel(recording, ideal_construction()).predict(
         dataclasses.replace(truth.state, station_positions=places)
     )
-    readings += recording.sigma() * stream(5, "noise").standard_normal(readings.shape)
+    readings += recording.sigma() * random_stream(5, "noise").standard_normal(readings.shape)
     kept = (recording.target != 5) | (recording.station < 2)
     recording = recording.with_readings(readings).select(kept)
     rows = np.flatnonzero(recording.target == 5)
@@ -275,7 +275,7 @@ def total_stations(seed: int | None = None) -> tuple[Recording, np.ndarray]:
 
     Readings are computed here by hand, without the measurement model.
     """
-    rng = stream(11, "marks")
+    rng = random_stream(11, "marks")
     marks = np.column_stack([rng.uniform(0, 60, (9, 2)), rng.uniform(0, 5, 9)])
     names = [f"M{i}" for i in range(9)]
     over = [0, 1, 2, 3, 4, 5, 0]
@@ -312,7 +312,7 @@ def total_stations(seed: int | None = None) -> tuple[Recording, np.ndarray]:
         np.array(readings),
     )
     if seed is not None:
-        noise = stream(seed, "noise").standard_normal(recording.readings.shape)
+        noise = random_stream(seed, "noise").standard_normal(recording.readings.shape)
         recording = recording.with_readings(recording.readings + recording.sigma() * noise)
     return recording, marks
 
@@ -371,8 +371,8 @@ def test_known_points_may_have_a_full_covariance():
     """Turned with their covariances they give the same network turned; alike in all directions they are as before."""
     recording, truth = network(seed=3, stations=3)
     points, places = truth.state.target_points, [2, 9, 14, 21]
-    shifted = points + 1e-3 * stream(3, "known").standard_normal(points.shape)
-    roots = stream(3, "roots").uniform(0.3, 2.0, (len(points), 3, 3))
+    shifted = points + 1e-3 * random_stream(3, "known").standard_normal(points.shape)
+    roots = random_stream(3, "roots").uniform(0.3, 2.0, (len(points), 3, 3))
     found = []
     for turn in (np.eye(3), rotation_about_z(0.7)):
         targets = {}
@@ -403,7 +403,7 @@ def test_a_covariance_is_positive_in_every_direction(entries):
 def test_the_start_is_good_enough_with_the_noise_of_total_stations():
     for seed in range(5):
         recording, marks = total_stations(seed)
-        recording = blanked(recording, stream(seed, "rows").uniform(size=len(recording)) < 0.5, [0])
+        recording = blanked(recording, random_stream(seed, "rows").uniform(size=len(recording)) < 0.5, [0])
         found = adjust(recording)
         assert found.solution.has_converged
         assert found.p_value > 1e-5
@@ -422,7 +422,7 @@ def test_each_instrument_has_its_own_parameters():
     recording = with_setup(recording, stations=stations, instruments={"A": Instrument(), "B": Instrument()})
     state = dataclasses.replace(truth.state, instrument_parameters=values)
     recording = recording.with_readings(MeasurementModel(recording, construction).predict(state))
-    noise = stream(3, "noise").standard_normal(recording.readings.shape)
+    noise = random_stream(3, "noise").standard_normal(recording.readings.shape)
     found = adjust(recording.with_readings(recording.readings + recording.sigma() * noise), construction)
     for i in range(2):
         error = found.state.instrument_parameters[i] - values[i]
@@ -456,7 +456,7 @@ def test_the_datum_of_chosen_points_has_the_least_trace_and_keeps_their_mean():
 def test_a_stated_datum_moves_the_network_to_its_approximate_coordinates():
     recording, truth = network(seed=4)
     turn, shift = rotation_about_z(0.7), np.array([30.0, -10.0, 2.0])
-    rough = truth.state.target_points @ turn.T + shift + 1e-3 * stream(1, "rough").standard_normal((28, 3))
+    rough = truth.state.target_points @ turn.T + shift + 1e-3 * random_stream(1, "rough").standard_normal((28, 3))
     targets = {
         n: t.model_copy(update={"approximate_mm": tuple(1e3 * rough[i]), "datum": i % 2 == 0})
         for i, (n, t) in enumerate((n, recording.target_setup(n)) for n in recording.targets)
@@ -484,8 +484,8 @@ def test_any_readings_may_be_missing(kind, seed):
     if kind == "levelled":
         recording = levelled(recording)
     if kind == "known":  # In the coordinates of a country: 1e-10 m is all that is left of the digits.
-        recording = known(recording, points + 1e6, stream(seed, "known").permutation(28)[:4])
-    lost = stream(seed, "lost").uniform(size=recording.readings.shape)
+        recording = known(recording, points + 1e6, random_stream(seed, "known").permutation(28)[:4])
+    lost = random_stream(seed, "lost").uniform(size=recording.readings.shape)
     share = [(0.6, 0, 0), (0.25, 0.25, 0.25), (0.9, 0, 0)][seed % 3]
     recording = recording.with_readings(np.where(lost < share, np.nan, recording.readings))
     recording = recording.select(recording.is_measured.any(axis=1))

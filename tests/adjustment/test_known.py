@@ -13,7 +13,7 @@ from ltsim.adjustment.axes import with_axes_from_points, with_control_points
 from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import RecordError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.polar import wrap_angle
 from ltsim.geometry.rigid import align_rigidly
 from ltsim.recordings.coordinates import read_points
@@ -29,7 +29,7 @@ SIGMA = 0.01
 def controlled(seed: int, off: dict[str, float] | None = None, *, stations: int = 5, faces: int = 1) -> Recording:
     """The workshop with six control points, some of them `off` by so many mm in a direction of their own."""
     recording, _ = network(seed=seed, stations=stations, faces=faces)
-    rng, targets = stream(seed, "control"), dict(recording.setup.targets)
+    rng, targets = random_stream(seed, "control"), dict(recording.setup.targets)
     for name in SIX:
         place = 1e3 * mesh()[recording.targets.index(name)] + SIGMA * rng.standard_normal(3)
         away = rng.standard_normal(3)
@@ -98,7 +98,7 @@ def test_of_a_hundred_sound_networks_five_are_blamed_at_most() -> None:
     blamed = 0
     for seed in range(100):
         recording = network(seed=seed, stations=3)[0]
-        noise = 2e-5 * stream(seed, "axes").standard_normal(mesh().shape)
+        noise = 2e-5 * random_stream(seed, "axes").standard_normal(mesh().shape)
         points = {name: (mesh() + noise)[recording.targets.index(name)] for name in SIX}
         blamed += any(
             test.is_excluded for test in adjust(with_axes_from_points(recording, points, "hall.csv")).axes_point_tests
@@ -248,7 +248,7 @@ def test_calibration_keeps_its_lengths_and_its_table_is_saved() -> None:
 @pytest.mark.parametrize("size", family([0.3, 200.0, 1.0, 10.0], 2))
 def test_a_point_that_misses_the_axes_of_the_others_is_left_out_of_the_datum(size: float) -> None:
     recording = network(seed=4, stations=3)[0]
-    noise = 2e-5 * stream(4, "axes").standard_normal(mesh().shape)
+    noise = 2e-5 * random_stream(4, "axes").standard_normal(mesh().shape)
     places = mesh() @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) + [12.0, -4.0, 7.0]
     for name in SIX:
         points = {n: (places + noise)[recording.targets.index(n)] for n in SIX}
@@ -274,7 +274,7 @@ def test_tests_of_known_values_use_the_noise_of_the_readings(factor: float) -> N
     recording = network(seed=6, stations=3)[0]
     sigma = recording.sigma()
     noisy = recording.with_readings(
-        recording.readings + factor * sigma * stream(6, "more").standard_normal(sigma.shape)
+        recording.readings + factor * sigma * random_stream(6, "more").standard_normal(sigma.shape)
     )
     points = {name: mesh()[recording.targets.index(name)] for name in SIX}
     points[SIX[0]] = points[SIX[0]] + np.array([0.0, 0.0, 1e-5 * factor])

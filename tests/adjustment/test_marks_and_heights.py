@@ -9,7 +9,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.blunders import detect_blunders
 from ltsim.adjustment.fieldcheck import check
 from ltsim.adjustment.quality import adjustment_warnings
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.polar import from_polar, to_polar
 from ltsim.physics.model.construction import ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
@@ -28,7 +28,7 @@ def two_days(beside: float, seed: int = 1, along: tuple[float, ...] = (0.8, 0.6,
     position[3] = position[0] + beside * np.array(along)
     state = NetworkState(position, truth.state.station_rotations, mesh(), np.zeros((1, 0)))
     exact = stated.with_readings(MeasurementModel(stated, ideal_construction()).predict(state))
-    noise = stream(seed, "noise").standard_normal(exact.readings.shape)
+    noise = random_stream(seed, "noise").standard_normal(exact.readings.shape)
     return exact.with_readings(exact.readings + exact.sigma() * noise)
 
 

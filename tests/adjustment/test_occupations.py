@@ -9,7 +9,7 @@ import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.centring import correct_centring, estimate_centring_errors
 from ltsim.adjustment.fieldcheck import check
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.polar import to_polar
 from ltsim.recordings import Recording
 from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Instrument, Noise, Setup, Station
@@ -25,7 +25,7 @@ def local_tie(seed: int, shift: tuple[float, float, float] = (0.0, 0.0, 0.0), sp
 
     Directions to the spire scatter `spire` times as stated.
     """
-    rng = stream(seed, "local-tie")
+    rng = random_stream(seed, "local-tie")
     rows = [
         (day, pillar, other, repeat)
         for day in range(2)

@@ -15,7 +15,7 @@ from ltsim.adjustment.identification import identify_causes
 from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError, SetupError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.polar import wrap_angle
 from ltsim.measurands.inputs import TaskInputs
 from ltsim.measurands.spec import validate_tasks
@@ -94,7 +94,7 @@ def test_without_the_column_they_are_off_by_the_difference_of_the_radii() -> Non
 @pytest.mark.parametrize("known", [(), CONTROL[:1], CONTROL[:2]])
 def test_a_network_that_nothing_holds_in_the_frame_of_the_normals_is_refused(known: tuple[str, ...]) -> None:
     recording, truth = lt.simulate(scenario(), seed=3)
-    with pytest.raises(NetworkError, match=r"no frame for these .* three known points"):
+    with pytest.raises(NetworkError, match=r"no frame in which these .* three known points"):
         adjust(controlled(recording, truth, known))
 
 
@@ -115,7 +115,7 @@ def test_levels_hold_it_where_the_normals_are_vertical() -> None:
 def test_first_order_and_exact_model_have_the_same_arm(construction: Any) -> None:
     recording, truth = lt.simulate(scenario(), seed=3)
     model = MeasurementModel(recording, construction)
-    draw = stream(1, "reflectors")
+    draw = random_stream(1, "reflectors")
     state = NetworkState(
         truth.station_positions, truth.station_rotations, truth.target_points, np.zeros((1, construction.n_parameters))
     )

@@ -8,7 +8,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.frame import StationTargetPairs
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import ideal_construction
@@ -53,7 +53,7 @@ def found_sigma(adjustment):
 
 def tunnel(stations, each=50):
     """Set-ups in a row, each of which shares half of its targets with the next."""
-    rng, half = stream(4, "tunnel", stations), each // 2
+    rng, half = random_stream(4, "tunnel", stations), each // 2
     count = half * (stations + 1)
     position = np.stack([6.3 * np.arange(stations), np.zeros(stations), rng.normal(1.6, 0.1, stations)], axis=1)
     along = 6.3 * (np.arange(count) // half) - 3.15 + rng.uniform(-2, 2, count)

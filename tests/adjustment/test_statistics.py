@@ -8,7 +8,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.reliability import critical_w, noncentrality, p_value_of_tau
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.adjustment.verdict import VerdictCase, verdict_on
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Setup, Station
@@ -20,7 +20,7 @@ TRACKER = misalignment_construction()
 def noisy(seed: int, scale=(1.0, 1.0, 1.0), **options):
     """A network whose noise is the stated one times `scale` by observable."""
     recording, _ = network(values=drawn(TRACKER, seed), **options)
-    noise = stream(seed, "noise").standard_normal(recording.readings.shape)
+    noise = random_stream(seed, "noise").standard_normal(recording.readings.shape)
     return recording.with_readings(recording.readings + recording.sigma() * noise * np.array(scale))
 
 
@@ -49,7 +49,7 @@ def test_the_chance_at_a_limit_is_its_level():
 
 
 def test_each_restless_target_is_judged_by_its_own_noise():
-    rng, times = stream(4, "noisy_targets"), 40
+    rng, times = random_stream(4, "noisy_targets"), 40
     target = np.repeat(np.arange(4), times)
     scatter = np.array([1.0, 1.0, 8.0, 40.0])[target][:, None] * rng.standard_normal((len(target), 3))
     place = np.array([[3.0, 0.0, 0.1], [3.0, 1.5, 0.2], [3.0, 3.0, -0.1], [3.0, 4.5, 0.0]])[target]
@@ -88,7 +88,7 @@ def test_an_error_of_the_detectable_size_is_found_with_its_power():
     clean = adjust(noisy(3), TRACKER)
     needed = noncentrality(alpha=FAMILY_WISE_LEVEL, n_tests=int(clean.problem.is_used_reading.sum()))
     bias = np.sqrt(needed / clean.redundancy)
-    rows = stream(5, "rows").permutation(len(clean.recording))[:120]
+    rows = random_stream(5, "rows").permutation(len(clean.recording))[:120]
     limit = critical_w(int(clean.problem.is_used_reading.sum()))
     found = 0
     for k, i in enumerate(rows):
@@ -107,7 +107,7 @@ def test_an_error_of_the_detectable_size_is_found_with_its_power():
 @pytest.mark.parametrize("seed", range(6))
 def test_many_blunders_are_left_out_and_nothing_else(seed):
     clean = noisy(seed)
-    rng = stream(seed, "blunders")
+    rng = random_stream(seed, "blunders")
     where = [(int(i), int(rng.integers(3))) for i in rng.permutation(len(clean))[:14]]
     sizes = rng.choice([-1, 1], 14) * 10 ** rng.uniform(1.3, 3.5, 14)
     found = adjust(spoiled(clean, where, sizes), TRACKER, robust=True)
@@ -162,7 +162,7 @@ def test_noise_of_each_instrument_is_found_with_blunders_about():
     )
     recording = recording.replace(setup=setup)
     scale = np.where(recording.instrument[:, None] == 1, 3.0, 1.0)
-    noise = stream(6, "noise").standard_normal(recording.readings.shape)
+    noise = random_stream(6, "noise").standard_normal(recording.readings.shape)
     recording = recording.with_readings(recording.readings + recording.sigma() * noise * scale)
     where = [(5, 0), (40, 1), (111, 2)]
     found = adjust(spoiled(recording, where, [200, -300, 500]), robust=True, noise_grouping="instrument")

@@ -284,4 +284,4 @@ def test_each_kind_of_name_is_looked_at() -> None:
     )
     names = {name for _, name in defined(tree) if words_of(name) & WORDS}
     assert names == {"own", "Known", "told", "left_over", "some", "seen", "found", "said"}
-    assert not words_of("unknown_name") & WORDS and not words_of("foundation") & WORDS
+    assert not words_of("unknown_name_error") & WORDS and not words_of("foundation") & WORDS

@@ -48,7 +48,7 @@ ALLOWED = {
     },
     "ltsim/campaigns/campaign.py": {"run": "`git rev-parse HEAD`, fixed words, in the folder of the package"},
     "ltsim/scene/cad_process.py": {"run": "this interpreter with a fixed program; a file's path is an argument"},
-    "ltsim/core/values.py": {"__reduce__": "parts of an object in memory, to compare them"},
+    "ltsim/core/equality.py": {"__reduce__": "parts of an object in memory, to compare them"},
 }
 """Calls of these names with the reason why no file decides what they do."""
 

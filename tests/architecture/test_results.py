@@ -15,7 +15,7 @@ import ltsim
 import ltsim as lt
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.summary import CampaignSummary, SolverComparison, StatisticSummary, ZScoreSummary
-from ltsim.core.descriptions import descriptions
+from ltsim.core.descriptions import field_descriptions
 from ltsim.core.results import Result
 from ltsim.recordings.result_file import ResultFile
 from ltsim.reports.schemas import FILE_MODELS, RESULT_MODELS
@@ -55,13 +55,15 @@ def test_the_result_of_a_verb_is_the_model_of_its_file(verb: str, file: str) -> 
     kind = returned(verb)
     assert issubclass(kind, ResultFile) and issubclass(kind, Result)
     assert FILE_MODELS[file] is kind and file == kind.FILE and kind in RESULT_MODELS
-    assert descriptions(kind).keys() == kind.model_fields.keys(), f"{kind.__name__} has a field without a description"
+    assert field_descriptions(kind).keys() == kind.model_fields.keys(), (
+        f"{kind.__name__} has a field without a description"
+    )
 
 
 def test_the_summary_of_a_campaign_is_one_model() -> None:
     """What `ltsim campaign --json` prints: its entries are those that Python, figures and pages use."""
     statistics = CampaignSummary, StatisticSummary, ZScoreSummary, SolverComparison
-    assert all(descriptions(kind).keys() == kind.model_fields.keys() for kind in statistics)
+    assert all(field_descriptions(kind).keys() == kind.model_fields.keys() for kind in statistics)
     signature = inspect.signature(CampaignStatistics.summary)
     assert signature.return_annotation in (CampaignSummary, "CampaignSummary")
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.recordings.recording import Recording
@@ -29,7 +29,7 @@ Make = Callable[..., Recording]
 def draw(construction: GeometricErrorModel, seed: int, trial: int, share: float = 1.0) -> np.ndarray:
     """Parameters from the prior."""
     sigma = np.array([p.prior_sigma for p in construction.parameters])
-    return share * sigma * stream(seed, "parameters", trial).standard_normal(construction.n_parameters)
+    return share * sigma * random_stream(seed, "parameters", trial).standard_normal(construction.n_parameters)
 
 
 @pytest.fixture(scope="session")
@@ -62,7 +62,7 @@ def make() -> Make:
         station, target, face = grid.T
         turn = np.stack([rotation_about_z(yaw) for yaw in YAW])
         local = np.einsum("nji,nj->ni", turn[station], POINTS[target] - STATIONS[station])
-        rng = stream(5, "noise", trial)
+        rng = random_stream(5, "noise", trial)
         names = tuple(f"T{t + 1:02d}" for t in range(count))
         lengths = []
         for i in range(count - 4, count):

@@ -14,7 +14,7 @@ from ltsim.calibration.distance_solver import mean_deviation_comparisons, pair_d
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.core.errors import NetworkError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.setup import Setup
 from tests.families import family
@@ -27,7 +27,7 @@ def problem_of(recording) -> DistanceProblem:
 
 def equation_9(recording, values: np.ndarray, power: int) -> float:
     """Eq. 9 as printed, in loops; gauge pairs only in its second term."""
-    points = misalignment_construction().point(recording.readings, values)
+    points = misalignment_construction().points_from_readings(recording.readings, values)
     total = 0.0
     place = {(s, t): i for i, (s, t) in enumerate(zip(recording.station, recording.target, strict=True))}
 
@@ -48,7 +48,7 @@ def equation_9(recording, values: np.ndarray, power: int) -> float:
 def test_matrix_form_is_equation_9(make, drawn) -> None:
     recording = make(drawn(misalignment_construction(), 2, 0))
     problem = problem_of(recording)
-    unknowns = 0.5 * stream(1, "x").standard_normal(16)
+    unknowns = 0.5 * random_stream(1, "x").standard_normal(16)
     values = unknowns * problem.prior_sigma[0]
     distances = problem.distances_at(unknowns)
     assert np.sum(mean_deviation_comparisons(problem, distances).residuals ** 2) == pytest.approx(
@@ -69,7 +69,7 @@ def test_derivatives_equal_differences(make, drawn) -> None:
         back = mean_deviation_comparisons(problem, problem.distances_at(at - step * np.eye(16)[k])).residuals
         slope = (ahead - back) / (2 * step)
         assert np.allclose(rows.unknown_derivatives[:, k], slope, atol=1e-4 * np.abs(slope).max())
-    noise = 1e-2 * stream(1, "e").standard_normal((len(recording), 3))
+    noise = 1e-2 * random_stream(1, "e").standard_normal((len(recording), 3))
     moved = problem_of(recording.with_readings(recording.readings + noise * recording.sigma()))
     change = mean_deviation_comparisons(moved, moved.distances_at(at)).residuals - rows.residuals
     linear = rows.noise_derivatives[:, : noise.size] @ noise.ravel()
@@ -84,7 +84,7 @@ def test_solution_minimises_what_it_says(make, drawn, method: str) -> None:
     least = equation_9(recording, found.estimates[0], power)
     left = [np.array([c.combination.get(n, 0.0) for n in found.instrument_parameter_names]) for c in found.undetermined]
     assert left  # one face: some combinations are left alone
-    rng = stream(3, "push")
+    rng = random_stream(3, "push")
     for _ in range(5):
         push = rng.standard_normal(16)
         for direction in left:

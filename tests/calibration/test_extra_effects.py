@@ -11,7 +11,7 @@ import ltsim as lt
 from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.range_cyclic import RangeCyclic
@@ -27,7 +27,9 @@ RATE = 40e-6 / 3600
 @pytest.fixture(scope="module")
 def drifting() -> Recording:
     recording = network(faces=2, seed=5, values=drawn(misalignment_construction(), 5))[0]
-    readings = recording.readings + recording.sigma() * stream(5, "beside").standard_normal(recording.readings.shape)
+    readings = recording.readings + recording.sigma() * random_stream(5, "beside").standard_normal(
+        recording.readings.shape
+    )
     there = recording.station == 2
     clock = recording.time - recording.time[there].min()
     readings[there, 2] -= RATE * clock[there]

@@ -267,4 +267,6 @@ def test_points_do_not_move_by_correction(calibration, make, drawn) -> None:
     recording = make(drawn(misalignment_construction(), 3, 5))
     corrected = correct(recording, calibration)
     values = calibration.estimates[0]
-    assert np.allclose(from_polar(corrected.readings), misalignment_construction().point(recording.readings, values))
+    assert np.allclose(
+        from_polar(corrected.readings), misalignment_construction().points_from_readings(recording.readings, values)
+    )

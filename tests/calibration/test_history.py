@@ -18,7 +18,7 @@ from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.schema import FitEntry
 from ltsim.cli.main import run
 from ltsim.core.errors import RecordError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.recordings import write
 
@@ -53,7 +53,7 @@ def labelled(calibrations):
 def test_an_unchanged_instrument_passes_at_the_stated_rate():
     joint, single, constant = [], [], []
     for trial in range(150):
-        rng = stream(1, "unchanged", trial)
+        rng = random_stream(1, "unchanged", trial)
         truth = PRIOR * rng.standard_normal(SIZE)
         history = CalibrationSeries.from_labelled(labelled([estimate(truth, d, rng) for d in designs(rng, 3)]))
         change = history.change(0, 2)
@@ -66,7 +66,7 @@ def test_an_unchanged_instrument_passes_at_the_stated_rate():
 
 
 def test_what_no_reading_touches_is_neither_changed_nor_counted():
-    rng = stream(2, "silent")
+    rng = random_stream(2, "silent")
     history = CalibrationSeries.from_labelled(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 2)]))
     change = history.change(0, 1)
     assert change.dof <= SIZE - SILENT
@@ -76,7 +76,7 @@ def test_what_no_reading_touches_is_neither_changed_nor_counted():
 
 
 def test_a_changed_parameter_is_found_and_named():
-    rng = stream(3, "changed")
+    rng = random_stream(3, "changed")
     truth = PRIOR * rng.standard_normal(SIZE)
     later = truth.copy()
     later[5] += 3.0 * PRIOR[5]
@@ -93,7 +93,7 @@ def test_a_changed_parameter_is_found_and_named():
 @pytest.mark.long
 def test_three_calibrations_do_not_look_more_alike_than_they_are():
     """The restricted likelihood: the spread about a mean that is found from the same calibrations, unbiased."""
-    rng, ratios = stream(9, "few"), []
+    rng, ratios = random_stream(9, "few"), []
     for _ in range(40):
         mean, (design,) = rng.standard_normal(SIZE) * PRIOR, designs(rng, 1, strength=40.0)
         few = [estimate(mean + 0.5 * PRIOR * rng.standard_normal(SIZE), design, rng) for _ in range(3)]
@@ -103,7 +103,7 @@ def test_three_calibrations_do_not_look_more_alike_than_they_are():
 
 
 def test_the_population_is_recovered_and_improves_a_new_calibration():
-    rng = stream(4, "population")
+    rng = random_stream(4, "population")
     mean, spread = 0.5 * PRIOR * rng.standard_normal(SIZE), PRIOR * np.where(np.arange(SIZE) % 2, 0.5, 0.02)
     truths = mean + spread * rng.standard_normal((41, SIZE))
     calibrations = [estimate(t, d, rng) for t, d in zip(truths, designs(rng, 41), strict=True)]
@@ -119,7 +119,7 @@ def test_the_population_is_recovered_and_improves_a_new_calibration():
 
 
 def test_json_holds_every_test_in_the_units_of_a_person():
-    rng = stream(5, "json")
+    rng = random_stream(5, "json")
     history = CalibrationSeries.from_labelled(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 3)]))
     content = json.loads(History.from_series(history).text())
     assert content["format"] == "ltsim-history/1"
@@ -132,7 +132,7 @@ def test_json_holds_every_test_in_the_units_of_a_person():
 
 def walked(trial, *, blow=0.0):
     """Twelve calibrations of an instrument whose parameters move by half a prior sigma a day; one is hit on day 8."""
-    rng = stream(6, "walk", trial)
+    rng = random_stream(6, "walk", trial)
     truths = PRIOR * rng.standard_normal(SIZE) + 0.5 * PRIOR * rng.standard_normal((12, SIZE))
     truths[8:, 6] += blow * PRIOR[6]
     return CalibrationSeries.from_labelled(
@@ -163,7 +163,7 @@ DATES = ("01-01", "01-02", "01-04", "01-05", "01-06", "06-15", "06-16", "06-18",
 
 def wandered(trial, *, blow=0.0, dated=True):
     """Nine calibrations of an instrument that wanders by 0.3 prior sigmas a root day, 160 days apart once."""
-    rng = stream(8, "wander", trial)
+    rng = random_stream(8, "wander", trial)
     days = np.diff([date.fromisoformat(f"2026-{d}").toordinal() for d in DATES])
     steps = 0.3 * np.sqrt(days)[:, None] * rng.standard_normal((len(days), SIZE))
     truths = PRIOR * np.cumsum(np.vstack([np.zeros(SIZE), steps]), axis=0)
@@ -194,28 +194,28 @@ def test_a_blow_between_two_days_stands_out_of_a_wandering_instrument():
     ],
 )
 def test_wrong_dates_get_a_sentence(dates, words):
-    rng = stream(7, "few")
+    rng = random_stream(7, "few")
     named = labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 2)])
     with pytest.raises(RecordError, match=words):
         CalibrationSeries.from_labelled(named, dates=dates)
 
 
 def test_few_calibrations_tell_no_event():
-    rng = stream(7, "few")
+    rng = random_stream(7, "few")
     history = CalibrationSeries.from_labelled(labelled([estimate(np.zeros(SIZE), d, rng) for d in designs(rng, 3)]))
     assert not has_enough_steps(history)
     assert not significant_steps(history)
 
 
 def test_one_calibration_alone_is_refused():
-    rng = stream(6, "refused")
+    rng = random_stream(6, "refused")
     calibration = estimate(np.zeros(SIZE), designs(rng, 1)[0], rng)
     with pytest.raises(RecordError, match="at least two"):
         CalibrationSeries.from_labelled([("a", calibration)])
 
 
 def test_a_parameter_without_uncertainty_is_refused():
-    rng = stream(6, "refused")
+    rng = random_stream(6, "refused")
     calibration = estimate(np.zeros(SIZE), designs(rng, 1)[0], rng)
     sure = calibration.with_changes(covariance=np.diag(np.r_[0.0, np.diag(calibration.covariance)[1:]]))
     with pytest.raises(RecordError, match="no uncertainty of range-offset"):
@@ -225,7 +225,7 @@ def test_a_parameter_without_uncertainty_is_refused():
 @pytest.fixture(scope="module")
 def before_and_after(make):
     """A recording, one of the same instrument, and one after its beam tilt has changed."""
-    truth = 0.3 * PRIOR * stream(7, "truth").standard_normal(SIZE)
+    truth = 0.3 * PRIOR * random_stream(7, "truth").standard_normal(SIZE)
     knocked = truth.copy()
     knocked[CONSTRUCTION.index("beam-tilt")] += 10e-6
     return [make(v, faces=(1, 2), trial=i) for i, v in enumerate((truth, truth, knocked))]

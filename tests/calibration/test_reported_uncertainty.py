@@ -10,7 +10,7 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE_NAME
 from ltsim.core.errors import RecordError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.recordings.coordinates import read_coordinates
 
 PLAN = """
@@ -125,7 +125,7 @@ def test_an_adjustment_says_that_the_instrument_is_still_in_its_coordinates(plai
 
 
 def test_a_rejected_calibration_corrects_nothing_unless_it_is_asked_to(plain: lt.Recording, tmp_path: Path) -> None:
-    noise = stream(11, "rejected").standard_normal(plain.readings.shape) * 3.0 * plain.sigma()
+    noise = random_stream(11, "rejected").standard_normal(plain.readings.shape) * 3.0 * plain.sigma()
     calibration = lt.calibrate(plain.with_readings(plain.readings + noise), advise=False)
     lt.write(calibration, tmp_path)
     for source in (calibration, tmp_path):

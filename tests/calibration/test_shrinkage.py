@@ -12,7 +12,7 @@ from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.shrinkage import ScaledPrior, held_out_targets, point_error_matrix, point_noise_rms
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number_text
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.physics.effects import parameter_text
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import Recording
@@ -53,7 +53,7 @@ def test_new_points_do_not_become_worse_under_a_wrong_prior(
     """Parameters drawn at the truth's size; the prior stated `factor` times as wide, the noise up to useless."""
     information, by_unit = evidence[0] * factor**2 / noise**2, evidence[1] * factor**2
     root = np.linalg.cholesky(information + 1e-12 * np.trace(information) * np.eye(16))
-    rng = stream(11, "worth")
+    rng = random_stream(11, "worth")
     before, after = np.zeros(400), np.zeros(400)
     for trial in range(len(before)):
         true = rng.standard_normal(16) / factor
@@ -86,7 +86,7 @@ def test_a_wrong_prior_is_said_and_the_correction_still_corrects(factor: float) 
 
 def test_a_recording_that_tells_nothing_corrects_nothing_and_says_so() -> None:
     recording = with_prior(network(seed=4)[0], 1000.0, noise=200.0)
-    noise = stream(5, "noise").standard_normal(recording.readings.shape)
+    noise = random_stream(5, "noise").standard_normal(recording.readings.shape)
     found = lt.calibrate(recording.with_readings(recording.readings + recording.sigma() * noise), advise=False)
     assert found.correction is not None
     assert np.linalg.norm(found.applied_values / SIGMA) < 0.2 * np.linalg.norm(found.estimates / SIGMA)
@@ -209,7 +209,7 @@ def test_whole_calibrations_do_not_make_new_points_worse(factor: float, noise: f
         values = drawn(BUILT, seed)
         recording, _ = network(values=values)
         stated = with_prior(recording, factor, noise)
-        draw = stream(seed, "noise").standard_normal(recording.readings.shape)
+        draw = random_stream(seed, "noise").standard_normal(recording.readings.shape)
         found = lt.calibrate(stated.with_readings(recording.readings + stated.sigma() * draw), advise=False)
         assert found.adjustment is not None
         by_value = point_error_matrix(found.adjustment)
@@ -237,7 +237,7 @@ def test_a_scale_beyond_the_prior_is_not_followed_where_the_readings_contradict_
     evidence: tuple[Floats, Floats],
 ) -> None:
     information, by_unit = evidence
-    told = information @ (6.0 * stream(3, "worth").standard_normal(16))
+    told = information @ (6.0 * random_stream(3, "worth").standard_normal(16))
     followed, bent = ScaledPrior(information, told), ScaledPrior(information, told, sigma0=2.5)
     assert followed.shrunk_correction(by_unit)[0].any()
     assert "the correction uses this scale" in followed.scale_sentence

@@ -21,4 +21,4 @@ def test_an_undetermined_parameter_is_not_applied_and_is_named(
     assert abs(calibration.applied_values[0]).max() > 0.0
     lt.write(recording, tmp_path / "rec")
     assert run(["calibrate", str(tmp_path / "rec")]) in (0, 1)
-    assert "Not determined by the recording, which leaves the prior: range-scale." in capsys.readouterr().out
+    assert "Not determined by the recording, so that the prior remains: range-scale." in capsys.readouterr().out

@@ -25,7 +25,7 @@ from ltsim.campaigns.spec import load_campaign
 from ltsim.campaigns.statistics import QUANTILE_LEVELS
 from ltsim.campaigns.store import CampaignFolder, read_shard
 from ltsim.core.errors import NetworkError, SetupError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 from tests.campaigns.small import FILE
 
@@ -146,7 +146,7 @@ def test_killed_at_random_moments_of_resumed_runs_the_next_completes_with_the_sa
     assert run_campaign(file, whole).n_computed_shards == 38
     script.write_text(RESUMED)
     killed, present = 0, set[str]()
-    for number, moment in enumerate(stream(7, "moments").uniform(0.0, LATEST, KILLS)):
+    for number, moment in enumerate(random_stream(7, "moments").uniform(0.0, LATEST, KILLS)):
         command = [sys.executable, str(script), str(file), str(out), str(jobs)]
         with subprocess.Popen(command, cwd=root, env={**os.environ, "PYTHONPATH": str(root)}, stdout=-1) as worker:
             assert worker.stdout is not None

@@ -95,7 +95,7 @@ def test_names_are_as_short_as_tells_them_apart() -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ('[grid]\n"instrument.noise.azimuth_arcsec" = ["0.5 mm"]\n', "azimuth_arcsec is '0.5 mm', but it is in arcsec"),
+        ('[grid]\n"instrument.noise.azimuth_arcsec" = ["0.5 mm"]\n', "azimuth_arcsec is '0.5 mm', expected a number"),
         ('[grid]\n"instrument.noise.azimuth" = [0.5]\n', "did you mean azimuth_arcsec"),
         ('[grid]\n"work.stations" = [6]\n', "work.stations is 6, but the scenario has 5"),
         ('[grid]\n"work.targets" = [0]\ngauge = ["none"]\n', "work.targets is 0, expected at least 3"),

@@ -40,7 +40,7 @@ def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., Ce
     for i, (s, t) in enumerate(zip(sets, truth.recording.target, strict=True)):
         for k in (3, 4):
             raw = truth.recording.readings[i : i + 1] + block.reading_deviations[i : i + 1, :, k]
-            clouds[s, t, :, k] += share[i] * misalignment_construction().point(raw, np.zeros(16))[0]
+            clouds[s, t, :, k] += share[i] * misalignment_construction().points_from_readings(raw, np.zeros(16))[0]
     clouds[..., :3] = clouds[..., 3:4]
     clouds[..., 5:] = clouds[..., 3:4]
     length = batch.distance_problem.reference_lengths.lengths[:, None] + block.length_errors

@@ -43,7 +43,7 @@ def test_points_and_readings_are_those_of_the_construction(
         gap[:, 1:] = wrap_angle(gap[:, 1:])
         assert np.abs(deviation[:, :, k]).max() > 1e-5
         assert np.abs(gap).max() < 5e-12  # 1e-6 sigma: second derivatives of the bases
-        assert np.abs(points[:, :, k] - built.point(raw, values[0, :, k])).max() < 2e-11
+        assert np.abs(points[:, :, k] - built.points_from_readings(raw, values[0, :, k])).max() < 2e-11
 
 
 def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[..., CellTruth]) -> None:

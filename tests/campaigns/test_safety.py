@@ -14,7 +14,7 @@ from ltsim.campaigns.campaign import checkout_commit, run_campaign
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.store import CampaignFolder
 from ltsim.core.errors import LtsimError, SetupError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 from ltsim.simulation.sections import Obstacle
 from tests.campaigns.small import FILE
@@ -25,7 +25,7 @@ def test_no_flipped_bit_reaches_a_figure(file: Path, tmp_path: Path) -> None:
     shard = CampaignFolder(tmp_path / "out").shard_path(0, 1)
     whole = shard.read_bytes()
     before = CampaignResults(tmp_path / "out").summary()
-    for place in stream(3, "flips").integers(0, 8 * len(whole), 25):
+    for place in random_stream(3, "flips").integers(0, 8 * len(whole), 25):
         flipped = bytearray(whole)
         flipped[place // 8] ^= 1 << (place % 8)
         shard.write_bytes(flipped)
@@ -64,7 +64,7 @@ def test_a_folder_is_no_pattern(file: Path, tmp_path: Path) -> None:
 
 def test_tables_are_the_same_bytes_from_run_to_run(file: Path, tmp_path: Path) -> None:
     run_campaign(file, tmp_path / "out")
-    texts = {CampaignResults(tmp_path / "out").table("summary").csv() for _ in range(3)}
+    texts = {CampaignResults(tmp_path / "out").table("summary").csv_text() for _ in range(3)}
     assert len(texts) == 1
 
 

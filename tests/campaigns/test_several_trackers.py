@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.campaigns.columns import parameter_columns, parameter_labels
+from ltsim.campaigns.columns import error_parameter_columns, parameter_labels
 from ltsim.campaigns.recovery_trials import with_errors_from_prior
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.truth import make_cell_truth
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.simulation.scenario import change_scenario, load_scenario
 
 TWO = load_scenario("two-trackers")
@@ -25,8 +25,8 @@ def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -
     assert block.instrument_values.shape == (2, 16, 64)
     for i, name in enumerate(truth.recording.instruments):
         for k, parameter in enumerate(truth.construction.parameter_names):
-            drawn = stream(4, "instrument", name, parameter, "block", 0).standard_normal(64)
-            drawn[0] = stream(4, "instrument", name, parameter).standard_normal()
+            drawn = random_stream(4, "instrument", name, parameter, "block", 0).standard_normal(64)
+            drawn[0] = random_stream(4, "instrument", name, parameter).standard_normal()
             np.testing.assert_array_equal(
                 block.instrument_values[i, k], truth.distributions.instrument_sigmas[i, k] * drawn
             )
@@ -36,7 +36,7 @@ def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -
     assert np.all(np.abs(z.mean(axis=2)) < 5 / 8) and abs(np.mean(z**2) - 1) < 0.2
     assert engine.largest_solver_difference(block, int(np.argmin(found.status_indices)), found) < 1e-3
     labels = parameter_labels(truth.construction, truth.recording.instruments, ())
-    columns = parameter_columns(labels, found.estimates[0], "estimate")
+    columns = error_parameter_columns(labels, found.estimates[0], "estimate")
     tilt = truth.construction.index("beam-tilt")
     np.testing.assert_allclose(columns["estimate:beam-tilt@B"], found.instrument_values[1, tilt] * 1e6)
 

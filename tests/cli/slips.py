@@ -27,7 +27,7 @@ import trimesh
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.recordings import write
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
@@ -395,7 +395,7 @@ def _reported(seed: int, number: int) -> str:
 
 def _fault(seed: int, number: int) -> str:
     """Fault of one slip; empty for none."""
-    rng, whole = stream(seed, "verbs", number), number < len(CASES)
+    rng, whole = random_stream(seed, "verbs", number), number < len(CASES)
     name, verb = CASES[number % len(CASES)]
     words = [name if word == "{}" else word for word in verb]
     file = workplace() / name

@@ -18,7 +18,7 @@ import pytest
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import LtsimError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.polar import to_face, to_polar
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.settings import validate_setup
@@ -196,7 +196,7 @@ def _with(recording: Recording, readings: np.ndarray) -> Recording:
 
 def network(seed: int) -> tuple[str, Recording]:
     """Ways in which a network is degenerate, and its recording."""
-    rng = stream(seed, "degenerate networks")
+    rng = random_stream(seed, "degenerate networks")
     stations, targets = SIZES[int(rng.integers(len(SIZES)))]
     places = [PLACES[int(rng.integers(len(PLACES)))] for _ in range(2)]
     standing, points = places[0](stations, rng), places[1](targets, rng)

@@ -10,7 +10,7 @@ import pytest
 
 from ltsim.cli.main import run
 from ltsim.cli.simulate import DEMO_EFFECTS, DEMO_STEPS, calibrate_workshop, simulate_workshop
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.physics.effects import find_effect
 
 
@@ -29,7 +29,7 @@ def test_hidden_effects_exist_with_their_parameters() -> None:
     for entry in DEMO_EFFECTS:
         known = {p.name for p in find_effect(entry["name"]).parameters}
         assert set(entry["values"]) <= known
-    drawn = {int(stream(seed, "demo", "hidden").integers(len(DEMO_EFFECTS))) for seed in range(40)}
+    drawn = {int(random_stream(seed, "demo", "hidden").integers(len(DEMO_EFFECTS))) for seed in range(40)}
     assert drawn == set(range(len(DEMO_EFFECTS)))
 
 

@@ -86,7 +86,7 @@ def test_calibrate_says_what_was_found_and_what_was_not(workplace: Path, capsys)
     assert "degrees of freedom: 318" in text
     assert "beam-tilt" in text
     assert "Not determined by this recording" in text
-    assert "measure every target in both faces (gain" in text
+    assert "measure every target in both faces (information" in text
     assert "Axes: the frame of the floor plan" in text
     assert text.isascii()  # whatever the terminal's encoding
 

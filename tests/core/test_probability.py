@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.cli.main import run
-from ltsim.core.probability import format_p, p_text, two_sided
+from ltsim.core.probability import p_relation_text, p_text, two_sided_p_value
 
 
 @pytest.mark.parametrize(
@@ -23,11 +23,11 @@ from ltsim.core.probability import format_p, p_text, two_sided
     ],
 )
 def test_a_chance_is_of_both_sides(upper: float, said: str) -> None:
-    assert format_p(two_sided(upper)) == said
+    assert p_relation_text(two_sided_p_value(upper)) == said
 
 
 def test_no_chance_is_a_dash() -> None:
-    assert p_text(None) == p_text(two_sided(float("nan"))) == "–"
+    assert p_text(None) == p_text(two_sided_p_value(float("nan"))) == "–"
 
 
 @pytest.mark.parametrize(

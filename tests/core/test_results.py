@@ -17,9 +17,9 @@ from matplotlib.figure import Figure
 
 import ltsim as lt
 from ltsim.adjustment import Adjustment
+from ltsim.core.equality import ValueEquality, equal_values
 from ltsim.core.errors import ModelError, RecordError
 from ltsim.core.results import Column, Result, Table, flag_columns, number_columns, text_columns
-from ltsim.core.values import ValueEquality, equal_values
 from ltsim.reports.verbs import View
 from ltsim.simulation.inject import DetectionCurve
 from ltsim.simulation.scenario import Scenario
@@ -30,8 +30,8 @@ POINTS = Table(
     "where points are",
     (
         *text_columns(target="name"),
-        Column("x_mm", "coordinate", form=".6f", sigma="sigma_x_mm"),
-        Column("sigma_x_mm", "its standard deviation", form=".6f"),
+        Column("x_mm", "coordinate", csv_format=".6f", sigma_column="sigma_x_mm"),
+        Column("sigma_x_mm", "its standard deviation", csv_format=".6f"),
         *number_columns(".3g", ".2f", share_percent="of all"),
         *flag_columns(moved="it moved"),
     ),
@@ -55,13 +55,13 @@ class Cloud(Result):
 
 
 def test_a_table_is_written_and_read_back():
-    text = POINTS.with_rows(ROWS).csv()
+    text = POINTS.with_rows(ROWS).csv_text()
     assert text.splitlines()[1] == "'=T1,1000.123490,0.012300,12.5,True"
     again = POINTS.parse_csv(text)
     assert again.column("target") == ["=T1", "T2"]
     assert again.column("moved") == [True, False]
     assert np.isnan(again.column("sigma_x_mm")[1])
-    assert again.csv() == text
+    assert again.csv_text() == text
     with pytest.raises(RecordError, match="row 1, column x_mm: 'one' is not a number"):
         POINTS.parse_csv(text.replace("1000.123490", "one"))
     with pytest.raises(RecordError, match="the column moved is missing"):
@@ -85,7 +85,7 @@ def test_rows_come_from_sequences_mappings_and_objects():
     table = Table("rows.csv", "rows", (*number_columns(n="number"), *text_columns(what="word")))
     made = [table.with_rows(rows) for rows in ([(1, "a")], [{"what": "a", "n": 1}], [Row(1, "a")])]
     assert made[0] == made[1] == made[2]
-    assert made[0].json() == [{"n": 1, "what": "a"}]
+    assert made[0].json_rows() == [{"n": 1, "what": "a"}]
     with pytest.raises(ModelError, match="has 1 cells for 2 columns"):
         table.with_rows([(1,)])
 
@@ -224,7 +224,7 @@ def test_every_table_of_every_result_reads_its_own_csv_back(drawn: list[Any]):
     for result in drawn:
         for name in result._tables():
             table = result.table(name)
-            again = table.parse_csv(table.csv())
+            again = table.parse_csv(table.csv_text())
             assert again.header == table.header, (type(result), name)
             assert len(again.rows) == len(table.rows), (type(result), name)
 
@@ -261,6 +261,11 @@ def test_what_has_no_picture_says_so(kept):
 
 
 def test_a_coordinate_that_rounds_to_zero_has_no_sign() -> None:
-    column = Column("x_mm", "coordinate", shown=".4f", like="sigma_x_mm")
-    assert [column.display(v) for v in (-1.7e-22, -0.00004, -0.00006, 0.0)] == ["0.0000", "0.0000", "-0.0001", "0.0000"]
-    assert column.display(-1e-9, 0.02) == "0.000"
+    column = Column("x_mm", "coordinate", display_format=".4f", precision_column="sigma_x_mm")
+    assert [column.displayed_text(v) for v in (-1.7e-22, -0.00004, -0.00006, 0.0)] == [
+        "0.0000",
+        "0.0000",
+        "-0.0001",
+        "0.0000",
+    ]
+    assert column.displayed_text(-1e-9, 0.02) == "0.000"

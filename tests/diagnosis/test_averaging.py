@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.averaging import (
     MAX_P_EXCEEDED_ERROR_INCREASE,
     MAX_RELATIVE_ERROR_INCREASE,
@@ -31,7 +31,7 @@ def test_coordinates_become_much_worse_as_rarely_as_is_said(size, along):
     """The error is drawn of which nothing is known but its covariance; a share of it lies along the change."""
     count, spread = 60, size * along
     share = max_safe_shift_fraction(size, spread, 1.0)
-    rng = stream(8, "safe")
+    rng = random_stream(8, "safe")
     error = rng.standard_normal((20_000, count)) * np.sqrt([along, *np.full(count - 1, (1.0 - along) / (count - 1))])
     shift = np.zeros(count)
     shift[0] = np.sqrt(size)

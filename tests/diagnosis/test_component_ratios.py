@@ -8,7 +8,7 @@ from scipy.integrate import quad
 
 from ltsim.adjustment import adjust
 from ltsim.core.errors import ModelError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.component_ratios import best_component_ratio
 from ltsim.diagnosis.evidence import log_evidence_of_coefficients
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -27,7 +27,7 @@ def recording() -> Recording:
 
 def planted(n_components: int, coefficients: int, size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gram matrix, score, and the true ratio of a signature with one set of coefficients and unit noise."""
-    rng = stream(7, "ratio", n_components)
+    rng = random_stream(7, "ratio", n_components)
     design_columns = rng.standard_normal((200, n_components * coefficients))
     ratio = rng.standard_normal(n_components)
     ratio *= np.sign(ratio[np.argmax(np.abs(ratio))]) / np.linalg.norm(ratio)
@@ -74,7 +74,7 @@ def test_a_law_along_a_ratio_changes_readings_as_separate_coefficients_in_that_r
         )
         ratio = (*ratio, *(0.1,) * (free.n_components - len(ratio)))
         fixed = EmpiricalLaw(stations, (), free.response, free.regressor, is_per_setup=each, direction=ratio)
-        values = stream(3, "values").standard_normal(free.regressor.n_columns)
+        values = random_stream(3, "values").standard_normal(free.regressor.n_columns)
         np.testing.assert_allclose(
             fixed.design(sightings) @ values, free.design(sightings) @ np.kron(ratio, values), atol=1e-12
         )

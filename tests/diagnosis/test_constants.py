@@ -8,7 +8,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.calibration.evidence import LOG_SIZE_PRIOR, RELATIVE_EFFECT_SIZES, likelihood_information, log_sum_exp
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.instruments import (
     ConstantChange,
     ExpectedConstants,
@@ -40,7 +40,7 @@ def trackers(count: int, name: str, off: float, faces: int) -> Recording:
         truth.state.station_positions, truth.state.station_rotations, truth.state.target_points, values
     )
     exact = MeasurementModel(recording, built).predict(state)
-    return recording.with_readings(exact + recording.sigma() * stream(8, "noise").standard_normal(exact.shape))
+    return recording.with_readings(exact + recording.sigma() * random_stream(8, "noise").standard_normal(exact.shape))
 
 
 def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of_the_adjustment():
@@ -107,7 +107,9 @@ def test_a_scale_against_known_points_is_told_of_both_trackers():
         truth.state.station_positions, truth.state.station_rotations, truth.state.target_points, values
     )
     exact = MeasurementModel(recording, built).predict(state)
-    recording = recording.with_readings(exact + recording.sigma() * stream(8, "noise").standard_normal(exact.shape))
+    recording = recording.with_readings(
+        exact + recording.sigma() * random_stream(8, "noise").standard_normal(exact.shape)
+    )
     found = find_contradictions(adjust(recording, built), 2.0).contradictions
     (both,) = found
     assert (both.instruments, both.parameter.name) == (("A", "B"), "range-scale")

@@ -10,7 +10,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.errors import RecordError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.files import write_diagnosis
 from ltsim.geometry.rigid import align_rigidly
@@ -210,7 +210,7 @@ def test_a_range_that_is_off_for_a_while_is_one_finding_with_sharp_edges(amount,
 def one_row_late(s):
     """Each range is corrected by the constant of the target before."""
     order = np.argsort(s.time, kind="stable")
-    constant = stream(18, "constants").standard_normal(len(s.target_names))[s.target[order]]
+    constant = random_stream(18, "constants").standard_normal(len(s.target_names))[s.target[order]]
     late = np.zeros(len(s))
     late[order[1:]] = -np.diff(constant)
     return design_from_front_face_corrections(s, distance=late)
@@ -270,7 +270,7 @@ def test_a_level_that_simulation_cannot_reach_is_refused():
 
 def test_a_noisy_station_is_noise_and_not_a_shift():
     recording, _ = workshop(7, repeats=1)
-    extra = stream(7, "more").standard_normal(recording.readings.shape) * recording.sigma()
+    extra = random_stream(7, "more").standard_normal(recording.readings.shape) * recording.sigma()
     extra[recording.station != 1] = 0.0
     found = diagnose(recording.with_readings(recording.readings + 1.5 * extra))
     assert [f.effect for f in found.findings] == ["station-noise"]
@@ -282,7 +282,7 @@ def test_a_noisy_station_is_noise_and_not_a_shift():
 def test_noise_of_the_azimuth_is_told_in_the_azimuth():
     recording, _ = workshop(19, faces=2)
     readings = recording.readings.copy()
-    readings[:, 1] += 2.0 * stream(19, "more").standard_normal(len(readings)) * recording.sigma()[:, 1]
+    readings[:, 1] += 2.0 * random_stream(19, "more").standard_normal(len(readings)) * recording.sigma()[:, 1]
     found = diagnose(recording.with_readings(readings))
     assert [f.where.observables for f in found.findings] == [("azimuth",)]
 
@@ -396,7 +396,7 @@ def test_turbulence_is_told_from_a_higher_noise_level():
     grown = np.sqrt(
         effect.variance(sightings, recording.sigma(), np.array([1.2e-12, 0.6e-12])) - recording.sigma() ** 2
     )
-    extra = grown * stream(17, "air").standard_normal(grown.shape)
+    extra = grown * random_stream(17, "air").standard_normal(grown.shape)
     found = diagnose(recording.with_readings(recording.readings + extra))
     assert found.findings[0].effect == "turbulence"
 

@@ -8,7 +8,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.identification import identify_causes
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import ARCSECOND
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.evidence import log_bayes_factor_discrepancy
@@ -119,8 +119,8 @@ def test_noise_that_is_stated_wrong_is_told_as_that_and_nothing_else(factors):
 @pytest.mark.long
 def test_noise_that_differs_from_target_to_target_is_one_finding():
     recording, _ = workshop(5)
-    times = np.exp(stream(5, "poses").normal(0.0, 1.2, len(recording.targets)))[recording.target]
-    more = stream(6, "scatter").standard_normal((len(recording), 3)) * recording.sigma() * times[:, None]
+    times = np.exp(random_stream(5, "poses").normal(0.0, 1.2, len(recording.targets)))[recording.target]
+    more = random_stream(6, "scatter").standard_normal((len(recording), 3)) * recording.sigma() * times[:, None]
     found = diagnose(recording.with_readings(recording.readings + more)).findings
     assert found[0].effect == "unknown"
     assert found[0].driver == "target"
@@ -132,7 +132,7 @@ def test_a_weak_effect_leaves_its_cause_in_doubt_and_a_strong_one_ends_it():
     space = space_of(recording)
     rows = int(space.is_used_reading.sum())
     redundancy = space.redundancy
-    rng = stream(8, "likeness")
+    rng = random_stream(8, "likeness")
     law = rng.standard_normal(space.n_rows)
     law[rows:] = 0.0
     law /= np.linalg.norm(law)
@@ -197,7 +197,7 @@ def test_noise_that_differs_from_set_up_to_set_up_is_one_finding():
     louder = np.ones_like(sigma)
     for station, column in ((1, 0), (2, 1), (4, 2)):
         louder[recording.station == station, column] = 5.0
-    more = np.sqrt(louder**2 - 1.0) * sigma * stream(5, "set-ups").standard_normal(sigma.shape)
+    more = np.sqrt(louder**2 - 1.0) * sigma * random_stream(5, "set-ups").standard_normal(sigma.shape)
     found = diagnose(recording.with_readings(recording.readings + more)).findings
     (first,) = found
     assert (first.carrier, first.driver) == ("noise", "station")
@@ -239,7 +239,7 @@ def test_a_finding_that_few_readings_carry_names_them():
 def test_every_probable_finding_is_reported():
     """A wrong reading is reported beside larger noise of all readings."""
     recording, _ = workshop(4)
-    more = 2.5 * recording.sigma() * stream(5, "louder").standard_normal((len(recording), 3))
+    more = 2.5 * recording.sigma() * random_stream(5, "louder").standard_normal((len(recording), 3))
     recording = changed(recording.with_readings(recording.readings + more), 40, 0, 100.0)
     both = diagnose(recording)
     assert {f.effect for f in both.findings} == {"outlier", "noise-level"}

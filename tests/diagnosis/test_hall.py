@@ -10,7 +10,7 @@ import pytest
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.noise_estimation import with_estimated_sizes
@@ -103,7 +103,7 @@ def test_a_gauge_that_moves_once_is_one_group() -> None:
 
 def test_the_weight_of_a_reading_in_a_heavy_tail_is_its_expected_weight(clean) -> None:
     space = ResidualSpace.from_adjustment(clean[1])
-    rng = stream(5, "tail")
+    rng = random_stream(5, "tail")
     ranges = np.flatnonzero(np.nonzero(space.is_used_reading)[1] == 0)
     worse = rng.choice(ranges, len(ranges) // 10, replace=False)
     noise = np.zeros((space.n_rows, 1))

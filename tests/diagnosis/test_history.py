@@ -20,7 +20,7 @@ from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.cli.main import run
 from ltsim.core.arrays import Floats
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.instruments import ConstantContradiction, HistoryExpectation
 from ltsim.diagnosis.model_selection import MIN_EFFECT_LOG_EVIDENCE
 from ltsim.physics.model.construction import misalignment_construction
@@ -58,7 +58,7 @@ def told(
     faces: int, count: int, seed: int, blow: float = 0.0, constant: int = INDEX
 ) -> tuple[ConstantContradiction, ...]:
     """Contradictions of a day with some calibrations before it, one constant off by `blow` guarantees."""
-    rng = stream(61, "days", faces, count, seed)
+    rng = random_stream(61, "days", faces, count, seed)
     calibration, adjustment = measured(faces)
     mean = GUARANTEE * rng.standard_normal(len(GUARANTEE))
     spread = SPREAD * GUARANTEE * np.exp(0.5 * rng.standard_normal(len(GUARANTEE))) * (count > 1)
@@ -113,7 +113,7 @@ def test_a_blow_is_told_with_its_constant_and_size(faces: int, count: int, name:
 
 def test_two_constants_that_changed_are_told_apart() -> None:
     calibration, adjustment = measured(2)
-    today = estimated(2, GUARANTEE * ((np.arange(len(GUARANTEE)) == INDEX) * 2.0), stream(3, "a"))
+    today = estimated(2, GUARANTEE * ((np.arange(len(GUARANTEE)) == INDEX) * 2.0), random_stream(3, "a"))
     today[BUILT.parameter_names.index("beam-tilt")] -= GUARANTEE[BUILT.parameter_names.index("beam-tilt")]
     known = EarlierCalibrationPrior.from_source(calibration.with_changes(estimates=np.zeros((1, len(GUARANTEE)))))
     sizes = {c.parameter.name: c.difference / c.parameter.prior_sigma for c in against(known, adjustment, today)}
@@ -124,7 +124,7 @@ def test_two_constants_that_changed_are_told_apart() -> None:
 def test_a_diagnosis_says_what_has_changed_and_since_when(tmp_path: Path) -> None:
     """From files, as a person has them: history.json and calibration.json."""
     mean = drawn(BUILT, 3)
-    rng = stream(62, "days")
+    rng = random_stream(62, "days")
     days = mean + SPREAD * GUARANTEE * rng.standard_normal((5, len(GUARANTEE)))
     before = [
         (f"day {k}", calibrate_network(network(faces=2, values=v, seed=70 + k)[0], BUILT, recommend_measurements=False))

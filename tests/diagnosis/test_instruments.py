@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.core.notation import with_sigma
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.instruments import find_contradictions, instrument_entries
 from ltsim.diagnosis.sentences import significant_constants_texts
@@ -34,7 +34,7 @@ def trackers(off: float, *, corrected: bool = False) -> Recording:
         truth.state.station_positions, truth.state.station_rotations, truth.state.target_points, values
     )
     exact = MeasurementModel(recording, built).predict(state)
-    return recording.with_readings(exact + recording.sigma() * stream(8, "noise").standard_normal(exact.shape))
+    return recording.with_readings(exact + recording.sigma() * random_stream(8, "noise").standard_normal(exact.shape))
 
 
 @pytest.mark.long
@@ -83,7 +83,7 @@ def test_one_tracker_of_two_that_scatters_with_the_range_is_one_finding():
     far = recording.readings[:, 0] / recording.readings[:, 0].max()
     scatter = 3.0 * (recording.instrument == 1) * far**2 * recording.sigma()[:, 0]
     readings = recording.readings.copy()
-    readings[:, 0] += scatter * stream(9, "scatter").standard_normal(len(recording))
+    readings[:, 0] += scatter * random_stream(9, "scatter").standard_normal(len(recording))
     found = diagnose(recording.with_readings(readings))
     (first,) = found.findings
     assert (first.carrier, first.where.observables) == ("noise", ("distance",))

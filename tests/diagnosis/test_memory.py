@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.geometry.polar import to_face
 from ltsim.recordings.recording import Recording
@@ -18,7 +18,7 @@ TARGETS = 10
 
 def one_station(repeats: int) -> Recording:
     """Targets all around, each in both faces again and again."""
-    rng = stream(3, "one station", repeats)
+    rng = random_stream(3, "one station", repeats)
     ranges = [rng.uniform(*limits, TARGETS) for limits in ((2.0, 8.0), (-3.0, 3.0), (-0.6, 0.6))]
     count = 2 * TARGETS * repeats
     target, face, repeat = (np.ravel(v) for v in np.mgrid[:TARGETS, 1:3, 1 : repeats + 1])

@@ -10,7 +10,7 @@ from scipy.special import logsumexp
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.noise_groups import GROUP_VARIANCE_FACTORS
 from ltsim.diagnosis.prior import CAUSE_PRIOR
@@ -32,7 +32,7 @@ def repeated():
 
 def scattered(space, pair, *, shared):
     """Residuals with scatter of 1.5 sigma, new at each pointing or `shared` by the repeats of a pair."""
-    rng = stream(1, "scatter")
+    rng = random_stream(1, "scatter")
     count = int(space.is_used_reading.sum())
     own, common = rng.standard_normal((len(pair), 3)), rng.standard_normal((pair.max() + 1, 3))[pair]
     more = np.zeros((space.n_rows, 1))
@@ -67,13 +67,13 @@ def test_every_variance_function_is_linear_in_its_size(repeated):
 @pytest.mark.parametrize("covariate", ["time", "bearing", "distance"])
 def test_noise_in_a_band_of_a_covariate_is_found_in_that_band(repeated, covariate):
     space, _, bank = repeated
-    x = space.sightings.quantities[covariate]
+    x = space.sightings.covariate_values[covariate]
     band = (-np.pi, -0.75 * np.pi) if covariate == "bearing" else tuple(np.quantile(x, (0.0, 0.25)).tolist())
     inside = (x >= band[0]) & (x <= band[1])
     change = np.zeros((space.n_rows, 1))
     more = (
         2.0
-        * stream(9, "band").standard_normal(space.is_used_reading.shape)
+        * random_stream(9, "band").standard_normal(space.is_used_reading.shape)
         * inside[:, None]
         * np.array([0.0, 1.0, 1.0])
     )
@@ -89,7 +89,7 @@ def test_shaken_targets_scatter_in_both_angles_as_one_change(repeated):
     shaken = space.sightings.target < 6
     more = (
         1.5
-        * stream(4, "shaken").standard_normal(space.is_used_reading.shape)
+        * random_stream(4, "shaken").standard_normal(space.is_used_reading.shape)
         * shaken[:, None]
         * np.array([0.0, 1.0, 1.0])
     )
@@ -198,7 +198,7 @@ def test_quiet_residuals_are_no_law(repeated):
 def test_residuals_that_a_flexible_law_has_fitted_are_not_quiet(repeated):
     """Many columns take their share of the noise: what they leave of redundancy is what quietness is judged by."""
     space, _, bank = repeated
-    beside = space.with_design_columns(stream(3, "columns").standard_normal((space.n_rows, space.n_rows // 4)))
+    beside = space.with_design_columns(random_stream(3, "columns").standard_normal((space.n_rows, space.n_rows // 4)))
     assert evidence_of(bank, beside.residuals, space.redundancy)["noise-level"] > 5.0
     assert evidence_of(bank, beside.residuals, beside.redundancy)["noise-level"] < 0.0
 
@@ -206,7 +206,7 @@ def test_residuals_that_a_flexible_law_has_fitted_are_not_quiet(repeated):
 def test_nothing_is_found_where_there_is_nothing(repeated):
     """Each family's evidence is at most its prior, on average over recordings without any change."""
     space, _, bank = repeated
-    white = space.project(stream(2, "white").standard_normal((space.n_rows, 200)))
+    white = space.project(random_stream(2, "white").standard_normal((space.n_rows, 200)))
     mean = np.log(np.exp(bank.log_evidence_by_family(white, space.redundancy)).mean(axis=1).sum())
     assert mean < np.log(CAUSE_PRIOR["noise"] + CAUSE_PRIOR["scatter"]) + 1.0
 
@@ -232,7 +232,7 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
     pair = s.station * len(s.target_names) + s.target
     more = {}
     for name, amounts in (("alike", pair), ("each", np.arange(len(pair)))):
-        drawn = stream(4, name).standard_normal(amounts.max() + 1)[amounts]
+        drawn = random_stream(4, name).standard_normal(amounts.max() + 1)[amounts]
         change = np.zeros((len(pair), 3))
         change[:, 0] = 2.0 * drawn
         left = (

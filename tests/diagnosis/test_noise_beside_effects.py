@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.schema import Finding
@@ -25,7 +25,7 @@ def with_noisy_and_moved_target(seed: int) -> Recording:
     readings = recording.readings + moved.reading_change(adjust(recording).sightings, DISPLACEMENT)
     is_noisy = recording.target == recording.targets.index("T01")
     added_sigma = np.sqrt(NOISE_FACTOR**2 - 1.0) * recording.sigma()[is_noisy]
-    readings[is_noisy] += added_sigma * stream(seed, "noisy").standard_normal((int(is_noisy.sum()), 3))
+    readings[is_noisy] += added_sigma * random_stream(seed, "noisy").standard_normal((int(is_noisy.sum()), 3))
     return recording.with_readings(readings)
 
 

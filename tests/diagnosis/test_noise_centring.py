@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE, MILLIMETRE
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.noise_centring import centring_hypotheses_with_evidence, with_declared_centring
@@ -26,7 +26,7 @@ def centred_anew(seed: int, sigma: float) -> Recording:
     recording, _ = network(seed=seed, stations=4, faces=2)
     period = recording.station // 2
     labels = {"target_setup": tuple(f"P{p}" for p in period.tolist())}
-    displacement = sigma * stream(seed, "centring").standard_normal((2, len(recording.targets), 3))
+    displacement = sigma * random_stream(seed, "centring").standard_normal((2, len(recording.targets), 3))
     change = exact_change_by_displacement(adjust(recording).sightings, displacement[period, recording.target])
     return recording.replace(readings=recording.readings + change, labels=labels)
 
@@ -81,7 +81,7 @@ def test_a_diagnosis_reports_centring_errors_and_nothing_else() -> None:
 def repeated(seed: int, sigma: float) -> Recording:
     """Three stations, two rounds in one face; at each set-up each reflector is displaced by `sigma` [m]."""
     recording, _ = network(seed=seed, stations=3, repeats=2)
-    displacement = sigma * stream(seed, "centring").standard_normal((3, len(recording.targets), 3))
+    displacement = sigma * random_stream(seed, "centring").standard_normal((3, len(recording.targets), 3))
     change = exact_change_by_displacement(
         adjust(recording).sightings, displacement[recording.station, recording.target]
     )

@@ -11,7 +11,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.noise_estimation import with_estimated_sizes
 from ltsim.diagnosis.noise_groups import GroupNoiseMixture, RecordingNoiseLevel
@@ -63,7 +63,7 @@ def test_the_times_of_a_compressor_are_found(space: ResidualSpace) -> None:
     noisy = np.zeros(len(time), dtype=bool)
     for share in (0.1, 0.4, 0.75):
         noisy |= (time > np.quantile(time, share)) & (time <= np.quantile(time, share + 0.1))
-    residual = with_angular_noise(space, noisy, 4.0, stream(2, "compressor"))
+    residual = with_angular_noise(space, noisy, 4.0, random_stream(2, "compressor"))
     best = most_probable(space, residual)
     assert best.family == "unknown:noise:windows" and best.effect.observables == ("azimuth", "elevation")
     assert (best.effect.is_in_band(space.sightings) == noisy).mean() > 0.95
@@ -75,7 +75,7 @@ def test_noise_of_some_targets_for_a_time_is_found_at_them(space: ResidualSpace)
     sightings, time = space.sightings, space.sightings.time
     group = max((g for g in target_clusters(sightings) if len(g) <= len(sightings.target_names) // 3), key=len)
     noisy = np.isin(sightings.target, group) & (time > np.quantile(time, 0.3)) & (time <= np.quantile(time, 0.7))
-    best = most_probable(space, with_angular_noise(space, noisy, 6.0, stream(3, "fan")))
+    best = most_probable(space, with_angular_noise(space, noisy, 6.0, random_stream(3, "fan")))
     pattern = best.effect.variance(sightings, np.ones((len(time), 3)), np.ones(1))[:, 1] > 1.0
     assert best.family == "unknown:noise:windows"
     assert (pattern == noisy).mean() > 0.95
@@ -113,7 +113,7 @@ def test_the_variance_of_uncertain_windows_is_averaged(space: ResidualSpace) -> 
     truth[noisy, 1:] = 2.0
     losses = []
     for seed in range(6):
-        residual = with_angular_noise(space, noisy, 1.0, stream(seed, "edges"))
+        residual = with_angular_noise(space, noisy, 1.0, random_stream(seed, "edges"))
         case = replace(space, residuals=residual)
         windows = NoiseWindows.from_space(case)[0]
         likeliest = windows.most_likely_effect(residual, space.redundancy)
@@ -132,7 +132,7 @@ def test_a_common_level_and_noisy_groups_have_expected_factors(space: ResidualSp
     assert (doubled[int(space.is_used_reading.sum()) :] == 1.0).all()
     by_target = next(a for a in GroupNoiseMixture.candidates(space) if a.effect.group_kind == "target")
     noisy = space.sightings.target == 0
-    residual = with_angular_noise(space, noisy, 10.0, stream(4, "group"))
+    residual = with_angular_noise(space, noisy, 10.0, random_stream(4, "group"))
     factors = by_target.expected_variance_factors(residual, space.redundancy)
     of_target = noisy[np.nonzero(space.is_used_reading)[0]]
     rows = len(of_target)

@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.catalogue_designs import FamilyEvidenceAccumulator
 from ltsim.diagnosis.evidence import log_mean_exp_by_group
 from ltsim.diagnosis.global_test import GlobalTestResult
@@ -21,7 +21,7 @@ DRAWS, SEEDS = 300, 3
 
 def clean(searcher: Searcher, seed: int) -> np.ndarray:
     """The statistic (DRAWS,) of clean recordings that have no part in how the search judges."""
-    white = stream(seed, "clean").standard_normal((searcher.space.n_rows, DRAWS))
+    white = random_stream(seed, "clean").standard_normal((searcher.space.n_rows, DRAWS))
     others = searcher.space.project(white)
     rest = Searcher(searcher.space, seed, 1, catalogue_designs=searcher.catalogue_designs)
     rest.null_ensemble = with_trials(searcher.null_ensemble, others)
@@ -44,7 +44,7 @@ def test_clean_recordings_alarm_as_often_as_stated(most, monkeypatch):
 
 
 def test_family_means_do_not_depend_on_the_batches() -> None:
-    rng = stream(7, "families")
+    rng = random_stream(7, "families")
     family, values = rng.integers(0, 4, 50), 30.0 * rng.standard_normal((50, 6))
     family[:4] = np.arange(4)
     means = FamilyEvidenceAccumulator.empty(family, 4, 6)

@@ -11,7 +11,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.remedies.next_measurement import MIN_DECISIVE_CHI2
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.detectability import separating_measurement_sentence
 from ltsim.diagnosis.diagnose import log_bayes_factor_of_refits
 from ltsim.diagnosis.diagnosis import Diagnosis
@@ -52,7 +52,7 @@ def test_a_bump_and_a_settling_are_told_apart_by_another_order_of_the_work() -> 
     settled = StationSettling(("S3",), time_constant=480.0)
     found = adjust(with_effect(settled, [8e-6, -5e-6, 5e-6]), misalignment_construction())
     advice = separating_measurement_sentence(found, "station-settling", ["station-bump"], ())
-    assert advice.startswith("measure every station's targets again in the reverse order: expected chi-square")
+    assert advice.startswith("measure every station's targets again in the reverse order: the expected chi-square")
     before, after = map(float, re.findall(r"from (\d+) to (\d+)", advice)[0])
     assert before < MIN_DECISIVE_CHI2 < after
 
@@ -61,7 +61,7 @@ def test_a_bump_and_a_settling_are_told_apart_by_another_order_of_the_work() -> 
 
 
 def test_chances_are_those_of_the_simulated_recordings_and_never_less_than_one_of_them() -> None:
-    null = stream(3, "null").permutation(np.arange(1000.0))
+    null = random_stream(3, "null").permutation(np.arange(1000.0))
     found = GlobalTestResult(0.0, 1.0, null)
     assert found.critical_value(0.05) == pytest.approx(949.05)
     assert found.p_value_of(-1.0) == 1.0
@@ -126,7 +126,7 @@ def cause(name: str, coefficients: int) -> SimpleNamespace:
 
 def test_a_member_with_many_coefficients_is_not_kept_by_its_chi_square_alone() -> None:
     """Ten coefficients that lower chi-square by 16: the evidence, with its Occam factor, is against them."""
-    basis = np.linalg.qr(stream(5, "support").standard_normal((60, 11)))[0]
+    basis = np.linalg.qr(random_stream(5, "support").standard_normal((60, 11)))[0]
     residual = 8.0 * basis[:, 0] + np.sqrt(1.6) * basis[:, 1:].sum(axis=1)
     members, parts = (cause("a", 1), cause("b", 10)), (10.0 * basis[:, :1], 100.0 * basis[:, 1:])
     norms = tuple(np.linalg.norm(part, axis=0) for part in parts)

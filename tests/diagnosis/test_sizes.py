@@ -8,7 +8,7 @@ import pytest
 from benchmarks.adjust_size import network as ring_of
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.effects import find_effect
@@ -44,7 +44,7 @@ def monitoring(epochs: int, rate: float) -> Recording:
     exact = exact + find_effect("index-drift")(law="linear").reading_change(
         sightings_at_state(recording, state), np.array([rate])
     )
-    noise = stream(6, "monitoring").standard_normal(exact.shape)
+    noise = random_stream(6, "monitoring").standard_normal(exact.shape)
     return recording.with_readings(exact + recording.sigma() * noise)
 
 

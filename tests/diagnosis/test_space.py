@@ -8,7 +8,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import LOG_SIZE_PRIOR, RELATIVE_EFFECT_SIZES, log_evidence, log_sum_exp
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.catalogue_designs import CatalogueDesigns, catalogue_candidate_effects
 from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients, log_positivity_factor
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
@@ -216,7 +216,7 @@ def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monke
 
 def test_evidence_is_that_of_the_dense_covariance():
     """log N(r; 0, 1 + t^2 G G') - log N(r; 0, 1), averaged over sizes, by determinants."""
-    rng = stream(4, "dense")
+    rng = random_stream(4, "dense")
     design_columns, residual = rng.standard_normal((12, 2)), rng.standard_normal(12)
     logs = []
     for t in RELATIVE_EFFECT_SIZES:

@@ -130,7 +130,7 @@ def test_a_wave_in_azimuth_that_grows_with_the_distance_is_found_from_the_wave(s
 def test_a_band_of_a_coordinate_with_a_single_target_is_no_law(space: ResidualSpace, axis: str) -> None:
     """The cause belongs to that target: a wrong constant of its reflector, for example."""
     carrier, sightings = RESPONSE_AND_DESIGN_BY_NAME["distance"][0], space.sightings
-    at = sightings.quantities[axis][np.unique(sightings.target, return_index=True)[1]]
+    at = sightings.covariate_values[axis][np.unique(sightings.target, return_index=True)[1]]
     middle = int(np.argsort(at)[len(at) // 2])
     base = with_law(space, EmpiricalLaw((), (sightings.target_names[middle],), carrier, CONSTANT_REGRESSOR), 1e4)
     assert (

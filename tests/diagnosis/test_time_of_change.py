@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.schema import ParameterEstimate
@@ -32,7 +32,7 @@ def posterior_of_time(
     calculator: EvidenceCalculator, effect: CandidateEffect, size: float, seed: int
 ) -> ParameterEstimate:
     """Estimate of the time of a change of `size` plausible sizes, from drawn readings."""
-    space, draw = calculator.space, stream(seed, "time of change")
+    space, draw = calculator.space, random_stream(seed, "time of change")
     values = size * effect.size_scales * draw.standard_normal(len(effect.size_scales))
     noise = draw.standard_normal(len(space.residuals))
     residuals = space.project((noise + space.whitened_design(effect) @ values)[:, None])[:, 0]
@@ -51,7 +51,7 @@ def test_intervals_of_the_time_of_a_change_hold(
     calculator: EvidenceCalculator, kind: type, place: dict[str, tuple[str, ...]], size: float
 ) -> None:
     """Changes at times that are uniform between the first and the last pointing; 95 % intervals hold in 95 %."""
-    sightings, draw, inside = calculator.space.sightings, stream(5, "times"), []
+    sightings, draw, inside = calculator.space.sightings, random_stream(5, "times"), []
     acts = kind(**{"stations": (), **place}, time=0.0).row_weights(sightings) > 0
     ordered = np.unique(sightings.time[acts])
     for seed in range(TRIALS):

@@ -9,7 +9,7 @@ from typing import Any, get_args
 import pytest
 from pydantic import BaseModel
 
-from ltsim.core.descriptions import descriptions
+from ltsim.core.descriptions import field_descriptions
 from ltsim.recordings.native import BASIC_COLUMNS, COLUMN_BOUNDS, ENUMERATED_COLUMNS
 from ltsim.reports.schemas import FILE_MODELS
 from tests.conftest import ROOT
@@ -37,7 +37,7 @@ def tables(model: type[BaseModel]) -> set[type[BaseModel]]:
 @pytest.mark.parametrize("file", FILE_MODELS)
 def test_every_key_says_what_it_means(file: str) -> None:
     keys = [(t, name) for t in tables(FILE_MODELS[file]) for name in t.model_fields]
-    assert [f"{table.__name__}.{name}" for table, name in keys if not descriptions(table).get(name)] == []
+    assert [f"{table.__name__}.{name}" for table, name in keys if not field_descriptions(table).get(name)] == []
 
 
 @pytest.mark.parametrize("file", FILE_MODELS)

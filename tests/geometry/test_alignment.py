@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from ltsim.core.errors import NetworkError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import align_rigidly, matrix_from_rotation_vector
 
 seeds = st.integers(0, 10_000)
@@ -13,7 +13,7 @@ seeds = st.integers(0, 10_000)
 
 @given(seeds, st.integers(3, 12))
 def test_a_rigid_move_is_found_again(seed: int, count: int) -> None:
-    rng = stream(seed, "alignment")
+    rng = random_stream(seed, "alignment")
     source = rng.uniform(-5, 5, (count, 3))
     turn, shift = matrix_from_rotation_vector(rng.uniform(-3, 3, 3)), rng.uniform(-9, 9, 3)
     rotation, translation = align_rigidly(source, source @ turn.T + shift)
@@ -23,7 +23,7 @@ def test_a_rigid_move_is_found_again(seed: int, count: int) -> None:
 
 @given(seeds)
 def test_no_other_move_fits_better(seed: int) -> None:
-    rng = stream(seed, "optimum")
+    rng = random_stream(seed, "optimum")
     source, goal = rng.uniform(-5, 5, (2, 6, 3))
     weights = rng.uniform(0.1, 2, 6)
     rotation, translation = align_rigidly(source, goal, weights)
@@ -39,13 +39,13 @@ def test_no_other_move_fits_better(seed: int) -> None:
 
 @given(seeds)
 def test_a_mirror_image_is_never_answered_with_a_reflection(seed: int) -> None:
-    source = stream(seed, "mirror").uniform(-5, 5, (6, 3))
+    source = random_stream(seed, "mirror").uniform(-5, 5, (6, 3))
     rotation, _ = align_rigidly(source, source * [1, 1, -1])
     np.testing.assert_allclose(np.linalg.det(rotation), 1.0, atol=1e-12)
 
 
 def test_a_point_without_weight_has_no_say() -> None:
-    source = stream(0, "weights").uniform(-5, 5, (5, 3))
+    source = random_stream(0, "weights").uniform(-5, 5, (5, 3))
     goal = source + [1.0, 2.0, 3.0]
     goal[0] += 50
     rotation, translation = align_rigidly(source, goal, np.array([0.0, 1, 1, 1, 1]))

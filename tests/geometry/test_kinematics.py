@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from ltsim.core.arrays import Floats
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.kinematics import (
     DH_CHAIN,
     MISALIGNMENT_CHAIN,
@@ -31,13 +31,13 @@ def slots_of(chain: KinematicChain) -> list[str]:
 
 
 def readings(seed: int, count: int = 8) -> Floats:
-    rng = stream(seed, "readings")
+    rng = random_stream(seed, "readings")
     polar = rng.uniform([1.0, -np.pi, -1.0], [9.0, np.pi, 1.2], (count, 3))
     return to_face(polar, rng.integers(1, 3, count))
 
 
 def errors(chain: KinematicChain, seed: int, count: int = 8, size: float = 1e-2) -> dict[str, Floats]:
-    rng = stream(seed, "errors")
+    rng = random_stream(seed, "errors")
     return {slot: rng.normal(0, size, count) for slot in slots_of(chain)}
 
 

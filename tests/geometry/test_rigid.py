@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import determines_pose, matrix_from_rotation_vector, rigid_motion_design
 
 
 def test_rigid_motion_is_the_first_order_of_a_turn_and_a_shift() -> None:
-    rng = stream(0, "rigid")
+    rng = random_stream(0, "rigid")
     points, centre, shift = rng.normal(0, 5, (7, 3)), rng.normal(0, 5, 3), rng.normal(0, 1, 3)
     turn = 1e-6 * rng.standard_normal(3)
     moved = (points - centre) @ matrix_from_rotation_vector(turn).T + centre + shift

@@ -57,13 +57,15 @@ def test_the_chain_is_a_ray_reflected_at_a_plane() -> None:
         drawn = dict(zip(names, np.random.default_rng(seed).normal(0.0, 1e-2, len(names)), strict=True))
         stated = values(**{name.replace("-", "_"): value for name, value in drawn.items()})
         expected = [reflected(row, drawn) for row in raw]
-        np.testing.assert_allclose(MIRROR.point(raw, stated), expected, atol=1e-13)
+        np.testing.assert_allclose(MIRROR.points_from_readings(raw, stated), expected, atol=1e-13)
 
 
 def test_an_ideal_mirror_reads_range_azimuth_and_elevation() -> None:
     polar = np.random.default_rng(5).uniform([1.0, -np.pi, -1.0], [9.0, np.pi, 1.2], (8, 3))
     raw = to_face(polar, np.array([1, 2] * 4))
-    np.testing.assert_allclose(MIRROR.point(raw, np.zeros(MIRROR.n_parameters)), from_polar(polar), atol=1e-13)
+    np.testing.assert_allclose(
+        MIRROR.points_from_readings(raw, np.zeros(MIRROR.n_parameters)), from_polar(polar), atol=1e-13
+    )
 
 
 def first_order(name: str, range_: Floats, azimuth: Floats, elevation: Floats) -> Floats:
@@ -109,7 +111,7 @@ def test_two_faces_tell_what_turns_with_the_head() -> None:
     polar = np.array([[4.0, 0.7, 0.4]])
     for name, same in (("beam-tilt-x", True), ("beam-y", True), ("mirror-tilt", True), ("transit-tilt", False)):
         stated = values(**{name.replace("-", "_"): 1e-5})
-        front, back = (MIRROR.point(to_face(polar, np.array([f])), stated) for f in (1, 2))
+        front, back = (MIRROR.points_from_readings(to_face(polar, np.array([f])), stated) for f in (1, 2))
         assert (np.abs(front - back).max() < 1e-9) == same, name
 
 

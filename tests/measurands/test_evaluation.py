@@ -13,11 +13,11 @@ from scipy import stats
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError, SetupError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.measurands.evaluation import TaskEvaluation, evaluate_tasks
 from ltsim.measurands.inputs import LENGTHS_SOURCE, PRIOR_SOURCE, TaskInputs, UncertaintySource
 from ltsim.measurands.measurands import Measurand
-from ltsim.measurands.propagation import part_expansion, propagate, run_monte_carlo, shortest_intervals
+from ltsim.measurands.propagation import expansion_of_part, propagate, run_monte_carlo, shortest_intervals
 from ltsim.measurands.spec import DecisionRule, MonteCarloSettings, Task, Tasks, ToleranceLimits, validate_tasks
 from ltsim.measurands.uncertainty import Uncertainty, evaluate_conformity, normalised_error, normalised_errors_of_files
 from ltsim.physics.model.construction import misalignment_construction
@@ -116,7 +116,7 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
     with_weather = tasks(task=TASKS["task"][:1], type_b=TASKS["type_b"][:1])
     inputs = TaskInputs.from_recording(recording, with_weather)
     measurand = Measurand.from_task(with_weather.task[0], inputs.target_names, inputs.points)
-    predicted = propagate(inputs, [measurand], part_expansion(None))
+    predicted = propagate(inputs, [measurand], expansion_of_part(None))
     noise = sum(share[0] for name, share in predicted.variance_by_source.items() if name.endswith("readings"))
     expected = {False: np.sqrt(noise), True: np.sqrt(noise + predicted.variance_by_source["station-weather"][0])}
     lengths = {True: [], False: []}  # type: dict[bool, list[float]]
@@ -125,7 +125,7 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
     weather = find_effect("station-weather")()
     design = weather.design(inputs.point_source.sightings)[:, :, 0] * weather.parameters[0].prior_sigma / np.sqrt(3)
     for i in range(60):
-        rng = stream(5, "spread", i)
+        rng = random_stream(5, "spread", i)
         error = rng.standard_normal(recording.readings.shape) * recording.sigma()
         shift = design * rng.uniform(-np.sqrt(3), np.sqrt(3), len(recording.stations))[recording.station][:, None]
         for weather_too in (True, False):
@@ -179,8 +179,8 @@ def test_published_distributions() -> None:
         response[0] = sizes
         source = UncertaintySource("inputs", "B", response, "rectangular")
         inputs = TaskInputs(cast(Adjustment, None), ("P",), np.zeros((1, 3)), np.zeros((0, 3)), (source,))
-        linear = propagate(inputs, [measurand], part_expansion(None))
-        found = run_monte_carlo(inputs, [measurand], part_expansion(None), MonteCarloSettings(), linear)
+        linear = propagate(inputs, [measurand], expansion_of_part(None))
+        found = run_monte_carlo(inputs, [measurand], expansion_of_part(None), MonteCarloSettings(), linear)
         assert found.sigmas[0] == pytest.approx(sigma, rel=1e-3)
         assert found.symmetric_intervals[0] == pytest.approx([-half, half], abs=0.02)
         assert found.n_trials == 20_000, "the sum is linear: its distribution is known without drawing"
@@ -193,14 +193,14 @@ def test_published_distributions() -> None:
 def test_a_normal_linear_task_is_never_told_otherwise_by_the_noise_of_trials(digits: int) -> None:
     """JCGM 101:2008, 8.2: compared with delta only when the trials' own error is a fifth of it; 100 seeds, no alarm."""
     measurand = Measurand(Task(name="place", kind="point", targets=("P",)), np.array([0]))
-    response = stream(3, "response").normal(size=(3, 5))
+    response = random_stream(3, "response").normal(size=(3, 5))
     inputs = TaskInputs(
         cast(Adjustment, None), ("P",), np.ones((1, 3)), np.zeros((0, 3)), (UncertaintySource("in", "A", response),)
     )
-    linear = propagate(inputs, [measurand], part_expansion(None))
+    linear = propagate(inputs, [measurand], expansion_of_part(None))
     for seed in range(100):
         found = run_monte_carlo(
-            inputs, [measurand], part_expansion(None), MonteCarloSettings(digits=digits, seed=seed), linear
+            inputs, [measurand], expansion_of_part(None), MonteCarloSettings(digits=digits, seed=seed), linear
         )
         assert found.is_stable.all(), seed
         assert np.all(5 * found.numerical_errors <= found.tolerances), seed
@@ -215,15 +215,15 @@ def test_a_curved_task_is_told_and_its_interval_is_the_true_one() -> None:
     inputs = TaskInputs(
         cast(Adjustment, None), ("A", "B"), points, np.zeros((0, 6)), (UncertaintySource("in", "A", response),)
     )
-    linear = propagate(inputs, [measurand], part_expansion(None))
-    found = run_monte_carlo(inputs, [measurand], part_expansion(None), MonteCarloSettings(), linear)
+    linear = propagate(inputs, [measurand], expansion_of_part(None))
+    found = run_monte_carlo(inputs, [measurand], expansion_of_part(None), MonteCarloSettings(), linear)
     assert not found.interval_agrees(linear, 0.95)[0]
     expected = np.sqrt(stats.ncx2.ppf([0.025, 0.975], 3, 9.0))
     assert found.symmetric_intervals[0] == pytest.approx(expected, abs=2 * found.numerical_errors[0])
 
 
 def test_the_shortest_interval_of_a_skew_distribution_is_shorter() -> None:
-    values = stream(1, "skew").exponential(size=(200_000, 1))
+    values = random_stream(1, "skew").exponential(size=(200_000, 1))
     shortest = shortest_intervals(values, 0.95)
     assert shortest[0] == pytest.approx([0.0, -np.log(0.05)], abs=0.05)
 

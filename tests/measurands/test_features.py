@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.measurands.features import MIN_POINTS_BY_FEATURE, fit_feature
 
 KINDS = tuple(MIN_POINTS_BY_FEATURE)
@@ -15,7 +15,7 @@ KINDS = tuple(MIN_POINTS_BY_FEATURE)
 
 def surface(kind: str, count: int, *key: int) -> tuple[Floats, Floats]:
     """Points (count, 3) on an element of radius 0.7 m in general position, and its direction."""
-    rng = stream(11, kind, *key)
+    rng = random_stream(11, kind, *key)
     angle, height = rng.uniform(0, 2 * np.pi, count), rng.uniform(-0.5, 0.5, count)
     ball = rng.standard_normal((count, 3))
     ball /= np.linalg.norm(ball, axis=1)[:, None]
@@ -52,10 +52,10 @@ def test_exact_points_are_fitted_exactly(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_neighbouring_element_fits_better(kind: str) -> None:
-    points = surface(kind, 15)[0] + 1e-4 * stream(5, kind).standard_normal((15, 3))
+    points = surface(kind, 15)[0] + 1e-4 * random_stream(5, kind).standard_normal((15, 3))
     found = fit_feature(kind, points)
     best = distances(kind, points, found.reference_point, found.direction, found.radius)
-    rng = stream(6, kind)
+    rng = random_stream(6, kind)
     for _ in range(60):
         size = 10.0 ** rng.uniform(-6, -3)
         centre, normal = (
@@ -83,7 +83,7 @@ def distances(kind: str, points: Floats, centre: Floats, normal: Floats, radius:
 @pytest.mark.parametrize("kind", KINDS)
 def test_many_sets_at_once_are_the_single_fits(kind: str) -> None:
     points, _ = surface(kind, 9)
-    many = points + 1e-5 * stream(7, kind).standard_normal((5, *points.shape))
+    many = points + 1e-5 * random_stream(7, kind).standard_normal((5, *points.shape))
     together = fit_feature(kind, many, start_feature=fit_feature(kind, points))
     for i in range(5):
         alone = fit_feature(kind, many[i])

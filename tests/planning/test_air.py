@@ -59,10 +59,10 @@ def test_a_long_hall_holds_the_air_by_default_and_a_short_one_does_not(tmp_path:
     visible = {}
     for text in (HALL, HALL + "[air]\nbeyond_mm = 30000\n"):
         file.write_text(text, encoding="utf-8")
-        visible[text] = make_search_space(*load_plan(file), stations=3, faces=1).survey
+        visible[text] = make_search_space(*load_plan(file), n_stations=3, n_faces=1).survey
     with_air, without = visible.values()
     assert with_air.air == AirUncertainty()
     assert without.air is None
-    assert make_search_space(*load_plan("paper-workshop"), stations=5, faces=2).survey.air is None
+    assert make_search_space(*load_plan("paper-workshop"), n_stations=5, n_faces=2).survey.air is None
     larger = LayoutInformation.from_survey(with_air).target_rms
     assert larger > 1.05 * LayoutInformation.from_survey(without).target_rms

@@ -56,7 +56,7 @@ def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
     where = site(candidate_nests=places, nest_names=names, min_reflector_spacing=0.5)
     objective = LayoutObjective(weights)
     found = evaluate_reflector_changes(where, where.survey, STAYS, objective, misalignment_construction())
-    assert {change.do for change in found.reported_changes} == {"move", "add", "remove"}
+    assert {change.kind for change in found.reported_changes} == {"move", "add", "remove"}
     before = objective_and_qualities(where.survey, objective, misalignment_construction())[0]
     for change in found.reported_changes[::3]:
         made = changed(where.survey, change)
@@ -69,7 +69,7 @@ def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
             )
         else:
             assert change.quality == pytest.approx(1 - 1e-6 * gain / point_error(where.survey, common), rel=1e-4)
-    moves = [change.quality for change in found.reported_changes if change.do == "move"]
+    moves = [change.quality for change in found.reported_changes if change.kind == "move"]
     assert moves == sorted(moves)
     assert moves[-1] < 1.0
 
@@ -105,7 +105,7 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
         )
         (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
         file, scenario = load_plan(tmp_path / "hall.toml")
-        where = make_search_space(file, scenario, stations=4, faces=1).replace(min_sights=1)
+        where = make_search_space(file, scenario, n_stations=4, n_faces=1).replace(min_sights=1)
         survey = where.survey.replace(is_visible=where.is_visible(where.survey.station_positions))
         stays = is_immovable_target(file, scenario, survey)
         found = evaluate_reflector_changes(
@@ -123,7 +123,7 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
                     np.linalg.norm(survey.target_points - 1e-3 * np.array(change.position_mm), axis=1).min()
                     >= where.min_reflector_spacing
                 )
-    places = [change.place for change in found.reported_changes if change.do == "move"]
+    places = [change.place for change in found.reported_changes if change.kind == "move"]
     assert len(places) == len(set(places)), "each place is told once"
 
 

@@ -189,7 +189,7 @@ def test_a_cylinder_hides_what_its_diameter_covers() -> None:
     ends = origins + [6.0, 0.0, 0.0]
     origins[3, 2] = ends[3, 2] = 2.1
     assert there.is_blocked(origins, ends).tolist() == [True, True, False, False]
-    assert there.is_enclosed(np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 1.0]])).tolist() == [True, False]
+    assert there.is_setup_inside_body(np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 1.0]])).tolist() == [True, False]
 
 
 def test_a_radius_holds_the_stated_share_of_errors() -> None:

@@ -8,7 +8,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.evaluation.criteria import evaluate_criteria
 from ltsim.core.errors import ModelError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.physics.effects.range_cyclic import RangeCyclic
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
@@ -39,7 +39,7 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
     size = 0.5 * np.array([p.prior_sigma for p in effect.parameters])
     found = []
     for trial in range(TRIALS):
-        rng = stream(11, "trial", trial)
+        rng = random_stream(11, "trial", trial)
         values = rng.normal(size=16) * information.prior_sigma * scale
         state = NetworkState(made.station_positions, made.station_rotations, made.target_points, values[None])
         readings = MeasurementModel(clean, construction).predict(state)

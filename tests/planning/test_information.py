@@ -9,7 +9,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.remedies.detectability import detectability_at_places
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.errors import NetworkError, SetupError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import matrix_from_rotation_vector
 from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.range_offset import RangeOffset
@@ -34,7 +34,7 @@ def test_information_is_that_of_the_solved_recording() -> None:
     made = survey()
     information = LayoutInformation.from_survey(made)
     recording = made.noise_free_recording(misalignment_construction())
-    noise = stream(1, "noise").normal(size=recording.readings.shape) * recording.sigma()
+    noise = random_stream(1, "noise").normal(size=recording.readings.shape) * recording.sigma()
     solved = adjust(recording.with_readings(recording.readings + noise), misalignment_construction())
     sigma = np.sqrt(np.diag(solved.instrument_covariance))
     assert information.instrument_sigmas == pytest.approx(sigma, rel=1e-3)

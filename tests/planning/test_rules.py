@@ -19,7 +19,7 @@ from ltsim.planning.search_inputs import unsearched_plan
 from ltsim.planning.tolerances import (
     PointTolerances,
     ToleranceCheck,
-    is_met,
+    is_tolerance_met,
     percent_text,
     plan_verdict,
     text_distinct_from_limit,
@@ -179,7 +179,7 @@ def test_a_tolerance_that_is_missed_by_a_little_is_not_kept_and_looks_so() -> No
         and text_distinct_from_limit(0.0999, 0.1) == "0.0999"
         and text_distinct_from_limit(0.25, 0.1) == "0.25"
     )
-    assert is_met(1.0) and not is_met(np.nextafter(1.0, 2.0)) and not is_met(np.inf)
+    assert is_tolerance_met(1.0) and not is_tolerance_met(np.nextafter(1.0, 2.0)) and not is_tolerance_met(np.inf)
 
 
 def test_the_page_marks_what_the_verdict_does_not_keep(hall: Path, tmp_path: Path) -> None:

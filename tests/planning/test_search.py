@@ -10,7 +10,7 @@ import pytest
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
@@ -29,7 +29,7 @@ from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.search_space import SearchSpace
 from ltsim.scene.floor import StandingArea, is_inside_outline
 from ltsim.scene.meshes import box_triangles, join_obstacles, place_triangles
-from ltsim.scene.visibility import SightLimits, aim_nest_normals, compute_visibility
+from ltsim.scene.visibility import SightLimits, best_nest_normals, compute_visibility
 from tests.planning.fixtures import survey
 
 FLOOR = np.array([[0.6, 0.6], [5.6, 0.6], [5.6, 5.6], [0.6, 5.6]])
@@ -131,7 +131,7 @@ def test_stations_that_share_too_little_are_bound_together(tmp_path: Path) -> No
     file, scenario = load_plan(tmp_path / "hall.toml")
     problem = PlanningProblem(file, scenario)
     work = problem.make_searcher(problem.search_space(SearchTask(4, 1, 0)))
-    drawn = [work.random_layout(stream(0, "plan", 4, k)) for k in range(4)]
+    drawn = [work.random_layout(random_stream(0, "plan", 4, k)) for k in range(4)]
     apart = [layout for layout in drawn if not np.isfinite(work._objective_of(layout))]
     assert len(apart) > 1
     bound = [work._connect_stations(layout) for layout in apart]
@@ -160,7 +160,7 @@ def test_an_obstacle_moves_the_plan_out_of_its_way(found) -> None:  # type: igno
     work = LayoutSearcher(where, grid_step=0.8, n_yaws=4, n_heights=1)
     assert work.evaluate_layout(found.positions, found.yaws).objective_value == np.inf
     made = work.search_from(4, 1)
-    assert not join_obstacles([pillar]).is_enclosed(made.positions).any()
+    assert not join_obstacles([pillar]).is_setup_inside_body(made.positions).any()
     assert compute_visibility(
         made.positions, where.survey.target_points, where.sight_limits, obstacles=join_obstacles([pillar])
     ).is_visible.all()
@@ -200,10 +200,10 @@ def test_fixed_nests_are_served_by_all_stations() -> None:
     aimed = np.ones(28, dtype=bool)
     where = site(is_aimed_nest=aimed)
     made = searcher(where).search_from(0, 1)
-    half = aim_nest_normals(made.positions, where.survey.target_points)[1]
+    half = best_nest_normals(made.positions, where.survey.target_points)[1]
     assert half.max() <= where.sight_limits.max_incidence
     free = searcher(site()).search_from(0, 1)
-    assert aim_nest_normals(free.positions, where.survey.target_points)[1].max() > where.sight_limits.max_incidence
+    assert best_nest_normals(free.positions, where.survey.target_points)[1].max() > where.sight_limits.max_incidence
 
 
 def test_targets_and_diagnosis_are_goals_of_their_own() -> None:

@@ -55,6 +55,6 @@ def test_an_exchange_finds_what_one_after_the_other_misses(tmp_path: Path) -> No
     (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
     (tmp_path / "hall.toml").write_text(HALL.replace("grid_mm = 1500", "grid_mm = 1000"), encoding="utf-8")
     file, scenario = load_plan(tmp_path / "hall.toml")
-    where = make_search_space(file, scenario, stations=3, faces=1)
+    where = make_search_space(file, scenario, n_stations=3, n_faces=1)
     assert max_stations_per_target(where, 1.0, 1)[0] == 2
     assert with_feasible_min_sights(file, where).stations.min_stations_per_target == 2

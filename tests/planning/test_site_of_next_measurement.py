@@ -80,11 +80,11 @@ def test_new_stations_meet_the_floor_and_the_sights_of_the_site(hall: Path, meas
     missing = []
     for proposal in proposals:
         n_hidden = sum(is_behind_machine(np.array(proposal.position_mm), point) for point in points)
-        (n_sights,) = re.findall(r"measure the (\d+) targets in sight", proposal.do) or [len(points)]
+        (n_sights,) = re.findall(r"measure the (\d+) targets in sight", proposal.action) or [len(points)]
         missing.append(len(points) - n_hidden - int(n_sights))
     # A sight that grazes the machine is counted as blocked, within the tolerance of the tripod's position.
     assert min(missing) >= 0 and missing.count(0) > len(missing) / 2
-    assert any("targets in sight" in proposal.do for proposal in proposals)
+    assert any("targets in sight" in proposal.action for proposal in proposals)
 
 
 def test_one_proposal_per_place(measured: Recording) -> None:
@@ -127,10 +127,10 @@ def with_stated_places(recording: Recording, shift_mm: float, yaw_deg: float) ->
 
 def test_rounded_positions_of_stations_do_not_move_the_network_on_the_site(hall: Path, measured: Recording) -> None:
     """The adjusted targets place the network: rounded or missing positions of stations change no sight."""
-    exact = {p.do for p in stations_of(lt.next_measurement(measured, site=hall))}
+    exact = {p.action for p in stations_of(lt.next_measurement(measured, site=hall))}
     bare = measured.replace(setup=measured.setup.model_copy(update={"stations": {}}))
     for other in (with_stated_places(measured, 70.0, 1.0), bare):
-        assert {p.do for p in stations_of(lt.next_measurement(other, site=hall))} == exact
+        assert {p.action for p in stations_of(lt.next_measurement(other, site=hall))} == exact
 
 
 def test_a_site_in_other_axes_is_refused(hall: Path, measured: Recording, tmp_path: Path) -> None:

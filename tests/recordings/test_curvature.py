@@ -68,7 +68,7 @@ def test_long_sights_of_levelled_set_ups_are_on_a_round_earth(tmp_path: Path) ->
 def test_coordinates_that_are_given_need_not_stand_along_the_plumb_line_of_the_middle(tmp_path: Path) -> None:
     """Their z is the plumb line at A, 12 arcsec from that in the middle of the network."""
     recording = read(survey(tmp_path), hints=hints(tmp_path))
-    points = read_points(tmp_path / "true.csv").by_name
+    points = read_points(tmp_path / "true.csv").coordinates_by_name
     adjusted = lt.adjust(with_axes_from_points(recording, points, "true.csv"))
     assert 0.7 < adjusted.fit.sigma0 < 1.3
     true = np.loadtxt(tmp_path / "true.csv", delimiter=",", skiprows=1, usecols=(1, 2, 3)) * 1e-3

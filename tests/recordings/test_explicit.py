@@ -199,7 +199,7 @@ def test_lists_of_coordinates(
 
 def test_a_point_in_another_row_is_grouped_as_its_list_groups(tmp_path: Path) -> None:
     found = read_points(file_of(tmp_path, "Name;X [mm];Y [mm];Z [mm]\nA;7.000,5;1;2\nB;8.000;2;3\n"))
-    assert found.by_name["B"][0] == 8.0
+    assert found.coordinates_by_name["B"][0] == 8.0
     with pytest.raises(RecordError, match="contains numbers written as"):
         read_points(file_of(tmp_path, "Name;X [mm];Y [mm];Z [mm]\nA;7.000,5;1;2\nB;8,000.5;2;3\n"))
 

@@ -142,7 +142,7 @@ def test_observed_coordinates_and_covariances(tmp_path: Path) -> None:
         ('fix="xyz"', 'fix="abc"', "is not one of xyz, xy, z"),
         ('y="200" z="10"', 'y="200"', "fixed, but lacks coordinates"),
         ('x="100" y="200"', 'x="1e9" y="200"', "position_mm.1 is 1000000000000.0, but it should be less"),
-        ('axes-xy="ne"', 'axes-xy="up"', "no system of axes that gama-local has"),
+        ('axes-xy="ne"', 'axes-xy="up"', "not a coordinate system of gama-local"),
         ('direction-stdev="3.0"', "", "no standard deviation is given"),
         ('distance-stdev="1.5"', 'distance-stdev="0"', "a standard deviation of 0"),
         ("</network>", "", "not well-formed"),

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ltsim.core.errors import LtsimError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.recordings import read, write
 from ltsim.recordings.coordinates import read_coordinates, read_points
 from ltsim.recordings.result_file import read_json
@@ -122,7 +122,7 @@ def survive(count: int, tmp_path: Path, seed: int) -> None:
     if pytest.importorskip("openpyxl"):
         samples.append(("book.xlsx", tables.workbook(book).read_bytes(), read))
     for i in range(count):
-        rng = stream(seed, "slips", i)
+        rng = random_stream(seed, "slips", i)
         name, content, reader = samples[i % len(samples)]
         folder = tmp_path / "native" if name in ("observations.csv", "setup.toml") else tmp_path / "slips"
         folder.mkdir(exist_ok=True)

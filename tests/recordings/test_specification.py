@@ -73,7 +73,7 @@ def test_a_specification_completes_a_sheet() -> None:
         lt.accept(plan)
     found = lt.accept({**plan, "specification": {"range_um": 10}}).specification
     assert (found.transverse_um, found.range_um, found.range_um_per_m) == (15, 10, 0.5)
-    assert found.source.endswith("not from there: range_um")
+    assert found.source.endswith("not from the data sheet: range_um")
 
 
 LIMITS_KNOWN = {

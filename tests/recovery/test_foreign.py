@@ -283,7 +283,7 @@ def test_checks_of_arrays_cannot_pass_with_nothing_to_judge_by() -> None:
     for estimate, sigma, says in (
         (two, None, "neither sigma nor tolerance"),
         (one, one + 1, "expected 2 or more"),
-        (two, one + 1, "give one sigma per value"),
+        (two, one + 1, "give one sigma per estimate"),
     ):
         with pytest.raises(ModelError, match=says):
             recovery_checks(estimate, sigma, estimate)

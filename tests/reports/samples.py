@@ -20,7 +20,7 @@ from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.calibration.files import write_calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.proposals import NextMeasurement
 from ltsim.recordings import write
@@ -72,8 +72,8 @@ def diagnosis_folder(folder: Path) -> Path:
     target = folder / "diagnosis"
     target.mkdir(parents=True)
     (target / "diagnosis.json").write_text(json.dumps(DIAGNOSIS))
-    (target / "residuals.csv").write_text(residuals_table(after()).csv())
-    (target / "residuals_before.csv").write_text(residuals_table(before()).csv())
+    (target / "residuals.csv").write_text(residuals_table(after()).csv_text())
+    (target / "residuals_before.csv").write_text(residuals_table(before()).csv_text())
     write(recording(), folder / "recording")
     return target
 
@@ -147,7 +147,7 @@ def sweep_folder(folder: Path, trials: int = 20) -> Path:
     for cell, own in enumerate(levels):
         rows = _rows(cell, "network", trials)
         size = own["angle_noise_arcsec"] * 100 / np.sqrt(own["targets"] * own["repeats"])
-        error = size * (1 + 0.1 * stream(3, "sweep", cell).standard_normal(trials))
+        error = size * (1 + 0.1 * random_stream(3, "sweep", cell).standard_normal(trials))
         rows = rows.append_column("target_error_um", pa.array(error, pa.float32()))
         for name, value in own.items():
             rows = rows.append_column(name, pa.array([value] * trials))
@@ -160,7 +160,7 @@ def sweep_folder(folder: Path, trials: int = 20) -> Path:
 
 def _rows(cell: int, method: str, trials: int) -> pa.Table:
     """Rows of one cell and method."""
-    draw = stream(3, "rows", cell, method)
+    draw = random_stream(3, "rows", cell, method)
     columns: dict[str, Any] = {
         "cell": pa.array([cell] * trials, pa.int32()), "method": pa.array([method] * trials),
         "trial": pa.array(range(trials), pa.int64()), "status": pa.array(["converged"] * trials),
@@ -175,11 +175,11 @@ def _rows(cell: int, method: str, trials: int) -> pa.Table:
 
 
 REFLECTOR_CHANGES = [
-    {"do": "move", "reflector": "T01", "place": "walls-17", "position_mm": [40, 3100, 2600], "gain_um": 0.412,
+    {"kind": "move", "reflector": "T01", "place": "walls-17", "position_mm": [40, 3100, 2600], "gain_um": 0.412,
      "quality": 0.953, "most_affected_parameter": "elevation-eccentricity-cos", "most_affected_ratio": 0.81},
-    {"do": "add", "place": "milling machine-8", "position_mm": [2800, 900, 1100], "gain_um": 0.31, "quality": 0.97,
+    {"kind": "add", "place": "milling machine-8", "position_mm": [2800, 900, 1100], "gain_um": 0.31, "quality": 0.97,
      "most_affected_parameter": "T09", "most_affected_ratio": 0.9},
-    {"do": "remove", "reflector": "T05", "gain_um": -0.004, "quality": 1.001,
+    {"kind": "remove", "reflector": "T05", "gain_um": -0.004, "quality": 1.001,
      "most_affected_parameter": "beam-tilt", "most_affected_ratio": 1.02},
 ]  # fmt: skip
 

@@ -85,13 +85,13 @@ CONTENTS: dict[str, dict[str, Any]] = {
                    "targets": ["T1"]}],
     },
     "accept.json": {
-        "format": "ltsim-accept/1", "kind": "predicted", "plan": "asme-b89.4.19-2006", "passes": 0.9,
+        "format": "ltsim-accept/1", "kind": "predicted", "plan": "asme-b89.4.19-2006", "pass_probability": 0.9,
         "sentence": "fine",
         "specification": {"name": "a tracker", "transverse_um": 15, "transverse_um_per_m": 6, "range_um": 10,
                           "range_um_per_m": 1},
-        "groups": [{"name": "length", "tests": 1, "passes": 0.9, "largest_limit_ratio": 0.8}],
+        "groups": [{"name": "length", "tests": 1, "pass_probability": 0.9, "largest_limit_ratio": 0.8}],
         "tests": [{"name": "a", "group": "length", "limit_um": 30.0, "error_um": 9.0, "expanded_um": 4.0,
-                   "passes": 0.9}],
+                   "pass_probability": 0.9}],
         "sensitivities": [{"name": "beam-tilt", "unit": "urad", "prior_sigma": 9.7, "smallest_failing": 30.0,
                            "test": "a"}],
         "worst_passing": {"constants": {"beam-tilt": 30.0}, "rms_um": 40.0, "largest_um": 90.0},
@@ -99,8 +99,8 @@ CONTENTS: dict[str, dict[str, Any]] = {
     "next.json": {
         "format": "ltsim-next/1", "between": ["vertical-index", "transit-tilt"], "advice": "measure",
         "evidence_now": {"transit-tilt": 1.0},
-        "proposals": [{"do": "two faces", "minutes": 9.0, "sigma_ratio": 0.7, "most_improved_parameter": "beam-tilt",
-                       "most_improved_ratio": 0.6,
+        "proposals": [{"action": "two faces", "minutes": 9.0, "sigma_ratio": 0.7,
+                       "most_improved_parameter": "beam-tilt", "most_improved_ratio": 0.6,
                        "evidence": {"transit-tilt": 9.0}, "distinguishes_all": True}],
     },
 }  # fmt: skip

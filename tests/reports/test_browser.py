@@ -10,7 +10,7 @@ import pytest
 
 from ltsim.core.results import Table
 from ltsim.reports import workshop_scene
-from ltsim.reports.document_model import Document, Section, table_block
+from ltsim.reports.document_model import Document, Section, table_blocks
 from ltsim.reports.page import page_html
 from ltsim.reports.scene_page import scene_page
 from ltsim.reports.verbs import report
@@ -105,8 +105,10 @@ def test_coordinates_of_a_large_hall_are_not_cut_on_a_phone(tmp_path: Path) -> N
     columns = {name: [-112345.6789, 98765.4321] for name in ("x [mm]", "y [mm]", "z [mm]")}
     columns |= {f"U {axis} [um]": [1048.0, 1049.0] for axis in "xyz"}
     table = Table.from_columns("targets", {"name": ["M01", "pillar north"], **columns})
-    shown = replace(table, columns=tuple(replace(c, shown=".4f" if "mm" in c.name else ".0f") for c in table.columns))
-    section = Section("Targets", "Network", "Two targets.", blocks=table_block("Targets", shown))
+    shown = replace(
+        table, columns=tuple(replace(c, display_format=".4f" if "mm" in c.name else ".0f") for c in table.columns)
+    )
+    section = Section("Targets", "Network", "Two targets.", blocks=table_blocks("Targets", shown))
     assert_nothing_is_cut_on_a_phone(page_html(Document("Targets", "", "plain", [section])), tmp_path)
 
 

@@ -24,7 +24,7 @@ from ltsim.calibration.history import ParameterHistory
 from ltsim.calibration.schema import ParameterEntry
 from ltsim.campaigns.summary import ZScoreSummary
 from ltsim.core.notation import fixed_point_text, number_text, with_sigma
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.schema import FindingScope, ResponseCurve
 from ltsim.measurands.comparison import Comparison
 from ltsim.planning.plan_entries import PlannedParameterEntry as PlannedEntry
@@ -121,7 +121,7 @@ def error_to_limit_figure() -> Figure:
             "limit_um": 40.0,
             "error_um": 15.0 * i,
             "expanded_um": 8.0,
-            "passes": float(i < 3),
+            "pass_probability": float(i < 3),
         }
         for g in groups
         for i in range(4)
@@ -131,9 +131,9 @@ def error_to_limit_figure() -> Figure:
             "kind": "measured",
             "plan": "mine",
             "specification": data_sheet("leica-at500"),
-            "passes": 0,
+            "pass_probability": 0,
             "sentence": "",
-            "groups": [{"name": g, "tests": 4, "passes": 0, "largest_limit_ratio": 1.1} for g in groups],
+            "groups": [{"name": g, "tests": 4, "pass_probability": 0, "largest_limit_ratio": 1.1} for g in groups],
             "tests": tests,
         }
     )
@@ -146,7 +146,7 @@ def criteria_figure() -> Figure:
 
 
 def distributions_figure() -> Figure:
-    draws = stream(1, "figure").normal(29, 4, (4, 500))
+    draws = random_stream(1, "figure").normal(29, 4, (4, 500))
     names = ("coordinate, improvement", "distance, mean after", "coordinate, largest before", MARKUP)
     rows = [sweeps.TrialDistribution(name, v, "um", 30.0) for name, v in zip(names, draws, strict=True)]
     return sweeps.distributions_figure(rows)
@@ -199,7 +199,7 @@ def check_figure() -> Figure:
 
 
 def displacement_figure() -> Figure:
-    draws = stream(3, "figure").standard_normal((2, 6, 3))
+    draws = random_stream(3, "figure").standard_normal((2, 6, 3))
     names = ["T1", "T1", "T1", "T1", "T1", MARKUP]
     told = {"sigma_um": (1, 1, 1), "covariance_um2": np.eye(3).tolist(), "p_value": 0.5, "detectable_um": (1, 2)}
     displacements = [
@@ -229,7 +229,7 @@ def z_scores_of(parameter: str, trials: int, coverage: float) -> ZScoreSummary:
 
 
 def coverage_figure() -> Figure:
-    return sweeps.coverage_figure(scores(stream(2, "figure").standard_normal((5, 400))))
+    return sweeps.coverage_figure(scores(random_stream(2, "figure").standard_normal((5, 400))))
 
 
 def injected_and_estimated_figure() -> Figure:
@@ -321,7 +321,7 @@ def test_figure_is_the_same_twice(draw: Callable[[], Figure]) -> None:
 
 def many_correlations() -> Figure:
     """Of a chain with more parameters than a picture has room for names."""
-    matrix = np.corrcoef(stream(4, "figure").standard_normal((70, 90)))
+    matrix = np.corrcoef(random_stream(4, "figure").standard_normal((70, 90)))
     rows = [ParameterEntry(name=f"J{i % 3}.eX_cos{i}", value=0.0, unit="um") for i in range(70)]
     return estimates.correlation_figure(rows, matrix)
 
@@ -400,11 +400,11 @@ def test_coverage_interval_is_wilsons() -> None:
 
 
 def test_coverage_is_red_exactly_where_its_caption_says() -> None:
-    z = stream(4, "figure").standard_normal((6, 1000)) * np.array([1.0, 1.2, 1.0, 0.7, 1.0, 1.03])[:, None]
+    z = random_stream(4, "figure").standard_normal((6, 1000)) * np.array([1.0, 1.2, 1.0, 0.7, 1.0, 1.03])[:, None]
     rows = scores(z)
     (drawn,) = (line for line in sweeps.coverage_figure(rows).axes[0].lines if line.get_color() == style.RED)
     assert (
-        sweeps.is_outside_allowed_coverage(rows)
+        sweeps.outside_coverage_flags(rows)
         == [i in drawn.get_ydata() for i in range(6)]
         == [i in (1, 3) for i in range(6)]
     )

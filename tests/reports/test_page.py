@@ -300,9 +300,9 @@ def test_coordinates_of_a_moved_target_are_said_to_be_from_before_its_motion(tmp
 def test_next_measurement_stands_first(tmp_path: Path) -> None:
     content = document_of_folder(samples.next_folder(tmp_path / "next"))
     proposals = json.loads((tmp_path / "next" / "next.json").read_text())["proposals"]
-    assert content.summary.startswith(f"Measure next: {proposals[0]['do']} (")
+    assert content.summary.startswith(f"Measure next: {proposals[0]['action']} (")
     table = next(block for block in content.sections[0].blocks if block.kind == "table")
-    assert [row[0] for row in table.rows] == [p["do"] for p in proposals]
+    assert [row[0] for row in table.rows] == [p["action"] for p in proposals]
     assert all(f"{p['sigma_ratio']:.2f}" == row[2] for p, row in zip(proposals, table.rows, strict=True))
 
 
@@ -310,7 +310,7 @@ def test_next_measurement_says_what_it_decides(tmp_path: Path) -> None:
     content = document_of_folder(samples.next_folder(tmp_path / "next", between=("range-step", "station-weather")))
     best = json.loads((tmp_path / "next" / "next.json").read_text())["proposals"][0]
     pair = [effect_title(name) for name in ("range-step", "station-weather")]
-    begin = [best["do"]] if best["distinguishes"] else pair
+    begin = [best["action"]] if best["distinguishes"] else pair
     assert all(words.lower() in content.summary.lower() for words in begin)
     assert "Separation of the alternatives" in [block.title for block in content.sections[0].blocks]
 

@@ -18,7 +18,7 @@ from tests.reports import samples
 def test_file_and_adjustment_agree(tmp_path: Path) -> None:
     direct = Residuals.from_adjustment(samples.after())
     file = tmp_path / "residuals.csv"
-    file.write_text(residuals_table(samples.after()).csv())
+    file.write_text(residuals_table(samples.after()).csv_text())
     read = Residuals.read(file)
     assert read.data_row.tolist() == direct.data_row.tolist()
     assert read.stations == direct.stations

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib import image
 
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.reports import scene3d, workshop_scene
 from ltsim.reports.document_model import CONTENT_SECURITY_POLICY
 from ltsim.reports.figures.floor_plan import floor_plan
@@ -155,7 +155,7 @@ def test_triangles_of_both_senses_are_filled_where_they_overlap() -> None:
 def test_a_body_of_many_triangles_takes_no_more_of_a_page_than_its_picture() -> None:
     """As vectors 200,000 triangles made a page of 45 MB, in 30 s."""
     few = workshop_scene.workshop_from_scenario(load_scenario("paper-workshop"))
-    body = stream(3, "bodies").uniform(0.0, 3.0, (MAX_VECTOR_TRIANGLES + 1, 3, 3))
+    body = random_stream(3, "bodies").uniform(0.0, 3.0, (MAX_VECTOR_TRIANGLES + 1, 3, 3))
     sizes = [
         len(svg_text(floor_plan(replace(few, obstacle_triangles=body[:count]))))
         for count in (1, MAX_VECTOR_TRIANGLES + 1)

@@ -103,10 +103,10 @@ ACCEPT: dict[str, Any] = {
     "kind": "measured",
     "plan": "plan.csv",
     "specification": {"transverse_um": 1, "transverse_um_per_m": 1, "range_um": 1, "range_um_per_m": 1},
-    "passes": 1,
+    "pass_probability": 1,
     "sentence": "all errors are within their limits",
-    "groups": [{"name": "bar", "tests": 1, "passes": 1, "largest_limit_ratio": 0.5}],
-    "tests": [{"name": "bar", "group": "bar", "limit_um": 10, "error_um": 5, "passes": 1}],
+    "groups": [{"name": "bar", "tests": 1, "pass_probability": 1, "largest_limit_ratio": 0.5}],
+    "tests": [{"name": "bar", "group": "bar", "limit_um": 10, "error_um": 5, "pass_probability": 1}],
 }
 
 
@@ -152,7 +152,7 @@ def test_ragged_history_gets_one_sentence(tmp_path: Path) -> None:
 def test_tables_of_another_run_are_refused(tmp_path: Path) -> None:
     """As after a kill between two renames: the table is of the new run, the JSON of the old one."""
     folder = samples.calibration_folder(tmp_path)
-    (folder / "residuals.csv").write_text(residuals_table(samples.before()).csv())
+    (folder / "residuals.csv").write_text(residuals_table(samples.before()).csv_text())
     with pytest.raises(RecordError, match=r"residuals\.csv: does not belong to calibration\.json in the same folder"):
         report(folder)
     assert not (folder / "report.html").exists()
@@ -184,7 +184,7 @@ NAMES = ("=1+1", "+7", "-T1", "@x", "'=quoted", "a,b", 'say "x"', "plain")
 
 def test_names_that_a_spreadsheet_would_compute_are_text_and_come_back(tmp_path: Path) -> None:
     points = np.arange(24.0).reshape(8, 3)
-    text = targets_table(NAMES, points, np.tile(1e-10 * np.eye(3), (8, 1, 1))).csv()
+    text = targets_table(NAMES, points, np.tile(1e-10 * np.eye(3), (8, 1, 1))).csv_text()
     assert [line[0] for line in text.splitlines()[1:6]] == ["'"] * 5
     (tmp_path / "targets.csv").write_text(text)
     names, found, _ = read_targets(tmp_path / "targets.csv")
@@ -195,6 +195,8 @@ def test_names_that_a_spreadsheet_would_compute_are_text_and_come_back(tmp_path:
 def test_residuals_of_such_names_come_back(tmp_path: Path) -> None:
     made = samples.recording()
     names = (*NAMES, *made.targets[len(NAMES) :])
-    (tmp_path / "residuals.csv").write_text(residuals_table(adjust(made.replace(targets=names, setup=Setup()))).csv())
+    (tmp_path / "residuals.csv").write_text(
+        residuals_table(adjust(made.replace(targets=names, setup=Setup()))).csv_text()
+    )
     found = Residuals.read(tmp_path / "residuals.csv")
     assert set(found.target.tolist()) == set(names)

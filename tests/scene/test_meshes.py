@@ -13,7 +13,7 @@ from ltsim.scene.meshes import (
     TEST_RAY_DIRECTION,
     Obstacles,
     box_triangles,
-    count_native_hits,
+    count_ray_hits,
     cylinder_triangles,
     join_obstacles,
     nearest_points,
@@ -55,11 +55,11 @@ def test_embree_and_double_precision_agree_on_a_curved_body() -> None:
     start *= np.maximum(1.01 / np.linalg.norm(start, axis=1), 1.0)[:, None]
     end *= np.maximum(1.01 / np.linalg.norm(end, axis=1), 1.0)[:, None]
     length = np.linalg.norm(end - start, axis=1)
-    native = count_native_hits(body.triangles, start, (end - start) / length[:, None], length) > 0
+    native = count_ray_hits(body.triangles, start, (end - start) / length[:, None], length) > 0
     assert 100 < native.sum() < 2900
     np.testing.assert_array_equal(body.is_blocked(start, end), native)
     places, up = start / 2.0, np.broadcast_to(TEST_RAY_DIRECTION, start.shape)
-    slowly = count_native_hits(body.triangles, places, up, np.full(len(places), np.inf)) % 2 == 1
+    slowly = count_ray_hits(body.triangles, places, up, np.full(len(places), np.inf)) % 2 == 1
     assert 100 < slowly.sum() < 2900
     np.testing.assert_array_equal(body.is_inside_body(places), slowly)
 
@@ -93,7 +93,7 @@ def test_a_point_of_a_hollow_cylinder_is_on_its_triangles_that_lie_off_it() -> N
 
 def test_no_station_stands_inside_or_with_its_tripod_through_something() -> None:
     heads = np.array([[2.0, 0.0, 0.5], [2.0, 0.0, 1.8], [2.0, 0.6, 1.8], [0.0, 0.0, 1.8]])
-    assert CUBE.is_enclosed(heads).tolist() == [True, True, False, False]
+    assert CUBE.is_setup_inside_body(heads).tolist() == [True, True, False, False]
 
 
 def test_turned_and_moved() -> None:
@@ -118,7 +118,7 @@ def test_the_same_hall_is_built_once() -> None:
 def test_nothing_blocks_nothing() -> None:
     empty = join_obstacles([])
     assert not empty.is_blocked(np.zeros((2, 3)), np.ones((2, 3))).any()
-    assert not empty.is_enclosed(np.zeros((2, 3))).any()
+    assert not empty.is_setup_inside_body(np.zeros((2, 3))).any()
 
 
 @pytest.mark.parametrize("suffix", ["stl", "obj", "glb", "ply"])

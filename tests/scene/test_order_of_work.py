@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.model.measurement import sightings_at_state
 from tests.networks import network
@@ -18,7 +18,7 @@ def sightings():
     """Of a recording whose rows are not in the order of the work."""
     recording, truth = network(faces=2, seed=4)
     made = sightings_at_state(recording, truth.state)
-    time = stream(4, "order").permutation(len(made)).astype(np.float64)
+    time = random_stream(4, "order").permutation(len(made)).astype(np.float64)
     return replace(made, time=time)
 
 

@@ -10,7 +10,7 @@ from ltsim.geometry.rigid import matrix_from_rotation_vector
 from ltsim.scene.visibility import (
     InvisibilityReason,
     SightLimits,
-    aim_nest_normals,
+    best_nest_normals,
     compute_visibility,
     shadow_cone_opening,
     shadow_radii,
@@ -27,7 +27,7 @@ def at(elevation_deg: float, range_: float = 3.0) -> np.ndarray:
 
 
 def reason(point: np.ndarray, limits: SightLimits = LIMITS) -> InvisibilityReason:
-    return InvisibilityReason(int(compute_visibility(HEAD, point, limits).reasons[0, 0]))
+    return InvisibilityReason(int(compute_visibility(HEAD, point, limits).reason_codes[0, 0]))
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_limits_follow_a_leaning_instrument() -> None:
     table = compute_visibility(HEAD, at(-50.0), LIMITS, rotation=lean)
     assert table.elevations[0, 0] == pytest.approx(-40 * DEGREE)
     assert (
-        compute_visibility(HEAD, at(-50.0), LIMITS, rotation=lean.transpose(0, 2, 1)).reasons[0, 0]
+        compute_visibility(HEAD, at(-50.0), LIMITS, rotation=lean.transpose(0, 2, 1)).reason_codes[0, 0]
         == InvisibilityReason.BELOW
     )
 
@@ -96,7 +96,7 @@ def test_acceptance_of_fixed_nests_only() -> None:
     fixed = compute_visibility(HEAD, at(0.0), LIMITS, nest_normals=normal, is_reaimed=np.array([False]))
     turned = compute_visibility(HEAD, at(0.0), LIMITS, nest_normals=normal, is_reaimed=np.array([True]))
     assert fixed.incidence_angles[0, 0] == pytest.approx(31 * DEGREE)
-    assert fixed.reasons[0, 0] == InvisibilityReason.ACCEPTANCE and turned.is_visible[0, 0]
+    assert fixed.reason_codes[0, 0] == InvisibilityReason.ACCEPTANCE and turned.is_visible[0, 0]
 
 
 def test_unknown_nests_accept_every_beam() -> None:
@@ -116,7 +116,7 @@ class Wall:
     def moved_to_surface(self, points):
         return points
 
-    def is_enclosed(self, points: np.ndarray) -> np.ndarray:
+    def is_setup_inside_body(self, points: np.ndarray) -> np.ndarray:
         return np.asarray(points[:, 0] < -1)
 
 
@@ -124,7 +124,7 @@ def test_obstacles_and_stations_inside_them() -> None:
     stations = np.array([[0.0, 0.0, 2.0], [-2.0, 0.0, 2.0]])
     targets = np.array([[3.0, 0.0, 2.0], [0.0, 3.0, 2.0]])
     table = compute_visibility(stations, targets, LIMITS, obstacles=Wall())
-    assert table.reasons.tolist() == [
+    assert table.reason_codes.tolist() == [
         [InvisibilityReason.OBSTACLE, InvisibilityReason.VISIBLE],
         [InvisibilityReason.STATION_INSIDE] * 2,
     ]
@@ -142,7 +142,7 @@ def test_nonsense_is_refused() -> None:
 def test_aimed_normals_are_the_axes_of_the_narrowest_cones() -> None:
     rng = np.random.default_rng(5)
     stations, targets = rng.uniform(2, 6, (5, 3)), rng.uniform(-1, 0.5, (6, 3))
-    normal, half = aim_nest_normals(stations, targets)
+    normal, half = best_nest_normals(stations, targets)
     back = stations - targets[:, None]
     back /= np.linalg.norm(back, axis=2, keepdims=True)
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0)
@@ -161,4 +161,4 @@ def test_out_of_range_gives_the_number_the_limit_and_the_key() -> None:
         "out of range (0.90 m, expected 1 to 5 m: instrument.limits.range_min_mm)",
         "above the elevation limit (77.1 deg, the maximum is 77 deg: instrument.limits.elevation_max_deg)",
     ]
-    assert table.reason_kinds()[0][:2] == ["out of range", "out of range"]
+    assert table.short_reason_texts()[0][:2] == ["out of range", "out of range"]

@@ -110,14 +110,14 @@ def test_a_row_of_the_curve_has_the_columns_of_its_table() -> None:
     cause = SimpleNamespace(largest_changes={"distance_um": 20.0, "azimuth_urad": 3.0, "elevation_urad": 5.0})
     outcome = {"detections": True, "placed": True, "named": False, "right": False}
     curve = DetectionCurve("range-step", (), (_curve_row(25.0, [cause], [outcome] * 4),))
-    (row,) = curve.table().json()
+    (row,) = curve.table().json_rows()
     assert (row["largest_urad"], row["placed"], row["named"], row["named_low"]) == (5.0, 4, 0, 0.0)
 
 
 @pytest.mark.long
 def test_the_curve_rises(recording: Recording) -> None:
     found = lt.injection_curve(recording, "range-step:S3", strengths=(2.0, 300.0), injections=2, seed=1)
-    weak, strong = found.table().json()
+    weak, strong = found.table().json_rows()
     assert strong["detections"] == strong["placed"] == 2 > weak["detections"]
     assert strong["largest_um"] > 5 * weak["largest_um"]
     assert 0.0 <= strong["detections_low"] < 1.0 == strong["detections_high"]

@@ -10,7 +10,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.core.errors import SetupError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.search_inputs import planned_survey
 from ltsim.recordings.native import read_recording, write_recording
@@ -34,7 +34,7 @@ def test_one_tracker_draws_what_it_always_drew_and_a_second_one_changes_nothing_
     for p in misalignment_construction().parameters:
         assert (
             truth.instrument_values[p.name]
-            == p.prior_sigma_from(prior) * stream(7, "instrument", p.name).standard_normal()
+            == p.prior_sigma_from(prior) * random_stream(7, "instrument", p.name).standard_normal()
         )
     second = {"instruments.B.errors.draw": True, "stations.S5.instrument": "B"}
     beside, both = simulate(change_scenario(PAPER, second, Path("paper.toml")), 7)
@@ -43,7 +43,7 @@ def test_one_tracker_draws_what_it_always_drew_and_a_second_one_changes_nothing_
     assert beside.readings[~own].tobytes() != alone.readings[~own].tobytes()
     assert {name: both.instrument_values[name] for name in truth.instrument_values} == truth.instrument_values
     tilt = next(p for p in misalignment_construction().parameters if p.name == "beam-tilt")
-    draw = stream(7, "instrument", "B", "beam-tilt").standard_normal()
+    draw = random_stream(7, "instrument", "B", "beam-tilt").standard_normal()
     assert both.instrument_values["beam-tilt@B"] == tilt.prior_sigma_from(prior) * draw
 
 
@@ -125,7 +125,10 @@ def test_calibration_finds_the_errors_of_both_and_corrects_each_with_its_own() -
     ("changes", "message"),
     [
         ({"stations.S1.instrument": "C"}, r"stations.S1.instrument names 'C', which is not one of A, B"),
-        ({"instruments.A.construction": "dh"}, r"instruments have different constructions \(instruments.A 'dh' and"),
+        (
+            {"instruments.A.construction": "dh"},
+            r"instruments have different constructions or orders \(instruments.A 'dh' and",
+        ),
         ({"instruments.C.corrected": True}, "instruments.C is used at no station; name it as"),
         ({"instrument.noise_factor": 2.0}, "instrument is used at no station"),
         ({"instruments.B.limits.elevation_max_deg": -50}, "instruments.B.limits is .* below elevation_max_deg"),

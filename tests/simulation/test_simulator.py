@@ -74,7 +74,7 @@ def test_the_instrument_is_exact_in_both_directions() -> None:
         [{"beam-tilt": 4e-4, "transit-offset": 9e-4}.get(n, 0.0) for n in work.construction.parameter_names]
     )
     readings = exact_readings(work, values[None], ())
-    point = work.construction.point(readings, values)
+    point = work.construction.points_from_readings(readings, values)
     np.testing.assert_allclose(point, work.sightings.local_points, rtol=0, atol=1e-12)
 
 

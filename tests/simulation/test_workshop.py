@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.core.units import DEGREE
 from ltsim.geometry.polar import to_polar
-from ltsim.scene.visibility import InvisibilityReason, aim_nest_normals, shadow_radii
+from ltsim.scene.visibility import InvisibilityReason, best_nest_normals, shadow_radii
 from ltsim.simulation.fieldwork import make_geometry
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.simulator import simulate
@@ -104,7 +104,7 @@ def test_fixed_nests_aimed_at_the_stations_serve_all_of_them() -> None:
     table = make_visibility(PAPER)
     assert table.is_visible.all()
     assert table.incidence_angles.max() < 30 * DEGREE and np.median(table.incidence_angles) > 8 * DEGREE
-    normal, half = aim_nest_normals(LAYOUT.station_positions, LAYOUT.target_points)
+    normal, half = best_nest_normals(LAYOUT.station_positions, LAYOUT.target_points)
     np.testing.assert_allclose(LAYOUT.nest_normals, normal, atol=1e-9)
     np.testing.assert_allclose(table.incidence_angles.max(axis=0), half, atol=1e-9)
 
@@ -112,10 +112,10 @@ def test_fixed_nests_aimed_at_the_stations_serve_all_of_them() -> None:
 def test_fixed_nests_square_to_the_walls_lose_reflectors_and_the_table_says_which() -> None:
     square = changed(load_scenario("paper-workshop-re-aimed"), "smr", nests="fixed")
     table = make_visibility(square)
-    assert np.all(table.reasons[~table.is_visible] == InvisibilityReason.ACCEPTANCE)
+    assert np.all(table.reason_codes[~table.is_visible] == InvisibilityReason.ACCEPTANCE)
     assert 20 < np.sum(~table.is_visible) < 140
     lost = table.invisible_pair_sentences(LAYOUT.station_names, LAYOUT.target_names)
-    assert "S1 does not see T01: turned beyond the reflector's acceptance" in lost
+    assert "S1 does not see T01: outside the acceptance angle of the reflector" in lost
     recording, _ = simulate(square, 2)
     assert len(recording) == 43 and recording.notes[0].startswith("97 of 140 pairs")
 
@@ -126,7 +126,7 @@ def test_an_obstacle_hides_what_is_behind_it() -> None:
         {**PAPER.model_dump(by_alias=True), "workshop": {**PAPER.workshop.model_dump(), "obstacles": (box,)}}
     )
     table = make_visibility(with_box)
-    assert set(table.reasons[~table.is_visible].tolist()) == {InvisibilityReason.OBSTACLE}
+    assert set(table.reason_codes[~table.is_visible].tolist()) == {InvisibilityReason.OBSTACLE}
     hidden = {LAYOUT.target_names[t] for t in np.flatnonzero(~table.is_visible[0])}
     assert {"T25", "T26", "T27", "T28"} <= hidden
     assert table.is_visible[0, :8].all()

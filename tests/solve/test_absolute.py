@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import linprog
 
 from ltsim.core.arrays import Floats
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.solve.least_absolute import solve_least_absolute
 
 
@@ -24,14 +24,14 @@ def program(design: Floats, goal: Floats) -> Floats:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_solution_is_that_of_the_linear_program(seed: int) -> None:
-    draw = stream(seed, "rows")
+    draw = random_stream(seed, "rows")
     design, goal = draw.standard_normal((150, 4)), draw.standard_normal(150)
     assert solve_least_absolute(design, goal) == pytest.approx(program(design, goal), abs=1e-5)
 
 
 def test_rows_that_hang_together() -> None:
     """Differences between all pairs of five values, as in the distance objective: three equal ones meet three rows."""
-    draw = stream(7, "pairs")
+    draw = random_stream(7, "pairs")
     design, goal = draw.standard_normal((30, 5, 3)), draw.standard_normal((30, 5))
     goal[:10] = goal[:10, :1]
     first, second = np.triu_indices(5, k=1)
@@ -42,7 +42,7 @@ def test_rows_that_hang_together() -> None:
 
 
 def test_outliers_take_nothing() -> None:
-    draw = stream(8, "outliers")
+    draw = random_stream(8, "outliers")
     design, x = draw.standard_normal((200, 3)), np.array([1.0, -2.0, 3.0])
     goal = design @ x
     goal[::10] += 100.0
@@ -50,7 +50,7 @@ def test_outliers_take_nothing() -> None:
 
 
 def test_a_start_changes_nothing() -> None:
-    draw = stream(9, "start")
+    draw = random_stream(9, "start")
     design, goal = draw.standard_normal((150, 4)), draw.standard_normal(150)
     found = solve_least_absolute(design, goal)
     assert solve_least_absolute(design, goal, start_solution=found + 0.3) == pytest.approx(found, abs=1e-12)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 from ltsim.solve.gauss_newton import TerminationStatus, solve
 
 
 def random_system(seed: int, kept: int = 7, blocks: int = 5) -> tuple[BlockSystem, np.ndarray]:
     """Rows that see all kept unknowns and one block each, columns of very different size."""
-    rng = stream(seed, "system")
+    rng = random_stream(seed, "system")
     rows = np.zeros((12 * blocks, kept + 3 * blocks))
     for i in range(len(rows)):
         block = i % blocks
@@ -85,7 +85,7 @@ class Bent:
 
     def __init__(self) -> None:
         self.at, self.looks = np.linspace(-1, 1, 20), 0
-        self.observed = self._predicted(np.array([40.0, 10.0])) + stream(0, "bent").standard_normal(20)
+        self.observed = self._predicted(np.array([40.0, 10.0])) + random_stream(0, "bent").standard_normal(20)
 
     def _predicted(self, x):
         return x[0] + x[1] * self.at + 1e-6 * x[1] ** 2
@@ -118,7 +118,7 @@ class Coarse:
     def __init__(self, grain: float) -> None:
         self.grain = grain
         self.at = np.linspace(-1, 1, 9)
-        self.observed = 3.0 * self.at + 0.1 * stream(0, "line").standard_normal(9)
+        self.observed = 3.0 * self.at + 0.1 * random_stream(0, "line").standard_normal(9)
 
     def residual(self, x):
         predicted = np.round((x[0] + x[1] * self.at) / self.grain) * self.grain

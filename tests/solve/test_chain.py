@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.solve.chain import MAX_SINGLE_BLOCK, BlockChainFactor, arrange_as_chain
 from ltsim.solve.elimination import DenseElimination, SparseElimination
 
 
 def ring(stations: int, shared: int, *, closed: bool = True, seed: int = 0) -> tuple[np.ndarray, int]:
     """Rows of stations (six unknowns) that see the targets (three) near them, and a few unknowns of all rows."""
-    rng = stream(seed, "ring")
+    rng = random_stream(seed, "ring")
     targets = 2 * stations
     kept = 6 * stations + shared
     rows = []
@@ -41,7 +41,7 @@ def test_a_ring_becomes_a_chain_and_gives_what_dense_algebra_gives(shared, close
     design, kept = ring(90, shared, closed=closed)
     dense, sparse = DenseElimination(design, kept, 0.0), SparseElimination(sp.csr_array(design), kept, 0.0)
     assert sparse._schur_factor.n_blocks > 2
-    right = stream(1, "right").standard_normal((design.shape[1], 2))
+    right = random_stream(1, "right").standard_normal((design.shape[1], 2))
     np.testing.assert_allclose(sparse.solve(right), dense.solve(right), rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(sparse.reduced_inverse, dense.reduced_inverse, rtol=1e-7, atol=1e-9)
     for ours, theirs in zip(sparse.inverse_blocks_and_leverage, dense.inverse_blocks_and_leverage, strict=True):
@@ -60,14 +60,14 @@ def test_sets_that_are_far_apart_are_answered_too():
 
 def test_damping_is_that_of_the_unit_diagonal():
     design, kept = ring(60, 2)
-    right = stream(1, "right").standard_normal((design.shape[1], 1))
+    right = random_stream(1, "right").standard_normal((design.shape[1], 1))
     expected = np.linalg.solve(design.T @ design + 0.3 * np.eye(design.shape[1]), right)
     for elimination in (DenseElimination(design, kept, 0.3), SparseElimination(sp.csr_array(design), kept, 0.3)):
         np.testing.assert_allclose(elimination.solve(right), expected, atol=1e-9)
 
 
 def test_a_matrix_without_a_narrow_order_is_one_block():
-    rng = stream(2, "matrix")
+    rng = random_stream(2, "matrix")
     size = MAX_SINGLE_BLOCK + 60
     root = rng.standard_normal((size, size)) + size * np.eye(size)
     matrix = root @ root.T
@@ -77,7 +77,7 @@ def test_a_matrix_without_a_narrow_order_is_one_block():
 
 
 def test_the_order_of_a_shuffled_band_is_narrow_again():
-    rng = stream(3, "band")
+    rng = random_stream(3, "band")
     size = 1000
     band = sp.diags_array([np.ones(size - abs(k)) for k in range(-4, 5)], offsets=range(-4, 5)).tocsr()
     shuffle = rng.permutation(size)
@@ -88,7 +88,7 @@ def test_the_order_of_a_shuffled_band_is_narrow_again():
 
 def test_entries_that_are_stored_as_zero_ask_for_nothing():
     """As a level line of sight has in its height: a product with it is 0 and has no entry, by the readings' seed."""
-    rng, kept, blocks = stream(4, "zeros"), 2, 3
+    rng, kept, blocks = random_stream(4, "zeros"), 2, 3
     design = np.zeros((9 * blocks, kept + 3 * blocks))
     design[:, :kept] = rng.standard_normal((len(design), kept))
     row = np.arange(len(design))

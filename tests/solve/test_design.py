@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.solve import design
 from ltsim.solve.design import DesignMatrix, SparsityPattern, inverse_column_norms, scale_columns, to_dense
 
@@ -14,7 +14,7 @@ from ltsim.solve.design import DesignMatrix, SparsityPattern, inverse_column_nor
 @pytest.mark.parametrize("limit", [10**6, 0])
 def test_a_pattern_puts_values_where_they_belong(monkeypatch: pytest.MonkeyPatch, limit: int) -> None:
     monkeypatch.setattr(design, "MAX_DENSE_ENTRIES", limit)
-    rng = stream(0, "pattern")
+    rng = random_stream(0, "pattern")
     columns = [rng.integers(0, 7, (5, 4)), np.zeros((0, 3), dtype=np.int64), rng.integers(0, 7, (3, 1))]
     values = [rng.standard_normal(kind.shape) for kind in columns]
     expected = np.zeros((8, 9))  # the last two columns are empty

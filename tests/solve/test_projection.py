@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.solve.elimination import BlockFactor, BlockSystem
 from ltsim.solve.projection import BasisResidualProjector, FactorResidualProjector, make_residual_projector
 
@@ -15,7 +15,7 @@ KEPT, BLOCKS, ROWS = 320, 130, 2600
 
 def chained(seed: int = 1) -> BlockSystem:
     """Rows that touch a few neighbouring kept columns, two shared ones and one block: a ring of set-ups in small."""
-    rng = stream(seed, "design")
+    rng = random_stream(seed, "design")
     design = sp.lil_array((ROWS, KEPT + 3 * BLOCKS))
     for i in range(ROWS):
         near = np.arange(6) + (i * KEPT // ROWS) // 6 * 6
@@ -31,7 +31,7 @@ SYSTEM = chained()
 ROOT = np.linalg.qr(SYSTEM.design.toarray())[0]
 BASIS = BasisResidualProjector.from_design(SYSTEM.design)
 SPARSE = FactorResidualProjector.from_design(SYSTEM.design, BlockFactor(SYSTEM))
-EXTRA = np.linalg.qr(BASIS.project(stream(3, "extra").standard_normal((len(ROOT), 2))))[0]
+EXTRA = np.linalg.qr(BASIS.project(random_stream(3, "extra").standard_normal((len(ROOT), 2))))[0]
 PAIRS = [(BASIS, ROOT), (SPARSE, ROOT)]
 PAIRS += [(p.with_removed_columns(EXTRA), np.hstack([ROOT, EXTRA])) for p, _ in PAIRS]
 NAMES = ["basis", "factor", "basis extended", "factor extended"]
@@ -39,7 +39,7 @@ NAMES = ["basis", "factor", "basis extended", "factor extended"]
 
 @pytest.mark.parametrize(("projection", "root"), PAIRS, ids=NAMES)
 def test_projection_and_leverage_are_those_of_the_hat_matrix(projection, root):
-    vectors = stream(2, "vectors").standard_normal((len(root), 7)) * 10.0 ** np.arange(-3, 4)
+    vectors = random_stream(2, "vectors").standard_normal((len(root), 7)) * 10.0 ** np.arange(-3, 4)
     gap = projection.project(vectors) - (vectors - root @ (root.T @ vectors))
     assert np.abs(gap / np.linalg.norm(vectors, axis=0)).max() < 1e-10
     np.testing.assert_allclose(projection.leverage(), (root**2).sum(axis=1), atol=1e-9)
@@ -51,7 +51,7 @@ def test_projection_and_leverage_are_those_of_the_hat_matrix(projection, root):
 )
 def test_products_of_what_is_left_are_those_of_projected_vectors(projection, root, rows):
     vectors = np.zeros((len(root), 5))
-    vectors[rows] = stream(4, "columns").standard_normal(vectors[rows].shape)
+    vectors[rows] = random_stream(4, "columns").standard_normal(vectors[rows].shape)
     left = vectors - root @ (root.T @ vectors)
     grams = projection.gram_matrices(vectors[rows], np.array([0, 2, 5]), rows)
     for gram, part in zip(grams, (slice(2), slice(2, 5)), strict=True):
@@ -61,7 +61,7 @@ def test_products_of_what_is_left_are_those_of_projected_vectors(projection, roo
 @pytest.mark.parametrize(("projection", "root"), PAIRS, ids=NAMES)
 def test_blocks_of_few_rows_are_not_those_of_a_projector_that_removes_more(projection, root):
     rows, edges = np.arange(100, 160), np.array([0, 2])
-    columns = stream(5, "columns").standard_normal((60, 2))
+    columns = random_stream(5, "columns").standard_normal((60, 2))
     (before,) = projection.gram_matrices(columns, edges, rows)
     np.testing.assert_array_equal(projection.gram_matrices(columns, edges, rows)[0], before)
     vector = np.zeros((len(root), 1))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.solve.design import (
     MIN_RELIABLE_PIVOT,
     NORMAL_RANK_TOLERANCE,
@@ -20,7 +20,7 @@ from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemErro
 
 def nearly_dependent(size: int, image: float, seed: int = 0) -> np.ndarray:
     """Unit columns (2 size, size) whose weakest unit combination has an image of this squared length."""
-    rng = stream(seed, "nearly dependent", size)
+    rng = random_stream(seed, "nearly dependent", size)
     basis = np.linalg.qr(rng.standard_normal((2 * size, size)))[0]
     mix = rng.standard_normal(size - 1)
     last = basis[:, :-1] @ mix / np.linalg.norm(mix) + np.sqrt(2 * image) * basis[:, -1]
@@ -37,7 +37,7 @@ def test_the_solver_decides_by_the_image_of_the_weakest_direction(
     size: int, kept: int, image: float, determined: bool, kind: Callable[[np.ndarray], DesignMatrix]
 ) -> None:
     """Among the kept unknowns, or in a block that is eliminated; whatever the units."""
-    design = nearly_dependent(size, image) * 10.0 ** stream(1, "unit").uniform(-6, 6, size)
+    design = nearly_dependent(size, image) * 10.0 ** random_stream(1, "unit").uniform(-6, 6, size)
     system = BlockSystem(kind(design), np.zeros(len(design)), kept)
     if determined:
         assert BlockFactor(system).smallest_pivot < MIN_RELIABLE_PIVOT

@@ -36,7 +36,7 @@ BENCH_TABLE = Table(
     number_columns(
         ".4f",
         angle_deg="angle of the table, 0 if the reflector faces the interferometer",
-        length_um="length by the interferometer, with any zero",
+        length_um="length by the interferometer, from an arbitrary zero",
         probe_um="displacement of the sphere's surface at the probe, outward",
     ),
 )
@@ -72,9 +72,9 @@ ANGLES_TABLE = Table(
     "the reflector's range error against incidence",
     columns_of(
         BenchRow,
-        angle_deg={"title": "incidence", "shown": "+.1f"},
-        as_read_um={"shown": ".2f"},
-        error_um={"title": "range error", "sigma": "sigma_um"},
+        angle_deg={"title": "incidence", "display_format": "+.1f"},
+        as_read_um={"display_format": ".2f"},
+        error_um={"title": "range error", "sigma_column": "sigma_um"},
     ),
 )
 
@@ -91,7 +91,7 @@ class BenchFile(ResultFile):
     """Eccentricity of the sphere at 0 deg, component to the side."""
     run_out_um: Finite
     """Difference of the largest and the smallest probe reading."""
-    angles: tuple[BenchRow, ...] = Field(alias="table")
+    range_errors: tuple[BenchRow, ...] = Field(alias="table")
     """Range error at each angle of incidence."""
     vertex_axial: EstimateEntry
     """Offset of the mirrors' vertex from the sphere's centre that would explain the errors, component out of the open
@@ -102,37 +102,38 @@ class BenchFile(ResultFile):
     """Rms range error that no offset of the vertex explains; its cause is in the optics."""
 
     def _lines(self) -> list[str]:
-        worst_angle = max(self.angles, key=lambda row: abs(row.error_um))
+        worst_angle = max(self.range_errors, key=lambda row: abs(row.error_um))
         worst_error_text = with_sigma(worst_angle.error_um, worst_angle.sigma_um, "um")
         phrase = f"{self.eccentricity_forward} forward, {self.eccentricity_side} to the side"
         lines = [
-            f"Bench: {len(self.angles)} angles, range error at most {worst_error_text} "
+            f"Bench: {len(self.range_errors)} angles, range error at most {worst_error_text} "
             f"at {worst_angle.angle_deg:+.1f} deg",
-            f"sphere off the table's axis: {phrase}; run-out {self.run_out_um:.1f} um",
-            f"as a vertex off the centre (smr-centring): {self.vertex_axial} axial, {self.vertex_side} to the side",
-            f"part that no offset explains (smr-incidence): {self.remainder_um:.2f} um rms",
+            f"eccentricity of the sphere on the table: {phrase}; run-out {self.run_out_um:.1f} um",
+            f"offset of the vertex from the centre (smr-centring): {self.vertex_axial} axial, "
+            f"{self.vertex_side} to the side",
+            f"remaining error, which no offset explains (smr-incidence): {self.remainder_um:.2f} um rms",
         ]
-        if [round(r.angle_deg, 3) for r in self.angles] == [round(float(a) / DEGREE, 3) for a in TABLE_ANGLES]:
-            values = ", ".join(f"{r.error_um:.2f}" for r in self.angles)
+        if [round(r.angle_deg, 3) for r in self.range_errors] == [round(float(a) / DEGREE, 3) for a in TABLE_ANGLES]:
+            values = ", ".join(f"{r.error_um:.2f}" for r in self.range_errors)
             lines.append(f"for a scenario: [smr] incidence_error = true, table_um = [{values}]")
         for key, form in (("angle_deg", "g"), ("error_um", ".2f"), ("sigma_um", ".2f")):
-            values = ", ".join(format(getattr(row, key), form) for row in self.angles)
+            values = ", ".join(format(getattr(row, key), form) for row in self.range_errors)
             lines.append(f"{'for a recording, in [[bench]]: ' if key == 'angle_deg' else ''}{key} = [{values}]")
         return lines
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"angles": lambda: ANGLES_TABLE.with_rows(self.angles)}
+        return {"angles": lambda: ANGLES_TABLE.with_rows(self.range_errors)}
 
 
 @dataclass(frozen=True)
-class BenchReadings:
+class ReflectorBenchReadings:
     """Readings of a bench test in SI units."""
 
-    angles: Floats
+    table_angles_of_lengths: Floats
     """Angle of the table for each length [rad]."""
     lengths: Floats
-    """Lengths by the interferometer [m], with any zero."""
-    probe_angles: Floats
+    """Lengths by the interferometer [m], from an arbitrary zero."""
+    table_angles_of_probe: Floats
     """Angle of the table for each probe reading [rad]."""
     probe_direction: float
     """Direction of the probe from the interferometer [rad]."""
@@ -143,7 +144,7 @@ class BenchReadings:
 
 
 @dataclass(frozen=True)
-class BenchEstimates:
+class ReflectorBenchEstimates:
     """Estimates from a bench test in SI units."""
 
     eccentricity: Floats
@@ -180,13 +181,13 @@ def eccentricity_design(angles: Floats) -> Floats:
     return np.stack([-np.cos(angles), np.sin(angles)], axis=1)
 
 
-def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> BenchReadings:
+def read_reflector_bench(path: Path, *, probe_direction: float, length_sigma: float) -> ReflectorBenchReadings:
     """Bench readings from a table ``angle_deg,length_um,probe_um``; raises RecordError for too few rows.
 
     The probe is at the angle `probe_direction` [rad] from the interferometer, opposite to the rotation of the table;
     `length_sigma` [m] is one standard deviation of the interferometer.
     """
-    angle, length, probe = BENCH_TABLE.parse_csv(read_text(path), path).numbers(*BENCH_TABLE.header).T
+    angle, length, probe = BENCH_TABLE.parse_csv(read_text(path), path).float_array(*BENCH_TABLE.header).T
     lost = np.flatnonzero(~np.isfinite(angle))
     if len(lost):
         raise RecordError("an angle is missing, expected one per row", file=path, row=int(lost[0]) + 1)
@@ -195,36 +196,39 @@ def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> Be
         if different < fewest:
             raise RecordError(f"has {what} at {different} angles, expected {fewest} or more", file=path)
     measured, probed = np.isfinite(length), np.isfinite(probe)
-    return BenchReadings(
-        angles=angle[measured] * DEGREE,
+    return ReflectorBenchReadings(
+        table_angles_of_lengths=angle[measured] * DEGREE,
         lengths=length[measured] * MICROMETRE,
-        probe_angles=angle[probed] * DEGREE,
+        table_angles_of_probe=angle[probed] * DEGREE,
         probe_direction=probe_direction,
         displacements=probe[probed] * MICROMETRE,
         length_sigma=length_sigma,
     )
 
 
-def evaluate_bench(bench_readings: BenchReadings) -> BenchEstimates:
+def evaluate_reflector_bench(readings: ReflectorBenchReadings) -> ReflectorBenchEstimates:
     """Estimates from the readings of a bench test: eccentricity of the sphere, and range errors (a,) [m] at a angles.
 
     The eccentricity is that of the first harmonic of the probe readings. Its effect on the lengths is removed, so that
     the range errors do not contain it. The scatter of the probe about this harmonic gives its uncertainty.
     """
-    angles = bench_readings.probe_angles - bench_readings.probe_direction
+    angles = readings.table_angles_of_probe - readings.probe_direction
     design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
-    estimate = np.linalg.lstsq(design, bench_readings.displacements, rcond=None)[0]
-    residual = bench_readings.displacements - design @ estimate
+    estimate = np.linalg.lstsq(design, readings.displacements, rcond=None)[0]
+    residual = readings.displacements - design @ estimate
     variance = float(residual @ residual) / max(len(angles) - 3, 1)
     covariance = variance * np.linalg.inv(design.T @ design)[1:, 1:]
-    middle_index = int(np.argmin(np.abs(bench_readings.angles)))
-    range_changes = bench_readings.lengths - bench_readings.lengths[middle_index]
-    change = eccentricity_design(bench_readings.angles) - eccentricity_design(bench_readings.angles)[middle_index]
-    length_variance = np.where(np.arange(len(change)) == middle_index, 0.0, 2.0 * bench_readings.length_sigma**2)
-    return BenchEstimates(
+    middle_index = int(np.argmin(np.abs(readings.table_angles_of_lengths)))
+    range_changes = readings.lengths - readings.lengths[middle_index]
+    change = (
+        eccentricity_design(readings.table_angles_of_lengths)
+        - eccentricity_design(readings.table_angles_of_lengths)[middle_index]
+    )
+    length_variance = np.where(np.arange(len(change)) == middle_index, 0.0, 2.0 * readings.length_sigma**2)
+    return ReflectorBenchEstimates(
         eccentricity=estimate[1:],
         eccentricity_covariance=covariance,
-        run_out=float(np.ptp(bench_readings.displacements)),
+        run_out=float(np.ptp(readings.displacements)),
         uncorrected_lengths=range_changes,
         range_errors=range_changes - change @ estimate[1:],
         range_error_sigmas=np.sqrt(length_variance + np.einsum("ai,ij,aj->a", change, covariance, change)),
@@ -267,13 +271,15 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
     >>> rows = [[str(a), str(0.1 * a) if abs(a) <= 30 else "", "0.0"] for a in range(-180, 180, 15)]
     >>> lines = [",".join(row) for row in [["angle_deg", "length_um", "probe_um"], *rows]]
     >>> _ = Path("reflector.csv").write_text(chr(10).join(lines))
-    >>> [round(row.error_um, 1) for row in lt.bench("reflector.csv").angles]
+    >>> [round(row.error_um, 1) for row in lt.bench("reflector.csv").range_errors]
     [-3.0, -1.5, 0.0, 1.5, 3.0]
     """
     options = {"probe_direction": probe_direction * DEGREE, "length_sigma": length_sigma * MICROMETRE}
-    record = read_bench(Path(source), **options)
-    result = evaluate_bench(record)
-    vertex = fit_vertex_offset(record.angles, result.range_errors, float(result.range_error_sigmas.max()))
+    record = read_reflector_bench(Path(source), **options)
+    result = evaluate_reflector_bench(record)
+    vertex = fit_vertex_offset(
+        record.table_angles_of_lengths, result.range_errors, float(result.range_error_sigmas.max())
+    )
     eccentricity_sigmas = np.sqrt(np.diag(result.eccentricity_covariance))
 
     def entry(value: float, sigma: float) -> EstimateEntry:
@@ -291,7 +297,7 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
         run_out_um=result.run_out / MICROMETRE,
         table=tuple(
             BenchRow(angle_deg=angle, as_read_um=read, error_um=error, sigma_um=sigma)
-            for angle, (read, error, sigma) in zip(record.angles / DEGREE, columns, strict=True)
+            for angle, (read, error, sigma) in zip(record.table_angles_of_lengths / DEGREE, columns, strict=True)
         ),
         vertex_axial=entry(vertex.axial_offset, vertex.axial_sigma),
         vertex_side=entry(vertex.side_offset, vertex.side_sigma),

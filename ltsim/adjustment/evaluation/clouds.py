@@ -32,7 +32,7 @@ def measured_points(
     if construction is None or parameter_values is None:
         points[is_complete] = from_polar(raw_readings)
     else:
-        points[is_complete] = construction.point(
+        points[is_complete] = construction.points_from_readings(
             raw_readings, parameter_values if parameter_values.ndim == 1 else parameter_values[is_complete]
         )
     return points

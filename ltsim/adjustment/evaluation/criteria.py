@@ -24,11 +24,11 @@ from ltsim.adjustment.evaluation.clouds import (
     station_point_clouds,
 )
 from ltsim.core.arrays import MAX_MATRIX_ENTRIES, Bools, Floats, Ints
+from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.core.notation import MISSING_TEXT
 from ltsim.core.results import Column, Table, number_columns, text_columns
 from ltsim.core.units import MICROMETRE
-from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
@@ -59,11 +59,11 @@ CRITERIA_TABLE = Table(
     "disagreement of the stations, before and after a calibration",
     (
         Column("criterion", "distance (between targets) or coordinate (of targets)", "text"),
-        Column("mean_um", "over pairs of targets, or targets", shown=".1f"),
-        Column("max_um", "the largest", shown=".1f"),
-        Column("mean_after_um", "readings corrected", shown=".1f"),
-        Column("max_after_um", "as mean_after_um", shown=".1f"),
-        Column("improvement_percent", "of the mean", shown=".1f"),
+        Column("mean_um", "over pairs of targets, or targets", display_format=".1f"),
+        Column("max_um", "the largest", display_format=".1f"),
+        Column("mean_after_um", "readings corrected", display_format=".1f"),
+        Column("max_after_um", "as mean_after_um", display_format=".1f"),
+        Column("improvement_percent", "of the mean", display_format=".1f"),
     ),
 )
 
@@ -160,7 +160,7 @@ class Criteria(ResultFile, CriteriaEntry):
         return {"criteria": self.criteria_table}
 
 
-def iterate_pair_distances(clouds: Floats, min_observers: int = 1) -> Iterator[tuple[Ints, Floats]]:
+def iterate_distances_by_target(clouds: Floats, min_observers: int = 1) -> Iterator[tuple[Ints, Floats]]:
     """Iterator over targets: indices of the stations that measured each, and its distances to later targets [m].
 
     `clouds` (stations, targets, 3) [m] are the points of each station, NaN if not measured. The distances have the
@@ -180,14 +180,14 @@ def distance_differences(clouds: Floats) -> StationDisagreement:
     `clouds` (stations, targets, 3) [m] are the points of each station in its instrument frame, NaN if not measured.
     Pairs measured from one station are left out.
     """
-    lengths = (length for _, length in iterate_pair_distances(clouds, 2))
+    lengths = (length for _, length in iterate_distances_by_target(clouds, 2))
     means = [np.nanmean(np.abs(length - np.nanmean(length, axis=0)), axis=0) for length in lengths if length.size]
     return StationDisagreement(np.concatenate([np.zeros(0), *means]))
 
 
 def distance_differences_to_first(clouds: Floats) -> StationDisagreement:
     """Mean absolute difference of each distance between two targets from that of station 1 (eq. 11)."""
-    lengths = (length for _, length in iterate_pair_distances(clouds[:, np.isfinite(clouds[0, :, 0])], 2))
+    lengths = (length for _, length in iterate_distances_by_target(clouds[:, np.isfinite(clouds[0, :, 0])], 2))
     means = [np.nanmean(np.abs(length[1:] - length[0]), axis=0) for length in lengths if length.size]
     return StationDisagreement(np.concatenate([np.zeros(0), *means]))
 
@@ -198,7 +198,7 @@ def coordinate_differences(aligned_clouds: Floats) -> StationDisagreement:
     `aligned_clouds` (stations, targets, 3) [m] are the points of all stations in one frame, NaN if not measured.
     """
     total, count = np.zeros(aligned_clouds.shape[1]), np.zeros(aligned_clouds.shape[1])
-    for targets, gap in iterate_pair_distances(np.swapaxes(aligned_clouds, 0, 1)):
+    for targets, gap in iterate_distances_by_target(np.swapaxes(aligned_clouds, 0, 1)):
         total[targets] += np.nansum(gap, axis=1)
         count[targets] += np.isfinite(gap).sum(axis=1)
     is_shared = count >= 1
@@ -225,7 +225,8 @@ def evaluate_criteria(
     stations, targets = len(recording.stations), len(recording.targets)
     if 3 * stations * targets > MAX_MATRIX_ENTRIES:
         raise NetworkError(
-            f"the criteria are not computed for {stations} stations with {targets} targets: evaluate parts"
+            f"the criteria are not computed for {stations} stations with {targets} targets: "
+            "evaluate parts of the network"
         )
     raw_clouds = station_point_clouds(recording, measured_points(recording), row_mask)
     corrected_clouds = None
@@ -286,7 +287,7 @@ def read_nominal(path: Path) -> dict[str, Floats]:
     for line, place in zip(points.line_numbers, points.points, strict=True):
         if not np.isfinite(place).all():
             raise RecordError("a coordinate is missing, expected a number in mm", file=path, row=line)
-    return points.by_name
+    return points.coordinates_by_name
 
 
 def distance_errors(clouds: Floats, nominal_points: Floats) -> StationDisagreement:

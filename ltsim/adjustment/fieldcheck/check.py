@@ -99,7 +99,9 @@ def check(
     moving = identification.certain_station_motions if identification is not None and selection is None else ()
     causes = () if selection is None else cause_tests(selection)
     corrected = full_recording if selection is None else selection.fit.correct_recording(full_recording)
-    paired = full_recording if selection is None else selection.fit.correct_recording(full_recording, outliers=True)
+    paired = (
+        full_recording if selection is None else selection.fit.correct_recording(full_recording, keeps_outliers=True)
+    )
     family = HypothesisFamily(level, 2 * N_SETUP_TESTS * max(len(full_recording.stations), 1))
     all_indices = range(len(full_recording.stations))
     setups, network = (
@@ -146,7 +148,7 @@ def write_check(check: Check, folder: Path, extra_files: Mapping[str, str]) -> C
     RecordError
         When the folder cannot be written.
     """
-    return write_result(folder, check, {TWO_FACE_TABLE.file: check.table("two_face").csv(), **extra_files})
+    return write_result(folder, check, {TWO_FACE_TABLE.file: check.table("two_face").csv_text(), **extra_files})
 
 
 @raise_for_singular_network
@@ -210,7 +212,7 @@ class SetupTests:
 
     items: tuple[CheckItem, ...]
     corrected_occupation: StationOccupation
-    """Occupation without the gross pointings, and with the detected motions and drifts fitted."""
+    """Occupation without the pointings with gross errors, and with the detected motions and drifts fitted."""
     motions: tuple[StationMotion, ...]
     """Detected motions of the station."""
     motion_corrected_recording: Recording
@@ -250,7 +252,7 @@ def _gross_and_motion_tests(
 def _gross_pointings_and_bump(
     occupation: StationOccupation, construction: GeometricErrorModel, family: HypothesisFamily
 ) -> tuple[dict[int, float], StationBump | None, StationOccupation]:
-    """p-values of gross pointings by index, the bump or None, and the occupation without the gross pointings.
+    """p-values of pointings with gross errors by index, the bump or None, and the occupation without these pointings.
 
     Pointings are removed one by one, until a bump explains more than the next one.
     """

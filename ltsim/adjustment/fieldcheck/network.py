@@ -184,14 +184,14 @@ def network_items(
     return tuple(check_items)
 
 
-def _has_instrument_errors(adjustment_without_errors: Adjustment, adjustment_with_errors: Adjustment) -> bool:
+def _has_instrument_errors(adjustment_without_centring: Adjustment, adjustment_with_errors: Adjustment) -> bool:
     """True if errors of the instrument explain the misfit of a network better than larger noise does (F test).
 
-    `adjustment_without_errors` has no unknowns for these errors, `adjustment_with_errors` estimates them.
+    `adjustment_without_centring` has no unknowns for these errors, `adjustment_with_errors` estimates them.
     """
     n_parameters = adjustment_with_errors.problem.unknowns.instrument_columns.size
     f_statistic = (
-        (adjustment_without_errors.chi2 - adjustment_with_errors.chi2)
+        (adjustment_without_centring.chi2 - adjustment_with_errors.chi2)
         / n_parameters
         / max(adjustment_with_errors.chi2 / adjustment_with_errors.dof, 1e-30)
     )
@@ -215,7 +215,7 @@ def _target_agreement_items(
         verb = "agree" if passed else "disagree"
         if passed and not less and alone < GLOBAL_TEST_LEVEL:
             scatter += (
-                f"; noise alone gives this in one of {1 / alone:.0f} networks, which a check with many tests accepts"
+                f"; noise alone causes so large a value in one of {1 / alone:.0f} networks, so the check accepts it"
             )
         return [
             CheckItem.from_test("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)

@@ -370,7 +370,7 @@ def two_face_pairs(
     model = construction or ideal_construction()
     applied_values = np.zeros(model.n_parameters) if values is None else values
     readings = np.where(recording.is_measured, recording.readings, 1.0)
-    polar = to_polar(model.point(readings, applied_values))
+    polar = to_polar(model.points_from_readings(readings, applied_values))
     first, second = polar[row_pairs[:, 0]], polar[row_pairs[:, 1]]
     difference = first - second
     difference[:, 1:] = wrap_angle(difference[:, 1:])

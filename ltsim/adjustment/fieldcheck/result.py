@@ -13,10 +13,10 @@ from scipy import special
 from ltsim.adjustment.fieldcheck.occupation import StationOccupation, TwoFaceDifferences
 from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.core.arrays import Ints
+from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import ModelError
 from ltsim.core.results import Table, columns_of, number_columns, text_columns
 from ltsim.core.units import ARCSECOND, MICROMETRE
-from ltsim.core.values import ValueEquality
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry
@@ -145,12 +145,12 @@ class Check(ResultFile):
 
     @classmethod
     def from_items(
-        cls, arrays: CheckArrays, network: Sequence[CheckItem], alpha: float, tests: Sequence[CauseTest]
+        cls, arrays: CheckArrays, network_items: Sequence[CheckItem], alpha: float, tests: Sequence[CauseTest]
     ) -> Self:
         """Result with the items in this order: identified causes, blunders, set-ups, network."""
         causes = tuple(map(item_from_cause, tests))
-        mistakes = (item for item in network if item.kind == "mistake")
-        other_network_items = (item for item in network if item.kind != "mistake")
+        mistakes = (item for item in network_items if item.kind == "mistake")
+        other_network_items = (item for item in network_items if item.kind != "mistake")
         items = (*causes, *mistakes, *(item for setup in arrays.setups for item in setup.items), *other_network_items)
         result = cls(
             recording=SourceEntry.from_recording(arrays.recording),

@@ -174,10 +174,10 @@ def _motion_text(fit: ColumnsFit) -> str:
     return f": {', '.join(motion_texts)}" if motion_texts else ""
 
 
-def length_text(metres: float) -> str:
+def length_text(length_m: float) -> str:
     """Length as text, in mm above 1 mm and otherwise in um."""
-    unit, factor = ("mm", MILLIMETRE) if metres > MILLIMETRE else ("um", MICROMETRE)
-    return f"{number_text(metres / factor)} {unit}"
+    unit, factor = ("mm", MILLIMETRE) if length_m > MILLIMETRE else ("um", MICROMETRE)
+    return f"{number_text(length_m / factor)} {unit}"
 
 
 def number_text(value: float, digits: int = 3) -> str:

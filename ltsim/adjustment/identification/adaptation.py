@@ -61,7 +61,7 @@ def adjust_with_causes(
     if any(isinstance(h.model_change, ReadingShiftChange) for h in hypotheses):
         shifts, values = fit.effects, fit.state.extra_parameters
         if subtracts_changes:
-            changed = changed.with_readings(fit.correct_recording(recording, outliers=True).readings)
+            changed = changed.with_readings(fit.correct_recording(recording, keeps_outliers=True).readings)
             values = np.zeros_like(values)
     instrument = np.zeros((len(recording.instruments), construction.n_parameters))
     if construction.n_parameters == fit.state.instrument_parameters.shape[1]:

@@ -50,10 +50,10 @@ def largest_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> float:
     if isinstance(change, ReferenceOmission):
         return float(np.abs(fit.misclosure_of(change.reference_value)).max())
     if isinstance(change, CentringChange):
-        return float(np.abs(fit.estimate(hypothesis)[0]).max())
+        return float(np.abs(fit.estimate_and_covariance(hypothesis)[0]).max())
     if not isinstance(change, ReadingShiftChange):
         return 0.0
-    displacements = np.abs(change.effect.design(sightings) @ fit.estimate(hypothesis)[0])
+    displacements = np.abs(change.effect.design(sightings) @ fit.estimate_and_covariance(hypothesis)[0])
     return float(np.max(displacements * displacement_per_reading(sightings)))
 
 

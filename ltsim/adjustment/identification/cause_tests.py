@@ -107,9 +107,9 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
     size_entries: dict[str, Any] = {}
     drop, rank = max(2.0 * min(selected_hypothesis.log_evidence_gain, MAX_LOG_EVIDENCE_GAIN), 0.0), 1
     if isinstance(h.model_change, ReadingShiftChange):
-        values, covariance = fit.estimate(h)
+        values, covariance = fit.estimate_and_covariance(h)
         drop, rank = fit.estimate_length_in_sigmas(h) ** 2, len(values)
-        size_entries = _estimated_size(h, values, covariance)
+        size_entries = _size_entry(h, values, covariance)
     elif isinstance(h.model_change, ReferenceOmission):
         rank = len(h.model_change.reference_value.sigma)
         miss, unit, factor = _misclosure_and_unit(fit, h)
@@ -117,7 +117,7 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
     elif isinstance(h.model_change, NoiseFactor):
         size_entries = {"estimate": estimated_noise_factor(fit, h)}
     elif isinstance(h.model_change, CentringChange):
-        rank = len(fit.estimate(h)[0])
+        rank = len(fit.estimate_and_covariance(h)[0])
         size_entries = {"estimate": h.model_change.centring.sigma_mm, "unit": "mm"}
         if (common := fit.common_displacement(h)) is not None:
             size_entries |= {"estimate": common.length / MILLIMETRE, "sigma": common.sigma / MILLIMETRE}
@@ -156,7 +156,7 @@ def reported_kind(fit: NetworkFit, hypothesis: Hypothesis) -> CauseKind:
     return hypothesis.kind
 
 
-def _estimated_size(hypothesis: Hypothesis, shift_components: Floats, covariance: Floats) -> dict[str, Any]:
+def _size_entry(hypothesis: Hypothesis, shift_components: Floats, covariance: Floats) -> dict[str, Any]:
     """Dictionary with the keys `estimate`, `sigma` and `unit` of a shift; the size of a vector is its length."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     unit, factor = ("mm", MILLIMETRE)
@@ -219,8 +219,8 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
         phrase = f"{REFERENCE_PHRASES[hypothesis.model_change.reference_value.kind]} {hypothesis.name}"
         return f"{phrase} {verb} off by {_number_text(miss / factor)} {unit}: check {them}."
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
-    values, covariance = fit.estimate(hypothesis)
-    estimate = _estimated_size(hypothesis, values, covariance)
+    values, covariance = fit.estimate_and_covariance(hypothesis)
+    estimate = _size_entry(hypothesis, values, covariance)
     if isinstance(hypothesis.model_change.effect, ReadingShift) and hypothesis.kind != "orientation":
         return _observable_sentence(fit, hypothesis, estimate)
     size_text = f"{with_sigma(abs(estimate['estimate']), estimate['sigma'], estimate['unit'])}"
@@ -286,7 +286,7 @@ def _observable_sentence(fit: NetworkFit, hypothesis: Hypothesis, estimate: dict
     if hypothesis.acts_on != "distance":
         return f"{what} are wrong by {size_text}: {cause}."
     if hypothesis.kind == "constant-offset":
-        values, covariance = fit.estimate(hypothesis)
+        values, covariance = fit.estimate_and_covariance(hypothesis)
         cause = usual_offset_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or cause
     return f"{what} are {size_text} too {'long' if number > 0 else 'short'}: {cause}."
 

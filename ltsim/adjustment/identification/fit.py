@@ -63,7 +63,7 @@ NOISE_TOLERANCE = 0.05
 """Relative change of the noise factors up to which their estimation ends (0.1 in log evidence)."""
 MIN_NOISE_CHANGE_FOR_OUTLIERS = 0.2
 """Relative change of the noise factors above which outliers are searched again."""
-WEAK_PRIOR_SIZES = 1e6
+WEAK_SHIFT_PRIOR_FACTOR = 1e6
 """Standard deviation of the prior of a shift in a fit, in plausible sizes of its effect: practically no prior."""
 
 
@@ -131,7 +131,7 @@ class NetworkFit:
         """
         fit = cls._with_hypotheses(network, tuple(hypotheses), start_state, approximate_sightings, robust_state)
         for _ in range(MAX_NOISE_ESTIMATES):
-            revised = tuple(with_centring_sigma(h, fit.estimate) for h in fit.hypotheses)
+            revised = tuple(with_centring_sigma(h, fit.estimate_and_covariance) for h in fit.hypotheses)
             if revised == fit.hypotheses or not fit.solution.has_converged:
                 break
             fit = cls._with_hypotheses(network, revised, fit.state)
@@ -171,7 +171,7 @@ class NetworkFit:
             if isinstance(h.model_change, ReadingShiftChange):
                 yield h, h.model_change, slice(start, start := start + len(h.model_change.effect.parameters))
 
-    def estimate(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
+    def estimate_and_covariance(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
         """Estimate (p,) and covariance (p, p) of a shift, or of the centring errors, of a hypothesis [SI]."""
         centrings = [h for h in self.hypotheses if isinstance(h.model_change, CentringChange)]
         slices = [(h, at) for h, _, at in self.shifts_with_slices]
@@ -184,14 +184,14 @@ class NetworkFit:
         change = hypothesis.model_change
         if not isinstance(change, CentringChange) or len(hypothesis.stations) != 1:
             return None
-        displacements = self.estimate(hypothesis)[0].reshape(-1, 3)
+        displacements = self.estimate_and_covariance(hypothesis)[0].reshape(-1, 3)
         first_rows = np.unique(target_occupations(self.recording, change.centring), return_index=True)[1]
         sight_vectors = self.adjustment.sightings.sight_vectors[first_rows[-len(displacements) :]]
         return common_displacement(displacements, sight_vectors)
 
     def estimate_length_in_sigmas(self, hypothesis: Hypothesis) -> float:
         """Length of the estimate of a shift or of centring errors, in standard deviations (Mahalanobis)."""
-        values, covariance = self.estimate(hypothesis)
+        values, covariance = self.estimate_and_covariance(hypothesis)
         return float(np.sqrt(max(float(values @ np.linalg.pinv(covariance) @ values), 0.0)))
 
     @staticmethod
@@ -230,7 +230,7 @@ class NetworkFit:
             model,
             sigma=sigma,
             reading_mask=usable & ~lost[recording.target][:, None],
-            effect_prior_sigma=WEAK_PRIOR_SIZES,
+            effect_prior_sigma=WEAK_SHIFT_PRIOR_FACTOR,
             prior=network.prior,
         )
         positions = problem.marks.positions_on_marks(start_state.station_positions, start_state.target_points)
@@ -289,8 +289,8 @@ class NetworkFit:
             effects.append(replace(shift.effect, size_factor=max(1.0, times)))  # type: ignore[type-var]
         return tuple(effects)
 
-    def correct_recording(self, recording: Recording, outliers: bool = False) -> Recording:
-        """Recording corrected for the hypotheses in the model, with its outliers only if `outliers` is True.
+    def correct_recording(self, recording: Recording, keeps_outliers: bool = False) -> Recording:
+        """Recording corrected for the hypotheses in the model, with its outliers only if `keeps_outliers` is True.
 
         Wrongly recorded rows are corrected, shifts are subtracted, the declared noise is multiplied by the estimated
         noise factors, and excluded reference values are removed.
@@ -298,7 +298,7 @@ class NetworkFit:
         readings = self.recording.readings.copy()
         for _, shift, at in self.shifts_with_slices:
             readings -= shift.effect.reading_change(self.adjustment.sightings, self.state.extra_parameters[at])
-        if not outliers:
+        if not keeps_outliers:
             readings[self.is_outlier] = np.nan
         corrected_recording = recording.replace(
             readings=readings, target=self.recording.target, face=self.recording.face, setup=self.recording.setup
@@ -390,7 +390,7 @@ class NetworkFit:
         if isinstance(change, CentringChange):
             common = self.common_displacement(hypothesis)
             occam_factor = log_occam_factor_of_centring(
-                self.estimate(hypothesis)[1], change.centring.sigma_mm * MILLIMETRE
+                self.estimate_and_covariance(hypothesis)[1], change.centring.sigma_mm * MILLIMETRE
             )
             return occam_factor + (common.log_evidence_gain if common is not None else 0.0)
         if isinstance(change, ReferenceOmission):

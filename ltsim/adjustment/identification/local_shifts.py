@@ -1,4 +1,8 @@
-"""Robust fits of shifts to the residuals of the readings that they shift, with the network unchanged, in batches."""
+"""Robust fits of shift hypotheses, each to the residuals of the readings that it changes; many hypotheses at once.
+
+A shift hypothesis adds parameters to the model, such as the displacement of a target or an offset of the distances of a
+set-up. In these fits all unknowns of the network keep their values.
+"""
 
 from __future__ import annotations
 
@@ -52,9 +56,9 @@ class LocalShift:
 
 
 def fit_local_shifts(shifts: Sequence[LocalShift], outlier_cost: float) -> list[tuple[float, Floats]]:
-    """Gain and estimate of each shift: decrease of the robust negative log likelihood, and parameters (q,).
+    """Robust estimate of each of k shifts: decrease of the negative log likelihood by the shift, and parameters (q,).
 
-    In the robust likelihood each reading contributes at most `outlier_cost`.
+    In this likelihood each reading contributes at most `outlier_cost`.
     """
     fits: dict[int, tuple[float, Floats]] = {}
     for batch in _batches(shifts):

@@ -21,7 +21,7 @@ the offset must also be smaller than this.
 def usual_offset_text(value: float, sigma: float) -> str:
     """Text of the usual cause of an offset of distances, from its `value` and `sigma` [m]; empty if no cause fits."""
     text_by_difference = {
-        size: f"the radii of a {small} and a {large} SMR differ by this"
+        size: f"the radii of a {small} and a {large} SMR differ by this amount"
         for size, (small, large) in SMR_RADIUS_DIFFERENCES.items()
     }
     return _nearest_nominal({**text_by_difference, **PRISM_CONSTANTS}, value, sigma) or ""

@@ -14,7 +14,7 @@ from ltsim.adjustment.fit_readings import FitReadings
 from ltsim.adjustment.fitting import fit_pose
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.significance import MIN_FAULTY_FRACTION_OF_PLACE, MIN_RESIDUAL_BEYOND_NOISE
-from ltsim.adjustment.snooping import whitened_residuals
+from ltsim.adjustment.snooping import absolute_whitened_residuals
 from ltsim.core.arrays import Bools, group_rows
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES
@@ -27,7 +27,7 @@ def resect_contradicted_setups(problem: NetworkProblem, state: NetworkState) -> 
     A pose is replaced only if fewer readings of the set-up then have large residuals. Large means more than
     `MIN_RESIDUAL_BEYOND_NOISE` robust standard deviations.
     """
-    recording, far = problem.model.recording, _has_large_residual(problem, state)
+    recording, far = problem.model.recording, _large_residual_mask(problem, state)
     if not far.any() or far[problem.is_used_reading].mean() > MIN_FAULTY_FRACTION_OF_PLACE:
         return state
     whole, now = FitReadings.from_recording(recording), far
@@ -45,14 +45,14 @@ def resect_contradicted_setups(problem: NetworkProblem, state: NetworkState) -> 
             position, rotation = state.station_positions.copy(), state.station_rotations.copy()
             position[station], rotation[station] = pose
             moved = replace(state, station_positions=position, station_rotations=rotation)
-            then = _has_large_residual(problem, moved)
+            then = _large_residual_mask(problem, moved)
             if then[rows].sum() < now[rows].sum():
                 state, now = moved, then
     return state
 
 
-def _has_large_residual(problem: NetworkProblem, state: NetworkState) -> Bools:
+def _large_residual_mask(problem: NetworkProblem, state: NetworkState) -> Bools:
     """Flags (n, 3) of the used readings with residuals above `MIN_RESIDUAL_BEYOND_NOISE` robust standard deviations."""
-    whitened_residual = whitened_residuals(problem, state)
+    whitened_residual = absolute_whitened_residuals(problem, state)
     scale = max(robust_sigma(whitened_residual[problem.is_used_reading]), 1.0)
     return np.asarray(problem.is_used_reading & (whitened_residual > MIN_RESIDUAL_BEYOND_NOISE * scale))

@@ -46,7 +46,8 @@ from ltsim.solve.gauss_newton import solve
 MIN_OUTLIERS_FOR_DISTANCE_TRIAL = 6
 """Number of outliers in a network above which fits without the distances of single places are made."""
 MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
-"""Fraction of gross pointings at a place above which a fit without its distances is made, or its motion is tested."""
+"""Fraction of pointings with gross errors at a place above which its motion is tested, or a fit without its distances
+is made."""
 MAX_FITTED_HYPOTHESES = 4
 """Largest number of hypotheses that are fitted in a step, in the order of their approximate gains, and as many that
 turn out to be undetermined; also of places that a trial omits or moves (processor time).

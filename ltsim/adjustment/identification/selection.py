@@ -95,7 +95,7 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
     """
     fit = beginning = _initial_fit(network)
     last_key: FitKey | None = None
-    spared: list[Hypothesis] = []
+    indispensable_hypotheses: list[Hypothesis] = []
     while len(fit.hypotheses) < MAX_SELECTED_HYPOTHESES and not _is_consistent_as_a_whole(fit):
         tried = _fit_best_hypotheses(fit)
         needed = min_gain if not has_larger_noise_of_all_readings(fit) else -LOG_ODDS_OF_CENTRING
@@ -104,10 +104,10 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
         best = _refine_motion_time(tried[0][1])
         if isinstance(tried[0][0].model_change, CentringChange):
             best = max(best, _fit_with_other_causes(fit, needed, best), key=lambda made: made.log_evidence)
-        chosen = _drop_unneeded_hypotheses(best, min_gain, len(beginning.hypotheses), spared)
+        chosen = _drop_unneeded_hypotheses(best, min_gain, len(beginning.hypotheses), indispensable_hypotheses)
         last_key = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
-    return _with_compared_alternatives(fit, min_gain, beginning, last_key, spared)
+    return _with_compared_alternatives(fit, min_gain, beginning, last_key, indispensable_hypotheses)
 
 
 def _fit_with_other_causes(fit: NetworkFit, min_gain_needed: float, rival: NetworkFit) -> NetworkFit:
@@ -307,7 +307,11 @@ def _fit_without_hypothesis(
 
 
 def _with_compared_alternatives(
-    fit: NetworkFit, min_gain: float, initial_fit: NetworkFit, last_fit: FitKey | None, spared: list[Hypothesis]
+    fit: NetworkFit,
+    min_gain: float,
+    initial_fit: NetworkFit,
+    last_fit: FitKey | None,
+    indispensable_hypotheses: list[Hypothesis],
 ) -> CauseSelection:
     """Selection in which every hypothesis is compared again with its alternatives, given the others.
 
@@ -317,7 +321,11 @@ def _with_compared_alternatives(
     choices = [SelectedHypothesis(h, np.inf, ()) for h in fit.hypotheses if h in initial_fit.hypotheses]
     for h in fit.hypotheses[len(choices) :]:
         is_last = last_fit is not None and h is fit.hypotheses[-1] and last_fit[0].hypotheses == fit.hypotheses[:-1]
-        rest = last_fit[0] if last_fit is not None and is_last else _fit_without_hypothesis(fit, h, spared)
+        rest = (
+            last_fit[0]
+            if last_fit is not None and is_last
+            else _fit_without_hypothesis(fit, h, indispensable_hypotheses)
+        )
         if rest is None:
             choices.append(SelectedHypothesis(h, np.inf, ()))
             continue
@@ -329,7 +337,7 @@ def _with_compared_alternatives(
         )
         others = [(other, made) for other, made in tried if other.place_key != h.place_key]
         if others and others[0][1].log_evidence > fit.log_evidence + min_gain:
-            return _with_compared_alternatives(others[0][1], min_gain, initial_fit, None, spared)
+            return _with_compared_alternatives(others[0][1], min_gain, initial_fit, None, indispensable_hypotheses)
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
         choices.append(SelectedHypothesis(h, gain, gains))
     # Random errors beside a shift are what the shift leaves, for nests or times that are not exactly as declared.

@@ -86,14 +86,14 @@ ADVICE_SENTENCES = {
     "near": "add reflectors at 1 to 1.5 m from two stations and measure them from all",
     "other face and near": "measure in both faces, and add reflectors at 1 to 1.5 m from two stations",
     # what it brings
-    "decided": "{do}: expected chi-square between {first} and {others} from {now} to {then}",
+    "decided": "{do}: the expected chi-square difference between {first} and {others} rises from {now} to {then}",
     "left open": "; no tested measurement also separates it from {others}",
-    "undecided": "no tested measurement separates {first} from {others} (chi-square {then}, {needed:.0f} needed); "
-    "an independent measurement of the cause would",
+    "undecided": "no tested measurement separates {first} from {others} (expected chi-square difference {then}, "
+    "{needed:.0f} needed); an independent measurement of the cause would",
     "cause": "an independent measurement of its cause",
-    "determined": "{do} (gain {now:.2f} to {then:.2f})",
+    "determined": "{do} (information {now:.0f} % to {then:.0f} %)",
     "network method": "use the network method: it determines this from the same recording",
-    "determined already": "{do} (gain {then:.2f})",
+    "determined already": "{do} (information {then:.0f} %)",
     "not determined": "no tested measurement determines it; reference points or a tighter specification may",
 }
 """Sentences of advice by the kind of measurement: what to do, and what it gives."""
@@ -314,7 +314,7 @@ def procedure_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasureme
             rows = _setup_rows(recording, s)
             last = recording.time[rows[-1]]
             made += [
-                (s, t, f, last + step * i) for i, (t, f) in enumerate(_additional_pointings(recording, rows, key), 1)
+                (s, t, f, last + step * i) for i, (t, f) in enumerate(_pointings_by_procedure(recording, rows, key), 1)
             ]
         if made:
             station, targets, faces, time = (np.array(column) for column in zip(*made, strict=True))
@@ -324,7 +324,7 @@ def procedure_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasureme
             )
 
 
-def _additional_pointings(recording: Recording, pointing_indices: Ints, procedure: str) -> list[tuple[int, int]]:
+def _pointings_by_procedure(recording: Recording, pointing_indices: Ints, procedure: str) -> list[tuple[int, int]]:
     """Target and face of the additional pointings from one set-up under another procedure."""
     existing = list(
         zip(recording.target[pointing_indices].tolist(), recording.face[pointing_indices].tolist(), strict=True)

@@ -31,8 +31,8 @@ from ltsim.adjustment.remedies.detectability import subsample_evenly
 from ltsim.adjustment.remedies.network import PlannedNetwork
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
+from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import ModelError
-from ltsim.core.values import ValueEquality
 from ltsim.physics.effects import effect_title, find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.linear_effect import LinearEffect
@@ -81,7 +81,7 @@ def best_explanation(space: ResidualSpace, name: str) -> Explanation:
     best_so_far: Explanation | None = None
     least = float(space.residuals @ space.residuals)
     for effect in kind.candidates(space.sightings):
-        values, sum_of_squares = _best_fit(space, effect, space.residuals)
+        values, sum_of_squares = _best_fitting_size(space, effect, space.residuals)
         if sum_of_squares < least:
             least, best_so_far = sum_of_squares, Explanation(effect, values)
     if best_so_far is None:
@@ -91,7 +91,7 @@ def best_explanation(space: ResidualSpace, name: str) -> Explanation:
     return best_so_far
 
 
-def _best_fit(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
+def _best_fitting_size(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
     """Size of an effect that fits a vector of residuals best, shape (parameters,), and remaining squared length."""
     projected_design = space.project(space.whitened_design(effect))
     if not np.isfinite(projected_design).all() or not projected_design.any():
@@ -143,7 +143,7 @@ class RivalExplanations:
             for before, effect in rival_instances:
                 if before >= smallest:
                     break
-                smallest = min(smallest, _best_fit(space, effect, residual_change)[1])
+                smallest = min(smallest, _best_fitting_size(space, effect, residual_change)[1])
             least.append(smallest)
         return min(least)
 
@@ -155,7 +155,8 @@ def _instances_with_unexplained_part(
     residual_change = space.project(space.whitened_design(true_explanation.effect) @ true_explanation.parameter_values)
     instances = [rival, *subsample_evenly(type(rival).candidates(space.sightings))]
     return sorted(
-        ((_best_fit(space, effect, residual_change)[1], effect) for effect in instances), key=lambda pair: pair[0]
+        ((_best_fitting_size(space, effect, residual_change)[1], effect) for effect in instances),
+        key=lambda pair: pair[0],
     )
 
 
@@ -347,10 +348,10 @@ def rank_deciding_measurements(
 
 
 def _proposals_for(
-    remedies: Iterable[CandidateMeasurement], present_adjustment: Adjustment
+    candidates: Iterable[CandidateMeasurement], present_adjustment: Adjustment
 ) -> Iterator[MeasurementProposal]:
     """Proposals for the measurements with which all poses are determined."""
-    for candidate in remedies:
+    for candidate in candidates:
         adjustment = candidate.make_adjustment()
         if adjustment is not None:
             yield MeasurementProposal.from_candidate(candidate, present_adjustment, adjustment)

@@ -51,7 +51,7 @@ class ParameterCombination:
         """Coefficients above 0.1 by parameter name, the largest first; the largest is positive."""
         abs_coefficients = np.abs(self.vector)
         order = np.argsort(-np.round(abs_coefficients / MAX_SOLUTION_ROUNDING_ERROR), kind="stable")
-        sign = np.sign(self.vector[_first_of_largest(abs_coefficients)])
+        sign = np.sign(self.vector[_index_of_first_largest(abs_coefficients)])
         return {names[i]: float(sign * self.vector[i]) for i in order if abs_coefficients[i] > MIN_REPORTED_COEFFICIENT}
 
 
@@ -77,10 +77,10 @@ def undetermined_combinations(covariance: Floats, prior_sigma: Floats) -> list[P
     gain = 1.0 - np.einsum("ij,ik,kj->j", vectors, scaled_covariance, vectors)
     gain = np.where(gain < MAX_ROUNDING_ERROR, 0.0, gain)
     weak = [ParameterCombination(vectors[:, i], float(gain[i])) for i in np.flatnonzero(gain < MIN_DETERMINED_GAIN)]
-    return sorted(weak, key=lambda d: (round(d.gain / MAX_ROUNDING_ERROR), _first_of_largest(np.abs(d.vector))))
+    return sorted(weak, key=lambda d: (round(d.gain / MAX_ROUNDING_ERROR), _index_of_first_largest(np.abs(d.vector))))
 
 
-def _first_of_largest(sizes: Floats) -> int:
+def _index_of_first_largest(sizes: Floats) -> int:
     """Index of the first value among those that are largest up to rounding."""
     return int(np.flatnonzero(sizes >= (1.0 - MAX_SOLUTION_ROUNDING_ERROR) * sizes.max())[0])
 
@@ -119,7 +119,7 @@ def _basis_of_span(vectors: Floats) -> Floats:
     """Orthonormal basis (p, k) of the span of k orthonormal columns, by pivoted Cholesky of its projector."""
     projector, basis = vectors @ vectors.T, np.empty_like(vectors)
     for k in range(vectors.shape[1]):
-        i = _first_of_largest(np.diag(projector))
+        i = _index_of_first_largest(np.diag(projector))
         basis[:, k] = projector[:, i] / np.sqrt(projector[i, i])
         projector = projector - np.outer(basis[:, k], basis[:, k])
     return basis
@@ -191,7 +191,7 @@ def _measurement_for_combination(
     """
     if present_gain >= MIN_DETERMINED_GAIN > combination.gain:
         instruction = advice_sentence("network method")
-        sentence = advice_sentence("determined already", do=instruction, then=present_gain)
+        sentence = advice_sentence("determined already", do=instruction, then=100 * present_gain)
         return MeasurementForCombination(instruction, sentence)
     is_sufficient = [pair for pair in candidates_with_gains if pair[1] >= MIN_DETERMINED_GAIN]
     words, then = (
@@ -201,4 +201,6 @@ def _measurement_for_combination(
     )
     if then - present_gain < MIN_WORTHWHILE_GAIN_INCREASE:
         return MeasurementForCombination(sentence=advice_sentence("not determined"))
-    return MeasurementForCombination(words, advice_sentence("determined", do=words, now=combination.gain, then=then))
+    return MeasurementForCombination(
+        words, advice_sentence("determined", do=words, now=100 * combination.gain, then=100 * then)
+    )

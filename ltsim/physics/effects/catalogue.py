@@ -21,7 +21,7 @@ from functools import cache, cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Self
 
-from ltsim.core.errors import ModelError, unknown_name
+from ltsim.core.errors import ModelError, unknown_name_error
 from ltsim.core.units import SI_PER_UNIT, permitted_units_text
 from ltsim.physics.effects.effect import Effect, LightPathStage
 
@@ -120,16 +120,15 @@ def installed_entry_points() -> list[EntryPoint]:
 class Catalogue(Sequence[type[Effect]]):
     """Catalogue of all effects: built-in effects in their order, then effects of packages in the order of their names.
 
-    `built_in_effects` are the built-in effects by group. `points` is a function that returns the entry points of
-    packages.
+    `built_in_effects` are the built-in effects by group. `find_entry_points` returns the entry points of packages.
     """
 
     def __init__(
         self,
         built_in_effects: Mapping[str, tuple[type[Effect], ...]],
-        points: Callable[[], Iterable[EntryPoint]] = installed_entry_points,
+        find_entry_points: Callable[[], Iterable[EntryPoint]] = installed_entry_points,
     ) -> None:
-        self._entry_points = points
+        self._find_entry_points = find_entry_points
         self._builtin_effects = {
             kind.name: ListedEffect(kind, group, BUILTIN_PROVIDER)
             for group, kinds in built_in_effects.items()
@@ -143,7 +142,7 @@ class Catalogue(Sequence[type[Effect]]):
         Raises ModelError, with package and reason, for an effect of a package that cannot be used.
         """
         added: dict[str, ListedEffect] = {}
-        for point in self._entry_points():
+        for point in self._find_entry_points():
             entry = _load_effect_class(point)
             earlier = (self._builtin_effects | added).get(entry.effect_class.name)
             if earlier is not None:
@@ -185,7 +184,7 @@ class Catalogue(Sequence[type[Effect]]):
         """Class of the effect `name`; raises ModelError with the most similar names for an unknown one."""
         entry = self._builtin_effects.get(name) or self.entries.get(name)
         if entry is None:
-            raise unknown_name("effect", name, self.entries)
+            raise unknown_name_error("effect", name, self.entries)
         return entry.effect_class
 
     def __len__(self) -> int:

@@ -130,8 +130,8 @@ class SmrIncidence(Effect):
 
     def incidence_angle_and_direction(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Incidence angle and its direction, each (n,) [rad]; 0 for a re-aimed reflector and for an unknown nest."""
-        fixed = ~sightings.is_reaimed[sightings.target] & np.isfinite(sightings.incidence)
-        angle = np.where(fixed, sightings.incidence, 0.0)
+        fixed = ~sightings.is_reaimed[sightings.target] & np.isfinite(sightings.incidence_angle)
+        angle = np.where(fixed, sightings.incidence_angle, 0.0)
         direction = np.where(fixed, sightings.incidence_direction, 0.0)
         return angle, direction
 

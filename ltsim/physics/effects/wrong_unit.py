@@ -4,7 +4,7 @@ from typing import Self
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import unknown_name
+from ltsim.core.errors import unknown_name_error
 from ltsim.physics.effects.effect import Blunder, LightPathStage, Parameter
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.transcription_errors import UNIT_ERRORS, TranscriptionError
@@ -41,7 +41,7 @@ class WrongUnit(Blunder):
 
     def __post_init__(self) -> None:
         if self.mistake not in UNIT_ERRORS_BY_NAME:
-            raise unknown_name("slip", self.mistake, UNIT_ERRORS_BY_NAME)
+            raise unknown_name_error("slip", self.mistake, UNIT_ERRORS_BY_NAME)
         object.__setattr__(self, "observables", tuple(OBSERVABLES[c] for c in self.transcription_error.changed_columns))
 
     @property

@@ -129,7 +129,7 @@ def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
 
 def function_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
     """Column (n, 1) of a function of `FORMULA_FUNCTIONS`, or with hysteresis, of a covariate, with an rms of one."""
-    x = sightings.quantities[covariate]
+    x = sightings.covariate_values[covariate]
     if function_name == PLAY_FUNCTION:
         slack = play_operator(x[sightings.measurement_order], constant)
         values = np.empty_like(x)
@@ -164,7 +164,7 @@ def linear_field_columns(
     If `is_quadratic`, six products of two coordinates are added, and the shape is (n, 10). The coordinates are the
     covariates `names` minus their mean over the pointings to `centre_targets`, by default to all targets.
     """
-    place = np.stack([sightings.quantities[name] for name in names], axis=1)
+    place = np.stack([sightings.covariate_values[name] for name in names], axis=1)
     ids = [i for name in centre_targets for i in sightings.target_indices[name]]
     near = np.isin(sightings.target, ids) if ids else slice(None)
     place = place - place[near].mean(axis=0)
@@ -180,7 +180,7 @@ def first_order_lag_columns(sightings: Sightings, covariate: str, time_constant:
 
     `time_constant` is in seconds.
     """
-    x = sightings.quantities[covariate]
+    x = sightings.covariate_values[covariate]
     x = np.abs(x) if covariate.startswith(MEMORY_COVARIATE_PREFIXES) else x - x.mean()
     lagged = lagged_values(x, sightings, time_constant)
     return np.hstack([scaled_to_unit_rms(lagged[:, None]), scaled_to_unit_rms((x - lagged)[:, None])])

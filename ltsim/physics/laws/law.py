@@ -187,7 +187,7 @@ class EmpiricalLaw(CandidateEffect):
         """Variants of the law for a local search: one constant, step, frequency or region is changed a little."""
         regressor = self.regressor
         if regressor.kind in ("wave", "cycle"):
-            step = 2 * np.pi * WAVE_FREQUENCY_STEP / float(np.ptp(sightings.quantities[regressor.covariates[0]]))
+            step = 2 * np.pi * WAVE_FREQUENCY_STEP / float(np.ptp(sightings.covariate_values[regressor.covariates[0]]))
             rates = regressor.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, regressor=replace(regressor, constant=float(r))) for r in rates if r > 0]
         if self._movable_regressor is not None:
@@ -210,7 +210,7 @@ class EmpiricalLaw(CandidateEffect):
     def _with_moved_thresholds(self, sightings: Sightings) -> list[EmpiricalLaw]:
         """Laws with one threshold of the latch moved."""
         regressor = self.regressor
-        steps = np.ptp(sightings.quantities[regressor.covariates[0]]) * LATCH_THRESHOLD_STEPS
+        steps = np.ptp(sightings.covariate_values[regressor.covariates[0]]) * LATCH_THRESHOLD_STEPS
         neighbours = [replace(regressor, constant=regressor.constant + float(step)) for step in steps]
         neighbours += [replace(regressor, release_threshold=regressor.release_threshold + float(s)) for s in steps]
         return [replace(self, regressor=d) for d in neighbours if d.release_threshold < d.constant]
@@ -224,7 +224,7 @@ class EmpiricalLaw(CandidateEffect):
 
     def _with_moved_pieces(self, sightings: Sightings, steps: Regressor) -> list[EmpiricalLaw]:
         """Laws with one step or ramp moved to another gap between values of the covariate, or with another lag."""
-        x = np.unique(sightings.quantities[steps.covariates[0]][self.row_weights(sightings) > 0])
+        x = np.unique(sightings.covariate_values[steps.covariates[0]][self.row_weights(sightings) > 0])
         gaps = np.searchsorted(x, [piece.constant for piece in steps.factors])
         laws = []
         for i, piece in enumerate(steps.factors):
@@ -284,7 +284,7 @@ class EmpiricalLaw(CandidateEffect):
         if len(curved) != 1:
             return []
         name = curved[0].covariates[0]
-        x = np.unique(sightings.quantities[name][self.row_weights(sightings) > 0])
+        x = np.unique(sightings.covariate_values[name][self.row_weights(sightings) > 0])
         x = x[np.unique(np.linspace(0, len(x) - 1, MAX_PIECE_POSITIONS).round().astype(int))]
         edges = 0.5 * (x[1:] + x[:-1])
         return [scalar_regressor(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
@@ -310,7 +310,7 @@ class EmpiricalLaw(CandidateEffect):
         if curve is None and not self.depends_on_fixed_region:
             return []
         name = curve.covariates[0] if curve else "time"
-        x = np.unique(sightings.quantities[name][self.row_weights(sightings) > 0])
+        x = np.unique(sightings.covariate_values[name][self.row_weights(sightings) > 0])
         x = x[np.unique(np.linspace(0, len(x) - 1, MAX_SWITCH_EDGES).round().astype(int))]
         return [scalar_regressor(name, "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
 

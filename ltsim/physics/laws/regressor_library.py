@@ -22,8 +22,8 @@ from ltsim.physics.laws.regressors import (
     Regressor,
     group_amounts_regressor,
     latch_regressor,
+    name_without_memory_prefix,
     nearness_regressor,
-    operator_input,
     passage_regressor,
     piecewise_regressor,
     scalar_regressor,
@@ -157,19 +157,19 @@ def additional_column_names(sightings: Sightings) -> list[str]:
 
 def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list[str]:
     """Names of those of the given covariates that have values in these sightings, and vary."""
-    has_nests, faces = np.isfinite(sightings.incidence).any(), np.ptp(sightings.face) > 0
+    has_nests, faces = np.isfinite(sightings.incidence_angle).any(), np.ptp(sightings.face) > 0
     asked = [
         n for n in covariates if (has_nests or n not in _NEST_COVARIATES) and (faces or n not in _CIRCLE_COVARIATES)
     ]
-    floor = {n: MAX_ROUNDING_ERROR * (operator_input(n) not in sightings.covariates) for n in asked}
-    return [n for n in asked if np.ptp(sightings.quantities[n]) > floor[n]]
+    floor = {n: MAX_ROUNDING_ERROR * (name_without_memory_prefix(n) not in sightings.covariates) for n in asked}
+    return [n for n in asked if np.ptp(sightings.covariate_values[n]) > floor[n]]
 
 
 def is_admissible(response_kind: str, regressor: Regressor, sightings: Sightings) -> bool:
     """True if a quantity of a given kind (`Response.kind`) can depend on a regressor. A reading can depend on all."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
     return response_kind == "reading" or all(
-        n in COVARIATES_BY_KIND[response_kind] or operator_input(n) in sightings.covariates for n in names
+        n in COVARIATES_BY_KIND[response_kind] or name_without_memory_prefix(n) in sightings.covariates for n in names
     )
 
 
@@ -190,7 +190,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
             scalar_regressor(n, "decay", float(t))
             for n in CLOCK_COVARIATES
             if n in base
-            for t in np.ptp(s.quantities[n]) * DECAY_TIME_FRACTIONS
+            for t in np.ptp(s.covariate_values[n]) * DECAY_TIME_FRACTIONS
         ],
         "memory": [
             *(smooth_regressor(name, n_modes) for name in before),
@@ -207,7 +207,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
             *(
                 scalar_regressor(n, "hysteresis", float(k))
                 for n in turning
-                for k in np.ptp(s.quantities[n]) * HYSTERESIS_HALF_WIDTHS
+                for k in np.ptp(s.covariate_values[n]) * HYSTERESIS_HALF_WIDTHS
             ),
             *dead_band_regressors(s),
         ],
@@ -234,7 +234,7 @@ def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
     return [
         scalar_regressor(name, how, float(k))
         for name in _varying_covariates(sightings, ("move-azimuth", "move-elevation"))
-        for k in np.unique(np.quantile(np.abs(sightings.quantities[name]), DEAD_BAND_QUANTILES))
+        for k in np.unique(np.quantile(np.abs(sightings.covariate_values[name]), DEAD_BAND_QUANTILES))
         for how in ("within", "stuck")
         if k > MAX_ROUNDING_ERROR
     ]
@@ -304,7 +304,7 @@ def _step_regressors(sightings: Sightings) -> list[Regressor]:
 
 def _seating_parity_differs(sightings: Sightings) -> bool:
     """True if a sign that alternates at each change of the target differs from one that alternates at each pointing."""
-    parity, seating = (sightings.quantities[name] for name in ("parity", "seating-parity"))
+    parity, seating = (sightings.covariate_values[name] for name in ("parity", "seating-parity"))
     return abs(float(parity @ seating)) < len(parity)
 
 
@@ -356,7 +356,7 @@ def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
         fading = [state_regressor(*key) for key in state_keys if key[1] == TIME_DECAY_FUNCTION]
         yield from (Regressor("product", factors=(heat, weight)) for heat in fading for weight in weights)
     weights += (
-        [smooth_regressor("lapse", N_MODES_IN_PRODUCT)] if np.ptp(sightings.quantities["lapse"]) > 0 else []
+        [smooth_regressor("lapse", N_MODES_IN_PRODUCT)] if np.ptp(sightings.covariate_values["lapse"]) > 0 else []
     )  # the effect of a motion may decay
     for move in _varying_covariates(sightings, [f"move-{name}" for name in RAW_READING_NAMES]):
         lengths = (scalar_regressor(move, how) for how in ("abs", "power"))
@@ -374,7 +374,7 @@ def product_regressors(sightings: Sightings) -> Iterator[Regressor]:
 
 def wave_frequencies(sightings: Sightings, covariate: str, max_cycles: float) -> Floats:
     """Angular frequencies [rad per unit of the covariate] of waves with 1 to `max_cycles` cycles over its span."""
-    span = float(np.ptp(sightings.quantities[covariate]))
+    span = float(np.ptp(sightings.covariate_values[covariate]))
     cycles = np.arange(1.0, max_cycles, WAVE_FREQUENCY_STEP)
     return 2 * np.pi * cycles / span if span > MAX_ROUNDING_ERROR else np.zeros(0)
 

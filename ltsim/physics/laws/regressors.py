@@ -55,7 +55,7 @@ OPERATOR_INPUT_COVARIATES = ("azimuth", "elevation", "distance", "target")
 """Covariates of a pointing, such as the azimuth, whose previous value or change since then is a covariate as well."""
 
 
-def operator_input(covariate: str) -> str:
+def name_without_memory_prefix(covariate: str) -> str:
     """Name of a covariate without the prefix of `MEMORY_COVARIATE_PREFIXES`, such as `azimuth` for `last-azimuth`."""
     how, _, base = covariate.partition("-")
     return base if base and f"{how}-" in MEMORY_COVARIATE_PREFIXES else covariate
@@ -66,11 +66,14 @@ def covariate_names_in_files(covariates: Iterable[str]) -> tuple[str, ...]:
     memory = {
         name
         for name in covariates
-        if name == "lapse" or (operator_input(name) != name and operator_input(name) in OPERATOR_INPUT_COVARIATES)
+        if name == "lapse"
+        or (name_without_memory_prefix(name) != name and name_without_memory_prefix(name) in OPERATOR_INPUT_COVARIATES)
     }
     return tuple(
         dict.fromkeys(
-            "approach" if n in memory else COVARIATE_NAMES_IN_FILES.get(operator_input(n), operator_input(n))
+            "approach"
+            if n in memory
+            else COVARIATE_NAMES_IN_FILES.get(name_without_memory_prefix(n), name_without_memory_prefix(n))
             for n in covariates
         )
     )
@@ -151,9 +154,9 @@ class Regressor:
             case "constant":
                 return np.ones((len(sightings), 1))
             case "smooth":
-                return smooth_curve_columns(name, sightings.quantities[name], int(self.constant))
+                return smooth_curve_columns(name, sightings.covariate_values[name], int(self.constant))
             case "wave" | "cycle":
-                return fourier_columns(self.constant * sightings.quantities[name], self.n_columns // 2)
+                return fourier_columns(self.constant * sightings.covariate_values[name], self.n_columns // 2)
             case "field":
                 return linear_field_columns(
                     sightings, self.covariates, self.centre_targets, is_quadratic=self.constant > 1
@@ -168,7 +171,7 @@ class Regressor:
                 return indicator_columns(*self._group_indices(sightings))
             case "switch":
                 edges = [factor.constant for factor in self.factors]
-                on = np.searchsorted(edges, sightings.quantities[name]) % 2
+                on = np.searchsorted(edges, sightings.covariate_values[name]) % 2
                 values = lagged_values(on.astype(np.float64), sightings, self.constant) if self.constant else on
                 return scaled_to_unit_rms(values.astype(np.float64)[:, None])
             case "pieces":
@@ -185,7 +188,11 @@ class Regressor:
         """Values (n,) of a regressor of a region: lengths of paths [m], weighted lengths [m], or weights of targets."""
         if self.kind == "near":
             return region.target_weights(sightings)
-        return region.levers(sightings) if self.function == LEVER_FUNCTION else region.path_lengths(sightings)
+        return (
+            region.lever_weighted_paths(sightings)
+            if self.function == LEVER_FUNCTION
+            else region.path_lengths(sightings)
+        )
 
     def _group_indices(self, sightings: Sightings) -> tuple[Ints, Ints]:
         """Index (n,) of the group of each pointing, and indices (k,) of the groups with a separate amount.

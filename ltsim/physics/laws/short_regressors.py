@@ -22,7 +22,7 @@ def short_regressors(sightings: Sightings, covariate: str, *, is_reduced_set: bo
 
     If `is_reduced_set`, it has fewer functions, to limit the number of products with functions of other covariates.
     """
-    times = CONSTANT_SPAN_FRACTIONS * float(np.ptp(sightings.quantities[covariate]))
+    times = CONSTANT_SPAN_FRACTIONS * float(np.ptp(sightings.covariate_values[covariate]))
     circular = covariate in CIRCULAR_COVARIATES
     if circular:
         for order in range(1, 4 if is_reduced_set else 7):
@@ -34,7 +34,9 @@ def short_regressors(sightings: Sightings, covariate: str, *, is_reduced_set: bo
         function_constants += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
     function_constants += [("decay", times)] if covariate == "lapse" else []
     if not is_reduced_set:
-        function_constants.append(("saw", SAW_TOOTH_PERIOD_FRACTIONS * float(np.ptp(sightings.quantities[covariate]))))
+        function_constants.append(
+            ("saw", SAW_TOOTH_PERIOD_FRACTIONS * float(np.ptp(sightings.covariate_values[covariate])))
+        )
         function_constants.append(("power", (3.0, -1.0) if covariate == "distance" else (3.0,)))
         function_constants += [("decay", times)] if covariate in CLOCK_COVARIATES else []
         function_constants += [("relaxing", times)] if covariate in (*CLOCK_COVARIATES, "lapse") else []

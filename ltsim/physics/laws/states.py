@@ -64,7 +64,7 @@ def candidate_state_keys(sightings: Sightings, inputs: Sequence[str]) -> list[St
         if how != FIXED_COUNT_RESET_FUNCTION or name in FIXED_COUNT_INPUTS
     ]
     _cache_states(sightings, states)
-    min_spans = {name: MAX_ROUNDING_ERROR * float(np.ptp(sightings.quantities[name])) for name in inputs}
+    min_spans = {name: MAX_ROUNDING_ERROR * float(np.ptp(sightings.covariate_values[name])) for name in inputs}
     return [key for key in states if np.ptp(sightings.derived_cache[key]) > min_spans[key[0]]]
 
 
@@ -108,7 +108,7 @@ def latch_column(sightings: Sightings, covariate: str, set_threshold: float, rel
 
     The latch is 1 from a covariate value above `set_threshold` until one below `release_threshold`, and 0 otherwise.
     """
-    x, rows = sightings.quantities[covariate], sightings.order_by_setup
+    x, rows = sightings.covariate_values[covariate], sightings.order_by_setup
     event = np.where(x > set_threshold, 1.0, np.where(x < release_threshold, 0.0, np.nan))[rows]
     is_first_pointing = sightings.previous_rows[rows] < 0
     event = np.where(
@@ -126,7 +126,7 @@ def candidate_latches(sightings: Sightings, covariates: Iterable[str]) -> list[t
     """Latches that a search tries, each as a tuple of the covariate, its upper threshold and its lower threshold."""
     latches = []
     for name in covariates:
-        thresholds = np.unique(np.quantile(sightings.quantities[name], LATCH_QUANTILES))
+        thresholds = np.unique(np.quantile(sightings.covariate_values[name], LATCH_QUANTILES))
         latches += [(name, float(above), float(below)) for below, above in combinations(thresholds, 2)]
     return latches
 
@@ -134,7 +134,7 @@ def candidate_latches(sightings: Sightings, covariates: Iterable[str]) -> list[t
 def _limit_quantity(sightings: Sightings, quantity_name: str) -> Floats:
     """Absolute value (n,) [s or rad] at each pointing of a quantity with a name of `RESET_LIMIT_QUANTITIES`."""
     quantity = {"pause": "lapse", "slew": "move-azimuth", "tip": "move-elevation"}[quantity_name]
-    return np.abs(sightings.quantities[quantity])
+    return np.abs(sightings.covariate_values[quantity])
 
 
 def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bools:
@@ -145,7 +145,7 @@ def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bool
     if function_name in (TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION):
         return np.zeros(len(sightings), dtype=bool)
     if function_name == FIXED_COUNT_RESET_FUNCTION:
-        return has_previous & (np.remainder(sightings.quantities["count"], round(constant)) == 0.0)
+        return has_previous & (np.remainder(sightings.covariate_values["count"], round(constant)) == 0.0)
     if name in RESET_LIMIT_QUANTITIES:
         return has_previous & (_limit_quantity(sightings, name) > constant)
     quantity = {
@@ -180,15 +180,19 @@ def _cache_states(sightings: Sightings, state_keys: Sequence[StateKey]) -> None:
 
 def _increments(sightings: Sightings, covariate: str) -> Floats:
     """Change (n,) of a covariate since the previous pointing of the set-up; 0 for the first pointing."""
-    x = sightings.quantities[covariate]
+    x = sightings.covariate_values[covariate]
     return np.where(sightings.previous_rows >= 0, x - x[sightings.previous_rows], 0.0)
 
 
 def _remaining_fraction(sightings: Sightings, function_name: str, constant: float) -> Floats:
-    """Fraction (n,) of a state that remains from pointing to pointing: 0 at a reset and at the first of a set-up."""
+    """Fraction (n,) of the state after the previous pointing that remains at each pointing.
+
+    It is 0 at a reset and at the first pointing of a set-up. `function_name` is the decay or the kind of reset, and
+    `constant` its constant: a time [s], a number of pointings, or the limit of a pause or move.
+    """
     has_previous = (sightings.previous_rows >= 0).astype(np.float64)
     if function_name == TIME_DECAY_FUNCTION:
-        return has_previous * np.exp(-sightings.quantities["lapse"] / constant)
+        return has_previous * np.exp(-sightings.covariate_values["lapse"] / constant)
     if function_name == POINTING_DECAY_FUNCTION:
         return has_previous * np.exp(-1.0 / constant)
     return has_previous * ~_is_reset(sightings, function_name, constant)

@@ -35,8 +35,8 @@ def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...]
 
 def noise_covariate(sightings: Sightings, covariate: str) -> Floats:
     """Covariate (n,) on which noise depends. For a covariate of earlier pointings it is the absolute value."""
-    covariate_values: Floats = sightings.quantities[covariate]
-    return np.abs(covariate_values) if covariate.startswith(MEMORY_COVARIATE_PREFIXES) else covariate_values
+    values: Floats = sightings.covariate_values[covariate]
+    return np.abs(values) if covariate.startswith(MEMORY_COVARIATE_PREFIXES) else values
 
 
 @dataclass(frozen=True)

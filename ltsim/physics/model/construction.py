@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import ModelError, NetworkError, unknown_name
+from ltsim.core.errors import ModelError, NetworkError, unknown_name_error
 from ltsim.core.units import ARCSECOND, MICROMETRE, PPM
 from ltsim.geometry import kinematics
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap_angle
@@ -69,7 +69,7 @@ class GeometricErrorModel:
     def index(self, name: str) -> int:
         """Index of a parameter among `parameters`."""
         if name not in self.parameter_names:
-            raise unknown_name("instrument parameter", name, self.parameter_names)
+            raise unknown_name_error("instrument parameter", name, self.parameter_names)
         return self.parameter_names.index(name)
 
     def with_parameter_subset(self, indices: Iterable[int]) -> Self:
@@ -117,8 +117,8 @@ class GeometricErrorModel:
             error_by_slot[term.slot] = error_by_slot[term.slot] + amount if term.slot in error_by_slot else amount
         return error_by_slot
 
-    def point(self, readings: Floats, values: Floats) -> Floats:
-        """Point (n, 3) [m] in the instrument frame of raw readings (n, 3); exact."""
+    def points_from_readings(self, readings: Floats, values: Floats) -> Floats:
+        """Points (n, 3) [m] in the instrument frame from raw readings (n, 3); exact."""
         return kinematics.points_from_raw_readings(self.kinematic_chain, readings, self.slot_errors(readings, values))
 
     def linearise(self, readings: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
@@ -155,7 +155,7 @@ class GeometricErrorModel:
             return raw
         by_point, before = polar_jacobian(polar, face), np.inf
         for _ in range(MAX_NEWTON_STEPS):
-            step = np.einsum("nij,nj->ni", by_point, points - self.point(raw, parameter_values))
+            step = np.einsum("nij,nj->ni", by_point, points - self.points_from_readings(raw, parameter_values))
             raw = raw + step
             size = float(np.max(np.abs(step), initial=0.0))
             if not (size > tolerance and (before == np.inf or size * size > tolerance * before)):
@@ -337,7 +337,7 @@ def make_construction(name: str, max_order: int | None = None, degree: int | Non
     Raises ModelError for an unknown name, for orders of another model than `dh`, and for an order out of bounds.
     """
     if name not in CONSTRUCTION_FACTORY_BY_NAME:
-        raise unknown_name("construction", name, CONSTRUCTION_FACTORY_BY_NAME)
+        raise unknown_name_error("construction", name, CONSTRUCTION_FACTORY_BY_NAME)
     if max_order is None and degree is None:
         return CONSTRUCTION_FACTORY_BY_NAME[name]()
     if name != "dh":

@@ -215,7 +215,7 @@ class MeasurementModel:
 
     def sightings(self, state: NetworkState) -> Sightings:
         """Sightings of the pointings with stations, targets and instruments at `state`."""
-        geometry = self.geometry(state)
+        geometry = self.sightings_without_covariates(state)
         return self._with_effect_data(geometry, state, self._instrument_readings(geometry, state))
 
     def _with_effect_data(self, geometry: Sightings, state: NetworkState, readings: Floats) -> Sightings:
@@ -229,7 +229,7 @@ class MeasurementModel:
             geometry.local_points, geometry.face, self._instrument_parameter_values(state)
         )
 
-    def geometry(self, state: NetworkState) -> Sightings:
+    def sightings_without_covariates(self, state: NetworkState) -> Sightings:
         """Sightings at `state`, without the data that only additional effects need."""
         return self._static_sightings.with_geometry(
             state.station_positions, state.station_rotations, state.target_points
@@ -267,7 +267,7 @@ class MeasurementModel:
 
     def predict(self, state: NetworkState) -> Floats:
         """Predicted raw readings (n, 3)."""
-        sightings = self.geometry(state)
+        sightings = self.sightings_without_covariates(state)
         raw_readings = self._instrument_readings(sightings, state)
         if self.extra_effects:
             sightings = self._with_effect_data(sightings, state, raw_readings)
@@ -286,7 +286,7 @@ class MeasurementModel:
 
     def linearise(self, state: NetworkState) -> Prediction:
         """Predicted readings at `state`, and their derivatives with respect to all unknowns."""
-        sightings = self.geometry(state)
+        sightings = self.sightings_without_covariates(state)
         values = self._instrument_parameter_values(state)
         raw, by_point, by_instrument = self.construction.readings_and_design(
             sightings.local_points, sightings.face, values

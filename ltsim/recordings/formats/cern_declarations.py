@@ -99,9 +99,9 @@ class DeclaredPoint:
     weighted_point: Floats = field(default_factory=lambda: np.zeros(3))
     """Product (3,) [1 / m] of `information` and the observed coordinates, for the weighted mean."""
 
-    def add_observation(self, point: Floats, covariance: Floats, axes: Bools | None = None) -> None:
+    def add_observation(self, point: Floats, covariance: Floats, axis_mask: Bools | None = None) -> None:
         """Addition of observed coordinates (3,) [m] with covariance (3, 3) [m^2], along flagged axes (3,) or all."""
-        block = np.ix_(*[np.ones(3, dtype=bool) if axes is None else axes] * 2)
+        block = np.ix_(*[np.ones(3, dtype=bool) if axis_mask is None else axis_mask] * 2)
         information = np.zeros((3, 3))
         information[block] = np.linalg.inv(covariance[block])
         self.information = self.information + information

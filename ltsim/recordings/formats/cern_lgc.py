@@ -80,7 +80,7 @@ class _LgcContent:
     """Content of the lines that were read so far."""
 
     path: Path
-    title: list[str] = field(default_factory=list)
+    title_words: list[str] = field(default_factory=list)
     curved_reference_keyword: str = ""
     points: dict[str, DeclaredPoint] = field(default_factory=dict)
     frames: list[str] = field(default_factory=list)
@@ -159,7 +159,7 @@ def _begin_block(keyword: str, words: LineWords, file: _LgcContent) -> None:
     elif keyword == "TSTN":
         _begin_setup(words, file)
     elif keyword == "V0":
-        _begin_set(words, file)
+        _begin_direction_set(words, file)
     elif keyword not in (
         *KEYWORDS_WITHOUT_OBSERVATIONS,
         *FIXED_AXES,
@@ -185,7 +185,7 @@ def _begin_setup(words: LineWords, file: _LgcContent) -> None:
     file.add_setup(_SetUp(point, instrument, height, "ROT3D" not in options.values, default))
 
 
-def _begin_set(words: LineWords, file: _LgcContent) -> None:
+def _begin_direction_set(words: LineWords, file: _LgcContent) -> None:
     """Begin of a set of directions with one orientation of the circle.
 
     The first set of a set-up belongs to this set-up; each further set creates another set-up over the same point.
@@ -205,7 +205,7 @@ def _begin_set(words: LineWords, file: _LgcContent) -> None:
 def _process_line(keyword: str, words: LineWords, file: _LgcContent) -> bool:
     """Processing of one line in a block of the kind `keyword`; returns False if such blocks are not supported."""
     if keyword in ("TITR", ""):
-        file.title += words.tokens
+        file.title_words += words.tokens
     elif keyword in FIXED_AXES:
         name, point = parse_point(keyword, words)
         if name in file.points:
@@ -283,7 +283,7 @@ def _make_recording(file: _LgcContent) -> Recording:
         file.curved_reference_keyword,
     )
     setup = Setup(
-        title=as_title(" ".join(file.title)),
+        title=as_title(" ".join(file.title_words)),
         instruments={name: polar.instrument(name) for name, polar in file.instruments.items()},
         stations={
             name: Station(

@@ -23,7 +23,7 @@ from ltsim.recordings.pointings import (
 from ltsim.recordings.recording import DISTANCE_KIND_COLUMN, HEIGHT_COLUMNS, Recording
 from ltsim.recordings.resolution import default_total_station
 from ltsim.recordings.setup import Setup, Station, Target, Vector
-from ltsim.recordings.tables.setups import marks_with_other_spelling, spelling_note
+from ltsim.recordings.tables.setups import marks_with_other_spelling, spelling_notes
 
 
 @dataclass
@@ -123,7 +123,7 @@ class FieldBook:
             stations=stations,
             targets={name: Target(height_mm=height) for name, height in heights.items()},
         )
-        spelled = spelling_note({name: mark for name, mark in respelled_marks.items() if mark in marks})
+        spelled = spelling_notes({name: mark for name, mark in respelled_marks.items() if mark in marks})
         all_notes = [noise, *orientation_notes, *spelled, *notes]
         return with_earth_curvature(recording_of_pointings(pointings, setup, notes=all_notes, file=self.path))
 

@@ -117,7 +117,7 @@ def _read_axes(node: XmlNode, network: GamaNetwork) -> None:
     axes, angles = node.get("axes-xy", "ne"), node.get("angles", "left-handed")
     if axes not in (*MIRRORED_AXES, *UNMIRRORED_AXES) or angles not in ("left-handed", "right-handed"):
         message = (
-            f"axes-xy='{quoted_text(axes)}', angles='{quoted_text(angles)}' is no system of axes that gama-local has"
+            f"axes-xy='{quoted_text(axes)}', angles='{quoted_text(angles)}' is not a coordinate system of gama-local"
         )
         raise node.location.error(message)
     network.y_sign = -1.0 if axes in MIRRORED_AXES else 1.0
@@ -150,7 +150,7 @@ def _read_element(node: XmlNode, network: GamaNetwork) -> None:
         network.differences += differences
         network.notes += [OMITTED_CORRELATIONS_NOTE] * correlated
     else:
-        network.skipped[node.tag] += 1
+        network.skipped_counts[node.tag] += 1
 
 
 def _read_point(node: XmlNode, network: GamaNetwork) -> GamaPoint:
@@ -169,12 +169,13 @@ def _read_point(node: XmlNode, network: GamaNetwork) -> GamaPoint:
     if any(axis not in point.values for axis in fixed.lower()):
         raise node.location.error(f"point {name} is fixed, but lacks coordinates")
     point.fixed_axes = "".join(sorted({*point.fixed_axes, *fixed.lower()}))
-    point.datum_axes = _parse_axes(point.datum_axes + "".join(filter(str.isupper, adjusted)))
-    point.active_axes = _parse_axes(point.active_axes + fixed + adjusted)
+    point.datum_axes = _named_axes(point.datum_axes + "".join(filter(str.isupper, adjusted)))
+    point.active_axes = _named_axes(point.active_axes + fixed + adjusted)
     return point
 
 
-def _parse_axes(letters: str) -> str:
+def _named_axes(letters: str) -> str:
+    """Axes, among x, y and z in this order, whose letters a text contains in either case."""
     return "".join(axis for axis in "xyz" if axis in letters.lower())
 
 
@@ -192,7 +193,7 @@ def _read_coordinates(node: XmlNode, network: GamaNetwork) -> None:
         covariance[i, j] = covariance[j, i] = numbers[of_point][is_in_block]
         variances = np.diag(covariance)[axes]
         if np.count_nonzero(i == j) < len(axes) or not np.all(variances > 0):
-            raise child.location.error("observed coordinates have no positive variance each, expected one")
+            raise child.location.error("an observed coordinate has no positive variance, expected one for each")
         if np.any(numbers[of_point][~is_in_block]):
             network.notes.append(CORRELATIONS_NOTE)
         point.fixed_axes = "".join("xyz"[axis] for axis in axes)
@@ -226,7 +227,7 @@ def _read_observation_block(block: XmlNode, network: GamaNetwork) -> None:
         elif child.tag == "angle":
             _read_angle(child, block, (sigma, errors), network)
         else:
-            network.skipped[child.tag] += 1
+            network.skipped_counts[child.tag] += 1
 
 
 def _start_point(child: XmlNode, block: XmlNode) -> str:
@@ -325,7 +326,7 @@ def _make_recording(network: GamaNetwork) -> Recording:
         merge_observations(observed, network.file.name)
     )
     no_place = "not read: a recording cannot contain it"
-    skipped = [f"{count} <{quoted_text(what)}> {no_place}" for what, count in network.skipped.items()]
+    skipped = [f"{count} <{quoted_text(what)}> {no_place}" for what, count in network.skipped_counts.items()]
     if not pointings and network.differences:
         message = "contains height differences or vectors without pointings, expected readings of instruments too"
         raise RecordError(f"{message}; gama-local adjusts such a network", file=network.file)

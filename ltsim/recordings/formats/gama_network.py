@@ -72,7 +72,7 @@ class GamaNetwork:
     apriori_sigma: float = 10.0
     """Standard deviation [mm, cc] of unit weight."""
     differences: list[ReferenceDifference] = field(default_factory=list)
-    skipped: Counter[str] = field(default_factory=Counter)
+    skipped_counts: Counter[str] = field(default_factory=Counter)
     n_shared_errors: int = 0
     """Number of errors that several observations share."""
     notes: list[str] = field(default_factory=list)
@@ -250,8 +250,8 @@ def split_correlations(block: XmlNode, matrix: tuple[Ints, Ints, Floats], n_earl
         return sigma, np.zeros((len(sigma), 0))
     if n_earlier + len(sigma) > MAX_CORRELATED_OBSERVATIONS:
         message = (
-            f"more than {MAX_CORRELATED_OBSERVATIONS} observations are correlated, expected fewer; give "
-            "variances alone with band 0"
+            f"the covariances correlate more than {MAX_CORRELATED_OBSERVATIONS} observations, the limit; give "
+            'variances only (band="0")'
         )
         raise block.location.error(message)
     correlation = np.zeros((len(sigma),) * 2)

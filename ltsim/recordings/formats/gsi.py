@@ -73,7 +73,9 @@ class _GsiBlock:
             return default
         unit = self.words[key][0][-1]
         if unit not in GSI_LENGTH_FACTORS:
-            raise self.location.error(f"found the unit '{quoted_text(unit)}' of a length, expected 0, 1, 6, 7 or 8")
+            raise self.location.error(
+                f"found the unit code '{quoted_text(unit)}' of a length, expected 0, 1, 6, 7 or 8"
+            )
         return self._number(key) * GSI_LENGTH_FACTORS[unit]
 
     def angle(self, key: str) -> float:
@@ -89,7 +91,7 @@ class _GsiBlock:
             minutes, seconds = divmod(rest, 1e3)
             return float(np.sign(value) * (degrees + minutes / 60 + seconds / 36_000) * DEGREE)
         if unit not in GSI_ANGLE_FACTORS and not np.isnan(value):
-            raise self.location.error(f"found the unit '{quoted_text(unit)}' of an angle, expected 2, 3, 4 or 5")
+            raise self.location.error(f"found the unit code '{quoted_text(unit)}' of an angle, expected 2, 3, 4 or 5")
         return value * GSI_ANGLE_FACTORS.get(unit, NOT_MEASURED)
 
 
@@ -147,11 +149,11 @@ class _BlockFacts:
 
     @classmethod
     def from_blocks(cls, blocks: Iterable[_GsiBlock]) -> _BlockFacts:
-        """Facts on all blocks."""
-        survey = cls()
+        """Contents of a whole file (stations, directions, staff readings, codes), collected from its blocks."""
+        facts = cls()
         for block in blocks:
-            survey._add_block(block)
-        return survey
+            facts._add_block(block)
+        return facts
 
     def _add_block(self, block: _GsiBlock) -> None:
         self.has_stations = self.has_stations or _is_station(block)

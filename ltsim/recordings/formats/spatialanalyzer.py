@@ -177,9 +177,9 @@ def _parse_heading(cell: str, location: SourceLocation) -> tuple[str, str, str]:
 
 def _read_pose(block: _Block, fields: Sequence[str], location: SourceLocation) -> None:
     if fields[0] == "# Meas." and len(fields) > 1:
-        block.n_declared_observations = int(location.number(fields[1], "# Meas.", comma=True))
+        block.n_declared_observations = int(location.number(fields[1], "# Meas.", allows_decimal_comma=True))
     if fields[0].startswith("(") and len(fields) > 3:
-        values = np.array([location.number(text, comma=True) for text in fields[1:4]])
+        values = np.array([location.number(text, allows_decimal_comma=True) for text in fields[1:4]])
         unit = UNITS_BY_SPELLING.get(fields[0].strip("()").lower(), "")
         if unit in LENGTH_UNITS:
             block.position = values * SI_PER_UNIT[unit]

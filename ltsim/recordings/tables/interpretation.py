@@ -164,7 +164,11 @@ def _angle_conventions(
     converted, common_unit = polar, None
     if unit:
         factors = [float(unit_ratio(u or unit, "deg")) for u in (direction_unit, vertical_unit)]
-        converted = replace(polar, horizontal=polar.horizontal * factors[0], vertical=polar.vertical * factors[1])
+        converted = replace(
+            polar,
+            horizontal_angles=polar.horizontal_angles * factors[0],
+            vertical_angles=polar.vertical_angles * factors[1],
+        )
         common_unit = "deg"
     if common_unit and (declared or hints.vertical):
         return (direction_unit or unit, vertical_unit or unit), hints.vertical or declared or "elevation", []
@@ -213,7 +217,7 @@ def _azimuth_sense(
 
     Raises RecordError if nothing decides.
     """
-    if hints.azimuth is not None or not np.isfinite(polar.horizontal).any():
+    if hints.azimuth is not None or not np.isfinite(polar.horizontal_angles).any():
         return hints.azimuth or "counter-clockwise", []
     if hints.points is not None or len(poses) > 1:
         local = from_polar(interpretation.readings(table.pointings))

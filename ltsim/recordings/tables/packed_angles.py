@@ -27,13 +27,15 @@ def with_unpacked_angles(table: PointingTable, hints: Hints) -> PointingTable:
     columns = [c for c in table.columns if c.role in (*HORIZONTAL_ROLES, *VERTICAL_ROLES)]
     if hints.angle is not None or not columns or any(c.unit for c in columns):
         return table
-    digits_by_role = {c.role: table.pointings.numbers[c.role] for c in columns if c.role in table.pointings.numbers}
+    digits_by_role = {
+        c.role: table.pointings.digits_by_role[c.role] for c in columns if c.role in table.pointings.digits_by_role
+    }
     if not _are_packed(np.concatenate([digits[:N_SAMPLE_CELLS] for digits in digits_by_role.values()])):
         return table
     all_values = np.concatenate(list(digits_by_role.values()))
     if not _are_packed(all_values):
         return table
-    table.pointings.numbers |= {role: _decimal_degrees(digits) for role, digits in digits_by_role.items()}
+    table.pointings.digits_by_role |= {role: _decimal_degrees(digits) for role, digits in digits_by_role.items()}
     table.columns = [replace(c, unit="deg") if c in columns else c for c in table.columns]
     table.notes.append(
         f"the angles in {_titles_text(columns)} are interpreted as ddd.mmss: all {len(all_values)} have minutes and "

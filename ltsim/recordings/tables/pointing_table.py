@@ -102,16 +102,16 @@ class UnconvertedPointings:
     target: list[str] = field(default_factory=list)
     face: list[int] = field(default_factory=list)
     """Face of each pointing; 0 if not given."""
-    moment: list[str] = field(default_factory=list)
+    date_and_time: list[str] = field(default_factory=list)
     """Text of the date, the time, or both."""
-    round: list[str] = field(default_factory=list)
+    round_label: list[str] = field(default_factory=list)
     """Label of the round of measurements from one station to which each pointing belongs.
 
     It is the number of the round in the table, with the day if the table gives one.
     """
     group_separator: list[str] = field(default_factory=list)
     """Thousands separator in the sheet of each pointing, '' for none."""
-    numbers: dict[str, Digits] = field(default_factory=dict)
+    digits_by_role: dict[str, Digits] = field(default_factory=dict)
     additional_cells: dict[str, list[str]] = field(default_factory=dict)
     """Cells of additional columns by title; '' for a row without a cell."""
 
@@ -126,8 +126,8 @@ class UnconvertedPointings:
         """Digits (n,) of each row, from the first of the given kinds of column in which the row has a number."""
         digits: Digits = np.zeros(len(self), dtype="S1")
         for role in roles:
-            if role in self.numbers:
-                digits = np.where(digits == b"", self.numbers[role], digits)
+            if role in self.digits_by_role:
+                digits = np.where(digits == b"", self.digits_by_role[role], digits)
         return digits
 
     def texts(self, title: str) -> list[str]:
@@ -138,7 +138,7 @@ class UnconvertedPointings:
     def complete_columns(self) -> tuple[list[Any], ...]:
         """Columns in which every row has an entry, in the order of the fields of this class."""
         names = (self.station, self.target)
-        return (self.file, self.line, *names, self.face, self.moment, self.round, self.group_separator)
+        return (self.file, self.line, *names, self.face, self.date_and_time, self.round_label, self.group_separator)
 
     @property
     def source(self) -> list[str]:
@@ -150,7 +150,7 @@ class UnconvertedPointings:
         """Pointings at the given positions, in this order."""
         positions = list(order)
         list_columns: list[Any] = [[column[i] for i in positions] for column in self.complete_columns]
-        digits_by_role = {role: digits[positions] for role, digits in self.numbers.items()}
+        digits_by_role = {role: digits[positions] for role, digits in self.digits_by_role.items()}
         additional_cells = {title: [column[i] for i in positions] for title, column in self.additional_cells.items()}
         return UnconvertedPointings(*[*list_columns, digits_by_role, additional_cells])
 
@@ -162,10 +162,10 @@ def join_pointings(tables: Sequence[UnconvertedPointings]) -> UnconvertedPointin
     list_columns: list[Any] = [
         _concatenate(columns) for columns in zip(*(part.complete_columns for part in tables), strict=True)
     ]
-    roles = dict.fromkeys(role for part in tables for role in part.numbers)
+    roles = dict.fromkeys(role for part in tables for role in part.digits_by_role)
     titles = dict.fromkeys(title for part in tables for title in part.additional_cells)
     digits_by_role = {
-        role: np.concatenate([part.numbers.get(role, np.zeros(len(part), dtype="S1")) for part in tables])
+        role: np.concatenate([part.digits_by_role.get(role, np.zeros(len(part), dtype="S1")) for part in tables])
         for role in roles
     }
     additional_cells = {title: _concatenate(part.texts(title) for part in tables) for title in titles}

@@ -41,7 +41,7 @@ from ltsim.recordings.tables.setups import (
     with_setups_over_marks,
 )
 from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, ZIP_SIGNATURE, head_rows, is_table_folder, read_sheets
-from ltsim.recordings.tables.station_names import require_station_names, several_positions_note
+from ltsim.recordings.tables.station_names import require_station_names, several_positions_notes
 from ltsim.recordings.tables.unnamed_targets import name_targets_by_position, name_unnamed_targets
 
 
@@ -56,7 +56,9 @@ def with_time_column(table: PointingTable) -> PointingTable:
         if not column.is_additional or column.role or not filled or not all(map(cells.has_clock, filled)):
             continue
         title = column.title
-        pointings.moment = [" ".join(filter(None, both)) for both in zip(pointings.moment, texts, strict=True)]
+        pointings.date_and_time = [
+            " ".join(filter(None, both)) for both in zip(pointings.date_and_time, texts, strict=True)
+        ]
         pointings.additional_cells = {
             name: cells_of for name, cells_of in pointings.additional_cells.items() if name != title
         }
@@ -71,7 +73,7 @@ def with_time_column(table: PointingTable) -> PointingTable:
 def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str, list[str]]:
     """Time [s] of each pointing, moment of time 0 in ISO format ('' if unknown), and notes; NaN if unreadable."""
     column = table.column(("time",)) or table.column(("date",))
-    texts = table.pointings.moment
+    texts = table.pointings.date_and_time
     missing = [float("nan")] * len(texts)
     if column is None or not any(texts):
         return missing, "", []
@@ -154,7 +156,7 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     interpretation, readings = interpret_readings(table, poses, hints, path)
     table = name_targets_by_position(table, readings)
     require_station_names(table, readings, path)
-    table.notes += several_positions_note(table, readings)
+    table.notes += several_positions_notes(table, readings)
     if setup is not None:
         recording = assemble_recording(table, interpretation, readings, setup, hints, path)
         if not hints.incomplete_tail:
@@ -197,11 +199,11 @@ def assemble_recording(
         setup = setup.model_copy(update={"heads_sigma_mm": sigma_mm, "curved": True})
         labels = _merged_labels(connecting_occupations(table), labels)
     if time_notes and table.column(("date",)) is not None:  # a text where it is no clock
-        labels["date"] = printed.moment
-    if "flat" in printed.numbers:
+        labels["date"] = printed.date_and_time
+    if "flat" in printed.digits_by_role:
         slope = printed.digits_of_roles(("distance",))
         labels[DISTANCE_KIND_COLUMN] = np.where(
-            (printed.numbers["flat"] != b"") & (slope == b""), "horizontal", ""
+            (printed.digits_by_role["flat"] != b"") & (slope == b""), "horizontal", ""
         ).tolist()
     note_groups = [
         table.notes,
@@ -213,7 +215,7 @@ def assemble_recording(
         column_notes,
         height_notes,
         unapplied,
-        _unread_lines_note(table),
+        _unread_lines_notes(table),
     ]
     targets, target = indices_by_value(printed.target)
     _, first = np.unique(target, return_index=True)
@@ -342,7 +344,7 @@ def _covariate_values(
     return column_numbers, unit
 
 
-def _unread_lines_note(table: PointingTable) -> list[str]:
+def _unread_lines_notes(table: PointingTable) -> list[str]:
     notes = []
     if table.lacks_station_names:
         assumption = "the table names no station: all its pointings are assumed from one station, S1"
@@ -379,7 +381,7 @@ def total_station_reason(table: PointingTable, interpretation: ColumnInterpretat
         return ""
     if ranges.max() > MAX_TRACKER_RANGE_M:
         return f"its longest range is {ranges.max():.4g} m, beyond any laser tracker"
-    columns = [digits for role, digits in table.pointings.numbers.items() if role in DISTANCE_ROLES]
+    columns = [digits for role, digits in table.pointings.digits_by_role.items() if role in DISTANCE_ROLES]
     n_decimals = np.concatenate([decimal_places(digits[digits != b""]) for digits in columns])
     if len(n_decimals) < MIN_RANGES:
         return ""

@@ -124,9 +124,10 @@ class RowBatchReader:
         return [faces[text] or 0 for text in texts]
 
     def _numbers(self, texts: Sequence[str], column: TableColumn, lines: Sequence[int]) -> Digits:
-        """Digits (n,) of a column of readings: the cells if all are plain numbers, otherwise the converted cells.
+        """Decimal digits (n,) of the readings in a column, as texts; empty for a missing reading.
 
-        Raises RecordError.
+        Cells that are not plain numbers are converted first: separators, units, and degrees with minutes and seconds.
+        Raises RecordError for a cell that is no number, and for cells in several units.
         """
         texts = ["" if text in cells.MISSING_VALUE_TEXTS else text for text in texts]
         plain_values = (

@@ -133,7 +133,7 @@ def marks_with_other_spelling(stations: Sequence[str], targets: Sequence[str]) -
     }
 
 
-def spelling_note(mark_by_setup: Mapping[str, str]) -> list[str]:
+def spelling_notes(mark_by_setup: Mapping[str, str]) -> list[str]:
     """Note on set-ups over targets with another spelling; none for an empty mapping."""
     examples = listing([f"'{name}' and '{mark}'" for name, mark in mark_by_setup.items()], MAX_NAMES_IN_SETUP_NOTE)
     text = f"a set-up and a target whose names differ only in {SPELLING_DIFFERENCES_TEXT} are one mark: {examples}"
@@ -157,7 +157,7 @@ def split_occupations(
     distinct, code = occupations, occupation_index
     is_rotated, orientations = False, None
     if table.column(("round",)) is not None:
-        by_round, round_index = indices_by_value(zip(occupation_index.tolist(), pointings.round, strict=True))
+        by_round, round_index = indices_by_value(zip(occupation_index.tolist(), pointings.round_label, strict=True))
         is_rotated = _has_rotated_circle(table, occupation_index, round_index, readings[:, 1], sigma)
         if is_rotated:
             distinct, code = [(*occupations[i], name) for i, name in by_round], round_index
@@ -200,12 +200,12 @@ def _occupation_numbers(table: PointingTable) -> list[str]:
     if column is not None:
         return printed.texts(column.title)
     if table.column(("date",)) is None:
-        return _numbers_by_height(table)
-    days = {moment: "" if cells.has_clock(moment) else moment for moment in {*printed.moment}}
-    return [days[moment] for moment in printed.moment]
+        return _occupation_numbers_by_height(table)
+    days = {moment: "" if cells.has_clock(moment) else moment for moment in {*printed.date_and_time}}
+    return [days[moment] for moment in printed.date_and_time]
 
 
-def _numbers_by_height(table: PointingTable) -> list[str]:
+def _occupation_numbers_by_height(table: PointingTable) -> list[str]:
     """Number, as text, of the occupation of each pointing, from the height of the instrument.
 
     The height is constant within an occupation. If a height applies to few rows of a mark, or recurs, it may be wrong,
@@ -291,7 +291,7 @@ def with_setups_over_marks(
         for name, mark in marks.items()
         if mark in shared and name != mark and not name.startswith(f"{mark}#")
     }
-    notes += spelling_note(spelled)
+    notes += spelling_notes(spelled)
     return setup, notes
 
 
@@ -326,7 +326,7 @@ def connecting_occupations(table: PointingTable) -> dict[str, list[str]]:
     Marks and days distinguish them, for a table without such columns.
     """
     pointings = table.pointings
-    days = pointings.moment if table.column(("time",)) is None else [""] * len(pointings)
+    days = pointings.date_and_time if table.column(("time",)) is None else [""] * len(pointings)
     setups = [f"{mark} {day}".strip() for mark, day in zip(table.mark, days, strict=True)]
     targets = [f"to {target} {day}".strip() for target, day in zip(pointings.target, days, strict=True)]
     return dict(zip(OCCUPATION_COLUMNS, (setups, targets), strict=True))

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, overload
 
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import (
+    BYTES_PER_MIB,
     MAX_FILE_BYTES,
     MAX_LINE_CHARACTERS,
     MAX_ROW_FIELDS,
@@ -25,7 +26,6 @@ from ltsim.core.limits import (
     MAX_WORKBOOK_CELLS,
     MAX_WORKBOOK_PARTS,
     MAX_WORKBOOK_SHEETS,
-    MIB,
 )
 from ltsim.recordings.files import SourceLocation, is_number, quoted_text, read_bytes, read_lines
 from ltsim.recordings.tables.cells import is_value, thousands_separator
@@ -319,14 +319,14 @@ def workbook_cells(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
         raise RecordError(what, file=file) from None
 
 
-def _check_workbook_parts(file: Path, zipped: io.BytesIO) -> None:
+def _check_workbook_parts(file: Path, workbook_archive: io.BytesIO) -> None:
     """Check of the number of parts, the unpacked size and the XML of a workbook; raises RecordError."""
-    with zipfile.ZipFile(zipped) as archive:
+    with zipfile.ZipFile(workbook_archive) as archive:
         parts = archive.infolist()
         if len(parts) > MAX_WORKBOOK_PARTS:
             raise RecordError(f"holds more than {MAX_WORKBOOK_PARTS} parts, the limit for reading", file=file)
         if sum(part.file_size for part in parts) > MAX_WORKBOOK_BYTES:
-            most = f"{MAX_WORKBOOK_BYTES // MIB} MiB"
+            most = f"{MAX_WORKBOOK_BYTES // BYTES_PER_MIB} MiB"
             raise RecordError(f"unpacks to more than {most}, the limit for reading; save the table as CSV", file=file)
         for part in parts:
             content = archive.read(part)
@@ -359,7 +359,7 @@ def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[Workboo
             size = sum(map(len, texts))
             characters += size
             if size > MAX_LINE_CHARACTERS or characters > MAX_FILE_BYTES:
-                most = f"{MAX_LINE_CHARACTERS} characters in a row or {MAX_FILE_BYTES // MIB} million in all"
+                most = f"{MAX_LINE_CHARACTERS} characters in a row or {MAX_FILE_BYTES // BYTES_PER_MIB} million in all"
                 raise RecordError(f"holds more than {most} {where}", file=file)
             lines += [(number, texts)] if texts else []
         contents.append((sheet.title, lines))

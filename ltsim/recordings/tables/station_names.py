@@ -60,7 +60,7 @@ def require_station_names(table: PointingTable, readings: Floats, file: object) 
         raise RecordError(message, file=file)
 
 
-def several_positions_note(table: PointingTable, readings: Floats) -> list[str]:
+def several_positions_notes(table: PointingTable, readings: Floats) -> list[str]:
     """Note on names of targets that are not names of points: ranges from one set-up to most of them differ."""
     sights, groups = indices_by_value(zip(table.pointings.station, table.pointings.target, strict=True))
     spread = _median_spread(readings[:, 0], groups)

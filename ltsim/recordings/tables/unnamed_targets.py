@@ -55,7 +55,7 @@ def name_targets_by_position(table: PointingTable, readings: Floats) -> Pointing
     """
     names, stations = {*table.pointings.target}, {*table.pointings.station}
     if len(names) > 1:
-        table.notes += _coincident_targets_note(table.pointings, readings)
+        table.notes += _coincident_targets_notes(table.pointings, readings)
     if len(names) > 1 or len(stations) > 1:
         return table
     is_named = not table.has_unnamed_targets
@@ -75,7 +75,7 @@ def name_targets_by_position(table: PointingTable, readings: Floats) -> Pointing
     return table
 
 
-def _coincident_targets_note(pointings: UnconvertedPointings, readings: Floats) -> list[str]:
+def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats) -> list[str]:
     """Note on targets with separate names that one set-up sees at one position, as shots of one point are numbered."""
     points = from_polar(readings)
     tolerance = min(MAX_COINCIDENT_M, MAX_SAME_PLACE_RATIO * float(np.nanmax(readings[:, 0], initial=0.0)))

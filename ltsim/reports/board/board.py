@@ -27,7 +27,7 @@ from ltsim.planning.tolerances import (
     check_tolerances,
     checks_after_required_losses,
     error_radius,
-    is_met,
+    is_tolerance_met,
     percent_text,
     plan_verdict,
 )
@@ -176,7 +176,7 @@ class MovableLayout:
         visibility = layout_visibility(search_space, survey)
         survey = survey.replace(is_visible=visibility.is_visible)
         evaluation = {
-            "reasons": visibility.reasons.tolist(),
+            "reasons": visibility.reason_codes.tolist(),
             "hidden": int(InvisibilityReason.OBSTACLE),
             "may_stand": self.search_space.is_allowed(survey.station_positions).tolist(),
             "shadow": shadow_radii(survey.station_positions, 0.0, self.search_space.sight_limits.cone_opening).tolist(),
@@ -234,7 +234,11 @@ class MovableLayout:
 
 def _tolerance_entries(error_to_tolerance: float) -> dict[str, Any]:
     """Entries of a point for the page, by key: ratio of its error to its tolerance, its text, and True if it is met."""
-    return {"ratio": error_to_tolerance, "used": percent_text(error_to_tolerance), "met": is_met(error_to_tolerance)}
+    return {
+        "ratio": error_to_tolerance,
+        "used": percent_text(error_to_tolerance),
+        "met": is_tolerance_met(error_to_tolerance),
+    }
 
 
 def _station_coincides_with_target(survey: PlannedSurvey) -> bool:

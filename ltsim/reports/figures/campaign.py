@@ -18,7 +18,7 @@ from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.statistics import NORMAL_QUANTILE_95
 from ltsim.campaigns.summary import ZScoreSummary
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import ModelError, unknown_name
+from ltsim.core.errors import ModelError, unknown_name_error
 from ltsim.core.notation import number_text
 from ltsim.core.units import UNIT_BY_KEY_ENDING
 from ltsim.reports import style
@@ -112,11 +112,11 @@ def sweep_points(
     names = [along] if isinstance(along, str) else [*along]
     for name in filter(None, (*names, panel, *levels)):
         if name not in factors and name != "method":
-            raise unknown_name("factor of this campaign", name, ("method", *factors))
+            raise unknown_name_error("factor of this campaign", name, ("method", *factors))
     places = [level | {"method": method} for level in results.levels for method in results.manifest.methods]
     for name, required in levels.items():
         if required not in (existing := list(dict.fromkeys(position[name] for position in places))):
-            raise unknown_name(f"level of {name}", str(required), [str(level) for level in existing])
+            raise unknown_name_error(f"level of {name}", str(required), [str(level) for level in existing])
     floor_statistic = statistic.replace("error_calibrated", "error_true_parameters")
     floors = results.distribution(floor_statistic) if floor_statistic != statistic else []
     lowest = [min((s for s in floors if s.cell == cell), key=lambda s: s.mean) for cell in {s.cell: 0 for s in floors}]
@@ -368,7 +368,7 @@ def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
     return float(interval.low), float(interval.high)
 
 
-def is_outside_allowed_coverage(summaries: Sequence[ZScoreSummary]) -> list[bool]:
+def outside_coverage_flags(summaries: Sequence[ZScoreSummary]) -> list[bool]:
     """True for each parameter whose interval of coverage lies completely outside the allowed band."""
     return [high < ALLOWED_COVERAGE[0] or low > ALLOWED_COVERAGE[1] for low, high in map(coverage_interval, summaries)]
 
@@ -383,7 +383,7 @@ def coverage_figure(summaries: Sequence[ZScoreSummary]) -> Figure:
     band = f"allowed {100 * ALLOWED_COVERAGE[0]:.1f} to {100 * ALLOWED_COVERAGE[1]:.1f} %"
     ax.axvspan(*ALLOWED_COVERAGE, color=style.BAND_COLOUR, linewidth=0, zorder=0, label=band)
     ax.axvline(0.95, color=style.INK_COLOUR, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
-    red = np.array(is_outside_allowed_coverage(summaries), dtype=bool)
+    red = np.array(outside_coverage_flags(summaries), dtype=bool)
     for chosen, colour, word in ((~red, style.BLUE, "share, its 95 % interval"), (red, style.RED, "outside the band")):
         if chosen.any():
             ax.hlines(places[chosen], *bounds[chosen].T, color=colour, linewidth=1.8)

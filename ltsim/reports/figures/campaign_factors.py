@@ -139,9 +139,9 @@ def factor_arrangement(
     return x_factor, line_factor, [f for f in other_factors if f is not line_factor]
 
 
-def _axis_position(factor: Factor, level: Mapping[str, Any]) -> float | str:
+def _axis_position(factor: Factor, levels: Mapping[str, Any]) -> float | str:
     """Position of a level on the axis of its factor: a number, or the text of a level without a number."""
-    value = level[factor.name]
+    value = levels[factor.name]
     return float(value) if factor.kind in ("number", "integer") and value is not None else factor.level_text(value)
 
 

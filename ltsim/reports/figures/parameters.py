@@ -72,15 +72,15 @@ def parameter_figure(parameters: Sequence[ParameterEntry], true_values: Sequence
 
 
 @style.with_figure_style
-def sigma_figure(parameters: Sequence[PlannedParameterEntry], reference: Mapping[str, float]) -> Figure:
+def sigma_figure(parameters: Sequence[PlannedParameterEntry], reference_sigmas: Mapping[str, float]) -> Figure:
     """Predicted sigma of each parameter divided by its prior sigma, on a logarithmic axis; sigmas at the right.
 
-    `reference` has the sigmas that another layout would give, by parameter.
+    `reference_sigmas` has the sigmas that another layout would give, by parameter.
     """
     figure, ax = style.new_panel(0.55 + 0.21 * max(len(parameters), 3))
     places = style.set_category_rows(ax, [row.name for row in parameters])
     ratios = np.array([row.sigma / row.prior_sigma for row in parameters])
-    reference_ratios = np.array([reference.get(row.name, np.nan) / row.prior_sigma for row in parameters])
+    reference_ratios = np.array([reference_sigmas.get(row.name, np.nan) / row.prior_sigma for row in parameters])
     ax.hlines(places, ratios, reference_ratios, color=style.COLOUR_BEFORE, linewidth=1.0, zorder=1)
     if np.isfinite(reference_ratios).any():
         ax.scatter(
@@ -147,18 +147,18 @@ def correlation_figure(parameters: Sequence[ParameterEntry], covariance: Floats)
 
 
 @style.with_figure_style
-def history_figure(names: Sequence[str], courses: Sequence[ParameterHistory]) -> Figure:
+def history_figure(names: Sequence[str], parameter_histories: Sequence[ParameterHistory]) -> Figure:
     """Estimates of each parameter in all calibrations with 95 % intervals, one panel per parameter.
 
     The band is the mean over the calibrations with the spread of the true values between them.
     """
-    columns = 2 if len(courses) > 1 else 1
-    n_panel_rows = max(1, -(-len(courses) // columns))
+    columns = 2 if len(parameter_histories) > 1 else 1
+    n_panel_rows = max(1, -(-len(parameter_histories) // columns))
     figure = style.new_figure(0.7 + 1.35 * n_panel_rows)
     panels = figure.subplots(n_panel_rows, columns, sharex=True, squeeze=False)
     labels = [style.shortened_name(name, 24) for name in distinct_labels(names)]
     positions = np.arange(len(labels))
-    for ax, course in zip(panels.ravel(), courses, strict=False):
+    for ax, course in zip(panels.ravel(), parameter_histories, strict=False):
         band = (course.mean - course.spread, course.mean + course.spread)
         ax.axhspan(*band, color=style.BAND_COLOUR, linewidth=0, zorder=0, label="mean ± spread between calibrations")
         ax.axhline(0.0, color=style.GREY, linewidth=0.7, zorder=1)
@@ -177,10 +177,10 @@ def history_figure(names: Sequence[str], courses: Sequence[ParameterHistory]) ->
         ax.set_xticks(positions, labels, rotation=60, ha="right", fontsize=7)
         ax.set_xlim(-0.5, len(positions) - 0.5)
         style.set_grid(ax)
-    for ax in panels.ravel()[len(courses) :]:
+    for ax in panels.ravel()[len(parameter_histories) :]:
         ax.set_axis_off()
         panels[-2, -1].tick_params(labelbottom=True)
-    if courses:
+    if parameter_histories:
         figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
     return figure
 
@@ -189,7 +189,7 @@ def history_figure(names: Sequence[str], courses: Sequence[ParameterHistory]) ->
 def criteria_figure(criteria: Table) -> Figure:
     """Mean and largest value of each criterion of a table `CRITERIA_TABLE`; arrows from before to after calibration."""
     lines = []
-    for row in criteria.json():
+    for row in criteria.json_rows():
         change = "" if row["improvement_percent"] is None else f" ({row['improvement_percent']:+.1f} % better)"
         lines.append((f"{row['criterion']}, mean{change}", row["mean_um"], row["mean_after_um"]))
         lines.append((f"{row['criterion']}, largest", row["max_um"], row["max_after_um"]))

@@ -22,9 +22,9 @@ from ltsim.calibration.schema import (
     TARGETS_TABLE,
 )
 from ltsim.calibration.uncertainty import uncertainty_sentences
-from ltsim.core.errors import option
+from ltsim.core.errors import option_text
 from ltsim.core.notation import fixed_point_text, number_text
-from ltsim.core.probability import AGREEMENT_LEVEL, p_text, two_sided
+from ltsim.core.probability import AGREEMENT_LEVEL, p_text, two_sided_p_value
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.recordings import Recording, Setup
 from ltsim.recordings.result_file import require_same_recording
@@ -39,20 +39,20 @@ from ltsim.reports.document_model import (
     Section,
     TableBlock,
     assessment_of,
-    entries_table,
-    table_block,
+    entries_table_blocks,
+    table_blocks,
 )
 from ltsim.reports.formatting import as_sentence, count_text, global_test_verdict, is_determined, listing
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.network import (
     adjustment_pair_if_possible,
-    coordinates_table,
-    determined_table,
+    coordinates_tables,
+    determined_tables,
     residual_figures,
-    target_table,
+    target_tables,
     target_uncertainty_sentence,
     truth_in_folder,
-    undetermined_table,
+    undetermined_tables,
     workshop_blocks,
 )
 from ltsim.simulation.truth import Truth
@@ -84,7 +84,7 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
     adjustments = None if residuals is None or context.is_brief else adjustment_pair_if_possible(recording)
     before = Residuals.from_adjustment(adjustments[0]) if adjustments else None
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
-    coordinate_table = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
+    coordinate_table = target_tables(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
     is_accepted = agrees and converged and all(outlier.excluded for outlier in content.outliers)
     agrees_with_constants = converged and _agrees_with_constants(content)
     agreement_words = _global_tests_text(content) or agreement_words
@@ -101,7 +101,7 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
     n_open_blocks = len(blocks) + 1
     if targets is not None and content.stations:
         blocks += workshop_blocks(lambda: calibrated_workshop(content, recording, targets, after), context.detail)
-    blocks += determined_table("Determined in combination", content.determined)
+    blocks += determined_tables("Determined in combination", content.determined)
     blocks += [
         *([] if first_reference_tables else reference_value_tables),
         *parameter_blocks[1:],
@@ -115,7 +115,7 @@ def calibration_section(content: Calibration, context: ReportContext) -> Section
             BulletListBlock("Effects estimated with the calibration", [effect.sentence for effect in content.effects])
         )
     note = "Information: part of the prior variance that the recording removes; at 0 % it adds nothing."
-    blocks += undetermined_table("Not determined by this recording", content.undetermined, note=note)
+    blocks += undetermined_tables("Not determined by this recording", content.undetermined, note=note)
     kind = "Calibration" if content.parameters else "Network adjustment"
     recording_title = (recording.setup.title if recording else "") or (
         content.recording.title if content.recording else ""
@@ -226,13 +226,13 @@ def _global_tests_text(content: Calibration) -> str:
         return ""
     with_them, without = (global_test_verdict(f.chi2, f.dof, f.p_value)[1] for f in (fit, content.fit))
     if _agrees_with_constants(content):
-        return f"the instrument's constants are still in the coordinates; with these estimated {with_them}"
+        return f"errors of the instrument are still in the coordinates; with its constants estimated, {with_them}"
     return f"{without}, nor with the instrument's constants estimated (chi2 {fit.chi2:.0f} for {fit.dof})"
 
 
 def _key_figures(content: Calibration, *, has_agreement: bool) -> list[KeyFigure]:
     fit, noise_estimated = content.fit, content.noise_estimated
-    p = None if noise_estimated or fit.p_value is None else two_sided(fit.p_value)
+    p = None if noise_estimated or fit.p_value is None else two_sided_p_value(fit.p_value)
     facts = [
         KeyFigure("sigma0", fixed_point_text(fit.sigma0, 3), assessment_of(has_agreement)),
         KeyFigure("p of the fit, two-sided", p_text(p), "plain" if noise_estimated else assessment_of(has_agreement)),
@@ -267,9 +267,9 @@ def _warning_blocks(content: Calibration, *, has_converged: bool, agrees: bool) 
     if content.undetermined_targets:
         text = f"The readings that remain do not determine {', '.join(content.undetermined_targets)}."
         blocks.append(NoteBlock("Targets without coordinates", text, "bad"))
-    blocks += table_block("Outlying readings", OUTLIERS_TABLE.with_rows(content.outliers))
+    blocks += table_blocks("Outlying readings", OUTLIERS_TABLE.with_rows(content.outliers))
     note = "Factor: estimated over declared standard deviation; typical sigma: median over the readings."
-    return blocks + table_block("Noise estimated from the readings", NOISE_TABLE.with_rows(content.noise), note=note)
+    return blocks + table_blocks("Noise estimated from the readings", NOISE_TABLE.with_rows(content.noise), note=note)
 
 
 def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
@@ -278,7 +278,7 @@ def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
         note += " Known lengths, points and levels are tested in a fit that also estimates the instrument's constants."
     sorted_values = sorted(content.reference_values, key=lambda entry: (not entry.excluded, -entry.w))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
-    return entries_table(
+    return entries_table_blocks(
         "Fit of the reference values", sorted_values, *fields, "redundancy", "w", "excluded", note=note
     )
 
@@ -289,7 +289,7 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     remaining = [o for o in content.outliers if not o.excluded]
     if remaining:
         reading_names = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
-        actions.append(f"Measure again, or reject with {option('robust=True')}: {reading_names}.")
+        actions.append(f"Measure again, or reject with {option_text('robust=True')}: {reading_names}.")
     if content.with_constants is not None:
         actions.append("Estimate and remove the instrument's constants with ltsim calibrate.")
     p_value = content.fit.p_value
@@ -300,7 +300,7 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     ):
         actions.append("Run ltsim diagnose to locate the disagreement of readings and model.")
     if content.verdict.scale_by_sigma0 and not (content.noise or _agrees_with_constants(content)):
-        actions.append(f"If the noise is not known, estimate it from the data: {option('noise_from_data=True')}.")
+        actions.append(f"If the noise is not known, estimate it from the data: {option_text('noise_from_data=True')}.")
     measurements = dict.fromkeys(e.measurement for e in content.undetermined if e.measurement)
     actions += [f"To determine the open parameters: {measurement}." for measurement in list(measurements)[:3]]
     if content.parameters and is_accepted and not actions:
@@ -322,12 +322,12 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
         n for n, p in zip(names, rows, strict=True) if not p.held and p.information < MAX_UNINFORMATIVE_GAIN
     ]
     if undetermined:
-        note += f" Not determined by the recording, which leaves the prior: {listing(undetermined, 6)}."
+        note += f" Not determined by the recording, so that the prior remains: {listing(undetermined, 6)}."
     blocks: list[Block] = [
         PictureBlock(
             "Instrument parameters", lambda: figures.parameters.parameter_figure(rows, true_in_display_units), text
         ),
-        *table_block("Parameters in numbers", PARAMETERS_TABLE.with_rows(rows), note=note, is_foldable=False),
+        *table_blocks("Parameters in numbers", PARAMETERS_TABLE.with_rows(rows), note=note, is_foldable=False),
     ]
     if len(content.parameter_covariance) == len(rows) and len(rows) > 1:
         covariance = np.array(content.parameter_covariance)
@@ -347,12 +347,12 @@ def _criteria_blocks(content: Calibration) -> list[TableBlock]:
     text = "Disagreement of the stations in distances between reflectors and in their coordinates."
     table = content.criteria.criteria_table()
     is_compared = any("after" in heading for heading in table.headings)
-    return table_block("Criteria before and after calibration" if is_compared else "Criteria", table, note=text)
+    return table_blocks("Criteria before and after calibration" if is_compared else "Criteria", table, note=text)
 
 
 def _station_blocks(content: Calibration) -> list[TableBlock]:
     entries = [(s.name, s.position_mm, s.sigma_position_mm or (None,) * 3) for s in content.stations]
-    return coordinates_table("Stations", entries, note=f"Axes: {content.frame or 'those of the first station'}.")
+    return coordinates_tables("Stations", entries, note=f"Axes: {content.frame or 'those of the first station'}.")
 
 
 def calibrated_workshop(

@@ -31,7 +31,7 @@ from ltsim.reports.document_model import (
     Section,
     TableBlock,
     assessment_of,
-    table_block,
+    table_blocks,
 )
 from ltsim.reports.figures.campaign import (
     PUBLISHED_CRITERIA,
@@ -92,9 +92,9 @@ def campaign_section(folder: Path) -> Section:
     distribution_blocks = _distribution_figures(results, published_values)
     open_blocks = [
         *_improvement_figures(results, summaries, published_values),
-        *_varying_factors_table(results),
+        *_varying_factors_tables(results),
     ] or distribution_blocks[:1]
-    open_blocks += _means_by_level_table(results, summaries)
+    open_blocks += _means_by_level_tables(results, summaries)
     comparison = MethodComparison.from_results(results, summaries)
     open_blocks[1:1] = _error_tables(results, summaries)
     open_blocks[:0] = comparison.blocks() if comparison else []
@@ -199,17 +199,17 @@ def _key_figures(
     return facts + coverage_key_figures(manifest, z_scores)
 
 
-def _varying_factors_table(results: CampaignResults) -> list[Block]:
+def _varying_factors_tables(results: CampaignResults) -> list[Block]:
     table_rows = []
     for factor in results.factors:
         values = list(dict.fromkeys(factor.level_text(level[factor.name]) for level in results.levels))
         shown = values if len(values) <= MAX_LISTED_LEVELS else [values[0], "...", values[-1]]
         meaning = key_description(factor.keys[0]).replace("`", "")
         table_rows.append([factor_axis_title(factor), ", ".join(shown), ", ".join(factor.keys), meaning])
-    return [*table_block("What was varied", FACTORS_TABLE.with_rows(table_rows))]
+    return [*table_blocks("What was varied", FACTORS_TABLE.with_rows(table_rows))]
 
 
-def _means_by_level_table(
+def _means_by_level_tables(
     results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]
 ) -> list[TableBlock]:
     """Means over the settings with the same level of a factor, if there are more than `MAX_CELL_ROWS` settings."""
@@ -222,7 +222,7 @@ def _means_by_level_table(
                 key = factor_axis_title(factor), factor.level_text(results.levels[s.cell][factor.name]), s.method, name
                 means_by_level.setdefault(key, []).append(s.mean)
     table_rows = [[*key, sum(m) / len(m), min(m), max(m)] for key, m in means_by_level.items()]
-    return table_block("Means over the settings of a level", MEANS_BY_LEVEL_TABLE.with_rows(table_rows))
+    return table_blocks("Means over the settings of a level", MEANS_BY_LEVEL_TABLE.with_rows(table_rows))
 
 
 def _improvement_figures(
@@ -309,7 +309,7 @@ def _error_tables(results: CampaignResults, summaries: Mapping[str, list[Statist
         point_kind = "new point" if share.startswith("new_point") else "point"
         note = f"Raw: {_column_meaning(ratio_columns(share)[0])}. Share removed: {_column_meaning(share)}. "
         note += "Noise floor: error with the true parameters. In brackets: 95 % interval."
-        blocks += table_block(f"Error of a {point_kind}", ERRORS_TABLE.with_rows(rows), note=note)
+        blocks += table_blocks(f"Error of a {point_kind}", ERRORS_TABLE.with_rows(rows), note=note)
     return blocks
 
 
@@ -342,14 +342,16 @@ def _statistic_tables(
         results, convergence_table.with_columns(" ".join(name for name in convergence_table.header if name != "cell"))
     )
     return [
-        *table_block(f"Statistics ({count_text(len(shown_table.rows), 'row')})", shown_table),
+        *table_blocks(f"Statistics ({count_text(len(shown_table.rows), 'row')})", shown_table),
         CodeBlock("Definitions of the statistics", "\n".join(definitions)),
-        *table_block("Convergence of the trials", convergence_table, note=note, marked_rows=failed),
+        *table_blocks("Convergence of the trials", convergence_table, note=note, marked_rows=failed),
     ]
 
 
 def _settings_table(results: CampaignResults, table: TableOf) -> TableOf:
     """Table of settings with the numbers of the factors as in the campaign file: 0.5 and not 0.5000."""
     factor_names = {f.name for f in results.factors}
-    columns = (replace(c, shown=".6g") if c.name in factor_names and c.kind == "number" else c for c in table.columns)
+    columns = (
+        replace(c, display_format=".6g") if c.name in factor_names and c.kind == "number" else c for c in table.columns
+    )
     return replace(table, columns=tuple(columns))

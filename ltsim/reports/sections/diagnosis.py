@@ -13,7 +13,7 @@ from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAI
 from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.core.errors import ModelError
 from ltsim.core.notation import MISSING_TEXT, number_text
-from ltsim.core.probability import p_text, two_sided
+from ltsim.core.probability import p_text, two_sided_p_value
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import (
     DIAGNOSED_TARGETS_TABLE,
@@ -38,18 +38,18 @@ from ltsim.reports.document_model import (
     Section,
     TableBlock,
     assessment_of,
-    entries_table,
-    table_block,
+    entries_table_blocks,
+    table_blocks,
 )
 from ltsim.reports.formatting import as_sentence, count_text, listing
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.network import (
     AdjustmentPair,
     adjustment_pair_if_possible,
-    determined_table,
+    determined_tables,
     residuals_over_covariates,
     scene_block,
-    target_table,
+    target_tables,
     truth_in_folder,
 )
 from ltsim.reports.sections.truth_comparison import effect_place_text, truth_blocks
@@ -96,7 +96,7 @@ def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
     n_lead_blocks = len(blocks)
     for finding_number, finding in enumerate(content.findings, start=1):
         blocks += _finding_blocks(finding, finding_number, as_sentence(content.summary), adjustments, (before, after))
-    blocks += target_table(
+    blocks += target_tables(
         context.companion_file(DIAGNOSED_TARGETS_TABLE.file, content), note="Adjusted with the findings in the model."
     )
     model_text = ", with the findings in the model" if content.findings else ""
@@ -104,17 +104,17 @@ def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
         blocks.append(
             NoteBlock(f"Most significant constants of the instruments{model_text}", f"{'; '.join(constants)}.")
         )
-    blocks += _undetectable_table(content)
+    blocks += _undetectable_tables(content)
     n_open_blocks = len(blocks)
-    blocks += _fit_table(content)
+    blocks += _fit_tables(content)
     if after is not None and adjustments is not None:
         blocks += residuals_over_covariates(after)
     for entry in content.instruments:
         name = f" of {entry.name}" if entry.name else ""
         title = f"Constants{name}{model_text}"
-        blocks += entries_table(title, entry.parameters, "name=constant", "value+-sigma", "unit")
-        blocks += determined_table(f"Determined combinations{name}", entry.determined)
-    blocks += _detectable_size_table(content)
+        blocks += entries_table_blocks(title, entry.parameters, "name=constant", "value+-sigma", "unit")
+        blocks += determined_tables(f"Determined combinations{name}", entry.determined)
+    blocks += _detectable_size_tables(content)
     recording_title = (recording.setup.title if recording else "") or (
         content.recording.title if content.recording else ""
     )
@@ -209,7 +209,7 @@ def _key_figures(content: Diagnosis) -> list[KeyFigure]:
     verdict = assessment_of(content.verdict == "consistent")
     facts = [
         KeyFigure("findings", str(len(content.findings)), verdict),
-        KeyFigure("global test, two-sided p", p_text(None if p_value is None else two_sided(p_value))),
+        KeyFigure("global test, two-sided p", p_text(None if p_value is None else two_sided_p_value(p_value))),
     ]
     if test.search_p_value is not None:
         facts.append(KeyFigure("whole search, p", p_text(test.search_p_value)))
@@ -280,7 +280,7 @@ def _finding_blocks(
         f"probability: {100 * evidence.probability:.3g} %",
         *(f"alternative: {effect_text(e.effect)}, {100 * e.probability:.2g} %" for e in finding.equivalents),
     ]
-    blocks += entries_table(
+    blocks += entries_table_blocks(
         f"Finding {finding_number} in figures", renamed_parameters, "name=parameter", "value+-sigma", "unit"
     )
     return [*blocks, BulletListBlock(f"Evidence of finding {finding_number}", lines)]
@@ -361,15 +361,15 @@ def _place_text(scope: FindingScope) -> str:
     return ", ".join(place_texts) or "everywhere"
 
 
-def _fit_table(content: Diagnosis) -> list[TableBlock]:
+def _fit_tables(content: Diagnosis) -> list[TableBlock]:
     note = (
         "Held-out error: 5-fold cross-validated prediction error, divided by the declared noise (or by the estimated "
         "noise if this is larger). The noise alone gives 1."
     )
-    return table_block("Fit before and after", content.table("fit"), note=note)
+    return table_blocks("Fit before and after", content.table("fit"), note=note)
 
 
-def _undetectable_table(content: Diagnosis) -> list[TableBlock]:
+def _undetectable_tables(content: Diagnosis) -> list[TableBlock]:
     """Table of undetectable effects that cause relevant errors of targets, the largest error first."""
     relevant = [
         u
@@ -384,15 +384,15 @@ def _undetectable_table(content: Diagnosis) -> list[TableBlock]:
     cures = " or ".join(dict.fromkeys(u.cure for u in largest_first if u.cure))
     note = "Poses, targets and instrument constants absorb these effects at a plausible worst-case size."
     note += f" To detect them: {cures}." if cures else ""
-    return table_block("Undetectable in this recording", table, note=note)
+    return table_blocks("Undetectable in this recording", table, note=note)
 
 
-def _detectable_size_table(content: Diagnosis) -> list[TableBlock]:
+def _detectable_size_tables(content: Diagnosis) -> list[TableBlock]:
     """Table of the smallest detectable sizes of effects."""
     note = (
         "Size at which a diagnosis reports a mismatch in about 80 % of the recordings of this network, for the median "
         "place. To name the effect, a larger size may be necessary."
     )
-    return entries_table(
+    return entries_table_blocks(
         "Smallest detectable size", content.detectable, "effect", "parameter", "size", "unit", note=note
     )

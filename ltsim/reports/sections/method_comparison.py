@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from ltsim.campaigns.schema import METHOD_DIFFERENCES_TABLE, find_column
 from ltsim.core.notation import number_text
-from ltsim.reports.document_model import TableBlock, table_block
+from ltsim.reports.document_model import TableBlock, table_blocks
 from ltsim.reports.figures.campaign_factors import cell_descriptions
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class MethodComparison:
         label = f"{self.label[0].upper()}{self.label[1:]}"
         note = f"{label}: {meaning}. The errors of each trial with both methods are subtracted."
         table = METHOD_DIFFERENCES_TABLE.with_rows(table_rows)
-        return table_block(f"Which method is better: {self.label}", table, note=note)
+        return table_blocks(f"Which method is better: {self.label}", table, note=note)
 
 
 def _difference_text(method: str, differences: Sequence[PairedDifference]) -> str:

@@ -13,9 +13,9 @@ from ltsim.calibration.combinations import UNDETERMINED_TABLE, DeterminedEntry, 
 from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import STATION_COORDINATES_TABLE
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import ConvergenceError, NetworkError, is_installed, missing_extra
+from ltsim.core.errors import ConvergenceError, NetworkError, is_installed, missing_extra_error
 from ltsim.core.notation import MISSING_TEXT, listing, number_text
-from ltsim.core.probability import p_text, two_sided
+from ltsim.core.probability import p_text, two_sided_p_value
 from ltsim.core.results import Table, number_columns, text_columns
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings import Recording, read
@@ -32,8 +32,8 @@ from ltsim.reports.document_model import (
     TableBlock,
     WorkshopDetail,
     assessment_of,
-    entries_table,
-    table_block,
+    entries_table_blocks,
+    table_blocks,
 )  # fmt: skip
 from ltsim.reports.formatting import count_text, duration_text, global_test_verdict, natural_sort_key
 from ltsim.reports.residuals import DEFAULT_COVARIATES, Residuals
@@ -124,7 +124,7 @@ def workshop_blocks(make_scene: Callable[[], WorkshopScene], detail: WorkshopDet
 def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
     """3D view of a workshop with its interactive page; a note if the packages for 3D views are missing."""
     if not is_installed("pyvista"):
-        return NoteBlock("No 3D view", str(missing_extra("3D views", "view")))
+        return NoteBlock("No 3D view", str(missing_extra_error("3D views", "view")))
     from ltsim.reports.scene_page import scene_picture_and_page  # slow to import
     from ltsim.reports.style import webp_data_uri
 
@@ -138,33 +138,35 @@ def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
     return SceneBlock("The workshop in 3D", webp_data_uri(picture), caption, page)
 
 
-def undetermined_table(
+def undetermined_tables(
     title: str, undetermined_entries: Sequence[UndeterminedEntry], *, note: str = ""
 ) -> list[TableBlock]:
     """Table of undetermined combinations of parameters, with the measurement that determines each."""
     table_rows = [
         [entry.text, entry.cure, None if entry.gain is None else 100 * entry.gain] for entry in undetermined_entries
     ]
-    return table_block(title, UNDETERMINED_TABLE.with_rows(table_rows), note=note)
+    return table_blocks(title, UNDETERMINED_TABLE.with_rows(table_rows), note=note)
 
 
-def determined_table(title: str, determined_entries: Sequence[DeterminedEntry]) -> list[TableBlock]:
+def determined_tables(title: str, determined_entries: Sequence[DeterminedEntry]) -> list[TableBlock]:
     """Table of combinations of parameters that are determined far better than the single parameters."""
     note = "The combination is determined far better than its single parameters."
-    return entries_table(title, determined_entries, "text=combination", "instrument", "value+-sigma", "unit", note=note)
+    return entries_table_blocks(
+        title, determined_entries, "text=combination", "instrument", "value+-sigma", "unit", note=note
+    )
 
 
-def target_table(file: Path | None, *, note: str) -> list[TableBlock]:
+def target_tables(file: Path | None, *, note: str) -> list[TableBlock]:
     """List with the table of coordinates in a `targets.csv`, with expanded uncertainties; empty without a file."""
     if file is None:
         return []
     names, points, sigma = read_targets(file)
     order = sorted(range(len(names)), key=lambda i: natural_sort_key(names[i]))
     entries = [(names[i], (1e3 * points[i]).tolist(), (1e3 * sigma[i]).tolist()) for i in order]
-    return coordinates_table("Targets", entries, note=note, is_foldable=False)
+    return coordinates_tables("Targets", entries, note=note, is_foldable=False)
 
 
-def coordinates_table(
+def coordinates_tables(
     title: str,
     entries: Sequence[tuple[str, Sequence[float | None], Sequence[float | None]]],
     *,
@@ -182,7 +184,7 @@ def coordinates_table(
     if exact:
         verb, pronoun = ("have", "they define") if len(exact) > 1 else ("has", "it defines")
         note += f" {listing(exact, 4)} {verb} no U in coordinates that are exact, because {pronoun} the frame."
-    return table_block(title, STATION_COORDINATES_TABLE.with_rows(table_rows), note=note, is_foldable=is_foldable)
+    return table_blocks(title, STATION_COORDINATES_TABLE.with_rows(table_rows), note=note, is_foldable=is_foldable)
 
 
 def target_uncertainty_sentence(sigma: Floats) -> str:
@@ -218,7 +220,7 @@ def recording_section(folder: Path, *, detail: WorkshopDetail = "turn", is_brief
         KeyFigure("pointings", str(len(recording))),
         KeyFigure("known lengths", str(len(recording.gauge.distance))),
     ]
-    last_blocks: list[Block] = [*_work_table(recording), _settings_block(folder)]
+    last_blocks: list[Block] = [*_work_tables(recording), _settings_block(folder)]
     try:
         without_parameters, with_parameters = adjustment_pair(recording)
     except (NetworkError, ConvergenceError) as problem:
@@ -231,7 +233,7 @@ def recording_section(folder: Path, *, detail: WorkshopDetail = "turn", is_brief
         KeyFigure(
             "sigma0", f"{np.sqrt(with_parameters.chi2 / max(with_parameters.dof, 1)):.3f}", assessment_of(agrees)
         ),
-        KeyFigure("p, two-sided", p_text(two_sided(with_parameters.p_value)), assessment_of(agrees)),
+        KeyFigure("p, two-sided", p_text(two_sided_p_value(with_parameters.p_value)), assessment_of(agrees)),
         KeyFigure("outliers", str(len(flagged_readings)), "bad" if flagged_readings else "plain"),
     ]
     workshop = (
@@ -267,7 +269,7 @@ def _recording_size_sentence(recording: Recording) -> str:
     )
 
 
-def _work_table(recording: Recording) -> list[TableBlock]:
+def _work_tables(recording: Recording) -> list[TableBlock]:
     table_rows = []
     for s, name in enumerate(recording.stations):
         is_at_station = recording.station == s
@@ -278,7 +280,7 @@ def _work_table(recording: Recording) -> list[TableBlock]:
         )
         start_text = duration_text(float(recording.time[is_at_station].min())) if recording.has_clock else MISSING_TEXT
         table_rows.append([name, *map(int, counts), int((~recording.is_measured[is_at_station]).sum()), start_text])
-    return table_block("Work of each station", STATION_WORK_TABLE.with_rows(table_rows))
+    return table_blocks("Work of each station", STATION_WORK_TABLE.with_rows(table_rows))
 
 
 def _settings_block(folder: Path) -> Block:

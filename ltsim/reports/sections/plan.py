@@ -19,10 +19,10 @@ from ltsim.reports.document_model import (
     ReportContext,
     Section,
     assessment_of,
-    table_block,
+    table_blocks,
 )
 from ltsim.reports.formatting import QUALITY_MEASURES, duration_text, tracker_presets_text
-from ltsim.reports.sections.network import scene_block, undetermined_table
+from ltsim.reports.sections.network import scene_block, undetermined_tables
 from ltsim.simulation.scenario import Scenario, load_scenario
 
 
@@ -35,7 +35,7 @@ def plan_section(content: Plan, context: ReportContext) -> Section:
         When a file is malformed.
     """
     frame = f"{content.frame[:1].upper()}{content.frame[1:]}." if content.frame else ""
-    blocks: list[Block] = [*table_block("Places of the tripod", content.table("stations"), note=frame)]
+    blocks: list[Block] = [*table_blocks("Places of the tripod", content.table("stations"), note=frame)]
     scenario_file = context.companion_file("scenario.toml", content)
     scenario = None if scenario_file is None else load_scenario(scenario_file)
     layout_pictures, change_pictures = _layout_pictures(content, scenario, has_3d_view=context.detail == "turn")
@@ -44,14 +44,14 @@ def plan_section(content: Plan, context: ReportContext) -> Section:
         blocks.append(BulletListBlock("Blocked lines of sight", content.blocked_sights))
     if content.reasons:
         blocks.append(BulletListBlock("Reasons for this plan", content.reasons))
-    blocks += _tolerance_tables(content) + _reflector_changes_table(content) + change_pictures
+    blocks += _tolerance_tables(content) + _reflector_changes_blocks(content) + change_pictures
     blocks += _trade_off_picture(content) + _parameter_picture(content)
-    blocks += table_block("Expected disagreement of the stations", content.table("expected"))
-    blocks += undetermined_table("Not determined by this layout", content.undetermined)
+    blocks += table_blocks("Expected disagreement of the stations", content.table("expected"))
+    blocks += undetermined_tables("Not determined by this layout", content.undetermined)
     blocks += _effect_tables(content)
     note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
     points = content.table("reflectors").with_columns("target x_mm y_mm z_mm U_x_um U_y_um U_z_um visible_from")
-    blocks += table_block("Points", points, note=note)
+    blocks += table_blocks("Points", points, note=note)
     if content.bodies:
         blocks.append(BulletListBlock("Bodies in the hall", content.bodies))
     blocks.append(CodeBlock("Settings of the plan", content.settings.model_dump_json(indent=1)))
@@ -72,17 +72,17 @@ def _tolerance_tables(content: Plan) -> list[Block]:
     level = content.settings.goal.level_pct
     missed_rows = frozenset(i for i, is_met in enumerate(tolerance_table.column("met")) if not is_met)
     blocks: list[Block] = [
-        *table_block(f"Points against their tolerances, at {level:g} %", tolerance_table, marked_rows=missed_rows)
+        *table_blocks(f"Points against their tolerances, at {level:g} %", tolerance_table, marked_rows=missed_rows)
     ]
-    return [*blocks, *table_block("Loss of a station or a sight", content.table("losses"))]
+    return [*blocks, *table_blocks("Loss of a station or a sight", content.table("losses"))]
 
 
-def _reflector_changes_table(content: Plan) -> list[Block]:
+def _reflector_changes_blocks(content: Plan) -> list[Block]:
     """Table of the reflectors to move, to add or to omit; a note if no such change improves the plan."""
     title, changes = "Reflectors to move, to add or to omit", content.table("changes")
     if not changes.rows:
         return [NoteBlock(title, content.changes_summary)] if content.changes_summary else []
-    return [*table_block(title, changes, note=content.changes_summary)]
+    return [*table_blocks(title, changes, note=content.changes_summary)]
 
 
 def _key_figures(content: Plan) -> list[KeyFigure]:
@@ -155,7 +155,7 @@ def _trade_off_picture(content: Plan) -> list[Block]:
     objective = "point_error_um" if any(alternatives.column("point_error_um")) else "value"
     shown_columns = alternatives.with_columns(f"stations faces repeats pointings hours {objective} efficient")
     note = "A smaller objective is better."
-    return [*blocks, *table_block("Alternatives: stations, faces and rounds", shown_columns, note=note)]
+    return [*blocks, *table_blocks("Alternatives: stations, faces and rounds", shown_columns, note=note)]
 
 
 def _parameter_picture(content: Plan) -> list[Block]:
@@ -172,9 +172,9 @@ def _parameter_picture(content: Plan) -> list[Block]:
 def _effect_tables(content: Plan) -> list[Block]:
     """Blocks on effects: smallest detectable sizes, pairs that are hard to separate, undetectable effects."""
     note = "Size that is detected in 80 % of the recordings of this layout, at the best and at the worst place."
-    blocks: list[Block] = [*table_block("Smallest detectable effects", content.table("effects"), note=note)]
+    blocks: list[Block] = [*table_blocks("Smallest detectable effects", content.table("effects"), note=note)]
     note = "Fraction of the residuals from the first effect that the second effect explains."
-    blocks += table_block("Effects that are hard to separate", content.table("confusable"), note=note)
+    blocks += table_blocks("Effects that are hard to separate", content.table("confusable"), note=note)
     if content.undetectable_effects:
         blocks.append(BulletListBlock("Undetectable effects", content.undetectable_effects))
     return blocks

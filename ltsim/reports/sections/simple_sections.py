@@ -12,9 +12,9 @@ from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.calibration.calibration_series import ChangeEntry
 from ltsim.calibration.events import MIN_STEPS_FOR_TEST, MIN_STEPS_TO_CALL_USUAL, EventEntry
 from ltsim.calibration.history import History
-from ltsim.core.errors import option
+from ltsim.core.errors import option_text
 from ltsim.core.notation import number_text
-from ltsim.core.probability import format_p, p_text
+from ltsim.core.probability import p_relation_text, p_text
 from ltsim.measurands.comparison import DISPLACEMENTS_TABLE, Comparison
 from ltsim.measurands.uncertainty import Uncertainty
 from ltsim.physics.effects import effect_title, parameter_text
@@ -30,8 +30,8 @@ from ltsim.reports.document_model import (
     ReportContext,
     Section,
     assessment_of,
-    entries_table,
-    table_block,
+    entries_table_blocks,
+    table_blocks,
 )
 from ltsim.reports.formatting import as_sentence, count_text, distinct_labels, duration_text, listing, natural_sort_key
 
@@ -46,7 +46,7 @@ ASSESSMENT_BY_JUDGEMENT: dict[Judgement, Assessment] = {"accepted": "good", "rej
 MAX_ZERO_CONSTANT = 1e-6
 """Largest absolute value of an instrument constant, in the unit of the constant, that is not printed."""
 UNCERTAINTY_NOTE = (
-    "U: expanded uncertainty; mc: limits of the Monte Carlo interval, to be used if it does not agree with U "
+    "U: expanded uncertainty; mc: limits of the Monte Carlo interval; they replace U if the two do not agree "
     "(JCGM 101, clause 8)."
 )
 """Note below a table of expanded uncertainties."""
@@ -75,13 +75,15 @@ ACTIONS_BY_FAILED_TEST = {
 def check_section(content: Check, context: ReportContext) -> Section:
     """Section of a field check: go or no-go, and every test."""
     picture_file = context.companion_file("check.svg", content)
-    caption = "Above: half two-face differences over their limits. Below: misfit of each pointing over time."
+    caption = "Above: half two-face differences divided by their limits. Below: misfit of each pointing over time."
     blocks: list[Block] = (
         [] if picture_file is None else [PictureBlock("At a glance", lambda: picture_file.read_text("utf-8"), caption)]
     )
     fields = ("station", "kind=test", "sentence=result", "targets", "p_value")
     for title, passed in (("Tests failed", False), ("Tests passed", True)):
-        blocks += entries_table(title, [i for i in content.items if i.passed is passed], *fields, is_foldable=False)
+        blocks += entries_table_blocks(
+            title, [i for i in content.items if i.passed is passed], *fields, is_foldable=False
+        )
     failed = sum(not item.passed for item in content.items)
     facts = [KeyFigure("tests", str(len(content.items))), KeyFigure("failed", str(failed), assessment_of(not failed))]
     blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and picture_file else blocks
@@ -129,7 +131,7 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
     shown_table = DISPLACEMENTS_TABLE.with_rows(d.row for d in points).with_columns(
         "target moved dx_um dy_um dz_um a_um detectable_um p_value"
     )
-    table = table_block(
+    table = table_blocks(
         "Every point", shown_table, note=note, marked_rows=frozenset(range(len(moved_targets))), is_foldable=False
     )
     facts = [
@@ -142,7 +144,7 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
     picture = PictureBlock("Displacements", lambda: figures.points.displacement_figure(content), caption)
     action = f"Inspect and re-measure these points before you use them as references: {listing(moved_targets)}."
     if content.is_rigid_motion:
-        action = f"If the lists are in different frames, compare them with {option('free=True')}."
+        action = f"If the lists are in different frames, compare them with {option_text('free=True')}."
     return Section(
         "Comparison of two epochs", "Comparison", answer, assessment_of(not moved_targets), facts, [picture, *table],
         axes_text="those of the first epoch", next_actions=[action] if moved_targets else [],
@@ -153,23 +155,23 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     """Section of acceptance tests."""
     predicted = content.kind == "predicted"
     assessment = (
-        assessment_of(content.passes >= MIN_PASS_PROBABILITY)
-        if content.passes is not None
+        assessment_of(content.pass_probability >= MIN_PASS_PROBABILITY)
+        if content.pass_probability is not None
         else ASSESSMENT_BY_JUDGEMENT[content.judgement or "undecided"]
     )
     caption = "Error of each test divided by its limit, with its expanded uncertainty; the limit is at +-1. "
     caption += "Crosses are beyond it" + ("." if predicted else ", open circles are undecided.")
     note = f"Assumed: {content.assumption}." if content.assumption else ""
-    hardest_tests = sorted(content.tests, key=lambda t: t.ease)[:MAX_LISTED_TESTS]
-    last_column = "passes" if predicted else "judgement"
+    hardest_tests = sorted(content.tests, key=lambda t: t.hardest_first_key)[:MAX_LISTED_TESTS]
+    last_column = "pass_probability" if predicted else "judgement"
     blocks: list[Block] = [
         PictureBlock("Errors over limits", lambda: figures.points.error_to_limit_figure(content), caption),
-        *table_block("Groups", content.table("groups"), note=note),
-        *entries_table(
+        *table_blocks("Groups", content.table("groups"), note=note),
+        *entries_table_blocks(
             "The hardest tests", hardest_tests, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um",
             last_column, is_marked=lambda t: t.judgement == "rejected",
         ),
-        *entries_table(
+        *entries_table_blocks(
             "Sensitivity of the tests to single constants", content.sensitivities, "name=constant",
             "prior_sigma=usual size", "smallest_failing=detected from", "unit", "test=first failed test",
         ),
@@ -193,7 +195,7 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
         KeyFigure("tests", str(len(content.tests))),
         KeyFigure("judgement", content.judgement, assessment)
         if content.judgement
-        else KeyFigure("probability to pass", f"{100 * (content.passes or 0.0):.1f} %", assessment),
+        else KeyFigure("probability to pass", f"{100 * (content.pass_probability or 0.0):.1f} %", assessment),
         KeyFigure("plan", content.plan),
         *([KeyFigure("limits", content.specification.name)] if content.specification.name else []),
     ]
@@ -217,16 +219,16 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
     results = content.table("results").with_columns(
         "task result unit value U mc_low mc_high agrees judgement largest_source"
     )
-    blocks: list[Block] = [*table_block("Results", results, note=UNCERTAINTY_NOTE, is_foldable=False)]
-    blocks += table_block("Conformity (JCGM 106)", content.table("conformity"))
+    blocks: list[Block] = [*table_blocks("Results", results, note=UNCERTAINTY_NOTE, is_foldable=False)]
+    blocks += table_blocks("Conformity (JCGM 106)", content.table("conformity"))
     caption = "Contributions to the variance of each result; improve the source with the widest bar."
     blocks.append(PictureBlock("Budget", lambda: uncertainty_budget_figure(content), caption))
-    blocks += table_block("Undetectable errors", content.table("hidden"), note=UNDETECTABLE_NOTE)
+    blocks += table_blocks("Undetectable errors", content.table("hidden"), note=UNDETECTABLE_NOTE)
     blocks += [BulletListBlock("Warnings", content.warnings)] if content.warnings else []
     fields = ("source", "type", "standard_uncertainty=sigma", "share=fraction of the variance")
     for r in content.results:
         head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
-        blocks += entries_table(head, [part for part in r.budget if part.share > 1e-3], *fields)
+        blocks += entries_table_blocks(head, [part for part in r.budget if part.share > 1e-3], *fields)
     result_texts_by_judgement = {w: [r.text for r in judged_results if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
     answer = (
@@ -268,7 +270,7 @@ def _site_sentence(content: NextMeasurement) -> str:
     sentence = (
         "A recording contains no floor, bodies or blocked lines of sight: check each proposed station against the "
     )
-    return f"{sentence}hall, or name its plan with {option('site')}."
+    return f"{sentence}hall, or name its plan with {option_text('site')}."
 
 
 def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Section:
@@ -276,7 +278,7 @@ def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Sect
     best_proposal = content.proposals[0]
     assessment = assessment_of(best_proposal.distinguishes_all) if content.between else "plain"
     reductions = [100 * (1 - factor) for factor in (best_proposal.sigma_ratio, best_proposal.most_improved_ratio)]
-    answer = f"Measure next: {best_proposal.do} ({duration_text(60 * best_proposal.minutes)}); "
+    answer = f"Measure next: {best_proposal.action} ({duration_text(60 * best_proposal.minutes)}); "
     answer += (
         f"the standard deviations of the instrument's parameters fall by {reductions[0]:.0f} % on average, "
         f"of the {parameter_text(best_proposal.most_improved_parameter)} by {reductions[1]:.0f} %."
@@ -290,20 +292,20 @@ def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Sect
         for entry in content.proposals
     ]
     proposals = PROPOSALS_TABLE.with_rows(in_words).with_columns(
-        "do minutes sigma_ratio most_improved_parameter most_improved_ratio"
+        "action minutes sigma_ratio most_improved_parameter most_improved_ratio"
     )
     note = f"{note} {_site_sentence(content)}".rstrip()
-    blocks: list[Block] = [*table_block("Further measurements, the best first", proposals, note=note)]
+    blocks: list[Block] = [*table_blocks("Further measurements, the best first", proposals, note=note)]
     if content.between:
         effect = effect_title(content.between[0])
         explanation = f"The larger the chi2, the more reliably {effect} is separated from the alternative."
-        blocks += table_block("Separation of the alternatives", content.table("separation"), note=explanation)
+        blocks += table_blocks("Separation of the alternatives", content.table("separation"), note=explanation)
     blocks += [NoteBlock("Diagnosis of the recording", content.diagnosis)] if content.diagnosis else []
     facts = [
         KeyFigure("time for it", duration_text(60 * best_proposal.minutes)),
         KeyFigure("mean fall of sigma", f"{reductions[0]:.0f} %"),
     ]
-    actions = [as_sentence(proposal.do) for proposal in content.proposals[:1]]
+    actions = [as_sentence(proposal.action) for proposal in content.proposals[:1]]
     return Section("What to measure next", "Next measurement", answer, assessment, facts, blocks, next_actions=actions)
 
 
@@ -322,18 +324,19 @@ def history_section(content: History, _: ReportContext) -> Section:
     few_calibrations_sentence = (
         f" {len(labels)} calibrations are too few to estimate the usual changes of the instrument: {limitation}."
     )
-    note = "Marked: p < 1 % for such differences without a change." + few_calibrations_sentence * (
-        not knows_usual_changes
+    note = (
+        "Marked: without a change, such differences occur with a probability below 1 %."
+        + few_calibrations_sentence * (not knows_usual_changes)
     )
     fits_note = "Where sigma0 is significantly above 1, the sigmas of that calibration are multiplied by it."
     change_table = content.table("changes")
     significant_rows = frozenset(i for i, p in enumerate(change_table.column("p_value")) if p < FAMILY_WISE_LEVEL)
     blocks: list[Block] = [
-        *table_block("Changes between calibrations", change_table, note=note, marked_rows=significant_rows),
+        *table_blocks("Changes between calibrations", change_table, note=note, marked_rows=significant_rows),
         *course,
-        *table_block("Events: unusual steps", content.table("events")),
-        *table_block("Parameters", content.table("parameters")),
-        *table_block("Fits of the calibrations", content.table("fits"), note=fits_note),
+        *table_blocks("Events: unusual steps", content.table("events")),
+        *table_blocks("Parameters", content.table("parameters")),
+        *table_blocks("Fits of the calibrations", content.table("fits"), note=fits_note),
     ]
     facts = [
         KeyFigure("calibrations", str(len(labels))),
@@ -341,7 +344,7 @@ def history_section(content: History, _: ReportContext) -> Section:
         KeyFigure("p of no change since the first", p_text(since.p_value), assessment_of(not has_changed)),
     ]
     answer = f"Over {count_text(len(labels), 'calibration')} from {since.from_} to {since.to} the instrument "
-    answer += _course_sentence(content, knows_usual_changes)
+    answer += _change_summary_sentence(content, knows_usual_changes)
     return Section("History of an instrument", "History", answer, assessment_of(not has_changed), facts, blocks)
 
 
@@ -363,13 +366,13 @@ def _with_short_labels(content: History) -> History:
     )
 
 
-def _course_sentence(content: History, knows_usual_changes: bool) -> str:
+def _change_summary_sentence(content: History, knows_usual_changes: bool) -> str:
     """End of the summary of a history: events, or changes since the first calibration.
 
     `knows_usual_changes` is True if there are enough calibrations to compare with the usual changes of the instrument.
     """
     since, events = content.since_first, content.events
-    tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {format_p(since.p_value)})"
+    tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {p_relation_text(since.p_value)})"
     if events:
         steps = listing(list(dict.fromkeys(f"between {e.from_} and {e.to}" for e in events)))
         names = listing(list(dict.fromkeys(e.name for e in events)))

@@ -18,7 +18,7 @@ from ltsim.physics.effects import effect_title, parameter_text
 from ltsim.physics.effects.verbs import make_effect
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.reports import figures
-from ltsim.reports.document_model import Block, PictureBlock, table_block
+from ltsim.reports.document_model import Block, PictureBlock, table_blocks
 from ltsim.reports.formatting import listing, typographic_text
 from ltsim.reports.residuals import OBSERVABLE_UNITS
 from ltsim.reports.sections.network import AdjustmentPair
@@ -52,7 +52,7 @@ def truth_blocks(content: Diagnosis, truth: Truth, adjustments: AdjustmentPair |
         for row in _injected_and_finding_rows(injected, finding)
     ]
     note = "Injected values are from truth.json, which the diagnosis does not read; estimates +- one sigma."
-    table = table_block("Injected and diagnosed", INJECTED_TABLE.with_rows(table_rows), note=note)
+    table = table_blocks("Injected and diagnosed", INJECTED_TABLE.with_rows(table_rows), note=note)
     return [*_injected_and_estimated_curves(content, truth.applied_effects[0], adjustments), *table]
 
 

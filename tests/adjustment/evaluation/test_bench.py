@@ -23,9 +23,11 @@ SAMPLE = ROOT / "docs" / "how-to" / "reflector.csv"
 def written(path: Path, bench: BenchTest, seed: int) -> Path:
     """A test done once, as a table; lengths from 250 um."""
     record = measure_bench(bench, seed)
-    lengths = dict(zip(np.round(record.angles / DEGREE, 3), record.lengths / MICROMETRE + 250.0, strict=True))
-    rows = zip(np.round(record.probe_angles / DEGREE, 3), record.displacements / MICROMETRE, strict=True)
-    path.write_text(BENCH_TABLE.with_rows([a, lengths.get(a, np.nan), p] for a, p in rows).csv())
+    lengths = dict(
+        zip(np.round(record.table_angles_of_lengths / DEGREE, 3), record.lengths / MICROMETRE + 250.0, strict=True)
+    )
+    rows = zip(np.round(record.table_angles_of_probe / DEGREE, 3), record.displacements / MICROMETRE, strict=True)
+    path.write_text(BENCH_TABLE.with_rows([a, lengths.get(a, np.nan), p] for a, p in rows).csv_text())
     return path
 
 
@@ -34,11 +36,11 @@ def test_the_table_comes_back_within_its_uncertainty(tmp_path: Path) -> None:
     bench = BenchTest(eccentricity=np.array([4e-6, -11e-6]), probe_angles=turns)
     true = (np.array(PAPER_RANGE_ERRORS) - PAPER_RANGE_ERRORS[MIDDLE]) / MICROMETRE
     found = lt.bench(written(tmp_path / "reflector.csv", bench, 5))
-    error = np.array([row.error_um for row in found.angles]) - true
-    sigma = np.array([row.sigma_um for row in found.angles])
+    error = np.array([row.error_um for row in found.range_errors]) - true
+    sigma = np.array([row.sigma_um for row in found.range_errors])
     assert np.all(np.abs(error) <= 4 * sigma)
     assert abs(found.eccentricity_side.value_um + 11.0) < 4 * found.eccentricity_side.sigma_um
-    assert np.abs([row.as_read_um for row in found.angles] - true).max() > 4.0
+    assert np.abs([row.as_read_um for row in found.range_errors] - true).max() > 4.0
 
 
 def test_the_command_writes_what_it_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.virtual_bench import FULL_TURN, MIDDLE, BenchTest, measure_bench, vertex_table
-from ltsim.adjustment.evaluation.bench import evaluate_bench, fit_vertex_offset
+from ltsim.adjustment.evaluation.bench import evaluate_reflector_bench, fit_vertex_offset
 from ltsim.core.errors import SetupError
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS, TABLE_ANGLES
@@ -38,27 +38,27 @@ def test_the_probe_sees_the_same_point_from_its_own_side() -> None:
 
 
 def test_without_noise_everything_comes_back() -> None:
-    result = evaluate_bench(measure_bench(quiet(eccentricity=np.array([40e-6, 26e-6])), 3))
+    result = evaluate_reflector_bench(measure_bench(quiet(eccentricity=np.array([40e-6, 26e-6])), 3))
     np.testing.assert_allclose(result.eccentricity, [40e-6, 26e-6], atol=1e-14)
     np.testing.assert_allclose(result.range_errors, PAPER, atol=1e-14)
     assert np.abs(result.uncorrected_lengths - PAPER).max() > 10 * MICROMETRE
 
 
 def test_26_um_to_the_side_look_like_13_um_at_30_deg() -> None:
-    result = evaluate_bench(measure_bench(quiet(table=np.zeros(9), eccentricity=np.array([0.0, 26e-6])), 4))
+    result = evaluate_reflector_bench(measure_bench(quiet(table=np.zeros(9), eccentricity=np.array([0.0, 26e-6])), 4))
     assert np.abs(result.uncorrected_lengths).max() == pytest.approx(13 * MICROMETRE, rel=1e-9)
     assert np.abs(result.range_errors).max() < 1e-12
     assert result.run_out == pytest.approx(52 * MICROMETRE, rel=1e-3)
 
 
 def test_lobes_of_the_sphere_do_not_reach_the_table_over_a_full_turn() -> None:
-    result = evaluate_bench(measure_bench(quiet(roundness=2e-6, eccentricity=np.array([5e-6, 8e-6])), 5))
+    result = evaluate_reflector_bench(measure_bench(quiet(roundness=2e-6, eccentricity=np.array([5e-6, 8e-6])), 5))
     np.testing.assert_allclose(result.range_errors, PAPER, atol=1e-12)
 
 
 def test_stated_sigmas_cover_the_spread() -> None:
     bench = BenchTest(eccentricity=np.array([3e-6, -4e-6]), roundness=0.0)
-    results = [evaluate_bench(measure_bench(bench, 6, trial)) for trial in range(400)]
+    results = [evaluate_reflector_bench(measure_bench(bench, 6, trial)) for trial in range(400)]
     spread = np.std([r.range_errors - PAPER for r in results], axis=0)
     stated = np.sqrt(np.mean([r.range_error_sigmas**2 for r in results], axis=0))
     kept = np.arange(9) != MIDDLE

@@ -23,7 +23,7 @@ from ltsim.cli.main import run
 from ltsim.cli.options import ReadingOptions
 from ltsim.cli.terminal import Terminal
 from ltsim.core.errors import NetworkError, RecordError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import ARCSECOND
 from ltsim.physics.effects.motions import exact_change_by_station_motion
 from ltsim.physics.model.construction import misalignment_construction, steering_mirror_construction
@@ -39,7 +39,7 @@ def visits(seed: int, *, stations: int = 1, values: float = 0.0) -> Recording:
     """Both faces of every target, face 1 first, in one mixed order from each station; a pointing every 10 s."""
     errors = values * np.array([p.prior_sigma for p in misalignment_construction().parameters])
     recording, _ = network(faces=2, seed=seed, stations=stations, values=errors)
-    mixed = stream(1, "order").permutation(len(recording.targets))
+    mixed = random_stream(1, "order").permutation(len(recording.targets))
     order = np.lexsort((mixed[recording.target], recording.face, recording.station))
     return recording.select(order).replace(time=10.0 * np.arange(len(recording)), has_clock=True)
 
@@ -115,7 +115,7 @@ def test_a_large_error_of_one_distance_is_gross_and_no_constant_of_the_instrumen
     recording = visits(5)
     front = recording.select(np.flatnonzero(recording.face == 1)[:8])
     again = front.select(np.tile(np.arange(8), rounds))
-    noise = stream(4, "repeated").standard_normal((8 * rounds, 3)) * again.sigma()
+    noise = random_stream(4, "repeated").standard_normal((8 * rounds, 3)) * again.sigma()
     readings = again.readings + noise
     readings[11, 0] -= metres
     again = again.replace(time=10.0 * np.arange(len(again)), repeat=np.arange(len(again)) // 8 + 1)
@@ -212,7 +212,7 @@ def test_scatter_of_a_target_is_no_drift_of_the_station() -> None:
     """Poses of a robot, each watched without a break: they settle and scatter by themselves."""
     one = visits(4).select(np.arange(6))
     poses, shots = np.repeat(np.arange(6), 20), np.tile(np.arange(20), 6)
-    rng = stream(3, "poses")
+    rng = random_stream(3, "poses")
     settling = rng.standard_normal((6, 3))[poses] * (shots / 20)[:, None] * 12
     shaken = rng.standard_normal((120, 3)) * np.array([1, 2, 2, 3, 6, 12])[poses][:, None]
     recording = one.select(poses).replace(repeat=shots + 1, time=10.0 * np.arange(120))
@@ -230,7 +230,9 @@ def test_what_was_not_measured_again_has_no_value() -> None:
     recording = visits(4)
     rows = np.flatnonzero((recording.face == 1) | np.isin(recording.target, [0, 1]))
     for seed in range(4):
-        readings = recording.readings + recording.sigma() * stream(seed, "more").standard_normal((len(recording), 3))
+        readings = recording.readings + recording.sigma() * random_stream(seed, "more").standard_normal(
+            (len(recording), 3)
+        )
         found = check(recording.with_readings(readings).select(rows))
         for item in found.items:
             assert not re.search(r"nan|inf|e\+|\d{4,} \+-|\+- \d{3,}", item.sentence), item.sentence
@@ -283,14 +285,17 @@ def test_scatter_is_judged_on_both_sides() -> None:
     found = check(recording.replace(setup=recording.setup.model_copy(update={"instrument": loud})))
     assert found.passed
     assert any("less than declared" in item.sentence for item in found.items)
-    shaken = recording.readings + stream(1, "shaken").standard_normal(recording.readings.shape) * 4 * recording.sigma()
+    shaken = (
+        recording.readings
+        + random_stream(1, "shaken").standard_normal(recording.readings.shape) * 4 * recording.sigma()
+    )
     assert ("S1", "closure") in kinds(check(recording.with_readings(shaken)))
 
 
 def test_tests_that_pass_state_an_estimated_noise() -> None:
     """2.5 times the declared noise of the angles: what passes does so against the estimated noise, which is stated."""
     recording = network(seed=11, stations=4, faces=2)[0]
-    extra = 2.3 * recording.sigma() * stream(11, "angles").standard_normal((len(recording), 3)) * [0.0, 1.0, 1.0]
+    extra = 2.3 * recording.sigma() * random_stream(11, "angles").standard_normal((len(recording), 3)) * [0.0, 1.0, 1.0]
     found = check(recording.with_readings(recording.readings + extra))
     assert not found.passed
     tests = [item.sentence for item in found.items if "repeated pointings scatter" in item.sentence]
@@ -474,7 +479,7 @@ def test_readings_to_targets_that_scatter_are_told_as_that_and_none_is_gross() -
     """Directions to four targets are ten times as noisy: neither a set-up nor the network blames a pointing of them."""
     for seed in range(5):
         recording = network(faces=2, seed=seed)[0]
-        extra = 10.0 * recording.sigma() * stream(seed, "noisy").standard_normal(recording.readings.shape)
+        extra = 10.0 * recording.sigma() * random_stream(seed, "noisy").standard_normal(recording.readings.shape)
         noisy = recording.readings + np.isin(recording.target, [3, 9, 14, 20])[:, None] * extra * [0.0, 1.0, 1.0]
         found = check(recording.with_readings(noisy), level=0.001)
         failed = [item for item in found.items if not item.passed]

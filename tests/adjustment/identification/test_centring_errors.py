@@ -11,7 +11,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.identification import CauseSelection, FitInput, NetworkFit, cause_tests, select_causes
 from ltsim.adjustment.identification.centring_errors import local_centring_hypotheses
 from ltsim.core.arrays import Floats
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.physics.effects.motions import exact_change_by_displacement
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.centring_errors import CentringUncertainty
@@ -74,7 +74,7 @@ def test_another_reflector_in_every_nest_of_a_set_up(length_mm: float, cause: st
 @pytest.mark.parametrize("sigma_mm", [0.1, 2.0])
 def test_reflectors_of_a_set_up_displaced_at_random(sigma_mm: float) -> None:
     shape = hall()[1].shape
-    selection = identified(displaced(1e-3 * sigma_mm * stream(5, "centring").standard_normal(shape)))
+    selection = identified(displaced(1e-3 * sigma_mm * random_stream(5, "centring").standard_normal(shape)))
     (test,) = (t for t in cause_tests(selection) if t.kind != "outlier")
     assert (test.kind, test.where.stations, test.where.targets) == ("centring", (STATION,), ())
     assert test.estimate == pytest.approx(sigma_mm, rel=0.3)
@@ -83,7 +83,7 @@ def test_reflectors_of_a_set_up_displaced_at_random(sigma_mm: float) -> None:
 def test_one_target_displaced_at_random_at_every_set_up() -> None:
     recording, normal, _ = hall()
     motion = np.zeros((len(recording.stations), *normal.shape))
-    motion[:, 7] = 1e-3 * stream(8, "centring").standard_normal((len(recording.stations), 3))
+    motion[:, 7] = 1e-3 * random_stream(8, "centring").standard_normal((len(recording.stations), 3))
     selection = identified(displaced(motion, station=None))
     (test,) = (t for t in cause_tests(selection) if t.kind != "outlier")
     assert (test.kind, test.where.targets) == ("centring", (recording.targets[7],))
@@ -93,7 +93,7 @@ def test_one_target_displaced_at_random_at_every_set_up() -> None:
 def test_noise_of_a_set_up_is_no_centring_error() -> None:
     recording = hall()[0]
     larger = recording.sigma() * (recording.station == recording.stations.index(STATION))[:, None]
-    noise = 5.0 * larger * stream(9, "noise").standard_normal(larger.shape)
+    noise = 5.0 * larger * random_stream(9, "noise").standard_normal(larger.shape)
     selection = identified(recording.with_readings(recording.readings + noise))
     assert [c.hypothesis.kind for c in selection.selected_hypotheses] == ["noise-level"]
 
@@ -101,7 +101,7 @@ def test_noise_of_a_set_up_is_no_centring_error() -> None:
 def test_declared_centring_errors_are_estimated_with_the_network(tmp_path) -> None:  # type: ignore[no-untyped-def]
     recording, normal, _ = hall()
     shape = len(recording.stations), *normal.shape
-    motion = 5e-4 * stream(10, "centring").standard_normal(shape)
+    motion = 5e-4 * random_stream(10, "centring").standard_normal(shape)
     measured = displaced(motion, station=None)
     declared = CentringUncertainty(sigma_mm=0.5)
     setup = measured.setup.model_copy(update={"centring": (declared,)})
@@ -132,7 +132,7 @@ def test_repeats_that_share_errors_are_no_motion(scatter: float) -> None:
     """Three shots each from one face: their errors are common, and they scatter `scatter` times as much as declared."""
     once, _ = network(seed=21, stations=5, faces=1)
     recording = once.select(np.repeat(np.arange(len(once)), 3))
-    noise = scatter * recording.sigma() * stream(22, "scatter").standard_normal(recording.readings.shape)
+    noise = scatter * recording.sigma() * random_stream(22, "scatter").standard_normal(recording.readings.shape)
     selection = identified(recording.with_readings(recording.readings + noise))
     kinds = [(test.kind, test.where.stations, test.where.targets) for test in cause_tests(selection)]
     assert kinds[0] == ("centring", (), ())
@@ -148,7 +148,7 @@ def test_independent_repeats_share_no_errors() -> None:
 
 def test_displacements_are_fitted_where_a_target_was_not_read() -> None:
     """The numbers of the occupations then have a gap."""
-    recording = displaced(2e-3 * stream(5, "centring").standard_normal(hall()[1].shape))
+    recording = displaced(2e-3 * random_stream(5, "centring").standard_normal(hall()[1].shape))
     readings = recording.readings.copy()
     readings[(recording.station == 1) & (recording.target == 3)] = np.nan
     fit = NetworkFit.from_start(FitInput(recording.with_readings(readings), misalignment_construction()))

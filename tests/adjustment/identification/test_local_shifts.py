@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment.identification.local_shifts import MAX_TRIMMED_FITS, N_REWEIGHTINGS, LocalShift, fit_local_shifts
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 
 PRICE = 8.0
 
@@ -51,7 +51,7 @@ def single(shift: LocalShift) -> tuple[float, np.ndarray]:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_each_shift_of_a_batch_is_fitted_as_alone(seed: int) -> None:
-    rng = stream(seed, "local shifts")
+    rng = random_stream(seed, "local shifts")
     shifts = [shift_of(rng, columns, dependent) for columns in (1, 3, 6) for dependent in (False, columns > 1)] * 3
     shifts += [shift_of(rng, columns) for columns in (6, 1, 3, 2)]
     for shift, (saved, parameters) in zip(shifts, fit_local_shifts(shifts, PRICE), strict=True):
@@ -61,7 +61,7 @@ def test_each_shift_of_a_batch_is_fitted_as_alone(seed: int) -> None:
 
 
 def test_shifts_of_many_readings_are_fitted_in_several_batches() -> None:
-    rng = stream(4, "local shifts")
+    rng = random_stream(4, "local shifts")
     design = rng.standard_normal((MAX_TEMPORARY_ENTRIES // 6, 3, 2))
     residual = design @ [30.0, -10.0]
     large = [LocalShift.from_design(design * scale, residual, np.abs(residual) > 4.0) for scale in (1.0, 2.0, 4.0)]

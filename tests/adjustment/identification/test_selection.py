@@ -31,7 +31,7 @@ from ltsim.adjustment.reference_values import ReferenceValue, reference_values
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.core.units import ARCSECOND
 from ltsim.geometry.rigid import align_robustly, rotation_about_z
 from ltsim.physics.effects.motions import exact_change_by_displacement, exact_change_by_station_motion
@@ -364,7 +364,7 @@ def test_the_occam_factor_is_the_integral_over_all_sizes() -> None:
 
 
 def test_a_variance_factor_is_found_where_the_noise_has_it() -> None:
-    draw = stream(5, "noise").normal(size=(200, 300)) * 2.0
+    draw = random_stream(5, "noise").normal(size=(200, 300)) * 2.0
     squares = np.sum(draw**2, axis=1)
     factor, gain = estimate_sigma_factors(squares, np.full(200, 300.0))
     assert np.mean(factor) == pytest.approx(2.0, rel=0.01)
@@ -432,7 +432,9 @@ def test_noise_factors_of_common_readings_are_estimated_together() -> None:
 
 def test_noise_of_the_angles_is_reported_with_the_settings_to_declare() -> None:
     recording = network(faces=2, seed=21)[0]
-    extra = np.sqrt(2.4**2 - 1.0) * recording.sigma() * stream(22, "noise").standard_normal(recording.readings.shape)
+    extra = (
+        np.sqrt(2.4**2 - 1.0) * recording.sigma() * random_stream(22, "noise").standard_normal(recording.readings.shape)
+    )
     noisy = recording.with_readings(recording.readings + extra * [0.0, 1.0, 1.0])
     found = lt.check(noisy)
     (test,) = (test for test in found.tests if test.accepted)

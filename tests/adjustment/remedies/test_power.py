@@ -13,7 +13,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.global_test import GlobalTestResult, run_global_test
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
@@ -66,7 +66,7 @@ class Search:
 
     def share_found(self, shift: Floats, trials: int) -> float:
         """Share of recordings with it whose search is above the threshold."""
-        white = stream(11, "power").standard_normal((self.space.n_rows, trials))
+        white = random_stream(11, "power").standard_normal((self.space.n_rows, trials))
         residual = self.space.project(white) + shift[:, None]
         usual = NullEnsemble.from_space
         with pytest.MonkeyPatch.context() as patch:  # The search scores these recordings in place of clean ones.

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.physics.effects.effect import Blunder, Effect
 from ltsim.physics.effects.motions import station_motion_design
 from ltsim.scene.sightings import Sightings
@@ -31,7 +31,10 @@ def scene(*, lean: float = TILT) -> Sightings:
     """Sightings of the workshop: random order, both faces one after the other, 15 s a pointing."""
     points = mesh()
     rows = [
-        (s, t, f) for s in range(len(STATIONS)) for t in stream(7, "order", s).permutation(len(points)) for f in (1, 2)
+        (s, t, f)
+        for s in range(len(STATIONS))
+        for t in random_stream(7, "order", s).permutation(len(points))
+        for f in (1, 2)
     ]
     station, target, face = np.array(rows, dtype=np.int64).T
     time = 15.0 * np.arange(len(rows)) + 900.0 * station

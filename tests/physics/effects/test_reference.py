@@ -211,9 +211,9 @@ def test_axial_vertex_offset_of_a_reaimed_reflector_is_a_range_offset() -> None:
 def test_fixed_vertex_offset_shows_in_the_range_by_the_incidence() -> None:
     """Delta_d = e_a cos(alpha) + e_t sin(alpha) cos(chi - chi_0); 26 um at 30 deg is 13 um."""
     fixed = replace(SCENE, is_reaimed=np.zeros(28, dtype=bool))
-    known = np.isfinite(fixed.incidence)
+    known = np.isfinite(fixed.incidence_angle)
     found = -SmrCentring().design(fixed)[known, 0]
-    alpha, chi = fixed.incidence[known], fixed.incidence_direction[known]
+    alpha, chi = fixed.incidence_angle[known], fixed.incidence_direction[known]
     expected = np.stack([np.cos(alpha), np.sin(alpha) * np.cos(chi), np.sin(alpha) * np.sin(chi)], axis=1)
     np.testing.assert_allclose(found, expected, atol=1e-9)
     assert 26.0 * np.sin(np.radians(30.0)) == pytest.approx(13.0)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.physics.effects.motions import station_motion_design
 from ltsim.physics.laws.catalogue_names import catalogue_name
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -73,7 +73,7 @@ def test_drivers_have_columns_of_unit_size_and_words_of_the_interface(sightings)
 
 def test_what_a_law_may_follow_is_closed_under_the_operators(sightings):
     """Of what is pointed at and of each further column: the value before, the change, the work done."""
-    rng = stream(3, "load")
+    rng = random_stream(3, "load")
     load = rng.uniform(0.0, 50.0, len(sightings))
     loaded = replace(sightings, covariates={"press_load_kn": load})
     before = loaded.previous_rows
@@ -81,7 +81,7 @@ def test_what_a_law_may_follow_is_closed_under_the_operators(sightings):
     followed = {f for kind in ("memory", "lag") for d in candidate_regressors(loaded)[kind] for f in d.covariates}
     for name in ("azimuth", "elevation", "distance", "press_load_kn"):
         assert {f"{how}-{name}" for how in ("last", "move", "work")} <= followed
-    quantities = loaded.quantities
+    quantities = loaded.covariate_values
     np.testing.assert_allclose(quantities["last-press_load_kn"][there], load[before[there]])
     np.testing.assert_allclose(quantities["move-press_load_kn"][there], (load - load[before])[there])
     rows = np.flatnonzero(sightings.station == 1)
@@ -198,7 +198,7 @@ def test_a_wall_does_not_know_where_a_tracker_looks(sightings):
 
 
 def test_targets_on_one_surface_belong_together():
-    rng = stream(5, "places")
+    rng = random_stream(5, "places")
     points = rng.uniform(0.0, 10.0, (12, 3))
     look = np.repeat([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], 6, axis=0)
     found = target_clusters(SimpleNamespace(target_points=points, nest_normals=look))

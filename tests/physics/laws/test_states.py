@@ -1,4 +1,4 @@
-"""States that pointings add to, forget and release; latches; switches; levers of regions."""
+"""States that pointings add to, forget and release; latches; switches; lever-weighted paths through regions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ltsim.physics.laws.states import (
     candidate_state_keys,
     state_column,
 )
-from ltsim.scene.regions import REGION_SHAPES, HallRegion, region_levers, region_paths
+from ltsim.scene.regions import REGION_SHAPES, HallRegion, lever_weighted_region_paths, region_paths
 from ltsim.scene.sightings import Sightings
 from tests.networks import network
 
@@ -39,7 +39,7 @@ def sightings() -> Sightings:
 
 def by_hand(s: Sightings, name: str, how: str, constant: float) -> np.ndarray:
     """A state pointing by pointing, as it is defined."""
-    x, values = s.quantities[name], np.zeros(len(s))
+    x, values = s.covariate_values[name], np.zeros(len(s))
     for station in range(len(s.station_names)):
         rows = [row for row in s.measurement_order if s.station[row] == station]
         now = 0.0
@@ -50,7 +50,7 @@ def by_hand(s: Sightings, name: str, how: str, constant: float) -> np.ndarray:
                 "after seating": s.target[row] != s.target[before],
                 "after azimuth": s.approach_signs[row, 0] != s.approach_signs[before, 0],
                 "after pause": gap > constant,
-                "after tip": abs(s.quantities["move-elevation"][row]) > constant,
+                "after tip": abs(s.covariate_values["move-elevation"][row]) > constant,
                 FIXED_COUNT_RESET_FUNCTION: number % constant == 0,
             }.get(how, False)
             left = {TIME_DECAY_FUNCTION: np.exp(-gap / constant), POINTING_DECAY_FUNCTION: np.exp(-1.0 / constant)}.get(
@@ -107,7 +107,7 @@ def test_states_that_are_tried_differ_and_are_kept(sightings: Sightings) -> None
 
 def test_a_latch_holds_between_its_thresholds(sightings: Sightings) -> None:
     for name, above, below in candidate_latches(sightings, ("distance", "elevation")):
-        x = sightings.quantities[name]
+        x = sightings.covariate_values[name]
         on = latch_regressor(name, above, below).columns(sightings)[:, 0] > 0.0
         assert on[x > above].all() and not on[x < below].any()
         between = (x <= above) & (x >= below) & (sightings.previous_rows >= 0)
@@ -165,10 +165,13 @@ def test_the_lever_of_a_region_is_its_integral(sightings: Sightings, axes: str) 
     gap = places[:, :, at] - np.array(region.centre)
     w = np.exp(-0.5 * np.sum(gap**2, axis=2) / region.width**2)
     expected = np.trapezoid(w * (1.0 - s / length[:, None]), s, axis=1)
-    np.testing.assert_allclose(region.levers(sightings), expected, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(region.lever_weighted_paths(sightings), expected, rtol=1e-5, atol=1e-6)
     path = region_paths(sightings, axes, np.array([region.centre]), region.width)
     np.testing.assert_allclose(
-        region_levers(sightings, axes, np.array([region.centre]), region.width, path)[0], expected, rtol=1e-5, atol=1e-6
+        lever_weighted_region_paths(sightings, axes, np.array([region.centre]), region.width, path)[0],
+        expected,
+        rtol=1e-5,
+        atol=1e-6,
     )
 
 

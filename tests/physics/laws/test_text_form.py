@@ -149,7 +149,7 @@ def test_every_driver_is_read_as_it_is_told(recording: Recording, clock: bool) -
 
 def test_what_a_diagnosis_may_tell_of_a_recording_is_read(recording: Recording) -> None:
     sightings = adjust(recording).sightings
-    assert set(READING_COVARIATES) <= set(sightings.quantities)
+    assert set(READING_COVARIATES) <= set(sightings.covariate_values)
     tried = candidate_regressors(sightings)
     for driver in [
         d for kind, some in tried.items() for d in some[:: 25 if kind == "wave" else 1] if kind not in ("room", "clock")

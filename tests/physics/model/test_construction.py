@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import ModelError
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.polar import from_polar, wrap_angle
 from ltsim.physics.model.construction import (
     GeometricErrorModel,
@@ -31,14 +31,14 @@ few = settings(max_examples=6)
 
 def room(seed: int, count: int = 40) -> tuple[Floats, Ints]:
     """Points (n, 3) over the whole working range of a tracker, and faces."""
-    rng = stream(seed, "room")
+    rng = random_stream(seed, "room")
     polar = rng.uniform([1.2, -np.pi, -0.96], [9.0, np.pi, 1.34], (count, 3))
     return from_polar(polar), np.arange(count) % 2 + 1
 
 
 def drawn(made: GeometricErrorModel, seed: int, size: float = 1.0) -> Floats:
     sigma = np.array([p.prior_sigma for p in made.parameters])
-    return size * sigma * stream(seed, "values").normal(size=made.n_parameters)
+    return size * sigma * random_stream(seed, "values").normal(size=made.n_parameters)
 
 
 def across(raw: Floats) -> Floats:
@@ -62,7 +62,7 @@ def test_point_of_reading_of_point_closes(name: str, size: float, seed: int) -> 
     points, face = room(seed)
     values = drawn(made, seed, size)
     raw = made.readings(points, face, values)
-    np.testing.assert_allclose(made.point(raw, values), points, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(made.points_from_readings(raw, values), points, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", [*CONSTRUCTIONS, "steering-mirror", "ideal"])
@@ -73,7 +73,7 @@ def test_readings_with_their_design_are_both_of_them(name: str, size: float) -> 
     values = drawn(made, 3, size)
     raw, by_point, by_value = made.readings_and_design(points, face, values)
     np.testing.assert_allclose(raw, made.readings(points, face, values), rtol=0, atol=2e-13)
-    np.testing.assert_allclose(made.point(raw, values), points, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(made.points_from_readings(raw, values), points, rtol=0, atol=1e-12)
     for ours, alone in zip((by_point, by_value), made.reading_design(raw, values), strict=True):
         np.testing.assert_allclose(ours, alone, rtol=1e-9, atol=1e-10)
 
@@ -86,7 +86,7 @@ def test_reading_of_point_of_reading_closes(name: str, seed: int) -> None:
     points, face = room(seed)
     values = drawn(made, seed)
     raw = made.readings(points, face, values)
-    again = made.readings(made.point(raw, values), face, values)
+    again = made.readings(made.points_from_readings(raw, values), face, values)
     change = again - raw
     change[:, 1] = wrap_angle(change[:, 1])
     np.testing.assert_allclose(change, 0, atol=1e-12)

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from ltsim.core.arrays import Floats
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import cross_matrix, rotation_about_z
 from ltsim.physics.model.construction import dh_construction
 from ltsim.scene.sightings import Sightings
@@ -33,7 +33,7 @@ network = pytest.mark.parametrize(("faces", "seed"), [((1,), 0), ((1,), 1), ((1,
 
 def reference_network(faces: tuple[int, ...], seed: int) -> Sightings:
     """The reference workshop; heights of the heads, yaws and fine places are drawn."""
-    rng = stream(seed, "reference-network")
+    rng = random_stream(seed, "reference-network")
     along = np.linspace(0.6, 5.6, 4)
     wall = np.array([[0.0, s, z] for z in (5.9, 2.0, 0.15) for s in along])
     mesh = np.concatenate([wall, wall[:, [1, 0, 2]]]) + rng.uniform(-0.1, 0.1, (MESH, 3))

@@ -45,8 +45,8 @@ def test_incidences_are_those_of_the_room(stated: set[str]) -> None:
     recording, truth = network(faces=1)
     expected = sightings_at_state(recording, truth.state)
     found = sightings_at_state(*recording_with(**dict.fromkeys(stated)))
-    np.testing.assert_allclose(found.incidence, expected.incidence, atol=np.radians(1.0))
-    assert np.degrees(np.abs(found.incidence)).max() < 90
+    np.testing.assert_allclose(found.incidence_angle, expected.incidence_angle, atol=np.radians(1.0))
+    assert np.degrees(np.abs(found.incidence_angle)).max() < 90
 
 
 def test_a_frame_that_is_the_plan_s_is_left_alone() -> None:

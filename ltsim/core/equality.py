@@ -53,21 +53,25 @@ def equal_values(first_value: Any, second_value: Any) -> bool:
         return all(equal_values(getattr(first_value, name), getattr(second_value, name)) for name in compared)
     if isinstance(first_value, BaseModel):
         return equal_values(first_value.__dict__, second_value.__dict__)
-    contents = _parts_of(first_value)
-    return bool(first_value == second_value) if contents is None else equal_values(contents, _parts_of(second_value))
+    contents = _comparable_content(first_value)
+    return (
+        bool(first_value == second_value)
+        if contents is None
+        else equal_values(contents, _comparable_content(second_value))
+    )
 
 
-def _parts_of(object_value: Any) -> tuple[Any, ...] | None:
+def _comparable_content(compared_object: Any) -> tuple[Any, ...] | None:
     """Content of an object that is neither a data class nor a model, for the comparison; None without such content.
 
     Sparse matrices and objects with `__reduce__` have such content.
     """
-    kind = type(object_value)
+    kind = type(compared_object)
     if kind.__module__.startswith("scipy.sparse"):
-        compressed = object_value.tocsr()
+        compressed = compared_object.tocsr()
         return (compressed.data, compressed.indices, compressed.indptr), compressed.shape
     if kind.__module__.startswith("ltsim.") and "__reduce__" in kind.__dict__:
-        return tuple(object_value.__reduce__()[1])
+        return tuple(compared_object.__reduce__()[1])
     return None
 
 
