@@ -278,7 +278,8 @@ class Adjustment(Result):
             for rows_of_group in (group == number for number in np.unique(group)):
                 dof[rows_of_group] = np.nansum(self.redundancy[rows_of_group])
                 scale[rows_of_group] = np.linalg.norm(whitened[rows_of_group]) / np.sqrt(dof[rows_of_group])
-        flagged = use & (p_value_of_tau(np.nan_to_num(np.abs(self.normalised_residuals)) / scale, dof, count) < alpha)
+        tau = np.nan_to_num(np.abs(self.normalised_residuals)) / np.where(scale > 0.0, scale, 1.0)  # 0 in an exact fit
+        flagged = use & (p_value_of_tau(tau, dof, count) < alpha)
         rows, columns = np.nonzero(flagged)
         unit, place = self.problem.sigma[flagged], list(zip(rows.tolist(), columns.tolist(), strict=True))
         block = self._redundancy_block(rows, columns)

@@ -88,7 +88,8 @@ class EvidenceCalculator:
         """Pairs of the best effect of a local search, one search from each given effect, and a log evidence.
 
         The search moves to neighbours of an effect. The evidence is the mean over the best effect and its neighbours,
-        not the maximum.
+        not the maximum. The search ends where steps
+        increase the log evidence by no more than its rounding error.
         """
         best, values = list(effects), self.log_evidence(effects, conditioning_model)
         means, moving_indices = values.copy(), list(range(len(best)))
@@ -107,7 +108,7 @@ class EvidenceCalculator:
             for (i, neighbours), parts in zip(candidates.items(), np.split(logs, first_indices), strict=True):
                 means[i] = log_sum_exp(np.append(parts, values[i])) - np.log(len(parts) + 1)
                 top = index_of_best(parts)
-                if parts[top] > values[i] + MAX_SOLUTION_ROUNDING_ERROR:
+                if parts[top] > values[i] + MAX_SOLUTION_ROUNDING_ERROR * max(1.0, abs(values[i])):
                     best[i], values[i] = neighbours[top], parts[top]
                     moving_indices.append(i)
         return list(zip(best, means.tolist(), strict=True))

@@ -95,10 +95,12 @@ def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis
     reml_gain = reml_gain_function(space, nominal_sigma, effect, space.residuals, space.redundancy)
     if getattr(effect, "group_kind", "") == "reading":
         return _heavy_tail_with_variances(hypothesis, reml_gain)
-    least, most = (
-        np.full(len(scale), np.log1p(effect.min_relative_size)),
-        np.full(len(scale), np.log1p(GROUP_VARIANCE_FACTORS.max())),
-    )
+    least = np.full(len(scale), np.log1p(effect.min_relative_size))
+    most = np.full(len(scale), np.log1p(GROUP_VARIANCE_FACTORS.max()))
+    least_step = float(np.log(GROUP_VARIANCE_FACTORS[1] / GROUP_VARIANCE_FACTORS[0]))
+    for _ in range(N_GRID_ZOOMS):  # noise may be larger than the factors over which evidence is averaged
+        is_larger = reml_gain(scale * np.expm1(most + least_step)) > reml_gain(scale * np.expm1(most))
+        most = np.where(is_larger, 2.0 * most, most)
     low, high = least, most
     for _ in range(N_GRID_ZOOMS):
         points = np.linspace(low, high, N_VARIANCE_GRID_VALUES)

@@ -12,6 +12,7 @@ may follow, as SpatialAnalyzer writes them.
 
 import csv
 import io
+from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -176,36 +177,35 @@ class _PointRowReader:
     def points(self, *, requires_all_axes: bool) -> PointList:
         """List of the points in these rows, with notes on decisions; raises RecordError."""
         self.sheet.require_complete_end(self.width)
-        named_rows: dict[str, tuple[SheetRow, list[float]]] = {}
-        notes = []
-        ignored: list[tuple[list[float], list[float]]] = []
-        for row in self.rows:
+        places, row_indices, numbers = dict[str, int](), list[int](), array("d")
+        n, notes, ignored = len(self.numbers), list[str](), list[tuple[Sequence[float], list[float]]]()
+        for index, row in enumerate(self.rows):
             if row.is_comment or not any(row.fields):
                 continue
             name, values = self._name_and_numbers(row)
-            if name in named_rows and not np.array_equal(named_rows[name][1], values, equal_nan=True):
+            if (place := places.setdefault(name, len(row_indices))) == len(row_indices):
+                row_indices.append(index)
+                numbers.extend(values)
+            elif not np.array_equal(before := numbers[n * place : n * place + n], values, equal_nan=True):
                 what = f"the point {quoted_text(name)} was listed before with other coordinates"
                 if requires_all_axes:
                     raise SourceLocation(self.sheet.file, row.line).error(what)
                 notes.append(f"{what} in {self.sheet.file.name}; the first ones are used")
-                ignored.append((named_rows[name][1], values))
-            named_rows.setdefault(name, (row, values))
-        if not named_rows:
+                ignored.append((before, values))
+        if not places:
             raise RecordError("holds no points", file=self.sheet.file)
-        table = np.array([values for _, values in named_rows.values()])
+        table = np.array(numbers).reshape(len(places), -1)
         scale, decisions = self._unit_factors(table)
         numbers_by_column = dict(zip(self.numbers, (table * scale).T, strict=True))
-        missing = np.full(len(named_rows), np.nan)
-        points = np.stack([numbers_by_column.get(axis, missing) for axis in COORDINATE_ROLES], axis=1)
+        points = np.stack([numbers_by_column.get(a, np.full(len(places), np.nan)) for a in COORDINATE_ROLES], axis=1)
         additional = [c for c in self.columns if c.is_additional and c.role not in self.numbers]
-        texts = {c.title: tuple(row.cell(c.position) for row, _ in named_rows.values()) for c in additional}
-        lines = tuple(row.line for row, _ in named_rows.values())
-        covariance = _point_covariances(numbers_by_column, len(named_rows))
+        texts = {c.title: tuple(self.rows[i].cell(c.position) for i in row_indices) for c in additional}
+        lines = tuple(self.rows[i].line for i in row_indices)
         axes = [role in COORDINATE_ROLES for role in self.numbers]
         gaps_m = np.array([np.subtract(*pair) for pair in ignored]).reshape(-1, len(axes)) * scale
         largest_gap_m = float(np.nanmax(np.linalg.norm(gaps_m[:, axes], axis=1), initial=0.0))
-        names, sentences = tuple(named_rows), (*notes, *decisions)
-        return PointList(names, points, covariance, sentences, texts, lines, len(notes), largest_gap_m)
+        covariance, sentences = _point_covariances(numbers_by_column, len(places)), (*notes, *decisions)
+        return PointList(tuple(places), points, covariance, sentences, texts, lines, len(notes), largest_gap_m)
 
     def _name_and_numbers(self, row: SheetRow) -> tuple[str, list[float]]:
         """Name of the point in one row, and its numbers; NaN for an empty cell."""

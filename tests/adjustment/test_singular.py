@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 
 import numpy as np
@@ -12,6 +13,7 @@ from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.errors import NetworkError
 from ltsim.recordings.recording import Recording
 from tests.campaigns.workshop import workshop
+from tests.cli.test_degenerate_networks import network
 
 
 @pytest.fixture(scope="module")
@@ -87,3 +89,11 @@ def test_targets_in_one_place_get_no_calibrated_length(recording: Recording) -> 
     readings = np.tile(few.readings[:1], (len(few), 1))
     setup = recording.setup.model_copy(update={"gauge": None})
     assert len(lt.calibrate(few.with_readings(readings).replace(setup=setup)).parameters)
+
+
+def test_an_exact_fit_with_estimated_noise_has_no_outlier() -> None:
+    """Residuals of 0 were divided by the estimated sigma0 of 0, a warning of numpy."""
+    _, one = network(199)  # one target without noise
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not lt.adjust(one, robust=True, noise_from_data=True).outliers

@@ -12,9 +12,11 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
+from ltsim.diagnosis.noise_estimation import with_estimated_sizes
 from ltsim.diagnosis.noise_groups import GROUP_VARIANCE_FACTORS
 from ltsim.diagnosis.prior import CAUSE_PRIOR
 from ltsim.diagnosis.repeats import averaging_matrix_of_repeats
+from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects.turbulence import Turbulence
 from ltsim.physics.laws.variance import REPEATS_IN_BOTH_FACES, VarianceFunction
 from ltsim.physics.model.construction import misalignment_construction
@@ -247,3 +249,16 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
     found = VarianceFunction(("distance",), repetition=REPEATS_IN_BOTH_FACES)
     assert (found.response_text, found.regressor_text) == ("distance", "station and target")
     assert "in both faces" in found.text
+
+
+@pytest.mark.parametrize("factor", [3.0, 1000.0])
+def test_the_size_of_noise_is_estimated_beyond_the_sizes_that_are_searched(factor: float) -> None:
+    """Noise of 1000 times the declared was reported as 20 times, and effects were sought in the rest for a minute."""
+    recording, truth = network(faces=2, seed=3)
+    drawn = factor * recording.sigma() * random_stream(1, "noise").standard_normal(recording.readings.shape)
+    noisy = recording.replace(readings=recording.readings + drawn)
+    adjusted = adjust(noisy, misalignment_construction(), start_state=truth.state)
+    state = SelectionState(adjusted, adjusted.problem.is_used_reading, 0, None)
+    level = next(h for _, h in state.ranked_noise_changes(state.empty_model) if h.effect.name == "noise-level")
+    found = with_estimated_sizes(state.space, noisy.sigma(), level)
+    np.testing.assert_allclose(np.sqrt(1.0 + np.array(found.sizes)), factor, rtol=0.25)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -175,6 +177,20 @@ def test_many_effects_at_once_are_each_what_it_is_alone(space):
         values = [alone(space, effect, base.residual, base.basis) for effect in effects]
         np.testing.assert_allclose(exact.log_evidence(effects, base), values, rtol=1e-8)
     np.testing.assert_allclose(exact.whitened_design(local[0]), space.whitened_design(local[0]))
+
+
+def test_a_local_search_ends_at_the_rounding_error_of_the_evidence(space):
+    """With readings a thousand times worse than declared it went on for gains of 1e-5 of 1e8, sixty steps far."""
+    exact, steps = EvidenceCalculator(space), []
+    law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], scalar_regressor("time", "saturated", 1e3))
+    linear = replace(law, regressor=replace(law.regressor, function="power", constant=1.0))
+    readings = 1e5 * space.whitened_design(linear) @ linear.size_scales
+    base = Model((), (), (), space.project(readings[:, None])[:, 0])
+    inner = exact.log_evidence
+    exact.log_evidence = lambda effects, model: steps.append(len(effects)) or inner(effects, model)
+    ((_, value),) = exact.refine_locally([law], base)
+    assert value > 1e8
+    assert len(steps) < 30, len(steps)
 
 
 def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):

@@ -342,6 +342,19 @@ def test_400000_rows_take_10_s_and_400_mb(tmp_path: Path) -> None:
 
 
 VERB = "import sys; from ltsim.cli.main import run; sys.exit(run(sys.argv[1:]))"
+
+
+@pytest.mark.long
+def test_400000_coordinates_are_refused_within_400_mb(tmp_path: Path) -> None:
+    """They took 530 MB: each row of the list was kept with its texts."""
+    file = str(tmp_path / "a.csv")
+    rows = "".join(f"T{i},{i},{i * 7 % 1000},{i * 3 % 500},0.1\n" for i in range(400_000))
+    Path(file).write_text("target,x_mm,y_mm,z_mm,sigma_mm\n" + rows)
+    used = means(VERB, "compare", file, file)
+    assert used.ru_maxrss < 400 * 1024
+    assert used.ru_utime + used.ru_stime < 30
+
+
 LARGEST = {
     "adjust": MAX_ADJUSTED_POINTINGS,
     "check": MAX_ADJUSTED_POINTINGS,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +11,11 @@ import pytest
 
 from ltsim.core.errors import LtsimError
 from ltsim.recordings.result_file import read_result
+from ltsim.reports.page import document_of_folder, page_html
 from ltsim.reports.schemas import FILE_MODELS
 from ltsim.reports.sections import SECTION_WRITERS, read_content, result_section
 from tests.reports import samples
+from tests.reports.test_page import Reader, parsed
 
 VALUES = (0, -1, 1e30, 1e-320, float("nan"), "x" * 3000, "", [], {}, None, True)
 FIT = {"chi2": 310.0, "dof": 300, "sigma0": 1.02, "p_value": 0.3, "status": "converged"}
@@ -172,3 +174,63 @@ def test_altered_results_are_drawn_or_refused(name: str, tmp_path: Path) -> None
             continue
         except Exception as problem:
             raise AssertionError(f"alteration {number} of {name}: {json.dumps(changed)[:2000]}") from problem
+
+
+HOSTILE = (
+    """"'><img src=x onerror=alert(1)></title></style></script><script>alert(2)</script><svg onload=alert(3)>$^$"""
+)
+"""A text that leaves any quotes, attribute or element in which it stands unescaped."""
+
+
+def with_text(content: Any, is_accepted: Callable[[Any], bool]) -> tuple[Any, int]:
+    """JSON in which `HOSTILE` replaces each text, and each key beside, that may hold it, and their number."""
+    count = 0
+
+    def replaced(inner: Any, put: Callable[[Any], Any]) -> Any:
+        """A part of the JSON with the text; `put` puts a part in its place in the whole."""
+        nonlocal count
+        if isinstance(inner, str) and is_accepted(put(HOSTILE)):
+            count += 1
+            return HOSTILE
+        if isinstance(inner, dict):
+            for key in list(inner):
+                more = {(HOSTILE if k == key else k): v for k, v in inner.items()}
+                if HOSTILE not in inner and all(isinstance(v, int | float) for v in inner.values()):
+                    if is_accepted(put(more)):
+                        count, inner = count + 1, more
+                    break
+            for key in list(inner):
+                now = inner
+                inner = now | {key: replaced(now[key], lambda v, now=now, key=key: put(now | {key: v}))}
+        elif isinstance(inner, list):
+            for i in range(len(inner)):
+                now = inner
+                changed = replaced(now[i], lambda v, now=now, i=i: put([*now[:i], v, *now[i + 1 :]]))
+                inner = [*now[:i], changed, *now[i + 1 :]]
+        return inner
+
+    return replaced(content, lambda whole: whole), count
+
+
+@pytest.mark.filterwarnings("ignore")  # as the command does
+@pytest.mark.parametrize("name", SECTION_WRITERS)
+def test_markup_in_any_text_of_a_result_is_text_on_its_page(name: str, tmp_path: Path) -> None:
+    content = CONTENTS[name] if name in CONTENTS else plan(tmp_path / "plan")
+    n_scripts = page_of(tmp_path, name, content).tags.count("script")
+
+    def is_accepted(changed: Any) -> bool:
+        return not sentence(tmp_path / name, changed).startswith(str(tmp_path))
+
+    hostile, count = with_text(content, is_accepted)
+    assert count > 1
+    page = page_of(tmp_path, name, hostile)
+    assert any("alert(1)" in text for text in page.text)
+    assert page.handlers == []
+    assert "x" not in page.loads
+    assert page.tags.count("script") == n_scripts
+
+
+def page_of(folder: Path, name: str, content: Any) -> Reader:
+    """Parsed page of a folder with one result; its text holds what the result says."""
+    _written(folder / name, content)
+    return parsed(page_html(document_of_folder(folder)))

@@ -71,8 +71,11 @@ def has_natural_zero(covariate: Floats) -> bool:
 
 def scaled_to_unit_rms(column: Floats) -> Floats:
     """Column (n, 1) divided by its rms. A column of zeros is unchanged."""
-    rms = float(np.sqrt(np.mean(column**2)))
-    return column / rms if rms > 0 else column
+    largest = float(np.max(np.abs(column), initial=0.0))
+    if not largest > 0.0:
+        return column
+    scaled: Floats = np.ldexp(column, -int(np.frexp(largest)[1]))  # its squares are finite
+    return scaled / float(np.sqrt(np.mean(scaled**2)))
 
 
 N_HARMONICS = 5
