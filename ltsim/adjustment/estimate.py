@@ -32,7 +32,7 @@ from ltsim.adjustment.stochastic_model import NoiseGrouping, VarianceComponent, 
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
-from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
+from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rigid_motion_design
@@ -108,7 +108,7 @@ def adjust(
     ModelError
         When `datum_names` contains an unknown target or too few targets.
     """
-    recording.require_at_most(MAX_ADJUSTED_POINTINGS, "an adjustment")
+    recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "an adjustment")
     built = construction or ideal_construction()
     recording, n_copied_rows = without_copied_rows(recording)
     gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)

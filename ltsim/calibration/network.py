@@ -29,7 +29,7 @@ from ltsim.calibration.reported_uncertainty import uncertainty_factor, with_repo
 from ltsim.calibration.schema import FitEntry, VerdictEntry
 from ltsim.calibration.shrinkage import recommend_correction
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
-from ltsim.core.limits import MAX_CALIBRATED_POINTINGS
+from ltsim.core.limits import MAX_CALIBRATED_POINTINGS, MAX_CALIBRATED_TARGETS
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.verbs import name_tuple
@@ -65,7 +65,7 @@ def calibrate_network(
     extra_effects : sequence of RequestedEffect
         Effects of the catalogue and empirical laws that are estimated together with the parameters.
     """
-    recording.require_at_most(MAX_CALIBRATED_POINTINGS, "a calibration")
+    recording.require_at_most(MAX_CALIBRATED_POINTINGS, MAX_CALIBRATED_TARGETS, "a calibration")
     model = construction or declared_construction(recording)
     chosen = parameter_selection or ParameterSelection()
     for wanted in extra_effects:

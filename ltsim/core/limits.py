@@ -36,6 +36,16 @@ libraries take 130 MB, or 480 MB with pictures."""
 MAX_CALIBRATED_POINTINGS = 30_000
 """Largest number of pointings of a network that is calibrated: proposals for further measurements are evaluated on
 networks up to three times as large."""
+MAX_ADJUSTED_TARGETS = 6_000
+"""Largest number of targets of a network that is adjusted or checked: time and memory grow with its square. With 6,000
+targets of two set-ups an adjustment takes 19 s and 436 MB, with 10,000 44 s and 970 MB. The largest measured networks
+have 1,000.
+"""
+MAX_CALIBRATED_TARGETS = 2_500
+"""Largest number of targets of a network that is calibrated; 2,500 take 9 s and 400 MB, 10,000 take 104 s and 4.2 GB.
+"""
+MAX_DIAGNOSED_TARGETS = 1_500
+"""Largest number of targets of a network that is diagnosed; 1,500 take 60 s and 0.8 GB, 3,000 take 148 s and 2.1 GB."""
 MAX_NETWORK_SETUPS = 500
 """Largest number of set-ups of a network that is adjusted, checked, calibrated or diagnosed: flags of all pairs of a
 set-up and a target are in memory, and set-ups are compared in pairs. The largest measured networks have hundreds.
@@ -46,7 +56,8 @@ MAX_DIAGNOSED_POINTINGS = 8_000
 processes).
 """
 POINTINGS_LIMIT_VARIABLE = "LTSIM_MAX_POINTINGS"
-"""Environment variable that raises the largest number of pointings of every command, for machines with more memory."""
+"""Environment variable that raises the largest number of pointings, set-ups and targets of every command, for machines
+with more memory."""
 
 MAX_TOML_BYTES = 8 * BYTES_PER_MIB
 """Largest size [bytes] of a TOML file; the parser, written in Python, reads 1 MiB in a second."""
@@ -70,6 +81,11 @@ covariance each.
 MAX_JSON_VALUES = 1_500_000
 """Largest number of commas and opening brackets in a JSON file, an upper bound of its values; an empty object, three
 characters, takes 64 bytes.
+"""
+
+MAX_RESULT_ENTRIES = 20_000
+"""Largest number of entries in a list of a result file. Result files have an entry for each parameter, target or test;
+values of pointings are in tables. An entry takes 1 to 2 kB in a report.
 """
 
 MAX_XML_TAGS = 600_000

@@ -12,7 +12,7 @@ from ltsim.adjustment.significance import SINGLE_TEST_LEVEL
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import MAX_DIAGNOSED_POINTINGS
+from ltsim.core.limits import MAX_DIAGNOSED_POINTINGS, MAX_DIAGNOSED_TARGETS
 from ltsim.diagnosis.assembly import assemble_diagnosis
 from ltsim.diagnosis.catalogue_designs import CatalogueDesigns
 from ltsim.diagnosis.detectability import detectability_report
@@ -87,7 +87,7 @@ def diagnose(
     """
     if not SINGLE_TEST_LEVEL <= level < 1.0:
         raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {SINGLE_TEST_LEVEL:g} to 1")
-    recording.require_at_most(MAX_DIAGNOSED_POINTINGS, "a diagnosis")
+    recording.require_at_most(MAX_DIAGNOSED_POINTINGS, MAX_DIAGNOSED_TARGETS, "a diagnosis")
     construction = declared_construction(recording)
     compare_with_reference = (
         find_contradictions

@@ -291,16 +291,22 @@ class Recording(Result):
         """Recording with each `row_step`-th of the pointings from one station to one target on one face."""
         return self.select((repeat_numbers(self.station, self.target, self.face) - 1) % row_step == 0)
 
-    def require_at_most(self, pointings: int, command: str) -> None:
-        """Check of the numbers of pointings and set-ups; raises NetworkError with the command that thins the recording.
+    def require_at_most(self, pointings: int, targets: int, command: str) -> None:
+        """Check of the numbers of pointings, set-ups and targets.
 
-        The environment variable that raises the number of pointings raises that of set-ups as well.
+        Raises NetworkError with the way to divide or to thin the recording. The environment variable that raises the
+        number of pointings raises the others as well.
         """
-        setups, pointings = max_pointings(MAX_NETWORK_SETUPS), max_pointings(pointings)
+        setups, pointings, targets = (max_pointings(n) for n in (MAX_NETWORK_SETUPS, pointings, targets))
         if len(self.stations) > setups:
             raise NetworkError(
                 f"the recording holds {len(self.stations)} set-ups; {command} takes at most {setups}: divide it by "
                 f"station; {self._larger_limits_phrase}"
+            )
+        if len(self.targets) > targets:
+            raise NetworkError(
+                f"the recording holds {len(self.targets)} targets; {command} takes at most {targets}: leave out "
+                f"targets that one set-up alone measured; {self._larger_limits_phrase}"
             )
         if len(self) <= pointings:
             return

@@ -29,7 +29,7 @@ from pydantic_core import CoreSchema
 from ltsim.core.descriptions import DescribedModel
 from ltsim.core.equality import equal_values
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import MAX_JSON_VALUES
+from ltsim.core.limits import MAX_JSON_VALUES, MAX_RESULT_ENTRIES
 from ltsim.core.results import MAX_MAGNITUDE, Result
 from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.files import quoted_text, read_bytes, read_text, write_texts
@@ -202,6 +202,10 @@ def read_result(path: Path, model: type[ResultFileType]) -> ResultFileType:
     expected = model.model_fields["format"].default
     if version != expected:
         raise RecordError(f"format is '{quoted_text(str(version))}', expected '{expected}'", file=file)
+    for key, value in content.items():
+        if isinstance(value, list) and len(value) > MAX_RESULT_ENTRIES:
+            name = quoted_text(key, 100)
+            raise RecordError(f"{name} has {len(value)} entries, expected at most {MAX_RESULT_ENTRIES}", file=file)
     try:
         return model.model_validate(content)
     except ValidationError as problem:

@@ -493,3 +493,14 @@ def test_a_network_of_too_many_set_ups_is_refused_before_pairs_of_them_are_compa
     recording, _ = lt.simulate("paper-workshop", seed=7)
     with pytest.raises(NetworkError, match=rf"5 set-ups; .* set the environment variable {POINTINGS_LIMIT_VARIABLE}"):
         lt.check(recording)
+
+
+def test_a_network_of_too_many_targets_is_refused(tmp_path: Path) -> None:
+    """10,000 targets of two set-ups took 1 GB to adjust, and 4.2 GB to calibrate."""
+    file = tmp_path / "a.csv"
+    rows = "".join(f"S{s},T{i},1,{i % 360},{i % 40},{3000 + i}\n" for s in (1, 2) for i in range(6_001))
+    file.write_text("station,target,face,azimuth_deg,elevation_deg,distance_mm\n" + rows)
+    limit_by_verb = {lt.adjust: 6_000, lt.check: 6_000, lt.calibrate: 2_500, lt.diagnose: 1_500}
+    for verb, limit in limit_by_verb.items():
+        with pytest.raises(NetworkError, match=rf"holds 6001 targets; .* takes at most {limit}: leave out targets"):
+            verb(file)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from ltsim.core.errors import LtsimError
+from ltsim.core.limits import MAX_RESULT_ENTRIES
 from ltsim.recordings.result_file import read_result
 from ltsim.reports.page import document_of_folder, page_html
 from ltsim.reports.schemas import FILE_MODELS
@@ -234,3 +235,11 @@ def page_of(folder: Path, name: str, content: Any) -> Reader:
     """Parsed page of a folder with one result; its text holds what the result says."""
     _written(folder / name, content)
     return parsed(page_html(document_of_folder(folder)))
+
+
+def test_a_result_with_very_long_lists_is_refused_before_it_is_built(tmp_path: Path) -> None:
+    """A list of 150,000 equal entries took 780 MB in a report, one of 72,000 stations more than a minute."""
+    content = CONTENTS["calibration.json"]
+    long = content | {"stations": content["stations"][:1] * (MAX_RESULT_ENTRIES + 1)}
+    says = sentence(tmp_path / "calibration.json", long)
+    assert f"stations has {MAX_RESULT_ENTRIES + 1} entries, expected at most {MAX_RESULT_ENTRIES}" in says

@@ -11,10 +11,11 @@ from matplotlib import image
 
 from ltsim.core.randomness import random_stream
 from ltsim.reports import scene3d, workshop_scene
-from ltsim.reports.document_model import CONTENT_SECURITY_POLICY
+from ltsim.reports.document_model import CONTENT_SECURITY_POLICY, NoteBlock
 from ltsim.reports.figures.floor_plan import floor_plan
 from ltsim.reports.figures.obstacles import MAX_VECTOR_TRIANGLES
 from ltsim.reports.scene_page import scene_page
+from ltsim.reports.sections.network import scene_block
 from ltsim.reports.style import svg_text
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.sections import Obstacle
@@ -161,3 +162,16 @@ def test_a_body_of_many_triangles_takes_no_more_of_a_page_than_its_picture() -> 
         for count in (1, MAX_VECTOR_TRIANGLES + 1)
     ]
     assert sizes[1] - sizes[0] < 100_000
+
+
+def test_too_many_stations_are_said_and_not_drawn(scene: workshop_scene.WorkshopScene) -> None:
+    """3,000 stations took minutes: each is drawn by itself."""
+    copies = 501
+    many = replace(
+        scene,
+        stations=tuple(f"S{i}" for i in range(copies)),
+        station_positions=np.repeat(scene.station_positions[:1], copies, axis=0),
+        station_rotations=np.repeat(scene.station_rotations[:1], copies, axis=0),
+    )
+    block = scene_block(many)
+    assert isinstance(block, NoteBlock) and "501 stations are too many to draw" in block.text

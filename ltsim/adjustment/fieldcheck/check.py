@@ -41,7 +41,7 @@ from ltsim.adjustment.station_motions import UniformMotion, with_equal_times_per
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
-from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
+from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
 from ltsim.geometry.rigid import MIN_RIGID_POINTS
 from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.motions import StationMotion
@@ -89,7 +89,7 @@ def check(
     True
     """
     full_recording = load_recording(recording)
-    full_recording.require_at_most(MAX_ADJUSTED_POINTINGS, "a check")
+    full_recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "a check")
     identification = identify_causes(full_recording) if len(full_recording.stations) > 1 else None
     selection = (
         identification

@@ -34,7 +34,7 @@ from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_LOG_EVIDENCE_GAIN, MIN_REPORTED_PROBABILITY
 from ltsim.adjustment.snooping import without_copied_rows
 from ltsim.core.errors import LtsimError, NetworkError
-from ltsim.core.limits import MAX_ADJUSTED_POINTINGS
+from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.recordings.recording import Recording
@@ -182,7 +182,7 @@ def identify_causes(
 
     NetworkError where it holds too many pointings.
     """
-    recording.require_at_most(MAX_ADJUSTED_POINTINGS, "an adjustment")
+    recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "an adjustment")
     recording, _ = without_copied_rows(recording)
     try:
         return select_causes(FitInput(recording, construction or declared_construction(recording), prior))

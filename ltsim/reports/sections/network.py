@@ -14,6 +14,7 @@ from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import STATION_COORDINATES_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError, NetworkError, is_installed, missing_extra_error
+from ltsim.core.limits import MAX_NETWORK_SETUPS
 from ltsim.core.notation import MISSING_TEXT, listing, number_text
 from ltsim.core.probability import p_text, two_sided_p_value
 from ltsim.core.results import Table, number_columns, text_columns
@@ -122,7 +123,14 @@ def workshop_blocks(make_scene: Callable[[], WorkshopScene], detail: WorkshopDet
 
 
 def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
-    """3D view of a workshop with its interactive page; a note if the packages for 3D views are missing."""
+    """3D view of a workshop with its interactive page.
+
+    A note instead, if the packages for 3D views are missing or there are more than `MAX_NETWORK_SETUPS` stations, which
+    are drawn one by one.
+    """
+    if len(workshop.stations) > MAX_NETWORK_SETUPS:
+        n_stations = len(workshop.stations)
+        return NoteBlock("No 3D view", f"{n_stations} stations are too many to draw; at most {MAX_NETWORK_SETUPS} are.")
     if not is_installed("pyvista"):
         return NoteBlock("No 3D view", str(missing_extra_error("3D views", "view")))
     from ltsim.reports.scene_page import scene_picture_and_page  # slow to import
