@@ -294,4 +294,6 @@ def _sufficient_uncertainty_text(undecided_entries: Sequence[TestEntry]) -> str:
     count = len(undecided_entries)
     if count == 1:
         return f"{needed} accepts it"
-    return f"all {count} undecided errors are accepted with uncertainties {ratio(entry):.2g} times smaller; {needed}"
+    return (
+        f"all {count} undecided errors would be accepted with uncertainties {ratio(entry):.2g} times smaller; {needed}"
+    )

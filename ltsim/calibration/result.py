@@ -272,7 +272,7 @@ def frame_text(adjustment: Adjustment) -> str:
     points = [f"the control point{'s' if len(control) > 1 else ''} {listing(control)}"] if control else []
     if free == 0:
         return f"the frame of {' and '.join([*points, *zeros])}"
-    definition = f"is {_free_frame_text(adjustment, first_station)}"
+    definition = f"is {_datum_text(adjustment, first_station)}"
     if adjustment.datum is not None:
         definition += f", standard deviations by inner constraints over {listing(adjustment.datum.point_names)}"
     if free == 6 or not (points or zeros or not adjustment.is_height_undetermined.all()):
@@ -283,7 +283,7 @@ def frame_text(adjustment: Adjustment) -> str:
     return f"{' and '.join([*points, *levels, *zeros])}; the remaining freedom {definition}"
 
 
-def _free_frame_text(adjustment: Adjustment, station: str) -> str:
+def _datum_text(adjustment: Adjustment, station: str) -> str:
     """Text on how the free motions of the network are fixed."""
     state, frame = adjustment.state, DeclaredFrame.from_recording(adjustment.recording)
     if adjustment.datum is not None and _has_declared_datum_points(adjustment):

@@ -190,7 +190,7 @@ def _parse_effect_text(text: str, recording: Recording) -> RequestedEffect:
             listed = ", ".join(recording.stations)
             raise ModelError(f"'{text}': '{item}' is not a station ({listed}), a target or CONSTANT=VALUE")
     if is_law and constants:
-        raise ModelError(f"'{text}': a law has no further constants; give them in its text")
+        raise ModelError(f"'{text}': the constants of a law belong in its text and cannot be given separately")
     if is_law:
         return RequestedEffect(parse_law(carrier.strip(), driver.strip(), recording, **places))
     fixed_names = {kind for kind, named in places.items() if named} | set(constants)

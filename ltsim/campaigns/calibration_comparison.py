@@ -62,7 +62,7 @@ class NewPointErrors(Result):
             yield [name, *(size / MICROMETRE for size in sizes), error.share_removed]
 
 
-def _has_same_readings(readings: Floats, other_readings: Floats) -> bool:
+def _may_be_same_recording(readings: Floats, other_readings: Floats) -> bool:
     """True if two sets of readings [m, rad] are those of one recording.
 
     They may differ by the rounding of files, and readings may have been removed.
@@ -122,7 +122,7 @@ def compare_calibrations(
             if calibration.adjustment and calibration.method == "network"
             else made.readings
         )
-        if not _has_same_readings(readings, made.readings):  # the distance methods adjust what they have corrected
+        if not _may_be_same_recording(readings, made.readings):  # the distance methods adjust what they have corrected
             raise SetupError(f"'{name}' calibrates another recording than that of seed {seed}, trial {trial}")
     if not by_name:
         raise SetupError("no calibration is given, expected at least one")

@@ -55,7 +55,7 @@ ReportFolderArgument = Annotated[
     typer.Argument(metavar="DIR", help="A folder of results, or a folder of such folders."),
     OutputKind(check_page_folder),
 ]
-HeaderLineOption = Annotated[
+ReportHeaderTextOption = Annotated[
     str | None, typer.Option(metavar="TEXT", help="Line in the header; default from [report] of setup.toml.")
 ]
 DateOption = Annotated[str | None, typer.Option("--date", metavar="YYYY-MM-DD", help="Day of the measurement.")]
@@ -136,10 +136,10 @@ def _has_display() -> bool:
 
 def report(
     folder: ReportFolderArgument,
-    instrument: HeaderLineOption = None,
+    instrument: ReportHeaderTextOption = None,
     date: DateOption = None,
-    operator: HeaderLineOption = None,
-    customer: HeaderLineOption = None,
+    operator: ReportHeaderTextOption = None,
+    customer: ReportHeaderTextOption = None,
     force: ForceOption = False,
     quiet: QuietOption = False,
     **options: Any,

@@ -108,11 +108,11 @@ def diagnose(
     is_mismatch = global_test.p_value < level
     initial_space_and_designs, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
     if selection is not None and model.members:
-        is_readmitted = is_consistent_when_omitted(refit.adjustment, np.isfinite(recording.readings) & ~use)
-        if is_readmitted.any():  # the effects of the model explain these readings
+        readmitted_mask = is_consistent_when_omitted(refit.adjustment, np.isfinite(recording.readings) & ~use)
+        if readmitted_mask.any():  # the effects of the model explain these readings
             del state, initial_space_and_designs, model, refit  # their memory is for the second search
             baseline, use, blunder_findings = adjustment_without_blunders(
-                recording, construction, selection, is_readmitted=is_readmitted
+                recording, construction, selection, readmitted_mask=readmitted_mask
             )
             state = SelectionState(
                 baseline, use, seed, None, tests_ordinary_constants=history is None, identified_effects=start_effects

@@ -195,7 +195,7 @@ class _LawBatchBuilder:
                 admissible_regressors = [
                     d
                     for d in regressors
-                    if is_admissible(kind, d, self._sightings) and (name != "wave" or _is_wave_candidate(kind, d))
+                    if is_admissible(kind, d, self._sightings) and (name != "wave" or _is_wave_tried_for(kind, d))
                 ]
                 depth = N_OPERATORS_BY_REGRESSOR_KIND[name] + max(n_joint_observables - 1, 0)
                 weight = PLACE_PRIOR[place_kind] * kinds[kind] * ODDS_PER_OPERATOR**depth / n_responses
@@ -287,7 +287,7 @@ def _may_change_in_region(regressor_kind: str, response: Response) -> bool:
     return base_kind not in ("passage", "lever") or ("distance" in response.observables) == (base_kind == "passage")
 
 
-def _is_wave_candidate(response_kind: str, wave: Regressor) -> bool:
+def _is_wave_tried_for(response_kind: str, wave: Regressor) -> bool:
     """True if a search tries a wave for a kind of changed quantity.
 
     All waves are tried for readings, and those of `NON_READING_WAVE_COVARIATES` for the other kinds.

@@ -40,7 +40,7 @@ from ltsim.diagnosis.noise_groups import (
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis, log_prior_of_noise_family
 from ltsim.diagnosis.noise_patterns import candidate_variance_functions
 from ltsim.diagnosis.noise_windows import NoiseWindows
-from ltsim.diagnosis.repeats import averaging_matrix_of_repeats, redundancy_of_means, relative_variance_of_means
+from ltsim.diagnosis.repeats import normalised_sum_matrix_of_repeats, redundancy_of_means, relative_variance_of_means
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
@@ -99,7 +99,7 @@ class NoiseHypothesisSet:
         cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, allows_quieter: bool = True
     ) -> NoiseHypothesisSet:
         """Noise hypotheses on a residual space. The noise level may be less than declared only if `allows_quieter`."""
-        repeat_patterns = [averaging_matrix_of_repeats(space, faces) for faces in REPETITION_KINDS]
+        repeat_patterns = [normalised_sum_matrix_of_repeats(space, faces) for faces in REPETITION_KINDS]
         averaging_matrix = sp.csr_array(sp.vstack(repeat_patterns))
         pattern_counts = space.n_rows - int(space.is_used_reading.sum()), *(m.shape[0] for m in repeat_patterns)
         other_groups = [np.full(size, len(OBSERVABLES) + i) for i, size in enumerate(pattern_counts)]
@@ -153,7 +153,7 @@ class NoiseHypothesisSet:
         return change.log_evidence(residual, redundancy) + self.log_prior_of_family(change.name)
 
     def log_prior_of_family(self, family: str) -> float:
-        """Log prior of a family, which is a change of the noise in the catalogue, or outside it (`unknown`)."""
+        """Log prior of a kind of change of the noise: an effect of the catalogue, or an `unknown` one outside it."""
         return log_prior_of_noise_family(
             family, (*self.families, *(change.name for change in self.group_noise_changes))
         )

@@ -19,7 +19,7 @@ from ltsim.diagnosis.evidence import log_restricted_likelihood_ratio, normalised
 from ltsim.diagnosis.noise_centring import with_estimated_centring
 from ltsim.diagnosis.noise_groups import GROUP_VARIANCE_FACTORS, NOISY_GROUP_FRACTIONS, TAIL_VARIANCE_FACTORS
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
-from ltsim.diagnosis.repeats import averaging_matrix_of_repeats, redundancy_of_means, relative_variance_of_means
+from ltsim.diagnosis.repeats import normalised_sum_matrix_of_repeats, redundancy_of_means, relative_variance_of_means
 from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 from ltsim.physics.laws.centring import CentringVariance
 
@@ -39,7 +39,7 @@ def reml_gain_function(
     residuals (m,) are whitened by the standard deviations of the space.
     """
     faces, used, scale = getattr(effect, "repetition", ""), space.is_used_reading, effect.size_scales
-    means = averaging_matrix_of_repeats(space, faces) if faces else None
+    means = normalised_sum_matrix_of_repeats(space, faces) if faces else None
     share = redundancy[: int(used.sum())] if means is None else redundancy_of_means(means, redundancy)
     squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2
 

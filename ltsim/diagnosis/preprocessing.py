@@ -94,17 +94,17 @@ def adjustment_without_blunders(
     construction: GeometricErrorModel,
     selection: CauseSelection,
     *,
-    is_readmitted: Bools | None = None,
+    readmitted_mask: Bools | None = None,
 ) -> tuple[Adjustment, Bools, list[Finding]]:
     """Adjustment of the recording without its blunders, flags (n, 3) of the readings in it, and findings on blunders.
 
-    The readings are corrected by the estimated blunders, whose uncertainty is in the model. `is_readmitted` (n, 3)
+    The readings are corrected by the estimated blunders, whose uncertainty is in the model. `readmitted_mask` (n, 3)
     flags readings that are used although they were taken for single errors.
     """
     fit, mistakes = selection.fit, blunders_to_correct(selection)
     errors = is_single_error(fit)
-    if is_readmitted is not None:
-        errors &= ~is_readmitted
+    if readmitted_mask is not None:
+        errors &= ~readmitted_mask
     baseline = adjust_with_causes(fit, recording, construction, mistakes, subtracts_changes=True, reading_mask=~errors)
     rows = {(int(i) + 1, OBSERVABLES[k]) for i, k in np.argwhere(errors)}
     places = {(reported_kind(fit, h), h.stations, h.targets) for h in mistakes}

@@ -9,7 +9,7 @@ from ltsim.core.arrays import Floats
 from ltsim.physics.laws.variance import REPEATS_PER_FACE
 
 
-def averaging_matrix_of_repeats(space: ResidualSpace, repetition_kind: str = REPEATS_PER_FACE) -> sp.csr_array:
+def normalised_sum_matrix_of_repeats(space: ResidualSpace, repetition_kind: str = REPEATS_PER_FACE) -> sp.csr_array:
     """Matrix (g, m) from the m rows of the residual space to g scaled means of repeated readings.
 
     Repeated readings have the same observable, target and station. If `repetition_kind` is `REPEATS_PER_FACE`, they

@@ -320,7 +320,7 @@ class Searcher:
                 self._forward_selection(self.model_of(stiff[:1]), min_evidence_gain, requires_member=True),
             )
             best_model = max(made, key=lambda s: s.penalised_log_evidence - min_evidence_gain * len(s.members))
-        return self._relabelled_model(best_model, min_evidence_gain)
+        return self._pruned_and_renamed_model(best_model, min_evidence_gain)
 
     def lower_bound_model(self, min_evidence_gain: float, rival_log_evidence: float) -> Model:
         """Model from forward steps alone, whose log evidence is a lower bound of that of a complete search.
@@ -356,7 +356,7 @@ class Searcher:
                 break
         return self.reexamined_model(model) if again and self.is_large_network else model
 
-    def _relabelled_model(self, model: Model, min_evidence_gain: float) -> Model:
+    def _pruned_and_renamed_model(self, model: Model, min_evidence_gain: float) -> Model:
         """Model without effects that the others explain, and with the most probable name of each effect."""
         for member in model.members[::-1]:
             others = self.model_without(model, model.members.index(member))

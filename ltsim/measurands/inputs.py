@@ -196,7 +196,8 @@ def observed_sources(adjustment: Adjustment, point_response: Floats) -> list[Unc
 def _nuisance_sources(adjustment: Adjustment, point_response: Floats) -> list[UncertaintySource]:
     """Sources of uncertainty from errors with a prior that the adjustment estimates, by kind.
 
-    `point_response` begins with the rows of the additional effects.
+    `point_response` has the derivatives of the points with respect to the estimated errors, one row for each error,
+    beginning with those of the additional effects.
     """
     model = adjustment.problem.model
     finite = np.isfinite(adjustment.problem.effect_sigma[: model.n_effect_parameters])

@@ -65,7 +65,7 @@ class _DepthCheck:
         self._depth -= 1
 
     def close(self) -> None:
-        """End of the parser, which builds no tree."""
+        """End of the file, called by the parser; there is nothing to return, because no tree is built."""
 
 
 class _WorkbookCheck(_DepthCheck):

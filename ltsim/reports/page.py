@@ -143,7 +143,7 @@ def document_of_folder(
 
 
 def _recommended_actions(sections: list[Section]) -> list[str]:
-    """Next actions of the first section; if there are none, of the first section with the same assessment."""
+    """Next actions of the first section; if it has none, of the next one with actions and the same assessment."""
     first_section = sections[0]
     chosen = next((s for s in sections if s.next_actions and s.assessment == first_section.assessment), first_section)
     return first_section.most_urgent_actions or chosen.most_urgent_actions

@@ -15,7 +15,7 @@ from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.noise_estimation import with_estimated_sizes
 from ltsim.diagnosis.noise_groups import GROUP_VARIANCE_FACTORS
 from ltsim.diagnosis.prior import CAUSE_PRIOR
-from ltsim.diagnosis.repeats import averaging_matrix_of_repeats
+from ltsim.diagnosis.repeats import normalised_sum_matrix_of_repeats
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects.turbulence import Turbulence
 from ltsim.physics.laws.variance import REPEATS_IN_BOTH_FACES, VarianceFunction
@@ -215,7 +215,7 @@ def test_nothing_is_found_where_there_is_nothing(repeated):
 
 def test_means_of_repeats_are_of_unit_variance(repeated):
     space, _, _ = repeated
-    means = averaging_matrix_of_repeats(space)
+    means = normalised_sum_matrix_of_repeats(space)
     assert means.shape[0] == int(space.is_used_reading.sum()) // 3
     np.testing.assert_allclose((means.multiply(means)).sum(axis=1), 1.0)
 
@@ -223,7 +223,7 @@ def test_means_of_repeats_are_of_unit_variance(repeated):
 def test_without_repeats_nothing_is_said():
     recording, truth = network(repeats=1, seed=6)
     space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=truth.state))
-    assert averaging_matrix_of_repeats(space).shape[0] == 0
+    assert normalised_sum_matrix_of_repeats(space).shape[0] == 0
 
 
 def test_ranges_that_err_alike_in_both_faces_are_no_noise():

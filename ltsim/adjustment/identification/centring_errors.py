@@ -131,14 +131,16 @@ def _local_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, rows: Ints) ->
     free = displacement.ravel() - motion @ np.linalg.lstsq(motion, displacement.ravel())[0]
     components = len(free) - motion.shape[1]
     variance = float(free @ free) / components
-    saved = _misfit_cost(fit, fit.whitened_residuals[rows][used]) - _misfit_cost(fit, (residual / sigma)[used])
+    saved = _robust_misfit_cost(fit, fit.whitened_residuals[rows][used]) - _robust_misfit_cost(
+        fit, (residual / sigma)[used]
+    )
     strength = np.linalg.eigvalsh(normal).clip(0.0)
     determinant = float(np.mean(np.log1p(variance * strength)))
     gain = saved - 0.5 * components * (1.0 + determinant) + float(log_occam_factor_of_variance(components))
     return gain, float(np.sqrt(variance))
 
 
-def _misfit_cost(fit: NetworkFit, whitened_residuals: Floats) -> float:
+def _robust_misfit_cost(fit: NetworkFit, whitened_residuals: Floats) -> float:
     """Negative log evidence of whitened residuals (r,), each taken as noise or as an outlier, whichever is smaller."""
     prior = log_prior_of_kind("outlier", int(fit.problem_with_all_readings.is_used_reading.sum()))
     outlier = -log_occam_factor_of_shift(np.abs(whitened_residuals), 1) - prior

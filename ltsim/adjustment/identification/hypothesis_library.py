@@ -304,7 +304,7 @@ def convention_corrections(recording: Recording) -> list[Hypothesis]:
     return hypotheses
 
 
-def coordinate_exchanges(recording: Recording) -> list[Hypothesis]:
+def reference_point_exchanges(recording: Recording) -> list[Hypothesis]:
     """Hypothesis that the coordinates of two reference points are exchanged; empty if no pair stands out.
 
     It compares the reference coordinates with the shape of the network that is computed without them.

@@ -377,9 +377,9 @@ def _noise_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
 
 
 def _best_noise_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, reading_mask: Bools) -> tuple[float, Hypothesis]:
-    """Gain and hypothesis of a noise factor with its start value.
+    """Largest gain of log evidence by a factor on the noise, and the hypothesis with this factor as start value.
 
-    Some of the present outliers are none with larger noise; the number of remaining outliers maximises the gain.
+    With larger noise some of the outliers are ordinary readings; the number of remaining outliers maximises the gain.
     """
     within, out = reading_mask & fit.problem.is_used_reading, reading_mask & fit.is_outlier
     # As many of the smaller residuals as is best are outliers no more.

@@ -26,8 +26,8 @@ from ltsim.adjustment.identification.hypothesis import (
 )
 from ltsim.adjustment.identification.hypothesis_library import (
     convention_corrections,
-    coordinate_exchanges,
     omissions_of_reference_values,
+    reference_point_exchanges,
 )
 from ltsim.adjustment.identification.screening import MAX_FITTED_HYPOTHESES, screened_hypotheses
 from ltsim.adjustment.prior import ParameterPrior
@@ -197,7 +197,7 @@ def _initial_fit(network: FitInput) -> NetworkFit:
     """
     corrections = convention_corrections(network.recording)
     far, count, state = NetworkFit.references_with_large_residuals(network, corrections)
-    if any(value.kind == "point" for value in far) and (names := coordinate_exchanges(network.recording)):
+    if any(value.kind == "point" for value in far) and (names := reference_point_exchanges(network.recording)):
         corrections = [*corrections, *names]
         far, count, state = NetworkFit.references_with_large_residuals(network, corrections)
     omitted = (

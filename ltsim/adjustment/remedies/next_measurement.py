@@ -185,7 +185,8 @@ class MeasurementProposal(ValueEquality):
     ) -> MeasurementProposal:
         """Proposal for a measurement, from the present adjustment and the adjustment with the measurement.
 
-        The ratio of standard deviations is 1 for an instrument without parameters.
+        `expected_chi2` has the expected chi-square by pair of explanations. For an instrument without parameters the
+        ratio of their standard deviations, with the measurement to without it, is 1.
         """
         if not adjustment.construction.n_parameters:
             return cls(candidate, 1.0, "", 1.0, expected_chi2 or {})

@@ -1,4 +1,4 @@
-"""Public functions of the catalogue: list of effects, registration of effects, effects with places and constants."""
+"""Public functions of the catalogue: list, registration, and effects at given places with given constants."""
 
 import dataclasses
 import inspect

@@ -155,7 +155,10 @@ _DISPLACEMENT_TOWARDS_INSTRUMENT_RESPONSE = Response(
 
 
 def _observable_design(sightings: Sightings, observable: str) -> Floats:
-    """Change (n, 3, 1) of the raw readings per unit of a correction of one observable in the front face."""
+    """Change (n, 3, 1) of the raw readings per unit of a correction of one observable.
+
+    The correction is that of face 1; on face 2 the reading of an angle may change with the opposite sign.
+    """
     return design_from_front_face_corrections(sightings, **{observable: np.ones(len(sightings))})[:, :, None]
 
 

@@ -136,7 +136,7 @@ class SharedErrors(LinearEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Errors as parameters, each with a prior of one standard deviation."""
+        """Errors as parameters in units of their standard deviations: the prior standard deviation of each is 1."""
         return (Parameter("shared-error", "", "error that readings share", 1.0),) * self.reading_changes.shape[2]
 
     def design(self, sightings: Sightings) -> Floats:

@@ -230,7 +230,10 @@ class PolarInstrument:
     targets: dict[str, TargetSigmas] = field(default_factory=dict)
 
     def declare(self, words: LineWords) -> str:
-        """Declaration of a kind of target with its sigmas; returns a note, or ''. Raises RecordError."""
+        """Storage of the kind of target that a line declares, with its standard deviations.
+
+        Returns a note on a distance correction that is not used, or ''. Raises RecordError.
+        """
         fields = "its name and the standard deviations of azimuth, elevation, distance (constant and ppm)"
         name = words.first_words(5, f"a target needs {fields}")[0]
         height = words.numbers(9, "height")[0] if len(words.tokens) > 9 else 0.0

@@ -31,12 +31,12 @@ _DEGREES_PATTERN = r"°|º|˚|\^|\*|deg|d"
 _MINUTES_PATTERN = r"'|′|’|‘|´|`|ʹ|min|m"
 _SECONDS_PATTERN = rf"\"|″|”|“|ʺ|(?:{_MINUTES_PATTERN})(?:{_MINUTES_PATTERN})|sec|s"
 _ANGLE_SEPARATOR_PATTERN = r":|-|\s"
-_MINUTES_OR_SECONDS_PATTERN = r"\d{1,2}(?:[.,]\d+)?"
+_SEXAGESIMAL_PART_PATTERN = r"\d{1,2}(?:[.,]\d+)?"
 _SEXAGESIMAL_PATTERN = re.compile(
-    rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN}|{_ANGLE_SEPARATOR_PATTERN})\s*(\d{{1,2}})\s*(?:{_MINUTES_PATTERN}|{_ANGLE_SEPARATOR_PATTERN})\s*({_MINUTES_OR_SECONDS_PATTERN})\s*(?:{_SECONDS_PATTERN})?"
+    rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN}|{_ANGLE_SEPARATOR_PATTERN})\s*(\d{{1,2}})\s*(?:{_MINUTES_PATTERN}|{_ANGLE_SEPARATOR_PATTERN})\s*({_SEXAGESIMAL_PART_PATTERN})\s*(?:{_SECONDS_PATTERN})?"
 )
 _DEGREES_AND_MINUTES_PATTERN = re.compile(
-    rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN})\s*({_MINUTES_OR_SECONDS_PATTERN})\s*(?:{_MINUTES_PATTERN})()"
+    rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN})\s*({_SEXAGESIMAL_PART_PATTERN})\s*(?:{_MINUTES_PATTERN})()"
 )
 """Pattern of degrees and minutes, each with its mark; `_SEXAGESIMAL_PATTERN` is that of degrees, minutes and
 seconds."""

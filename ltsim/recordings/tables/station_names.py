@@ -56,7 +56,8 @@ def require_station_names(table: PointingTable, readings: Floats, file: object) 
                 f"{fault}; column '{quoted_text(title)}' may name {count} stations: give --columns \"station={title}\""
             )
             raise UnnamedStationsError(message, file=file)
-        message = f"{fault}, so it has several set-ups; add a column station (or give --hint station=NAME for one)"
+        advice = "add a column station, or give --hint station=NAME if it is a single set-up"
+        message = f"{fault}, so it has several set-ups; {advice}"
         raise RecordError(message, file=file)
 
 

@@ -48,7 +48,10 @@ def residuals_by_covariate_figure(residuals: Residuals) -> Figure:
 
 @style.with_figure_style
 def residuals_by_station_figure(residuals: Residuals, reference: Residuals | None = None) -> Figure:
-    """Residuals by station as dots, with their root mean square as a bar; one panel per observable."""
+    """Residuals by station as dots, with their root mean square as a bar; one panel per observable.
+
+    `reference` are the residuals before a correction, drawn beside them in another colour.
+    """
     observables = [name for name in OBSERVABLES if residuals.is_observable(name).any()]
     stations = residuals.stations[:MAX_STATION_PANELS]
     figure = style.new_figure(1.7 * max(len(observables), 1) + 0.4)
