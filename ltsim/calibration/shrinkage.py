@@ -210,7 +210,7 @@ class ScaledPrior:
         if not self._is_scale_estimated:
             return f"the readings contradict the declared priors: {scale_phrase}; the correction uses this scale"
         share = self._strength / (self._strength + self.most_likely_scale**-2)
-        phrase = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are corrected by more than half of their size"
+        phrase = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are corrected by more than half"
         return f"without a prior, parameters of the usual proportions and {scale_phrase}; {phrase}, the others by less"
 
     def estimate(self, prior_scale: float) -> Floats:
