@@ -61,7 +61,7 @@ def test_one_face_leaves_the_vertical_group_and_two_faces_are_the_cure(make, dra
     direction = np.array([worst.combination.get(name, 0.0) for name in one.instrument_parameter_names])
     direction /= np.linalg.norm(direction)
     scaled = two.covariance / np.outer(two.prior_sigma, two.prior_sigma)
-    promised = float(worst.cure.rsplit(" to ", 1)[1].rstrip(")"))
+    promised = float(worst.cure.rsplit(" to ", 1)[1].rstrip(" %)")) / 100
     assert 1 - direction @ scaled @ direction == pytest.approx(promised, abs=0.05)
 
 

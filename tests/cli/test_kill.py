@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from ltsim.cli.main import run
-from ltsim.core.randomness import stream
+from ltsim.core.randomness import random_stream
 from ltsim.recordings import write
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
@@ -139,7 +139,7 @@ def test_a_verb_that_is_killed_at_any_moment_works_again(
     duration = time.monotonic() - begun
     whole = contents(tmp_path / "whole" / "out")
     before = contents(prepared(verb, inputs, tmp_path / "before" / "out"))
-    moments = duration * np.append(stream(7, "moments of a kill").uniform(0.3, 1.0, N_KILLS - 2), [0.9, 0.97])
+    moments = duration * np.append(random_stream(7, "moments of a kill").uniform(0.3, 1.0, N_KILLS - 2), [0.9, 0.97])
     for i, moment in enumerate(moments.tolist()):
         out = prepared(verb, inputs, tmp_path / f"killed{i}" / "out")
         with subprocess.Popen([*start, *words(verb, out)]) as process:

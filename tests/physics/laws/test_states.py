@@ -133,7 +133,9 @@ def test_what_stands_in_the_hall_temporary_regions_acts_on_the_lines_that_pass_i
         on = gate.columns(sightings)[:, 0] > 0.0
         np.testing.assert_array_equal(column[~on], 0.0)
         path = region.columns(sightings)[:, 0][on]
-        np.testing.assert_allclose(column[on] * np.linalg.norm(path), path * np.linalg.norm(column), rtol=1e-9)
+        np.testing.assert_allclose(
+            column[on] * np.linalg.norm(path), path * np.linalg.norm(column), rtol=1e-9, atol=1e-300
+        )
         assert np.sqrt(np.mean(column**2)) == pytest.approx(1.0)
         law = EmpiricalLaw(response=RESPONSE_AND_DESIGN_BY_NAME["distance"][0], regressor=driver)
         assert law.without_switch().regressor == region
