@@ -100,6 +100,8 @@ def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis
     least_step = float(np.log(GROUP_VARIANCE_FACTORS[1] / GROUP_VARIANCE_FACTORS[0]))
     for _ in range(N_GRID_ZOOMS):  # noise may be larger than the factors over which evidence is averaged
         is_larger = reml_gain(scale * np.expm1(most + least_step)) > reml_gain(scale * np.expm1(most))
+        if not is_larger.any():
+            break
         most = np.where(is_larger, 2.0 * most, most)
     low, high = least, most
     for _ in range(N_GRID_ZOOMS):

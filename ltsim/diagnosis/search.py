@@ -96,10 +96,6 @@ class Searcher:
         self.space = space
         self.null_ensemble = NullEnsemble.from_space(space, seed, n_trials)
         self.is_large_network = self.null_ensemble.uses_monte_carlo_gram
-        self._n_exactly_evaluated = (
-            N_EXACTLY_EVALUATED_IN_LARGE_NETWORK if self.is_large_network else N_EXACTLY_EVALUATED
-        )
-        self._evaluates_every_kind_exactly = not self.is_large_network
         if catalogue_designs is None:
             every = catalogue_candidate_effects(space.sightings, space.adjustment.recording.instruments)
             catalogue_designs = CatalogueDesigns.from_space(
@@ -118,6 +114,11 @@ class Searcher:
         self.evidence_calculator = EvidenceCalculator(space)
         self.empty_model_screening = self._screening(self.empty_model)
 
+    @property
+    def _n_exactly_evaluated(self) -> int:
+        """Number of effects of the catalogue, and of laws, that a ranking evaluates without approximation."""
+        return N_EXACTLY_EVALUATED_IN_LARGE_NETWORK if self.is_large_network else N_EXACTLY_EVALUATED
+
     def without_rows(self, rows: Ints) -> Searcher:
         """Search without some `rows` (f,) of the residual space, with fewer evaluations, as in large networks.
 
@@ -128,10 +129,6 @@ class Searcher:
         unit[rows, np.arange(len(rows))] = 1.0
         reduced = copy(self)
         reduced.space, reduced.is_large_network = self.space.with_design_columns(unit), True
-        reduced._n_exactly_evaluated, reduced._evaluates_every_kind_exactly = (
-            N_EXACTLY_EVALUATED_IN_LARGE_NETWORK,
-            False,
-        )
         reduced.null_ensemble = self.null_ensemble.with_model(reduced.space.residuals, self.empty_model.basis)
         reduced.empty_model = Model.from_space((), reduced.space)
         reduced._rankings, reduced._projected_designs = {}, OrderedDict()
@@ -230,9 +227,7 @@ class Searcher:
             law = EmpiricalLaw(place.stations, place.targets, hit.response, driver, place.instruments)
             key = (hit.response.name, driver.kind, driver.covariate_labels, place.stations, place.targets)
             kind = hit.response.name, driver.kind, len(place.targets) == 1
-            chosen = len(evaluated) < self._n_exactly_evaluated or (
-                self._evaluates_every_kind_exactly and kind not in kinds
-            )
+            chosen = len(evaluated) < self._n_exactly_evaluated or not (self.is_large_network or kind in kinds)
             if chosen and key not in evaluated and hit.log_evidence > min_promising_evidence(laws[0].log_evidence):
                 evaluated.add(key)
                 kinds.add(kind)
