@@ -15,7 +15,6 @@ from ltsim.diagnosis.instruments import instrument_entries
 from ltsim.diagnosis.noise_findings import noise_finding
 from ltsim.diagnosis.schema import DetectableEntry, Finding, GlobalTest, Misfit, MisfitBeforeAfter
 from ltsim.diagnosis.sentences import MIN_PROBABLE, diagnosis_summary
-from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.recordings.result_file import SourceEntry
 
 
@@ -47,13 +46,9 @@ def assemble_diagnosis(
     noise_findings = [
         noise_finding(finding, baseline.sightings, global_test, has_clock=has_clock) for finding in state.noise_changes
     ]
-    certain = [finding for finding in (*shift_findings, *noise_findings) if finding.evidence.p_real >= MIN_PROBABLE]
-    is_noise_only = not test_findings and all(finding.effect == NoiseLevel.name for finding in certain)
-    likely_findings = (
-        (certain + [finding for finding in shift_findings if finding not in certain] or noise_findings)
-        if is_noise_only
-        else certain
-    )
+    likely_findings = [*shift_findings, *(f for f in noise_findings if f.evidence.p_real >= MIN_PROBABLE)]
+    if not (likely_findings or test_findings):
+        likely_findings = noise_findings
     findings = sorted([*test_findings, *likely_findings], key=lambda finding: -finding.evidence.chi2_drop)
     before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=held_out_errors.rms_without_model)
     if model.members or state.noise_changes:

@@ -15,9 +15,15 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import log_restricted_likelihood_ratio, normalised_probabilities
 from ltsim.diagnosis.noise_centring import with_estimated_centring
-from ltsim.diagnosis.noise_groups import GROUP_VARIANCE_FACTORS, NOISY_GROUP_FRACTIONS, TAIL_VARIANCE_FACTORS
+from ltsim.diagnosis.noise_groups import (
+    COARSE_VARIANCE_FACTORS,
+    GROUP_VARIANCE_FACTORS,
+    NOISY_GROUP_FRACTIONS,
+    TAIL_VARIANCE_FACTORS,
+)
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.repeats import normalised_sum_matrix_of_repeats, redundancy_of_means, relative_variance_of_means
 from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
@@ -60,6 +66,27 @@ def reml_gain_function(
     return reml_gain_at
 
 
+def _log_ratios_of_groups(reml_gain: Callable[[Floats], Floats], scale: Floats, variance_factors: Floats) -> Floats:
+    """Log restricted likelihood ratio (f, k) of each of k groups of readings, for each of f variance factors."""
+    base_gain = reml_gain(0.0 * scale)
+    return np.stack([reml_gain(scale * (factor - 1.0)) - base_gain for factor in variance_factors])
+
+
+def _log_likelihood_by_fraction(log_ratios: Floats) -> Floats:
+    """Log likelihood (q,) of each fraction of noisy groups, from log ratios (f, k) of k groups and f variance factors.
+
+    The variance factors of a noisy group have equal prior probabilities.
+    """
+    noisy = log_sum_exp(log_ratios) - np.log(len(log_ratios))
+    return np.stack([np.logaddexp(np.log1p(-q), np.log(q) + noisy).sum() for q in NOISY_GROUP_FRACTIONS])
+
+
+def _with_occam_factor(hypothesis: NoiseHypothesis, log_ratios: Floats) -> NoiseHypothesis:
+    """Hypothesis of separate noise of groups with its Occam factor, from log ratios (f, k) as above."""
+    log_evidence = log_sum_exp(_log_likelihood_by_fraction(log_ratios)) - np.log(len(NOISY_GROUP_FRACTIONS))
+    return replace(hypothesis, log_occam_factor=float(log_evidence) - 0.5 * hypothesis.chi2_drop)
+
+
 def _heavy_tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[[Floats], Floats]) -> NoiseHypothesis:
     """Hypothesis of a heavy tail with the variance of each reading, which is the inverse of its expected weight.
 
@@ -67,18 +94,18 @@ def _heavy_tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[
     weight is (1 - p) + p E[1 / f], as in the EM algorithm for scale mixtures (Little 1988, Applied Statistics 37, 23).
     The fraction of readings in the tail is the one with the largest likelihood.
     """
-    n_parameters = len(hypothesis.effect.parameters)
-    base_gain = reml_gain(np.zeros(n_parameters))
-    log_gains = np.stack([reml_gain(np.full(n_parameters, f - 1.0)) - base_gain for f in TAIL_VARIANCE_FACTORS])
-    ratio = log_sum_exp(log_gains) - np.log(len(TAIL_VARIANCE_FACTORS))
-    likelihood = [np.logaddexp(np.log1p(-q), np.log(q) + ratio).sum() for q in NOISY_GROUP_FRACTIONS]
-    q = float(NOISY_GROUP_FRACTIONS[int(np.argmax(likelihood))])
-    inside = expit(ratio + np.log(q / (1.0 - q)))
-    probabilities = np.exp(log_gains - log_sum_exp(log_gains))
-    weight = 1.0 - inside + inside * (probabilities / TAIL_VARIANCE_FACTORS[:, None]).sum(axis=0)
+    scale = np.ones(len(hypothesis.effect.parameters))
+    log_ratios = _log_ratios_of_groups(reml_gain, scale, TAIL_VARIANCE_FACTORS)
+    q = float(NOISY_GROUP_FRACTIONS[int(np.argmax(_log_likelihood_by_fraction(log_ratios)))])
+    inside = expit(log_sum_exp(log_ratios) - np.log(len(log_ratios)) + np.log(q / (1.0 - q)))
+    weight = 1.0 - inside + inside * (normalised_probabilities(log_ratios) / TAIL_VARIANCE_FACTORS[:, None]).sum(axis=0)
     values = 1.0 / weight - 1.0
-    drop, sigma = 2.0 * float((reml_gain(values) - base_gain).sum()), np.sqrt(2.0) * (1.0 + values)  # one reading each
-    return replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
+    drop, sigma = (
+        2.0 * float((reml_gain(values) - reml_gain(0.0 * scale)).sum()),
+        np.sqrt(2.0) * (1.0 + values),  # one reading each
+    )
+    estimated = replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
+    return _with_occam_factor(estimated, log_ratios)
 
 
 def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
@@ -99,7 +126,8 @@ def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis
     most = np.full(len(scale), np.log1p(GROUP_VARIANCE_FACTORS.max()))
     least_step = float(np.log(GROUP_VARIANCE_FACTORS[1] / GROUP_VARIANCE_FACTORS[0]))
     for _ in range(N_GRID_ZOOMS):  # noise may be larger than the factors over which evidence is averaged
-        is_larger = reml_gain(scale * np.expm1(most + least_step)) > reml_gain(scale * np.expm1(most))
+        rise = reml_gain(scale * np.expm1(most + least_step)) - reml_gain(scale * np.expm1(most))
+        is_larger = rise > MAX_SOLUTION_ROUNDING_ERROR
         if not is_larger.any():
             break
         most = np.where(is_larger, 2.0 * most, most)
@@ -123,4 +151,7 @@ def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis
         values = values * expit(gain + np.log(NOISY_GROUP_FRACTIONS.min() / (1.0 - NOISY_GROUP_FRACTIONS.min())))
         gain = reml_gain(values) - reml_gain(0.0 * scale)
     drop = 2.0 * float(gain.sum())
-    return replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
+    estimated = replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
+    if not getattr(effect, "group_kind", ""):
+        return estimated
+    return _with_occam_factor(estimated, _log_ratios_of_groups(reml_gain, scale, COARSE_VARIANCE_FACTORS))

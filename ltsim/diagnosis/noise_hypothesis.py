@@ -26,6 +26,9 @@ class NoiseHypothesis:
     """Twice the log restricted likelihood ratio of the estimates."""
     log_evidence: float = 0.0
     """Log evidence of this change of the noise, with its prior."""
+    log_occam_factor: float = 0.0
+    """Log evidence of the sizes of many groups minus the log likelihood ratio of their estimates; 0 for other changes.
+    """
     probability: float = 0.0
     """Posterior probability that the effect is the cause."""
     equivalents: tuple[Equivalent, ...] = ()

@@ -171,6 +171,7 @@ class SelectionState:
                     sizes=values,
                     chi2_drop=change.chi2_drop + new_hypothesis.chi2_drop,
                     log_evidence=change.log_evidence + new_hypothesis.log_evidence,
+                    log_occam_factor=change.log_occam_factor + new_hypothesis.log_occam_factor,
                 )
                 self.noise_changes = [*self.noise_changes[:i], larger, *self.noise_changes[i + 1 :]]
                 break
@@ -189,6 +190,14 @@ class SelectionState:
             n.log_prior_times_occam_factor for n in self.noise_changes
         )
 
+    def without_noise_change(self, index: int) -> SelectionState:
+        """Copy of this state without one of its changes of the noise."""
+        state = copy(self)
+        state.noise_changes = [*self.noise_changes[:index], *self.noise_changes[index + 1 :]]
+        state.reading_sigmas = state._sigmas_with_noise_changes(state.noise_changes)
+        state.set_adjustment(state.refit((), state.reading_sigmas).adjustment)
+        return state
+
     def log_evidence_with_effects(self, members: Sequence[Hypothesis]) -> float:
         """Log evidence of hypotheses together with the selected changes of the noise, estimated with them in the model.
 
@@ -206,7 +215,11 @@ class SelectionState:
         """Adjustment with variance components estimated by REML (Foerstner 1979), with `effects` in the model."""
         for _ in range(N_VARIANCE_ITERATIONS):
             self.noise_changes = [
-                replace(estimate, chi2_drop=change.chi2_drop)
+                replace(
+                    estimate,
+                    chi2_drop=change.chi2_drop,
+                    log_evidence=change.log_evidence + estimate.log_occam_factor - change.log_occam_factor,
+                )
                 for estimate, change in zip(self._noise_estimates(effects), self.noise_changes, strict=True)
             ]
             self.reading_sigmas = self._sigmas_with_noise_changes(self.noise_changes)
