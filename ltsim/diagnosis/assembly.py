@@ -46,10 +46,7 @@ def assemble_diagnosis(
     noise_findings = [
         noise_finding(finding, baseline.sightings, global_test, has_clock=has_clock) for finding in state.noise_changes
     ]
-    likely_findings = [*shift_findings, *(f for f in noise_findings if f.evidence.p_real >= MIN_PROBABLE)]
-    if not (likely_findings or test_findings):
-        likely_findings = noise_findings
-    findings = sorted([*test_findings, *likely_findings], key=lambda finding: -finding.evidence.chi2_drop)
+    findings = _reported_findings(test_findings, shift_findings, noise_findings)
     before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=held_out_errors.rms_without_model)
     if model.members or state.noise_changes:
         dof = baseline.dof - model.basis.shape[1]
@@ -87,6 +84,18 @@ def assemble_diagnosis(
         instruments=instrument_entries(final_adjustment),
         tests=() if cause_selection is None else cause_tests(cause_selection),
     )
+
+
+def _reported_findings(
+    test_findings: Sequence[Finding], shift_findings: Sequence[Finding], noise_findings: Sequence[Finding]
+) -> list[Finding]:
+    """Findings of a diagnosis, the largest decrease of chi-square first.
+
+    Improbable changes of the noise are reported only if there is no other finding.
+    """
+    probable_noise = [finding for finding in noise_findings if finding.evidence.p_real >= MIN_PROBABLE]
+    findings = [*test_findings, *shift_findings, *probable_noise] or noise_findings
+    return sorted(findings, key=lambda finding: -finding.evidence.chi2_drop)
 
 
 def _averaged_targets_and_reading_change(

@@ -14,9 +14,7 @@ from ltsim.diagnosis.instruments import ContradictingConstants
 from ltsim.diagnosis.noise_estimation import with_estimated_sizes
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
-from ltsim.diagnosis.search import Searcher
 from ltsim.diagnosis.selection_state import SelectionState
-from ltsim.physics.effects.noise_level import NoiseLevel
 
 MAX_NOISE_CHANGES = 3
 """Largest number of changes of the noise that are added to a model, each alternating with a selection of effects."""
@@ -95,24 +93,14 @@ def _select_effects_given_noise(
     """Model of effects in addition to the selected changes of the noise; the empty model if these suffice.
 
     The search begins with the hypotheses `start_hypotheses` in the model. Noise that is estimated without an effect
-    includes this effect. The noise is therefore estimated again with each of the best hypotheses, also with the best
-    without one of the changes of the noise, and the best of these together with its noise is compared with the noise
-    alone by their evidence.
+    includes this effect. The noise is therefore estimated again with each of the best hypotheses, and the best of these
+    together with its noise is compared with the noise alone by their evidence.
     """
     alone, searcher = copy(state), state.searcher
     model = searcher.select_model(min_evidence_gain, requires_member=True, start_hypotheses=start_hypotheses)
-    candidates = [model.members]
-    if not searcher.is_large_network:
-        searchers = [
-            searcher,
-            *(
-                state.without_noise_change(i).searcher
-                for i, change in enumerate(state.noise_changes)
-                if not isinstance(change.effect, NoiseLevel)
-            ),
-        ]
-        candidates += [(h,) for each in searchers for h in _leading_hypotheses(each)]
-    best = max(candidates, key=state.log_evidence_with_effects)
+    leading = searcher.ranking(searcher.empty_model).best_of_each_kind()[:N_EXACTLY_EVALUATED]
+    candidates = [model.members, *((h,) for h in leading)]
+    best = max(candidates[:1] if searcher.is_large_network else candidates, key=state.log_evidence_with_effects)
     state.prune_variance_components([h.effect for h in best])
     model = state.searcher.select_model(min_evidence_gain, requires_member=False, start_hypotheses=best)
     if (
@@ -122,11 +110,6 @@ def _select_effects_given_noise(
         return model
     state.replace_by(alone)
     return state.empty_model
-
-
-def _leading_hypotheses(searcher: Searcher) -> list[Hypothesis]:
-    """Best hypothesis of each of the most probable kinds, given no effect."""
-    return searcher.ranking(searcher.empty_model).best_of_each_kind()[:N_EXACTLY_EVALUATED]
 
 
 def _alternate_noise_and_effects(state: SelectionState, model: Model, min_evidence_gain: float) -> Model:

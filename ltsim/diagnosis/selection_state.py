@@ -190,14 +190,6 @@ class SelectionState:
             n.log_prior_times_occam_factor for n in self.noise_changes
         )
 
-    def without_noise_change(self, index: int) -> SelectionState:
-        """Copy of this state without one of its changes of the noise."""
-        state = copy(self)
-        state.noise_changes = [*self.noise_changes[:index], *self.noise_changes[index + 1 :]]
-        state.reading_sigmas = state._sigmas_with_noise_changes(state.noise_changes)
-        state.set_adjustment(state.refit((), state.reading_sigmas).adjustment)
-        return state
-
     def log_evidence_with_effects(self, members: Sequence[Hypothesis]) -> float:
         """Log evidence of hypotheses together with the selected changes of the noise, estimated with them in the model.
 
