@@ -63,20 +63,20 @@ _MODULES = {
     "adjustment.fieldcheck.check": ("check",),
 }
 """Names of the public functions and classes of each module."""
-_HOME = {name: module for module, names in _MODULES.items() for name in names}
+_MODULE_BY_PUBLIC_NAME = {name: module for module, names in _MODULES.items() for name in names}
 """Module that defines each public name."""
 
 _PACKAGES = {"effects": "ltsim.physics.effects", "errors": "ltsim.core.errors"}
 
-__all__ = sorted([*_HOME, "effects", "errors"])
+__all__ = sorted([*_MODULE_BY_PUBLIC_NAME, "effects", "errors"])
 
 
 register_plotting(lambda module: import_module(f"ltsim.reports.{module}"))
 
 
 def _load(name: str) -> Any:
-    if name in _HOME:
-        return getattr(import_module(f"ltsim.{_HOME[name]}"), name)
+    if name in _MODULE_BY_PUBLIC_NAME:
+        return getattr(import_module(f"ltsim.{_MODULE_BY_PUBLIC_NAME[name]}"), name)
     if name in _PACKAGES:
         return import_module(_PACKAGES[name])
     if name == "__version__":

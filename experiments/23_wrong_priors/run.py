@@ -17,6 +17,6 @@ def run(given: Options) -> Made:
         f"1.96 * stddev_samp({ratio}) / sqrt(count(*)), quantile_cont({ratio}, 0.95) FROM rows "
         "GROUP BY ALL ORDER BY ALL"
     )
-    names = ("errors", "noise", "stated_prior", "judged", "trials", "ratio", "half_interval", "p95")
+    names = ("errors", "noise", "stated_prior", "judged", "trials", "ratio", "half_width_of_interval", "p95")
     write_table(given.out / "ratios.csv", [dict(zip(names, row, strict=True)) for row in found])
     return Made(results.manifest.seed, results.manifest.trials)

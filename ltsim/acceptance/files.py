@@ -49,14 +49,15 @@ class TestEntry(Entry):
 
     @property
     def guarded_limit_ratio(self) -> float:
-        """Smallest ratio of error to limit that the uncertainty permits; more than 1 if the error is rejected."""
+        """Ratio of the error, reduced by its expanded uncertainty, to the limit; above 1 the error is rejected."""
         return (abs(self.error_um) - (self.expanded_um or 0.0)) / self.limit_um
 
     @property
     def hardest_first_key(self) -> tuple[float, int, float]:
-        """Key by which the hardest tests come first: by probability to pass, then judgement, then ratio to the limit.
+        """Sort key that puts the test closest to failure first.
 
-        The ratio is the one that decides: the smallest for a rejected error, otherwise the largest.
+        It contains the probability to pass, the judgement, and a ratio of error to limit: for a rejected error with the
+        error reduced by its uncertainty, otherwise with the error increased by it.
         """
         share = self.guarded_limit_ratio
         if self.judgement != "rejected":
@@ -185,7 +186,11 @@ class AcceptanceFile(ResultFile):
 def group_entries(
     test_entries: Sequence[TestEntry], pass_probability_by_group: Mapping[str, float] | None = None
 ) -> tuple[GroupEntry, ...]:
-    """Summaries of the tests by group; in a prediction the uncertainty of an error is included in it."""
+    """Summaries of `test_entries` by group; in a prediction the uncertainty of an error is included in it.
+
+    `pass_probability_by_group` holds the predicted probability that all tests of a group pass; None for measured
+    errors.
+    """
     predicted = pass_probability_by_group or {}
 
     def limit_ratio(test_entry: TestEntry) -> float:
@@ -210,9 +215,9 @@ def group_entries(
 def make_test_entry(
     test_name: str, test_group: str, error: float, limit: float, expanded_uncertainty: float = float("nan")
 ) -> TestEntry:
-    """Entry of an error with its limit [m], judged by ISO 14253-1.
+    """Entry of a test with its name and group, from its error and limit [m]; the error is judged by ISO 14253-1.
 
-    `expanded_uncertainty` is its uncertainty (95 %) [m], NaN if not given.
+    `expanded_uncertainty` (95 %) is that of the error [m], NaN if not given.
     """
     sizes_um = {
         "error_um": error / MICROMETRE,

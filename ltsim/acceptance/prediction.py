@@ -26,9 +26,8 @@ from ltsim.recordings.setup import Noise
 from ltsim.recordings.specification import Specification
 
 MAX_ROUNDING_FRACTION = 1e-6
-"""Largest fraction of a limit that counts as rounding: if a constant at its prior sigma causes no more, no test depends
-on the constant.
-"""
+"""Largest fraction of a limit that counts as rounding. If a constant of one prior sigma changes no test by more, no
+test depends on it."""
 MAX_PRIOR_SIGMAS = 3.0
 """Largest size of a constant, in prior standard deviations, in the search for an instrument that passes all tests in
 spite of large errors.

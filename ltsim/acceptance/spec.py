@@ -93,7 +93,11 @@ def _two_face_tests(distances: Sequence[float], height: float, azimuths_deg: Seq
 
 
 def _length_test(test_group: str, tilt_deg: float, distance: float, azimuth_deg: int) -> AcceptanceTest:
-    """Test of a reference length in front of the head, centred at its height and tilted about the line of sight."""
+    """Test of a reference length in front of the head, centred at its height and tilted about the line of sight.
+
+    `distance` [m] is the horizontal distance of its centre, `azimuth_deg` the direction to it, `tilt_deg` the angle of
+    the length above the horizontal.
+    """
     half_vector = MIN_REFERENCE_LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))])
     midpoint = np.array([distance, 0.0, 0.0])
     ends = (
@@ -115,7 +119,10 @@ def _rotated_about_vertical(point: Floats, rotation_deg: float) -> tuple[float, 
 
 
 def builtin_tests(standard_name: StandardName, height: float, ranges: Sequence[float]) -> list[AcceptanceTest]:
-    """Tests of a standard that are published openly."""
+    """Tests of a standard, as far as they are published openly, for a head `height` [m] above the floor.
+
+    `ranges` [m] are the distances of the points on the line of sight.
+    """
     return asme_tests(height, ranges) if standard_name == "asme-b89.4.19-2006" else iso_two_face_tests(height)
 
 

@@ -241,5 +241,5 @@ class TestedNetwork:
 
 
 def _pair_vectors(points: Floats, point_pairs: Ints) -> Floats:
-    """Second minus first of each pair (k, 2) of rows of values (t, ...)."""
+    """Second minus first of each pair of rows of `points` (t, ...), given by indices `point_pairs` (k, 2)."""
     return np.asarray(points[point_pairs[:, 1]] - points[point_pairs[:, 0]])

@@ -42,7 +42,7 @@ MAX_PREDICTED_TESTS = 2_000
 MAX_TEST_DRAWS = 1e9
 """Largest number of tests times trials of a prediction; 1e9 take a minute."""
 MIN_MARGIN_UM = 1e-3
-"""Smallest distance [um] of an error from its limit by which the expanded uncertainty is divided."""
+"""Smallest distance [um] between an error and its limit with which ratios of uncertainty to distance are computed."""
 DECISION_RULE = (
     "By ISO 14253-1, an error e with the expanded uncertainty U (95 %) is accepted if |e| + U is within its limit, "
     "rejected if |e| - U exceeds it, and otherwise undecided."
@@ -86,7 +86,7 @@ def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, fold
 
 
 def _require_few_draws(n_tests: int, n_trials: int) -> None:
-    """Check of the numbers of tests and draws of a prediction; raises SetupError."""
+    """Check that a prediction of `n_tests` tests with `n_trials` draws is not too large; raises SetupError."""
     if n_tests > MAX_PREDICTED_TESTS or n_tests * n_trials > MAX_TEST_DRAWS:
         raise SetupError(
             f"{n_tests} tests with {n_trials} trials each, expected at most {MAX_PREDICTED_TESTS} tests and "

@@ -38,7 +38,7 @@ from ltsim.solve.gauss_newton import Solution, solution_for_plan, solve
 from ltsim.solve.threads import single_threaded
 
 MAX_SUCCESSIVELY_TESTED_READINGS = 300
-"""Number of suspected readings above which they are tested independently and not one after another (cost)."""
+"""Number of suspected readings up to which outliers are removed one after another; of more, each is tested alone."""
 
 
 @dataclass(frozen=True)
@@ -225,9 +225,9 @@ class Adjustment(Result):
 
     @cached_property
     def noisy_targets_and_scatter(self) -> tuple[Ints, float, float]:
-        """Indices (k,) of targets with larger noise than others, scatter of their readings, and scatter elsewhere.
+        """Indices (k,) of noisy targets, scatter of the readings to them, and scatter of all other readings.
 
-        Both scatters are ratios to the declared noise.
+        Both scatters are observed standard deviations divided by the declared ones.
         """
         return noisy_groups_and_scatter(self.normalised_residuals, self.redundancy, self.recording.target)
 

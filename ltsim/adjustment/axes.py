@@ -61,7 +61,7 @@ def with_axes_from_points(recording: Recording, points_by_target: Mapping[str, F
 
 
 def scale_error_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None:
-    """Scale error of the coordinates that define the axes of the workshop, and its standard deviation.
+    """Scale error of the coordinates that define the axes of the hall, and its standard deviation.
 
     The scale error is relative to the measured ranges. Both numbers follow from the residuals of the coordinates. None
     if the scale error is not significant.
@@ -124,9 +124,7 @@ def with_axes_from_three_targets(
     cosine = float(across @ along) / distance if distance else 0.0
     sine = float(np.linalg.norm(np.cross(along, across))) / distance if distance else 0.0
     if sine < 1e-3 * max(distance, 1e-3):
-        raise RecordError(
-            f"the targets {', '.join(axis_names)} of the axes lie on one line, expected three that do not"
-        )
+        raise RecordError(f"the targets {', '.join(axis_names)} of the axes lie on one line; name three that do not")
     places = {
         origin_target: np.zeros(3),
         x_axis_target: np.array([distance, 0, 0]),
@@ -139,10 +137,9 @@ def with_axes_from_three_targets(
 
 
 def with_control_points(recording: Recording, path: Path) -> Recording:
-    """Recording with the coordinates of a file as control points, each with its standard deviation.
+    """Recording with the coordinates in the file `path` as control points, each with its standard deviation.
 
-    The file is read by `read_points` and must contain standard deviations; coordinates may be missing.
-
+    The file is read by `read_points` and must contain standard deviations; a point may lack some of its coordinates.
     Raises RecordError for a malformed file, for missing standard deviations, and for a list without measured targets.
     """
     listed, targets, count = read_points(path, requires_all_axes=False), dict(recording.setup.targets), 0

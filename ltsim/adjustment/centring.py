@@ -22,7 +22,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import solve
 
 MAX_N_CENTRING_ERRORS = 6
-"""Largest number of centring errors that are estimated. A network with more of them has to be measured again."""
+"""Largest number of centring errors that are estimated; a network with more of them must be measured again."""
 CENTRING_EFFECT_NAME = "target-moved"
 """Catalogue effect that represents a centring error: the equipment on a mark was displaced."""
 

@@ -148,7 +148,7 @@ class InnerDatum:
 
     @classmethod
     def from_points(
-        cls, problem: NetworkProblem, state: NetworkState, factor: BlockFactor, names: Sequence[str]
+        cls, problem: NetworkProblem, state: NetworkState, normal_equations: BlockFactor, names: Sequence[str]
     ) -> InnerDatum | None:
         """Datum of some points; None if no motion is free.
 
@@ -168,7 +168,7 @@ class InnerDatum:
         ):
             motion[columns.ravel()] = np.hstack([rigid_motion_design(places, centre) @ free, grown(places - centre)])
         return replace(
-            cls.from_columns(motion, tied.columns[tied.defines_datum], factor.covariance_columns),
+            cls.from_columns(motion, tied.columns[tied.defines_datum], normal_equations.covariance_columns),
             point_names=tuple(names),
         )
 

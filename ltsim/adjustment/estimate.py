@@ -164,7 +164,7 @@ def adjust(
 
 
 def _is_over_wrong_mark(recording: Recording, is_gross: Bools) -> Bools:
-    """Flags (n,) of pointings from set-ups over marks of which most have gross errors: mark or height may be wrong."""
+    """Flags (n,) of pointings from set-ups over a mark that may be wrong: most of their pointings have gross errors."""
     n_stations = len(recording.stations)
     has_mark = np.array([recording.station_setup(name).over is not None for name in recording.stations])
     share = np.bincount(recording.station, is_gross, n_stations) / np.bincount(recording.station, minlength=n_stations)

@@ -22,7 +22,7 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 MAX_SOLUTION_DISTANCE = 1e-3
 """Relative distance of positions plus distance of rotation matrices, up to which two solutions are equal."""
 MIN_SUM_OF_SQUARES_RATIO = 4.0
-"""Ratio of the second-best to the best sum of squares above which the best solution counts as unique."""
+"""Ratio of the sums of squared residuals of the two best solutions, from which the best one counts as unique."""
 MAX_RMS_MISFIT = 300.0
 """Rms misfit of approximate coordinates, in standard deviations of the readings, from which a solution is rejected."""
 N_ITERATED_STARTS = 150
@@ -109,7 +109,7 @@ def fit_point(fit_readings: FitReadings, position: Floats, rotation: Floats) -> 
 def _unique_solution(
     n_readings: int, points: Floats, solutions: tuple[Floats, Floats, Floats]
 ) -> tuple[Floats, Floats] | None:
-    """Position (3,) and rotation (3, 3) of the best solution; None if it fits poorly or another fits nearly as well."""
+    """Position (3,) and rotation (3, 3) of the best of several solutions; None if it fits poorly or is not unique."""
     cost, x, rotation = solutions
     if not cost[0] < MAX_RMS_MISFIT**2 * n_readings:
         return None

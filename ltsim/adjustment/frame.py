@@ -149,10 +149,10 @@ class DeclaredFrame:
         return turn, self.plan_positions[planned_indices[0]] - turn @ position[planned_indices[0]]
 
     def mirror_factors(self, network_points: Floats, declared_points: Floats) -> Floats | None:
-        """Factors (3,) on the coordinates of a network of ranges: (1, 1, -1) to mirror the network, or all 1.
+        """Factors (3,) on the coordinates of a network of ranges alone: (1, 1, -1) mirrors it, (1, 1, 1) does not.
 
         Ranges do not determine the handedness of the network points (k, 3). Declared points (k, 3), NaN if not
-        declared, determine the handedness if they are not coplanar; otherwise the result is None.
+        declared, determine it if they are not coplanar; otherwise the result is None.
         """
         has_place = np.isfinite(declared_points).all(axis=1)
         network_points, declared_points = network_points[has_place], declared_points[has_place]
@@ -170,7 +170,10 @@ class DeclaredFrame:
         return both[int(np.argmin(rests))]
 
     def resolves_mirror(self, position: Floats, points: Floats) -> bool:
-        """True if approximate coordinates distinguish a network of ranges from its mirror image."""
+        """True if approximate coordinates distinguish a network of ranges from its mirror image.
+
+        The network has stations at `position` (S, 3) [m] and targets at `points` (T, 3) [m].
+        """
         return (
             self.mirror_factors(
                 np.concatenate([position, points]), np.concatenate([self.plan_positions, self.approximate_points])
@@ -200,13 +203,16 @@ class DeclaredFrame:
         return points @ rotation.T + shift, True
 
     def agrees_with_floor_plan(self, position: Floats, rotation: Floats) -> bool:
-        """True if a network agrees with the floor plan as well as the approximate coordinates permit."""
+        """True if a network agrees with the floor plan as well as the approximate coordinates permit.
+
+        Its stations have the poses `position` (S, 3) [m] and `rotation` (S, 3, 3).
+        """
         motion = self.motion_to_floor_plan(position, rotation)
         return motion is not None and bool(alignment_distances(position, position, motion).max() < MAX_FLOOR_PLAN_ERROR)
 
-    def rotation_to_declared_yaws(self, rotation: Floats, is_joined: Bools) -> Floats | None:
+    def rotation_to_declared_yaws(self, rotation: Floats, is_joined_station: Bools) -> Floats | None:
         """Rotation (3, 3) about z that brings upright stations to their known yaws; None without known yaws."""
-        mask = self.has_declared_yaw & is_joined
+        mask = self.has_declared_yaw & is_joined_station
         if not mask.any():
             return None
         headings = rotation[mask, :, 0]
@@ -287,7 +293,7 @@ def alignment_distances(points: Floats, goal_points: Floats, motion: tuple[Float
 
 
 def upright_alignment(source: Floats, goal_points: Floats) -> tuple[Floats, Floats]:
-    """Rotation about the vertical (3, 3) and translation (3,) that align points (k, 3) to goal points (k, 3).
+    """Rotation about the vertical (3, 3) and translation (3,) that align `source` (k, 3) to goal points (k, 3).
 
     Raises NetworkError for points on one vertical.
     """

@@ -12,11 +12,10 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 
 CORRECTED_INSTRUMENT_SIGMA_FRACTION = 0.3
-"""Prior standard deviation of a constant of a corrected instrument, relative to its specification, unless it is
-declared. It lies between the uncertainty of an ordinary calibration (0.1: a beam tilt of 10 urad is determined to about
-1 urad) and the observed scatter: in real halls constants of corrected instruments scatter by half of the specification
-and more.
-"""
+"""Prior standard deviation of a constant of a corrected instrument, divided by that of its specification, unless it is
+declared. The value is a compromise: after an ordinary calibration the ratio is 0.1 (a beam tilt of 10 urad is
+determined to about 1 urad); in real halls constants of corrected instruments scatter by half of the specification and
+more."""
 WIDENED_SIGMA_FACTOR = 100.0
 """Factor on the prior standard deviation of a parameter whose prior the readings contradict."""
 
@@ -34,12 +33,12 @@ class ParameterPrior:
 
     @classmethod
     def independent(cls, sigma: Floats) -> ParameterPrior:
-        """Independent priors with mean zero and standard deviations (I, p) [SI]; infinite for no prior."""
+        """Independent priors with mean zero and standard deviations `sigma` (I, p) [SI]; infinite for no prior."""
         covariance = np.where(np.eye(sigma.shape[1], dtype=bool), sigma[:, :, None] ** 2, 0.0)
         return cls(np.zeros(sigma.shape), covariance, np.zeros(sigma.shape, dtype=bool))
 
     def with_widened_sigmas(self, widened_mask: Bools) -> ParameterPrior:
-        """Prior with `WIDENED_SIGMA_FACTOR` times larger standard deviations of the flagged parameters (I, p)."""
+        """Prior with `WIDENED_SIGMA_FACTOR` times larger standard deviations of parameters in `widened_mask` (I, p)."""
         factor = np.where(widened_mask, WIDENED_SIGMA_FACTOR, 1.0)
         return ParameterPrior(self.mean, self.covariance * factor[:, :, None] * factor[:, None, :], self.is_fixed)
 

@@ -34,7 +34,8 @@ DATUM_SIGMA = np.full(6, 1e-8)
 must be far below the standard deviations of the network for correct covariances, and large enough for the numerics.
 """
 WEAK_PRIOR_FACTOR = 300.0
-"""Standard deviation of the weak prior of a parameter of additional effects, in plausible sizes of the parameter."""
+"""Standard deviation of the weak prior of a parameter of additional effects, divided by the plausible size of the
+parameter."""
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,8 @@ from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_rigidly
 from ltsim.recordings.transcription_errors import GON_PER_DEGREE, UNIT_ERRORS, TranscriptionError
 
 MAX_CONSISTENT_SIGMA0 = 100.0
-"""Value of sigma0 above which observations contradict each other, so that another unit is tried and standard deviations
-are reported as not valid.
-"""
+"""Value of sigma0 above which the observations contradict each other. Other units are then tried, and standard
+deviations are reported as not valid."""
 MIN_COS_MEDIAN_TILT = 0.9
 """Cosine of the median tilt of the stations, from which the network is compared with approximate positions."""
 MAX_CURVATURE = 0.3
@@ -120,7 +119,7 @@ def _control_difference_text(network_points: Floats, control_points: Floats) -> 
 
 
 def _rigid_fit_misfit(points: Floats, goal_points: Floats) -> float:
-    """Root sum of squared distances [m] of points (k, 3) from goal points (k, 3) after a rigid alignment."""
+    """Square root of summed squared distances [m] of points (k, 3) from goal points (k, 3) after rigid alignment."""
     try:
         return float(np.linalg.norm(alignment_distances(points, goal_points, align_rigidly(points, goal_points))))
     except NetworkError:

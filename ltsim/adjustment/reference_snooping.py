@@ -47,8 +47,8 @@ from ltsim.solve.gauss_newton import Solution, solve
 MIN_TESTED_RESIDUAL = MIN_CLEAR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUNDANCY))
 """Whitened residual below which a reference value is not tested: an error of `MIN_CLEAR_SIGMAS` causes a larger one."""
 MIN_VALUES_FOR_TYPICAL_ERROR = 3
-"""Number of other values of the same kind below which a wrong value is not identified if another one contradicts too.
-"""
+"""Number of other reference values of the same kind that are needed to identify a wrong one if a second value
+contradicts as well."""
 MAX_CHI2_FRACTION_AFTER_EXCLUSION = 1e-6
 """Ratio of chi-square after and before the exclusion of reference values, below which they are certainly wrong."""
 MAX_EXCLUDED_FRACTION = 1 / 3
@@ -152,7 +152,7 @@ def _contradicting_group(
 
 
 def _typical_error(tests: Sequence[ReferenceTest]) -> float:
-    """Root-mean-square error of reference values of one kind, in their standard deviations; at least 1."""
+    """Root-mean-square normalised error of the reference values of one kind, at least 1."""
     return float(np.sqrt(max(1.0, sum(t.chi2_drop for t in tests) / max(sum(t.rank for t in tests), 1))))
 
 

@@ -64,7 +64,8 @@ class ReferenceTest(ReferenceValue):
     critical_value: float = MIN_CLEAR_SIGMAS
     """Value of `normalised_error` above which the reference value is excluded."""
     indistinguishable_from: tuple[str, ...] = ()
-    """Names of other reference values whose error explains the misfit as well; none of these is excluded."""
+    """Names of other reference values whose errors would explain the misfit equally well; then neither this value nor
+    they are excluded."""
 
     @property
     def normalised_error(self) -> float:

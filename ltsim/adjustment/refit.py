@@ -102,7 +102,7 @@ class FirstOrderEffect(CandidateEffect):
         return self.design_at_state
 
     def gauge_design(self, first_targets: Ints, second_targets: Ints, points: Floats) -> Floats:
-        """Derivatives (g, p) of g reference lengths with respect to the p parameters of the effect."""
+        """Derivatives (g, p) of g reference lengths with respect to p parameters, as `LinearEffect.gauge_design`."""
         return self.exact_effect.gauge_design(first_targets, second_targets, points)
 
 

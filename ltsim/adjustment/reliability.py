@@ -28,20 +28,21 @@ MIN_NOISY_SCATTER_RATIO = 2.0
 """Ratio of a target's scatter to that of the others above which the target counts as noisy."""
 
 
-def redundancy_numbers(problem: NetworkProblem, factor: BlockFactor) -> Floats:
+def redundancy_numbers(problem: NetworkProblem, normal_equations: BlockFactor) -> Floats:
     """Redundancy numbers (n, 3) of the readings; NaN for unused readings.
 
     A redundancy number is the derivative of a residual with respect to an error of its reading.
     """
     share = np.full(problem.is_used_reading.shape, np.nan)
-    share[problem.is_used_reading] = 1.0 - factor.leverage()[: int(problem.is_used_reading.sum())]
+    share[problem.is_used_reading] = 1.0 - normal_equations.leverage()[: int(problem.is_used_reading.sum())]
     return share
 
 
 def standardised_residuals(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
-    """Normalised residuals (n, 3): residuals divided by the standard deviations of residuals.
+    """Normalised residuals (n, 3): residuals divided by their standard deviations.
 
-    They are 0 for readings that no other observation checks, and NaN for unused readings.
+    These are the standard deviations of the readings times the square roots of the redundancy numbers `redundancy` (n,
+    3). The result is 0 for readings that no other observation checks, and NaN for unused readings.
     """
     is_checked = problem.is_used_reading & (redundancy > MAX_SOLUTION_ROUNDING_ERROR)
     w = np.where(problem.is_used_reading, 0.0, np.nan)
@@ -61,9 +62,8 @@ def noise_factor_from_residuals(normalised_residuals: Floats, redundancy: Floats
 def noise_factor(problem: NetworkProblem, solution: Solution[NetworkState]) -> float:
     """Factor on the declared noise with which all tests of a fit are made, at least 1.
 
-    It is 1 if the global test accepts the fit, or if only single readings contradict it: then
-    `noise_factor_from_residuals` is 1. Otherwise it is sigma0, at most `noise_factor_from_residuals`, which single
-    errors do not enlarge.
+    It is 1 if the global test accepts the fit, or if only single readings contradict the declared noise. Otherwise it
+    is the smaller of sigma0 and `noise_factor_from_residuals`, which single errors do not enlarge.
     """
     dof, chi2 = problem.dof, solution.sum_of_squares
     if solution.factor is None or dof <= 0 or special.chdtrc(dof, chi2) >= AGREEMENT_LEVEL / 2:

@@ -123,8 +123,8 @@ class ResidualSpace:
     def norms_without_centring(self, design_columns: Floats) -> Floats:
         """Lengths (q,) of design columns (m, q) without the part that centring errors in the model absorb.
 
-        Displacements with a large standard deviation absorb nearly all of an effect. What remains is visible if it is
-        large compared with these lengths, not with those of the whole columns.
+        Centring errors with a large standard deviation absorb nearly all of an effect. The remaining part of the effect
+        is visible if it is large relative to these lengths; the lengths of the whole columns are no measure for it.
         """
         squares = lowest = np.sum(design_columns**2, axis=0)
         if not self._centring_normals:
@@ -166,7 +166,7 @@ class ResidualSpace:
         return self.with_design_columns(np.hstack([self.whitened_design(law) for law in effects])) if effects else self
 
     def target_shifts(self, design_columns: Floats) -> Floats:
-        """Shifts (T, 3) [m] of the T adjusted targets by a whitened change (m,) of the observations."""
+        """Shifts (T, 3) [m] of the adjusted targets by a whitened change `design_columns` (m,) of the observations."""
         adjustment = self.adjustment
         normal_side = (adjustment.solution.system.design.T @ design_columns)[:, None]
         change: Floats = adjustment.factorised_normals.covariance_columns(normal_side)[:, 0][

@@ -22,7 +22,7 @@ from ltsim.recordings.setup import ReferenceDifference, Target, symmetric_matrix
 
 @dataclass(frozen=True)
 class GaugeRows(ReferenceLengths):
-    """Observation equations of g reference lengths, which refer to the temperature of the workshop."""
+    """Observation equations of g reference lengths, which refer to the temperature of the hall."""
 
     is_unweighted: Bools | bool = False
     """Flags (g,) of lengths without weight, because an end is undetermined; their equations remain."""
@@ -48,7 +48,7 @@ class GaugeRows(ReferenceLengths):
         return np.diag(self.sigma) if self.correlation_root is None else self.sigma[:, None] * self.correlation_root
 
     def decorrelate(self, length_changes: Floats) -> Floats:
-        """Changes of lengths (g,) or (g, q) [m] transformed to independent errors of unit standard deviation."""
+        """Changes (g,) or (g, q) [m] of lengths, transformed to independent errors with standard deviation 1."""
         scaled_values = length_changes / (self.sigma if length_changes.ndim == 1 else self.sigma[:, None])
         return self.decorrelate_scaled(scaled_values)
 
@@ -303,7 +303,7 @@ class LevelRows:
         return self if np.all(self.sigma >= min_sigma) else replace(self, sigma=np.maximum(self.sigma, min_sigma))
 
     def axis_tilts(self, rotation: Floats) -> Floats:
-        """Horizontal components (l, 2) of the stations' standing axes relative to the plumb line."""
+        """Horizontal components (l, 2) of standing axes relative to the plumb line, from `rotation` (S, 3, 3)."""
         axis = rotation[self.station_indices] @ VERTICAL
         return np.einsum("lij,lj->li", self.horizontal_axes, axis)
 
@@ -340,7 +340,7 @@ class YawRows:
         return self if np.all(self.sigma >= min_sigma) else replace(self, sigma=np.maximum(self.sigma, min_sigma))
 
     def yaw_residuals(self, rotation: Floats) -> Floats:
-        """Declared minus adjusted yaws (y,) [rad]."""
+        """Declared minus adjusted yaws (y,) [rad] of stations with `rotation` (S, 3, 3)."""
         headings = rotation[self.station_indices, :, 0]
         return wrap_angle(self.yaws - np.arctan2(headings[:, 1], headings[:, 0]))
 

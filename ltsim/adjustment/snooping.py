@@ -347,13 +347,13 @@ def prediction_sigmas(
 
 
 def _test_readings(
-    problem: NetworkProblem, reduced_problem: NetworkProblem, readings: Floats, factor: BlockFactor
+    problem: NetworkProblem, reduced_problem: NetworkProblem, readings: Floats, normal_equations: BlockFactor
 ) -> tuple[Floats, float, Floats]:
     """Absolute normalised residuals (n, 3) of readings of `reduced_problem`, noise factor, redundancy numbers (n, 3).
 
-    `readings` (n, 3) are the predicted readings, `factor` the factorised normal equations at the same state.
+    `readings` (n, 3) are the predicted readings, `normal_equations` the factorised normal equations at the same state.
     """
-    redundancy = redundancy_numbers(reduced_problem, factor)
+    redundancy = redundancy_numbers(reduced_problem, normal_equations)
     w = standardised_residuals(reduced_problem, problem.reading_residuals(readings), redundancy)
     return np.nan_to_num(np.abs(w)), noise_factor_from_residuals(w, redundancy), redundancy
 

@@ -185,7 +185,7 @@ class NetworkInitialiser:
         return has_new
 
     def _is_worth_trying(self, key: int, n_neighbours: int) -> bool:
-        """True unless a station (or a target, given as -1 minus its index) already failed with as many neighbours."""
+        """True unless a fit failed with as many neighbours; `key` is a station, or -1 minus the index of a target."""
         tried, self._failed_attempts[key] = self._failed_attempts.get(key), n_neighbours
         return tried != n_neighbours
 

@@ -29,9 +29,8 @@ MAX_FRACTION_BEYOND_NOISE = 0.02
 are tried too: more than single errors explain.
 """
 MAX_ROBUST_STEPS = 25
-"""Largest number of reweightings, each with a linear step. It bounds how far many large errors of one target can pull
-the network: with 60, a target that is displaced at random at every set-up is found as three motions in place of one.
-"""
+"""Largest number of reweighted steps. It limits how far many large errors of one target distort the network: with 60
+steps, a target that is displaced at random at every set-up was identified as three motions, not as one."""
 NOISE_KEYS = {
     "distance": ("distance_mm", "distance_ppm"),
     "azimuth": ("azimuth_arcsec",),
@@ -105,12 +104,12 @@ def best_solution_index(residuals_of_solutions: Sequence[Floats]) -> int:
 
 
 def huber_weights(normalised_residuals: Floats) -> Floats:
-    """Huber's weights (1964) of residuals in robust standard deviations."""
+    """Huber's weights (1964) of `normalised_residuals`, residuals divided by their robust standard deviation."""
     return 1.0 / np.maximum(normalised_residuals / HUBER_LIMIT, 1.0)
 
 
 def cauchy_weights(normalised_residuals: Floats) -> Floats:
-    """Cauchy's weights (Holland and Welsch 1977) of residuals in robust standard deviations."""
+    """Cauchy's weights (Holland and Welsch 1977) of `normalised_residuals`, residuals divided by their robust sigma."""
     return 1.0 / (1.0 + (normalised_residuals / CAUCHY_LIMIT) ** 2)
 
 

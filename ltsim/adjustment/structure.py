@@ -161,9 +161,8 @@ class UndeterminedUnknowns:
     n_coordinates_of_unmeasured_targets: int
     """Number of known coordinates of unmeasured targets; they do not count as observations."""
     scale_target: Ints
-    """Target (one or none) whose distance from the first station is fixed, because directions alone leave the scale
-    undetermined and only approximate coordinates define it.
-    """
+    """Index of a target whose distance from the first station is fixed, as an array with one element or none. The
+    distance is fixed if directions alone leave the scale undetermined and only approximate coordinates define it."""
     fixes_heights: bool
     """True if all heights are undetermined and therefore fixed, so that no vertical translation remains for the datum.
     """

@@ -212,7 +212,7 @@ def _outlier_sentence(n_readings: int, condition: str = "") -> str:
 
 
 def _flagged_sentence(n_flagged: int, n_outliers: int) -> str:
-    """Sentence on the readings that the w-test flags, and on the outliers at the observed noise level."""
+    """Sentence on the `n_flagged` readings flagged by the w-test, and on the `n_outliers` at the observed noise."""
     if not n_flagged:
         return "The w-test flags no reading."
     flagged = "one reading" if n_flagged == 1 else f"{n_flagged} readings"

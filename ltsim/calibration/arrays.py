@@ -75,10 +75,10 @@ class CalibrationArrays(ValueEquality):
 
     @property
     def bias_operator(self) -> Floats:
-        """Matrix that maps the true parameters to the expected bias of their estimates, with the opposite sign.
+        """Matrix (q, q) from the true parameters to the expected bias of their estimates, with the opposite sign.
 
-        The shape is (q, q) for q parameters of all instruments, in units of the prior standard deviations. The expected
-        error of the estimates is -bias_operator @ truth.
+        The q parameters are those of all instruments, in units of their prior standard deviations. The expected error
+        of the estimates is -bias_operator @ truth.
         """
         if self.null_space is not None:
             return self.null_space.T @ self.null_space

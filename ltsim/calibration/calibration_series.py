@@ -182,7 +182,7 @@ class CalibrationSeries(ValueEquality):
 
     @cached_property
     def _informative_combinations(self) -> Floats:
-        """Orthonormal combinations that the calibrations determine on average, shape (parameters, combinations).
+        """Orthonormal combinations (p, k) of the p parameters that the calibrations determine on average.
 
         The parameters are in units of their prior standard deviations.
         """
@@ -274,11 +274,12 @@ class CalibrationSeries(ValueEquality):
 
     @cached_property
     def population(self) -> ParameterPopulation:
-        """Mean of the parameters over the calibrations, and their standard deviation by restricted maximum likelihood.
+        """Mean of the parameters over the calibrations, and their standard deviation between calibrations.
 
-        Expectation-maximisation with an unknown mean is used (Patterson and Thompson, Biometrika 58 (1971) 545): the
-        mean comes from the same few calibrations and would otherwise bias the standard deviation. Combinations without
-        information keep the prior mean. A parameter without information has the prior standard deviation.
+        The standard deviation is estimated by restricted maximum likelihood (Patterson and Thompson, Biometrika 58
+        (1971) 545) with expectation-maximisation: the mean comes from the same few calibrations and would otherwise
+        bias it. Combinations without information keep the prior mean. A parameter without information has the prior
+        standard deviation.
         """
         information = np.array([e.information for e in self._likelihood_information])
         vectors = np.array([e.information_vector for e in self._likelihood_information])
@@ -340,7 +341,9 @@ def single_instrument(calibration: Calibration, instrument: str | None, label: s
     if len(names) == 1:
         return calibration
     if instrument not in names:
-        raise RecordError(f"{label} holds the instruments {', '.join(names)}: choose one ({option_text('instrument')})")
+        raise RecordError(
+            f"{label} contains the instruments {', '.join(names)}; choose one with {option_text('instrument')}"
+        )
     return calibration.for_instrument(names.index(instrument), np.arange(calibration.construction.n_parameters))
 
 

@@ -88,13 +88,13 @@ def incidence_reading_changes(recording: Recording, calibration: Calibration) ->
     return incidence_reading_change(recording, sightings, reflectors)
 
 
-def corrected_readings(recording: Recording, construction: GeometricErrorModel, values: Floats) -> Floats:
+def corrected_readings(recording: Recording, construction: GeometricErrorModel, parameter_values: Floats) -> Floats:
     """Readings of an ideal tracker for the measured points, shape (pointings, 3); NaN where no reading was made.
 
-    `values` are the parameters of the instrument, shape (parameters,) or (pointings, parameters) [SI].
+    `parameter_values` are the parameters of the instrument, shape (parameters,) or (pointings, parameters) [SI].
     """
     raw_readings = np.where(recording.is_measured, recording.readings, _replacement_readings(recording))
-    ideal = to_face(to_polar(construction.points_from_readings(raw_readings, values)), recording.face)
+    ideal = to_face(to_polar(construction.points_from_readings(raw_readings, parameter_values)), recording.face)
     change = ideal - raw_readings
     change[:, 1:] = wrap_angle(change[:, 1:])
     return np.where(recording.is_measured, raw_readings + change, np.nan)

@@ -200,8 +200,8 @@ class ErrorPropagation:
         return to_dense(self.adjustment.solution.system.design[:n_rows])
 
     @cached_property
-    def _adjustment_response(self) -> Floats:
-        """Matrix A that maps whitened observations to the unknowns of the network, shape (unknowns, observations)."""
+    def _unknowns_per_observation(self) -> Floats:
+        """Matrix A (unknowns, observations) that maps whitened observations to the adjusted unknowns of the network."""
         return self.adjustment.factorised_normals.covariance_columns(np.ascontiguousarray(self._whitened_design.T))
 
     @cached_property
@@ -232,13 +232,13 @@ class ErrorPropagation:
 
     def added_covariance(self) -> Floats:
         """Part of the covariance (unknowns, unknowns) of the network that comes from the error of the parameters."""
-        through = self._adjustment_response @ self._parameter_design
-        cross_covariance = (self._adjustment_response @ self._noise_parameter_covariance) @ through.T
+        through = self._unknowns_per_observation @ self._parameter_design
+        cross_covariance = (self._unknowns_per_observation @ self._noise_parameter_covariance) @ through.T
         return through @ self.estimate.covariance @ through.T - cross_covariance - cross_covariance.T
 
     def _residual_part(self, observation_vectors: Floats) -> Floats:
         """Part of observation vectors, one per column, that remains in the residuals of the adjustment."""
-        return observation_vectors - self._whitened_design @ (self._adjustment_response @ observation_vectors)
+        return observation_vectors - self._whitened_design @ (self._unknowns_per_observation @ observation_vectors)
 
     def chi2_moments(self) -> tuple[float, float]:
         """Expected value and variance of the adjustment's chi-square, for a correct model and the declared noise."""

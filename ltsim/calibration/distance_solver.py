@@ -388,7 +388,7 @@ def estimate_covariance(
 def sentences_on_minimum(
     problem: DistanceProblem, norm: ObjectiveNorm, estimate: DistanceEstimate, fixed_mask: Bools
 ) -> tuple[str, ...]:
-    """Sentence that compares the objective at an estimate with the minimum of eq. 9 over all combinations."""
+    """Sentence that compares the distance objective at an estimate with its minimum over all combinations."""
     minimum = solve_equation_9(problem, norm, start_values=estimate.unknowns, fixed_mask=fixed_mask).objective_value
     power, unit = (1e6, "mm^2") if norm == "squares" else (1e3, "mm")
     method = "equation-9" if norm == "squares" else "equation-9-l1"

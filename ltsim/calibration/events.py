@@ -119,7 +119,11 @@ def _significant_steps_of(
 def _step_p_value(
     difference: Floats, sigma: Floats, relative_durations: Floats, step_index: int, other_steps: Ints
 ) -> tuple[float, float]:
-    """Two-sided p-value of one step relative to the other steps, and the standard deviation of usual steps."""
+    """Two-sided p-value of one step relative to the other steps, and the standard deviation of usual steps.
+
+    The steps have the sizes `difference`, the standard deviations `sigma` and the durations `relative_durations`, each
+    (steps,). The tested step is `step_index`, `other_steps` are the indices of the steps it is compared with.
+    """
     likelihood, chance, usual = (
         np.zeros(len(TIME_GROWTH_FRACTIONS)),
         np.zeros(len(TIME_GROWTH_FRACTIONS)),
@@ -141,7 +145,11 @@ def _step_p_value(
 
 
 def _variance_by_moments(difference: Floats, sigma: Floats, relative_variances: Floats) -> float:
-    """Variance of steps that are no events, at which their expected chi-square equals their number; at least 0."""
+    """Variance of steps that are no events, at which their expected chi-square equals their number; at least 0.
+
+    The steps have the sizes `difference` and the standard deviations `sigma`; the variance of each is multiplied by its
+    element of `relative_variances`. All arrays have the shape (steps,).
+    """
     from scipy.optimize import brentq  # imported here: it takes a tenth of a second
 
     def excess(variance: float) -> float:

@@ -17,8 +17,8 @@ from ltsim.core.units import DEGREE
 from ltsim.physics.effects.linear_effect import Parameter
 
 MAX_SIGMA_RATIO_COMBINATION = 0.25
-"""Ratio of the standard deviation of a combination to that for independent members, at or below which the combination
-is reported: the recording then determines it four times better than its members."""
+"""Standard deviation of a combination, divided by the one it would have with independent members, up to which it is
+reported: the recording then determines the combination four times better than its members."""
 MAX_TRUNCATION_SIGMA_RATIO = 1.2
 """Largest permitted increase of the standard deviation of a combination when its smallest members are omitted, as a
 ratio."""
@@ -70,11 +70,11 @@ def likelihood_information(
 
 
 def score_test(information: Floats, score: Floats, prior_covariance: Floats) -> tuple[Floats, Floats]:
-    """Score and information of a change of each parameter, in addition to random changes with `prior_covariance`.
+    """Score and information of a change of each parameter, with random changes of all parameters as null hypothesis.
 
-    `score` (p,) is the information vector minus the information matrix times the expected parameters. The result is a
-    vector s (p,) and a matrix M (p, p): s[k] / M[k, k] estimates a change of parameter k alone, with the variance 1 /
-    M[k, k].
+    The random changes have the covariance `prior_covariance` (p, p). `score` (p,) is the information vector minus the
+    information matrix `information` (p, p) times the expected parameters. The result is a vector s (p,) and a matrix M
+    (p, p): s[k] / M[k, k] estimates a change of parameter k alone, with the variance 1 / M[k, k].
     """
     keeps = np.linalg.inv(np.eye(len(score)) + information @ prior_covariance)
     return keeps @ score, keeps @ information
@@ -96,11 +96,11 @@ def log_marginal_likelihood(
 
 
 def forward_select(score_function: Callable[[Collection[int]], Floats], min_score: float) -> dict[int, Floats]:
-    """Changes selected by forward selection with exchange: the scores at the selection of each change, by its index.
+    """Scores at the selection of each selected change, by its index, from forward selection with exchange.
 
-    `score_function` returns the score of each of h candidate changes given the indices of selected ones. The best
-    change is added while its score exceeds `min_score`. After each addition, every earlier change is exchanged for the
-    best change given the others.
+    `score_function` returns the score of each of h candidate changes, given the indices of the changes selected so far.
+    The best change is added while its score exceeds `min_score`. After each addition, every earlier change is exchanged
+    for the best change given the others.
     """
     odds_by_index: dict[int, Floats] = {}
     while (values := score_function(odds_by_index)).max(initial=-np.inf) > min_score:

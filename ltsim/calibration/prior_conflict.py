@@ -27,7 +27,7 @@ CORRECTED_INSTRUMENT_TEXT = "its declared correction, which leaves"
 
 
 def sigma0_of_readings(adjustment: Adjustment) -> float:
-    """Square root of chi-square per degree of freedom, without the contribution of the prior of the parameters."""
+    """Square root of chi-square per degree of freedom, without the part of chi-square that the prior contributes."""
     gap = adjustment.problem.prior.whitened_residuals(adjustment.state.instrument_parameters)
     return float(np.sqrt(max(adjustment.chi2 - float(gap @ gap), 0.0) / max(adjustment.dof, 1)))
 
@@ -140,7 +140,7 @@ def log_odds_of_errors(normalised_changes: Floats, information: Floats, n_consta
 
 
 def _normalised_deviations(deviation: Floats, information_gain: Floats) -> Floats:
-    """Deviations of estimates from the prior, divided by their standard deviations; 0 without information."""
+    """Deviations of estimates from the prior mean, divided by their standard deviations; 0 without information."""
     return np.where(
         information_gain > MAX_UNINFORMATIVE_GAIN,
         deviation / np.sqrt(np.maximum(information_gain, MAX_UNINFORMATIVE_GAIN)),

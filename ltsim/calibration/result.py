@@ -132,7 +132,7 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
 def _has_estimated_error(adjustment: Adjustment, whitened_residuals: Floats) -> Bools:
     """Mask (pointings, 3) of readings whose residual estimates their error.
 
-    Of an undetermined target only contradicting readings are included.
+    For a target without determined coordinates these are the readings with a large whitened residual only.
     """
     recording = adjustment.recording
     lost = np.isin(recording.targets, adjustment.undetermined_targets)[recording.target]
@@ -397,4 +397,4 @@ def range_zero_notes(adjustment: Adjustment) -> tuple[str, ...]:
         return ("two distance meters were used with one range zero assumed for both; method network estimates both",)
     value, sigma = adjustment.state.extra_parameters[0], np.sqrt(adjustment.effect_covariance[0, 0])
     zero = with_sigma(value / MICROMETRE, sigma / MICROMETRE, "um")
-    return (f"the range zero of the interferometer less that of the absolute distance meter is {zero} (range-mode)",)
+    return (f"the range zero of the interferometer minus that of the absolute distance meter is {zero} (range-mode)",)

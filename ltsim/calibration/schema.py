@@ -365,7 +365,7 @@ PARAMETERS_TABLE = Table(
     ),
 )
 REFERENCE_VALUES_TABLE = Table(
-    "reference_values.csv", "reference values, each tested by the rest", columns_of(ReferenceValueEntry)
+    "reference_values.csv", "reference values, each tested by the other observations", columns_of(ReferenceValueEntry)
 )
 OUTLIERS_TABLE = Table("outliers.csv", "outlying readings", columns_of(OutlierRow))
 NOISE_TABLE = Table(

@@ -39,17 +39,17 @@ from ltsim.solve.design import to_dense
 PRIOR_SCALES = np.geomspace(1e-4, 1e4, 161)
 """Tested scales of the prior (factors on the declared standard deviations), in steps of 12 %."""
 MIN_LOG_LIKELIHOOD_EXCESS_REJECTED = 0.5 * float(special.chdtri(1, FAMILY_WISE_LEVEL))
-"""Excess of the maximum log-likelihood over that of the declared scale (1) from which the declared scale is rejected
+"""Log-likelihood of the most likely scale of the prior minus that of the declared scale, 1, from which 1 is rejected
 (likelihood ratio test)."""
 MAX_LOG_LIKELIHOOD_DEFICIT_PLAUSIBLE = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_TEST_LEVEL))
-"""Largest deficit of the log-likelihood of a plausible scale (one-sided likelihood ratio test)."""
+"""Log-likelihood of the most likely scale minus that of another one, up to which this is plausible (one-sided test)."""
 MAX_PRIOR_SCALE = 30.0
 """Largest plausible scale of the prior: no instrument exceeds its whole specification by more; a larger misfit has
 another cause."""
 MIN_RELATIVE_CORRECTION = 0.02
 """Ratio of the applied to the estimated correction (rms effect on a point) below which no correction is applied."""
 MIN_HELD_OUT_IMPROVEMENT = 2.0
-"""Decrease of the held-out sum of squares above which a parameter is not applied: Akaike's penalty of one parameter."""
+"""Decrease of squared held-out residuals above which a parameter is not applied: Akaike's penalty of a parameter."""
 MAX_DENSE_UNKNOWNS = 500
 """Number of unknowns up to which a dense inverse, or an orthonormal basis of the unknowns, is computed (processor
 time): for held-out targets, and for Gram matrices of simulated recordings.
@@ -214,7 +214,7 @@ class ScaledPrior:
         return f"without a prior, parameters of the usual proportions and {scale_phrase}; {phrase}, the others by less"
 
     def estimate(self, prior_scale: float) -> Floats:
-        """Estimate of the parameters (q,) in prior standard deviations, for a scale of the prior."""
+        """Estimate (q,) in prior standard deviations, if all priors are `prior_scale` times as wide as declared."""
         return self._basis @ (self._information_vector / (self._strength + prior_scale**-2))
 
     def shrunk_correction(self, point_error_matrix: Floats, prior_mean: Floats | float = 0.0) -> tuple[Floats, str]:
@@ -384,7 +384,7 @@ def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
 
 
 def _eliminate_target(target_design: Floats, design: Floats, residual: Floats) -> tuple[Floats, Floats]:
-    """Design (m, K) and residuals (m,) of a target's rows after elimination of its coordinates."""
+    """Design (m, K) and residuals (m,) after elimination of a target's coordinates (`target_design`, (m, 3))."""
     basis = np.linalg.qr(target_design)[0]
     return design - basis @ (basis.T @ design), residual - basis @ (basis.T @ residual)
 

@@ -125,17 +125,17 @@ class BatchDistance(BatchCalibrator):
         visible, share = measured_targets_and_weights(self.truth, sets)
         return sets, visible, share, np.stack([gauge.first_targets, gauge.second_targets], axis=1).reshape(-1, 2)
 
-    def calibrate_batch(self, block: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBlock, Bools]:
+    def calibrate_batch(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBlock, Bools]:
         """Calibrated trials, and flags (B,) of the converged ones.
 
         The targets are adjusted from readings that are corrected by the estimated parameters.
         """
         values, moved = (
-            self._least_squares_values(block)
+            self._least_squares_values(trial_batch)
             if self.method == "distance"
-            else self._separate_trial_values(block, trial_numbers)
+            else self._separate_trial_values(trial_batch, trial_numbers)
         )
-        fit = self._fit_corrected_readings(block, values)
+        fit = self._fit_corrected_readings(trial_batch, values)
         spread = (
             np.sqrt(np.diag(self.nominal_estimate.covariance)).reshape(values.shape[:2])
             * self.distance_problem.prior_sigma
@@ -145,12 +145,12 @@ class BatchDistance(BatchCalibrator):
             moved < MAX_CONVERGED_CHANGE
         ) & fit.has_converged
 
-    def _least_squares_values(self, block: TrialBatch) -> tuple[Floats, Floats]:
+    def _least_squares_values(self, trial_batch: TrialBatch) -> tuple[Floats, Floats]:
         """Parameters (I, p, B) [SI], and their largest change (B,) in the last step [prior sigma]."""
-        deviation, prior = block.reading_deviations, self.distance_problem.prior_sigma[:, :, None]
+        deviation, prior = trial_batch.reading_deviations, self.distance_problem.prior_sigma[:, :, None]
         sets, visible, share, gauge = self._set_membership
         recording, trials = self.truth.recording, deviation.shape[2]
-        reference_lengths = self.distance_problem.reference_lengths.lengths[:, None] + block.length_errors
+        reference_lengths = self.distance_problem.reference_lengths.lengths[:, None] + trial_batch.length_errors
         parameter_values = np.zeros((*self.distance_problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
         for _ in range(MAX_DISTANCE_STEPS):
@@ -168,15 +168,16 @@ class BatchDistance(BatchCalibrator):
                 break
         return parameter_values, moved
 
-    def _separate_trial_values(self, block: TrialBatch, trial_numbers: Ints) -> tuple[Floats, Floats]:
+    def _separate_trial_values(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[Floats, Floats]:
         """Parameters (I, p, B) [SI] of selected trials, and their largest change (B,) in the last step [prior sigma].
 
-        Each trial has a separate matrix. The change is infinite for trials that are not in `trial_numbers`.
+        Each trial has a separate normal matrix. The change is infinite for trials of the block that are not in
+        `trial_numbers`.
         """
-        prior, trials = self.distance_problem.prior_sigma[:, :, None], block.reading_deviations.shape[2]
+        prior, trials = self.distance_problem.prior_sigma[:, :, None], trial_batch.reading_deviations.shape[2]
         unknowns, moved = np.zeros((self.distance_problem.prior_sigma.size, trials)), np.full(trials, np.inf)
         readings = {
-            trial: self.truth.recording.readings + block.reading_deviations[:, :, trial]
+            trial: self.truth.recording.readings + trial_batch.reading_deviations[:, :, trial]
             for trial in trial_numbers.tolist()
         }
         combinations_by_trial = {
@@ -191,7 +192,9 @@ class BatchDistance(BatchCalibrator):
             active = trial_numbers[moved[trial_numbers] >= MAX_CONVERGED_CHANGE]
             if not len(active):
                 break
-            residual = self._objective_terms(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
+            residual = self._objective_terms(
+                trial_batch, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active
+            )
             for gap, trial in zip(residual.T, active.tolist(), strict=True):
                 by_unknown = self.distance_problem.parameter_derivatives(readings[trial], unknowns[:, trial])
                 design = self._pair_difference_rows.comparison_matrix @ (by_unknown @ combinations_by_trial[trial])
@@ -219,22 +222,26 @@ class BatchDistance(BatchCalibrator):
         ]
         return axes[:, order]
 
-    def _objective_terms(self, block: TrialBatch, parameter_values: Floats, trial_indices: Ints) -> Floats:
-        """Terms (R, B) of the sum in the distance objective, for some trials at their parameters (I, p, B) [SI]."""
+    def _objective_terms(self, trial_batch: TrialBatch, parameter_values: Floats, trial_indices: Ints) -> Floats:
+        """Terms (R, B) whose sum is the distance objective of B trials.
+
+        The trials have the indices `trial_indices` in the block and the instrument parameters `parameter_values` (I, p,
+        B) [SI].
+        """
         deviation, parameter_values = (
-            np.ascontiguousarray(a) for a in (block.reading_deviations[:, :, trial_indices], parameter_values)
+            np.ascontiguousarray(a) for a in (trial_batch.reading_deviations[:, :, trial_indices], parameter_values)
         )
         points = np.empty(deviation.shape)
         compute_points(self._chain_program, self.truth.recording.instrument, deviation, parameter_values, points)
         change = self.distance_problem.distances_of_points(points) - self._nominal_distances.lengths[:, None]
         rows, gauge = self._pair_difference_rows, self.distance_problem.reference_lengths
-        length_errors = gauge.decorrelate(block.length_errors[:, trial_indices])
+        length_errors = gauge.decorrelate(trial_batch.length_errors[:, trial_indices])
         by_gauge = rows.noise_derivatives[:, rows.noise_derivatives.shape[1] - len(gauge) :]
         return rows.residuals[:, None] + rows.comparison_matrix @ change + by_gauge @ length_errors
 
-    def _fit_corrected_readings(self, block: TrialBatch, parameter_values: Floats) -> BatchFit:
+    def _fit_corrected_readings(self, trial_batch: TrialBatch, parameter_values: Floats) -> BatchFit:
         """Network adjustment of the readings that parameters (I, p, B) [SI] have corrected."""
-        deviation = block.reading_deviations
+        deviation = trial_batch.reading_deviations
         points = np.empty(deviation.shape)
         compute_points(self._chain_program, self.truth.recording.instrument, deviation, parameter_values, points)
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
@@ -251,4 +258,4 @@ class BatchDistance(BatchCalibrator):
         )
         corrected_readings = raw_readings - self.truth.recording.readings[:, :, None]
         corrected_readings[:, 1:] = wrap_angle(corrected_readings[:, 1:])
-        return self.batch_network.fit_trials(corrected_readings, block.length_errors)
+        return self.batch_network.fit_trials(corrected_readings, trial_batch.length_errors)

@@ -36,12 +36,13 @@ from ltsim.solve.design import cholesky_where_determined, scale_to_unit_diagonal
 MAX_NETWORK_STEPS = 8
 """Largest number of Gauss-Newton steps of a trial."""
 MIN_CONVERGENCE_RATE = 1e-3
-"""Smallest assumed ratio of the distances to the optimum after and before a step; else that of the last two steps."""
+"""Smallest assumed ratio of the distance to the optimum after a step to that before; otherwise the ratio of the last
+two steps is used."""
 
 
 @dataclass(frozen=True)
 class SharedQuantities:
-    """Derivatives and model of one network, reused for another network with the same set-up and pointings."""
+    """Quantities of one network that are reused for another network with the same set-up and pointings."""
 
     network: BatchNetwork
     """Network with the same set-up and pointings, but other coordinates."""
@@ -277,19 +278,19 @@ class BatchNetwork:
             unknowns[values:],
         )
 
-    def fit_trials(self, deviation: Floats, length_errors: Floats | None = None) -> BatchFit:
+    def fit_trials(self, reading_deviations: Floats, length_errors: Floats | None = None) -> BatchFit:
         """Adjusted trials.
 
-        `deviation` (n, 3, B) is readings minus nominal readings, `length_errors` (g, B) [m] are the errors of the g
-        reference lengths.
+        `reading_deviations` (n, 3, B) are readings minus nominal readings, `length_errors` (g, B) [m] are the errors of
+        the g reference lengths.
         """
         if self._expected_reading_change is not None:
-            deviation = deviation - self._expected_reading_change
-        x, predicted = self._first_step(deviation, length_errors)
+            reading_deviations = reading_deviations - self._expected_reading_change
+        x, predicted = self._first_step(reading_deviations, length_errors)
         last_costs = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
         for _ in range(2, MAX_NETWORK_STEPS + 1):
-            self._gradient(x, deviation, length_errors, predicted, gradient, cost)
+            self._gradient(x, reading_deviations, length_errors, predicted, gradient, cost)
             step = self.step(gradient)
             x += step
             squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
@@ -334,19 +335,19 @@ class BatchNetwork:
         by_reading = self.covariance @ (design / self.reading_sigmas.reshape(-1, 1)).T
         return by_reading, self.covariance @ self._non_reading_design[0].T, predicting
 
-    def _first_step(self, deviation: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
+    def _first_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
         """First step (K, B) from the nominal state, and predicted minus nominal readings (n, 3, B) after the step."""
         by_reading, by_other, predicting = self._first_step_matrices
-        nowhere = np.zeros((self.end_indices[-1], deviation.shape[2]))
-        x = by_reading @ deviation.reshape(len(predicting), -1) + by_other @ self._non_reading_residuals(
+        nowhere = np.zeros((self.end_indices[-1], reading_deviations.shape[2]))
+        x = by_reading @ reading_deviations.reshape(len(predicting), -1) + by_other @ self._non_reading_residuals(
             nowhere, length_errors
         )
-        return x, (predicting @ x[: self.end_indices[2]]).reshape(deviation.shape)
+        return x, (predicting @ x[: self.end_indices[2]]).reshape(reading_deviations.shape)
 
     def _gradient(
         self,
         increments: Floats,
-        deviation: Floats,
+        reading_deviations: Floats,
         length_errors: Floats | None,
         predicted: Floats,
         gradient: Floats,
@@ -357,11 +358,11 @@ class BatchNetwork:
         pose, points, values, extra = self.split_unknowns(increments)
         if self._has_additional_parameters:
             rows, design, whitened = self._affected_readings
-            deviation = deviation.copy()
-            deviation.reshape(-1, len(cost))[rows] -= multiply_by_trial(design, extra)
+            reading_deviations = reading_deviations.copy()
+            reading_deviations.reshape(-1, len(cost))[rows] -= multiply_by_trial(design, extra)
         by_pose, by_points, by_values, by_extra = self.split_unknowns(gradient)
-        residual = np.empty(deviation.shape)
-        arrays = (self.chain_program, *self._sight_geometry, deviation, pose, points, values, predicted)
+        residual = np.empty(reading_deviations.shape)
+        arrays = (self.chain_program, *self._sight_geometry, reading_deviations, pose, points, values, predicted)
         network_gradient(*arrays, residual, by_pose, by_points, by_values, cost)
         if self._has_additional_parameters:
             by_extra += multiply_by_trial(np.swapaxes(whitened, -2, -1), residual.reshape(-1, len(cost))[rows])

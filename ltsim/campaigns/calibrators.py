@@ -101,7 +101,7 @@ class GeometryStack(CellTruth):
         )
 
     def array_of_trial(self, stacked_array: Floats, trial: int) -> Floats:
-        """Array (n, ...) of one trial, in the order of that trial's pointings, from a stacked array (n, ..., B)."""
+        """Array (n, ...) of the trial with index `trial`, in the order of its pointings, from an array (n, ..., B)."""
         trial_array = np.empty(stacked_array.shape[:-1])
         trial_array[self.recording_row_of_pointing[:, trial]] = stacked_array[..., trial]
         return trial_array
@@ -208,24 +208,24 @@ class StackCalibrator(TrialCalibrator):
         """Calibrator of a single trial."""
         return make_calibrator(self.requested_method, self.truth.truths[trial])
 
-    def calibrate(self, block: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
+    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
         """Calibrated trials of a block; a trial with undetermined parameters is marked as failed."""
         calibrated = CalibratedBlock.from_failed_trials(
-            self.truth, self.construction, self.effects, len(block.single_trials)
+            self.truth, self.construction, self.effects, len(trial_batch.single_trials)
         )
         is_batch = self.method == "network" and self.requested_method.solver == "batch" and not self.effects
-        remaining = self._calibrate_batch(block, calibrated) if is_batch else trial_numbers
+        remaining = self._calibrate_batch(trial_batch, calibrated) if is_batch else trial_numbers
         for trial in remaining.tolist():
             try:
                 single = self.single_trial_calibrator(trial).calibrate(
-                    block.single_trials[trial], np.zeros(1, dtype=np.int64)
+                    trial_batch.single_trials[trial], np.zeros(1, dtype=np.int64)
                 )
             except (NetworkError, SetupError):
                 continue
             calibrated.copy_trial(trial, single, 0)
         return calibrated
 
-    def _calibrate_batch(self, block: TrialBatch, calibrated_block: CalibratedBlock) -> Ints:
+    def _calibrate_batch(self, trial_batch: TrialBatch, calibrated_block: CalibratedBlock) -> Ints:
         """Indices of the trials that the batch did not calibrate.
 
         The estimates of all other trials are stored in `calibrated_block`.
@@ -250,7 +250,7 @@ class StackCalibrator(TrialCalibrator):
             )
         network = StackedNetwork(stack.recording, stack.state, built, program, networks=tuple(blocks))
         try:
-            fit = network.fit_trials(block.reading_deviations, block.length_errors)
+            fit = network.fit_trials(trial_batch.reading_deviations, trial_batch.length_errors)
         except SetupError:
             return np.arange(len(blocks))
         status = np.zeros(len(blocks), dtype=np.int64)
@@ -262,13 +262,13 @@ class StackCalibrator(TrialCalibrator):
             status,
             incidence_parameters=fit.incidence_parameters,
         )
-        is_doubtful = ~fit.has_converged | is_suspect_trial(block.reading_deviations, stack.local_points)
+        is_doubtful = ~fit.has_converged | is_suspect_trial(trial_batch.reading_deviations, stack.local_points)
         for trial in np.flatnonzero(~is_doubtful):
             calibrated_block.copy_trial(int(trial), batch_results, int(trial))
         return np.flatnonzero(is_doubtful)
 
-    def largest_solver_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
-        """Largest difference [sigma] between the batch and the full solver for a trial, as in `TrialCalibrator`."""
+    def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBlock) -> float:
+        """Largest difference [sigma] between `results` of the batch for a trial and those of the full solver."""
         trial_slice = slice(trial, trial + 1)
         arrays = (
             results.instrument_values[..., trial_slice],
@@ -277,7 +277,7 @@ class StackCalibrator(TrialCalibrator):
         )
         single_block = CalibratedBlock(*arrays, results.chi2[trial_slice], results.status_indices[trial_slice])
         return self.single_trial_calibrator(trial).largest_solver_difference(
-            block.single_trials[trial], 0, single_block
+            trial_batch.single_trials[trial], 0, single_block
         )
 
 
@@ -336,10 +336,10 @@ class StackedNetwork(BatchNetwork):
         designs, nominal = zip(*(part._non_reading_design for part in self.networks), strict=True)
         return np.stack(designs), np.concatenate(nominal, axis=1)
 
-    def _first_step(self, deviation: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
-        x, predicted = np.zeros((self.end_indices[-1], deviation.shape[2])), np.zeros_like(deviation)
+    def _first_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
+        x, predicted = np.zeros((self.end_indices[-1], reading_deviations.shape[2])), np.zeros_like(reading_deviations)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
-        arguments = deviation, length_errors, predicted, gradient, cost
+        arguments = reading_deviations, length_errors, predicted, gradient, cost
         self._gradient(x, *arguments)
         x += self.step(gradient)
         self._gradient(x, *arguments)  # the predicted readings settle

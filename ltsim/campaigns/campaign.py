@@ -343,9 +343,9 @@ def _pending_shards(
 
 
 def _confidence_half_widths(folder: Path, statistic: str, n_shards: int) -> dict[tuple[int, str], float]:
-    """Half-width of the 95 % confidence interval of a statistic's mean, by combination of settings (cell) and method.
+    """Half-width of the 95 % confidence interval of the mean of a statistic, by cell and method.
 
-    Only the first `n_shards` shards of each cell are used.
+    A cell is one combination of settings. Only the first `n_shards` shards of each cell are used.
     """
     return {
         (s.cell, s.method): 0.5 * (s.high - s.low) for s in CampaignStatistics(folder, n_shards).distribution(statistic)

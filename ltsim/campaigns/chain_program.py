@@ -98,10 +98,7 @@ class ChainProgram(NamedTuple):
 
 
 def _reading_index(motion: ElementaryMotion) -> int:
-    """Index of the reading on which a motion depends (0 range, 1 azimuth, 2 elevation), -1 for a constant motion.
-
-    A motion is constant, or a reading plus a constant.
-    """
+    """Index of the reading that sets the amount of a motion (0 range, 1 azimuth, 2 elevation); -1 if it is constant."""
     if motion.nominal_function is None:
         return -1
     probe = np.vstack([np.zeros(3), np.eye(3)])
@@ -110,7 +107,7 @@ def _reading_index(motion: ElementaryMotion) -> int:
 
 
 def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
-    """Size of a motion at readings (n, 3): translation and 0, or cosine and sine of a rotation, (n, 2)."""
+    """Amount (n, 2) of a motion at readings (n, 3): length and 0 of a translation, cosine and sine of a rotation."""
     nominal_amounts = (
         np.zeros(len(readings)) if motion.nominal_function is None else motion.sign * motion.nominal_function(readings)
     )

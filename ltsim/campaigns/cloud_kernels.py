@@ -83,7 +83,7 @@ def _centre_cloud(cloud: Floats, is_used_target: Bools, centred_cloud: Floats) -
 
 @compile_function
 def align_rigidly(cloud: Floats, reference_cloud: Floats, is_used_target: Bools, aligned_cloud: Floats) -> None:
-    """Rigid least-squares alignment of a cloud (T, 3, B) to another cloud, written to `aligned_cloud`.
+    """Rigid least-squares alignment of a cloud (T, 3, B) to `reference_cloud`, written to `aligned_cloud`.
 
     Only the targets flagged in `is_used_target` (T,) are fitted.
     """
@@ -165,7 +165,10 @@ def _rotate_columns(rotations: Floats, columns: Floats) -> None:
 
 @compile_function
 def add_square_error(aligned_cloud: Floats, reference_cloud: Floats, is_used_target: Bools, square_sum: Floats) -> int:
-    """Number of used targets; the sum of their squared distances between two clouds is added to `square_sum` (B,)."""
+    """Number of targets flagged by `is_used_target` (T,); their squared distances are added to `square_sum` (B,).
+
+    The distances are those between the points of two clouds (T, 3, B), `aligned_cloud` and `reference_cloud`.
+    """
     n_points = 0
     for i in range(len(aligned_cloud)):
         if is_used_target[i]:
@@ -178,15 +181,16 @@ def add_square_error(aligned_cloud: Floats, reference_cloud: Floats, is_used_tar
 
 
 @compile_function
-def distance_criterion(clouds: Floats, is_visible: Bools, mean_coordinates: Floats, maximum: Floats) -> None:
+def distance_criterion(clouds: Floats, is_visible: Bools, mean_criterion: Floats, max_criterion: Floats) -> None:
     """Disagreement of stations in distances (Sensors 2021, 21, 7479): mean, maximum over pairs of targets, (B,) [um].
 
-    The value of a pair is the mean absolute deviation of its distance, as measured from each station, from the mean
-    over stations.
+    Both are written to `mean_criterion` and `max_criterion`. The value of a pair is the mean absolute deviation of its
+    distance, as measured from each station, from the mean over stations. `clouds` (S, T, 3, B) [m] are the points of
+    the stations, `is_visible` (S, T) flags the measured ones.
     """
     stations, targets, _, trials = clouds.shape
     length, middle, spread = np.empty((stations, trials)), np.empty(trials), np.empty(trials)
-    mean_coordinates[:], maximum[:] = 0.0, 0.0
+    mean_criterion[:], max_criterion[:] = 0.0, 0.0
     n_pairs = 0
     for i in range(targets):
         for j in range(i + 1, targets):
@@ -210,21 +214,25 @@ def distance_criterion(clouds: Floats, is_visible: Bools, mean_coordinates: Floa
                     spread[t] += abs(length[s, t] - part * middle[t])
             for t in range(trials):
                 value = MICROMETRES_PER_METRE * part * spread[t]
-                mean_coordinates[t] += value
-                maximum[t] = max(maximum[t], value)
+                mean_criterion[t] += value
+                max_criterion[t] = max(max_criterion[t], value)
     for t in range(trials):
-        mean_coordinates[t] /= n_pairs
+        mean_criterion[t] /= n_pairs
 
 
 @compile_function
-def coordinate_criterion(aligned_clouds: Floats, is_visible: Bools, mean_points: Floats, maximum: Floats) -> None:
+def coordinate_criterion(
+    aligned_clouds: Floats, is_visible: Bools, mean_criterion: Floats, max_criterion: Floats
+) -> None:
     """Disagreement of stations in coordinates (Sensors 2021, 21, 7479): mean and maximum over targets, (B,) [um].
 
-    The value of a target is the mean distance between its positions from two stations, over all pairs of stations.
+    Both are written to `mean_criterion` and `max_criterion`. The value of a target is the mean distance between its
+    positions from two stations, over all pairs of stations. `aligned_clouds` (S, T, 3, B) [m] are the points of the
+    stations in one frame, `is_visible` (S, T) flags the measured ones.
     """
     stations, targets, _, trials = aligned_clouds.shape
     spread = np.empty(trials)
-    mean_points[:], maximum[:] = 0.0, 0.0
+    mean_criterion[:], max_criterion[:] = 0.0, 0.0
     n_used = 0
     for i in range(targets):
         count = 0
@@ -242,10 +250,10 @@ def coordinate_criterion(aligned_clouds: Floats, is_visible: Bools, mean_points:
         n_used += 1
         for t in range(trials):
             value = MICROMETRES_PER_METRE * spread[t] / count
-            mean_points[t] += value
-            maximum[t] = max(maximum[t], value)
+            mean_criterion[t] += value
+            max_criterion[t] = max(max_criterion[t], value)
     for t in range(trials):
-        mean_points[t] /= n_used
+        mean_criterion[t] /= n_used
 
 
 @compile_function
@@ -255,16 +263,16 @@ def _add_line_derivative(
     first_gradient: Floats,
     second_gradient: Floats,
     derivative_size: Floats,
-    length: Floats,
+    distance: Floats,
 ) -> None:
     """Addition of the derivative of a distance objective to the gradients (3, B) with respect to two points.
 
-    The derivative is a vector of size `derivative_size` (B,) along the line between the points; `length` (B,) is their
-    distance.
+    The derivative is a vector of size `derivative_size` (B,) along the line between `first_point` and `second_point`
+    (3, B); `distance` (B,) is that of the points.
     """
     for c in range(3):
         for t in range(len(derivative_size)):
-            part = derivative_size[t] / length[t] * (first_point[c, t] - second_point[c, t])
+            part = derivative_size[t] / distance[t] * (first_point[c, t] - second_point[c, t])
             first_gradient[c, t] += part
             second_gradient[c, t] -= part
 
@@ -282,11 +290,11 @@ def _point_distances(first_point: Floats, second_point: Floats, distances: Float
 
 
 @compile_function
-def _reference_length_index(gauge: Ints, first_target: int, second_target: int) -> int:
+def _reference_length_index(gauge_pairs: Ints, first_target: int, second_target: int) -> int:
     """Index of the reference length between two targets; -1 if there is none."""
-    for g in range(len(gauge)):
-        if (gauge[g, 0] == first_target and gauge[g, 1] == second_target) or (
-            gauge[g, 0] == second_target and gauge[g, 1] == first_target
+    for g in range(len(gauge_pairs)):
+        if (gauge_pairs[g, 0] == first_target and gauge_pairs[g, 1] == second_target) or (
+            gauge_pairs[g, 0] == second_target and gauge_pairs[g, 1] == first_target
         ):
             return g
     return -1
@@ -294,13 +302,13 @@ def _reference_length_index(gauge: Ints, first_target: int, second_target: int) 
 
 @compile_function
 def distance_gradient(
-    clouds: Floats, is_visible: Bools, gauge: Ints, length: Floats, point_gradient: Floats, cost: Floats
+    clouds: Floats, is_visible: Bools, gauge_pairs: Ints, gauge_lengths: Floats, point_gradient: Floats, cost: Floats
 ) -> None:
     """Half of the derivative of the distance objective by the points, added to `point_gradient` (O, T, 3, B).
 
     `clouds` (O, T, 3, B) [m] are the points on T targets in O sets; a set is a station and face. `is_visible` (O, T)
-    marks the measured ones. The g pairs of targets `gauge` (g, 2) have the reference lengths `length` (g, B) [m]. The
-    value of the objective is added to `cost` (B,).
+    marks the measured ones. The g pairs of targets `gauge_pairs` (g, 2) have the reference lengths `gauge_lengths` (g,
+    B) [m]. The value of the objective is added to `cost` (B,).
     """
     sets, targets, _, trials = clouds.shape
     lengths, middle = np.empty((sets, trials)), np.empty(trials)
@@ -315,7 +323,7 @@ def distance_gradient(
                     count += 1
                     for t in range(trials):
                         middle[t] += lengths[s, t]
-            gauge_index = _reference_length_index(gauge, i, j)
+            gauge_index = _reference_length_index(gauge_pairs, i, j)
             for s in range(sets):
                 if not (is_visible[s, i] and is_visible[s, j]):
                     continue
@@ -325,7 +333,7 @@ def distance_gradient(
                     cost[t] += count * gap * gap
                 if gauge_index >= 0:
                     for t in range(trials):
-                        gap = lengths[s, t] - length[gauge_index, t]
+                        gap = lengths[s, t] - gauge_lengths[gauge_index, t]
                         distances[t] += gap
                         cost[t] += gap * gap
                 _add_line_derivative(

@@ -102,7 +102,11 @@ def append_settings(
 
 
 def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> pa.Table:
-    """Table of a method's columns. Displayed numbers have seven digits; a value that does not exist is empty."""
+    """Table of the columns of a method for the combination of settings number `cell`.
+
+    `column_groups` are joined in their order. Displayed numbers have seven digits; a value that does not exist is
+    empty.
+    """
     names = dict.fromkeys(name for part in column_groups for name in part)
     values_by_column = {
         name: np.concatenate(

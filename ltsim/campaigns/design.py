@@ -43,7 +43,7 @@ class SettingRange(TomlSection):
     @model_validator(mode="after")
     def _check_limits_ascend(self) -> Self:
         if self.low >= self.high or (self.scale == "log" and self.low <= 0):
-            raise ValueError("it should have low below high, and low above 0 for a log scale")
+            raise ValueError("low should be less than high, and above 0 for a log scale")
         return self
 
     def values_at(self, fractions: Floats, *, is_integer: bool) -> list[float]:

@@ -160,7 +160,7 @@ def injection_curve(
 
 
 def _catalogue_name(cause: str | CandidateEffect | SizedEffect) -> str:
-    """Name of an effect, or its text."""
+    """Name of the effect `cause`, which is a text, an effect, or an effect with sizes; a text is its own name."""
     return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, SizedEffect) else cause.name
 
 
@@ -187,7 +187,7 @@ def compare_with_injection(
 
 
 def _finding_key(finding: Any) -> tuple[Any, ...]:
-    """Effect, stations, targets and observables of a finding, by which two findings are compared."""
+    """Effect, stations, targets and observables of a finding; two findings with equal keys are the same."""
     scope = finding.where
     return finding.effect, tuple(scope.stations), tuple(scope.targets), tuple(scope.observables)
 
@@ -283,7 +283,7 @@ def _split_parameter_values(effect_text: str) -> tuple[str, dict[str, float]]:
 def _parameter_values(
     cause: CandidateEffect, given_values: Mapping[str, float], injector: Injector, random_generator: np.random.Generator
 ) -> Floats:
-    """Values (q,) [SI] of the parameters of an effect: those given, or random ones from their priors."""
+    """Values (q,) [SI] of the parameters of an effect: those in `given_values`, others drawn from their priors."""
     drawn_values = np.array([p.prior_sigma for p in cause.parameters]) * random_generator.standard_normal(
         len(cause.parameters)
     )

@@ -120,7 +120,7 @@ def _backpropagate(
     moment: Floats,
     gradient: Floats,
 ) -> None:
-    """Subtraction, from `gradient` (p, B), of a force (3, B) on the target times the derivative by each parameter."""
+    """Subtraction of the force (3, B) on a target, times its derivative by each parameter, from `gradient` (p, B)."""
     is_rotation, axis, sign, _, amount, first, fed, varies, basis, slope = chain
     n_trials = amounts.shape[1]
     for m in range(len(is_rotation)):

@@ -55,9 +55,8 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.verbs import ScenarioSource, scenario as scenario_of, simulate
 
 MAX_EARLY_FAILURES = 3
-"""Number of trials without a result of an external calibrator after which the run ends: a command that does not work
-fails at once, and the check of convergence fails with the first.
-"""
+"""Number of failed trials of an external calibrator after which a run ends: a command that does not work fails in every
+trial, and one failed trial is enough for the check of convergence to fail."""
 MAX_LISTED_PARAMETERS = 3
 """Largest number of parameters that a sentence lists; the table and the file have all."""
 
@@ -286,7 +285,7 @@ def recover(
 def _failed_if_parameters_differ(
     outcome: TrialScore | FailedTrial, earlier_trials: Sequence[TrialScore | None]
 ) -> TrialScore | FailedTrial:
-    """The outcome; a failure if its parameters are not those of the first trial with a result."""
+    """Outcome of a trial; a failed trial if its parameters differ from those of the first trial with a result."""
     first_trial = next((other for other in earlier_trials if other is not None), None)
     if (
         first_trial is None
@@ -317,5 +316,5 @@ def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[s
 
 
 def suggested_error_origin(scenario: Scenario) -> ErrorOrigin:
-    """Mode that a scenario suggests: `stated` if it declares an error of an instrument."""
+    """Origin of the true instrument errors for a scenario: `stated` if it declares such an error, otherwise `drawn`."""
     return "stated" if any(set(tracker.errors) - {"draw"} for tracker in scenario.trackers_in_use.values()) else "drawn"

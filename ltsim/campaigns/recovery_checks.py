@@ -58,7 +58,10 @@ class RecoveryCheck(Entry):
 
     @classmethod
     def from_value(cls, subject: str, statistic: str, value: float, lower_limit: float, upper_limit: float) -> Self:
-        """Check of a number; the check fails if the number is NaN."""
+        """Check that the `value` of a `statistic` of a `subject`, such as a parameter, lies between two limits.
+
+        The check fails if the value is NaN.
+        """
         is_passed = bool(lower_limit <= value <= upper_limit)
         return cls(
             subject=subject, statistic=statistic, value=value, low=lower_limit, high=upper_limit, passed=is_passed
@@ -153,7 +156,7 @@ def recovery_checks(
 
 
 def tolerance_check(name: str, errors: Floats, tolerance: float, tolerance_text: str = "") -> RecoveryCheck:
-    """Check that 95 % of the errors (N,) lie within a tolerance."""
+    """Check that 95 % of the errors (N,) of a parameter (`name`) are within a tolerance with a given text."""
     share = float(np.mean(np.abs(errors) <= tolerance))
     return RecoveryCheck.from_value(
         name, f"share of errors within {tolerance_text or f'{tolerance:g}'}", share, NOMINAL_COVERAGE, 1.0
@@ -195,9 +198,11 @@ def fixed_truth_checks(name: str, z_scores: Floats, alpha: float) -> list[Recove
 
 
 def chi_square_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, alpha: float) -> RecoveryCheck:
-    """Check of the sum of chi-square over all trials, divided by its expectation.
+    """Check of the sum of chi-square over all N trials, divided by its expectation.
 
-    The limits are those of a scaled chi-square distribution with the same mean and variance (Satterthwaite).
+    `chi2` (N,) are the values, `expected_chi2` and `chi2_sigma` (N,) their expected means and standard deviations, and
+    `alpha` is the false-alarm rate of the check. The limits are those of a scaled chi-square distribution with the same
+    mean and variance (Satterthwaite).
     """
     mean, variance = float(np.sum(expected_chi2)), float(np.sum(chi2_sigma**2))
     freedom = 2 * mean**2 / variance

@@ -266,7 +266,11 @@ def paired_differences(results: CampaignStatistics, statistic: str, **pair: tupl
             _mean_and_influence(v[1][:, keep]) for v, keep in zip(values, both, strict=True)
         )
         count, gap = len(scatter), mean - less
-        half = results.half_interval(count, float(np.std(scatter - less_scatter, ddof=1))) if count > 1 else math.inf
+        half = (
+            results.half_width_of_interval(count, float(np.std(scatter - less_scatter, ddof=1)))
+            if count > 1
+            else math.inf
+        )
         this_name, other_name = (str(k) if along == "method" else f"{along} {k}" for k in (first, second))
         named = this_name, other_name, statistic, results.units.get(statistic, "")
         differences.append(PairedDifference(common, *named, count, gap, gap - half, gap + half))
@@ -328,7 +332,7 @@ def _trial_values(results: CampaignStatistics, statistic: str, cell: int, method
 
 
 def _mean_and_influence(trial_terms: Floats) -> tuple[float, Floats]:
-    """Mean of terms (1, N), or ratio of the means of terms (2, N), and influence (N,) of each trial on the result."""
+    """Mean of terms (1, N), or ratio of the means of terms (2, N), and influence function (N,) of the trials on it."""
     if len(trial_terms) == 1:
         return float(np.mean(trial_terms)), trial_terms[0]
     ratio = float(trial_terms[0].mean() / trial_terms[1].mean())

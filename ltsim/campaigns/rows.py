@@ -97,9 +97,9 @@ class CellContext:
 
     @cached_property
     def validation_evaluator(self) -> TrialEvaluator | None:
-        """Geometry of `judge_in`, at which the same instruments measure points that no calibration used.
+        """Evaluation at the held-out points of the key `judge_in`; None without this key.
 
-        The geometry is None without the key `judge_in`.
+        The instruments of each trial measure these points, which no calibration uses.
         """
         return (
             None

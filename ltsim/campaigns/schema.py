@@ -30,7 +30,7 @@ READING_ERROR_TEXT = (
     "station's points fitted rigidly to the true ones; noise of these readings included"
 )
 NEW_POINT_TEXT = "error of a new point, by readings in the place of `judge_in` that no calibration used: "
-REMOVED_SHARE_TEXT = (
+REMOVED_FRACTION_TEXT = (
     "(R - C) / (R - P), where R, C and P are the mean squares of {0}error_raw_um, {0}error_calibrated_um and "
     "{0}error_true_parameters_um over all trials of a combination of settings and method: 1 for a calibration that "
     "found the true parameters, 0 for one that did nothing, below 0 for one that did harm; its interval is that of a "
@@ -73,7 +73,7 @@ def _error_columns(prefix: str, description: str) -> list[RowColumn]:
         f"{prefix}error_true_parameters_um": f"{description}; {floor}",
     }
     return _result_columns("errors", "um", **meaning_by_column) + _result_columns(
-        "errors", "", **{f"{prefix}share_removed": REMOVED_SHARE_TEXT.format(prefix)}
+        "errors", "", **{f"{prefix}share_removed": REMOVED_FRACTION_TEXT.format(prefix)}
     )
 
 
@@ -141,7 +141,7 @@ ROWS_TABLE = Table(
         *number_columns(cell="number"),
         *text_columns(method="name"),
         *number_columns(trial="number of the trial; `ltsim simulate --trial NUMBER` writes its recording"),
-        *text_columns(status="converged, full solver (the batch was not enough), failed"),
+        *text_columns(status="converged, full solver (the batch solver did not converge), failed"),
         *RESULT_COLUMNS,
     ),
 )
@@ -242,7 +242,7 @@ METHOD_DIFFERENCES_TABLE = Table(
     "methods.csv",
     "paired differences of an error between methods, with 95 % intervals",
     (
-        *text_columns(setting="cell", methods="first less second method"),
+        *text_columns(setting="cell", methods="first minus second method"),
         *number_columns(
             display_format=".3g",
             difference_um="mean difference on the same draws; positive if the second method is better",

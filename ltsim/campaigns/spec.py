@@ -336,14 +336,14 @@ def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scena
             "effects": effects,
         }
         return change_scenario(scenario, changes, path, f"{path}: judge_in")
-    room = load_scenario(file or name)
+    hall = load_scenario(file or name)
     instruments = {"instrument": scenario.instrument, "instruments": scenario.instruments}
-    room = room.model_copy(update=instruments)
-    instrument_names = {station.instrument or "" for station in room.stations.values()}
+    hall = hall.model_copy(update=instruments)
+    instrument_names = {station.instrument or "" for station in hall.stations.values()}
     if instrument_names != {*scenario.trackers_in_use}:
         wanted = ", ".join(scenario.trackers_in_use) or "one without a name"
         raise SetupError(f"{path}: judge_in: the stations of {name} should name the trackers of the cells: {wanted}")
-    return room
+    return hall
 
 
 def local_file(name: str, path: Path) -> Path | None:
@@ -355,17 +355,17 @@ def local_file(name: str, path: Path) -> Path | None:
 
 
 def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
-    """CAD files of the workshops, without duplicates."""
+    """CAD files of the halls, without duplicates."""
     file_names = (o.file for scenario in scenarios for o in scenario.workshop.obstacles if o.file is not None)
     return [Path(name) for name in dict.fromkeys(file_names)]
 
 
 def _with_cad_digests(scenario: Scenario) -> Scenario:
     """Scenario with the digests of its CAD files in place of their names."""
-    room = scenario.workshop
+    hall = scenario.workshop
     digests = {path: hashlib.sha256(read_cad(path)).hexdigest() for path in cad_files([scenario])}
-    obstacles = [o if o.file is None else o.model_copy(update={"file": digests[Path(o.file)]}) for o in room.obstacles]
-    return scenario.model_copy(update={"workshop": room.model_copy(update={"obstacles": tuple(obstacles)})})
+    obstacles = [o if o.file is None else o.model_copy(update={"file": digests[Path(o.file)]}) for o in hall.obstacles]
+    return scenario.model_copy(update={"workshop": hall.model_copy(update={"obstacles": tuple(obstacles)})})
 
 
 def read_cad(path: Path) -> bytes:

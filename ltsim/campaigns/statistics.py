@@ -194,8 +194,8 @@ class CampaignStatistics:
             raise unknown_name_error("column of these rows", column, self.columns)
         return sql_identifier(column)
 
-    def half_interval(self, n_trials: int, deviation: float) -> float:
-        """Half-width of the 95 % confidence interval of a mean, or of a ratio of means, from its standard deviation."""
+    def half_width_of_interval(self, n_trials: int, deviation: float) -> float:
+        """Half-width of the 95 % confidence interval of a mean of `n_trials` values with this standard `deviation`."""
         stops = bool(self.manifest.settings.get("stop"))
         level = interval_error_rate(self.manifest.trials, self.manifest.shard or 1, is_stopping=stops)
         return student_quantile(n_trials, level) * deviation / math.sqrt(n_trials)
@@ -215,7 +215,7 @@ class CampaignStatistics:
         for cell, method, count, mean, deviation, low, high, quantiles in self._query_each_cell(
             select_list, f"isfinite({name})"
         ):
-            half = self.half_interval(count, _nan_if_none(deviation))
+            half = self.half_width_of_interval(count, _nan_if_none(deviation))
             summaries.append(
                 StatisticSummary(
                     cell=cell,
@@ -255,7 +255,9 @@ class CampaignStatistics:
             value = half = math.nan
             if below > 0:
                 value, (aa, ab, bb) = above / below, map(_nan_if_none, moments)
-                half = self.half_interval(count, math.sqrt(max(aa - 2 * value * ab + value**2 * bb, 0.0)) / below)
+                half = self.half_width_of_interval(
+                    count, math.sqrt(max(aa - 2 * value * ab + value**2 * bb, 0.0)) / below
+                )
             low, high, place = value - half, value + half, {"cell": cell, "method": method}
             shares.append(StatisticSummary(**place, column=column, trials=count, mean=value, low=low, high=high))
         return shares

@@ -39,7 +39,7 @@ def student_quantile(n_values: int, error_rate: float) -> float:
 
 
 def interval_error_rate(n_trials: int, shard_size: int, *, is_stopping: bool) -> float:
-    """Error rate of each confidence interval of a combination of settings; all together have `INTERVAL_ERROR_RATE`."""
+    """Error rate of each confidence interval of a combination of settings; all its intervals have 5 % together."""
     return INTERVAL_ERROR_RATE / len(evaluation_schedule(n_trials, shard_size)) if is_stopping else INTERVAL_ERROR_RATE
 
 

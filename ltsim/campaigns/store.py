@@ -65,7 +65,7 @@ def read_shard(path: Path) -> pa.Table:
 
 
 def interruption_error(folder: Path, reason: object, remedy: str = "") -> SetupError:
-    """Error for a campaign that ended early and can be continued; `remedy` is an action before that."""
+    """Error for a campaign that ended early: its `reason`, the `remedy` to take first, and how to continue."""
     action = f"{f'{remedy} and ' if remedy else ''}continue with {option_text('resume=True')}"
     return SetupError(f"{folder}: {reason}; complete files of rows remain in the folder: {action}")
 
@@ -77,7 +77,7 @@ class CampaignFolder:
     folder: Path
 
     def shard_path(self, cell: int, shard: int) -> Path:
-        """Path of a shard's file."""
+        """Path of the file of the shard number `shard` of the combination of settings number `cell`."""
         return self.folder / ROWS_FOLDER / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
     def shard_paths(self, max_shards: int | None = None) -> list[Path]:

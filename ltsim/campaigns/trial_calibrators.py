@@ -127,11 +127,11 @@ class TrialCalibrator:
     method: str = "network"
     """Name of the method in the campaign file."""
 
-    def calibrate(self, block: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
+    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
         """Calibrated block. Trials that are not in `trial_numbers` may be NaN."""
         raise NotImplementedError
 
-    def largest_solver_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
+    def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBlock) -> float:
         """Largest difference [sigma] between the results for a trial and those of the full solver.
 
         It is NaN if the calibrator is the full solver.
@@ -139,11 +139,13 @@ class TrialCalibrator:
         return float("nan")
 
 
-def recording_of_trial(truth: CellTruth, block: TrialBatch, trial: int) -> Recording:
+def recording_of_trial(truth: CellTruth, trial_batch: TrialBatch, trial: int) -> Recording:
     """Recording of a trial for any calibrator: readings and declared reference lengths, without the truth."""
-    recording = truth.recording.with_readings(truth.trial_readings(block, trial))
+    recording = truth.recording.with_readings(truth.trial_readings(trial_batch, trial))
     lengths = ReferenceLengths.from_recording(recording)
-    return with_certificates(recording, (lengths.lengths + block.length_errors[:, trial]) / lengths.expansion_factors)
+    return with_certificates(
+        recording, (lengths.lengths + trial_batch.length_errors[:, trial]) / lengths.expansion_factors
+    )
 
 
 def align_targets(adjustment: Adjustment, reference_points: Floats) -> Floats:
@@ -172,14 +174,14 @@ def measured_targets_and_weights(truth: CellTruth, set_numbers: Ints) -> tuple[B
     return n_members.reshape(-1, targets) > 0, np.where(is_complete, 1.0 / np.maximum(n_members[key], 1), 0.0)
 
 
-def is_suspect_trial(deviation: Floats, local_points: Floats) -> Bools:
-    """Flags (B,) of the trials with a pointing so far off that the full solver must solve them.
+def is_suspect_trial(reading_deviations: Floats, local_points: Floats) -> Bools:
+    """Flags (B,) of the trials with a pointing that may contain a gross error, so that the full solver must solve them.
 
-    `deviation` (n, 3, B) are readings minus nominal readings. `local_points`, (n, 3, B) or (n, 3, 1) if all trials
-    share them, are the targets in the instruments' frames [m].
+    `reading_deviations` (n, 3, B) are readings minus nominal readings. `local_points`, (n, 3, B) or (n, 3, 1) if all
+    trials share them, are the targets in the instruments' frames [m].
     """
     horizontal = np.hypot(local_points[:, 0], local_points[:, 1])
-    miss = deviation * np.stack(
+    miss = reading_deviations * np.stack(
         [np.ones_like(horizontal), horizontal, np.sqrt(np.sum(local_points**2, axis=1))], axis=1
     )
     far: Bools = np.max(np.abs(miss), axis=(0, 1)) > MIN_SUSPECT_DEVIATION_M
@@ -198,14 +200,14 @@ class SerialCalibrator(TrialCalibrator):
     those of the estimates.
     """
 
-    def calibrate(self, block: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
+    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
         """Calibrated block; only the trials in `trial_numbers` are computed."""
         calibrated = CalibratedBlock.from_failed_trials(
-            self.truth, self.construction, self.effects, block.reading_deviations.shape[2]
+            self.truth, self.construction, self.effects, trial_batch.reading_deviations.shape[2]
         )
         for trial in trial_numbers.tolist():
             try:
-                adjustment, values, sigma = self.adjust_recording(recording_of_trial(self.truth, block, trial))
+                adjustment, values, sigma = self.adjust_recording(recording_of_trial(self.truth, trial_batch, trial))
             except LtsimError:
                 continue
             if adjustment is None or not np.all(np.isfinite(values)):
@@ -263,9 +265,12 @@ class BatchCalibrator(TrialCalibrator):
         program, recorded = truth.chain_program(built), truth.is_recorded_observable
         return BatchNetwork(truth.recording, truth.state, built, program, self.effects, is_adjusted_observable=recorded)
 
-    def calibrate_batch(self, block: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBlock, Bools]:
+    def calibrate_batch(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBlock, Bools]:
         """Calibrated block by the batch alone, and flags (B,) of the converged trials."""
-        network, fit = self.batch_network, self.batch_network.fit_trials(block.reading_deviations, block.length_errors)
+        network, fit = (
+            self.batch_network,
+            self.batch_network.fit_trials(trial_batch.reading_deviations, trial_batch.length_errors),
+        )
         status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.parameter_sigmas
         extra_columns = slice(network.end_indices[2], network.end_indices[2] + len(fit.effect_values))
         effect_sigmas = np.sqrt(np.diag(network.covariance)[extra_columns, None]) if self.effects else np.zeros((0, 1))
@@ -274,15 +279,15 @@ class BatchCalibrator(TrialCalibrator):
             fit.instrument_values, sigma, fit.target_increments, fit.chi2, status, *other_arrays
         ), fit.has_converged
 
-    def calibrate(self, block: TrialBatch, trial_numbers: Ints | None = None) -> CalibratedBlock:
+    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints | None = None) -> CalibratedBlock:
         """Calibrated block. Only trials in `trial_numbers` (default all) may use the full solver, which is slow."""
-        trial_numbers = np.arange(len(block.trials)) if trial_numbers is None else trial_numbers
-        calibrated, good = self.calibrate_batch(block, trial_numbers)
+        trial_numbers = np.arange(len(trial_batch.trials)) if trial_numbers is None else trial_numbers
+        calibrated, good = self.calibrate_batch(trial_batch, trial_numbers)
         is_sufficient = good & ~is_suspect_trial(
-            block.reading_deviations, self.truth.sightings.local_points[:, :, None]
+            trial_batch.reading_deviations, self.truth.sightings.local_points[:, :, None]
         )
         single_trials = trial_numbers[~is_sufficient[trial_numbers]]
-        per_trial = self.serial_calibrator.calibrate(block, single_trials) if len(single_trials) else calibrated
+        per_trial = self.serial_calibrator.calibrate(trial_batch, single_trials) if len(single_trials) else calibrated
         for trial in single_trials.tolist():
             calibrated.copy_trial(trial, per_trial, trial)
             calibrated.status_indices[trial] = TRIAL_STATUSES.index(
@@ -290,13 +295,13 @@ class BatchCalibrator(TrialCalibrator):
             )
         return calibrated
 
-    def largest_solver_difference(self, block: TrialBatch, trial: int, results: CalibratedBlock) -> float:
+    def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBlock) -> float:
         """Largest difference [sigma] of parameters and targets of a trial between these results and the full solver.
 
         Targets are compared after a rigid fit, relative to their standard deviations in that frame. NaN for a failed
         trial.
         """
-        serial_block = self.serial_calibrator.calibrate(block, np.array([trial]))
+        serial_block = self.serial_calibrator.calibrate(trial_batch, np.array([trial]))
         if serial_block.status_indices[trial] != 0:
             return float("nan")
         value_differences = (

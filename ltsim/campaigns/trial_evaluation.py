@@ -73,18 +73,23 @@ class TrialEvaluator:
         )
 
     def station_clouds(
-        self, deviation: Floats, construction: GeometricErrorModel | None = None, values: Floats | None = None
+        self,
+        reading_deviations: Floats,
+        construction: GeometricErrorModel | None = None,
+        parameter_values: Floats | None = None,
     ) -> Floats:
         """Means (S, T, 3, B) [m], over faces and repeats, of the measured points in the nominal frame.
 
-        `deviation` (n, 3, B) is readings minus nominal readings; they are corrected by the parameters
-        `values` (I, p, B) of the geometric error model.
+        `reading_deviations` (n, 3, B) is readings minus nominal readings; they are corrected by the parameters
+        `parameter_values` (I, p, B) of the geometric error model.
         """
-        recording, trials = self.truth.recording, deviation.shape[2]
-        if construction is None or values is None:
-            construction, values = ideal_construction(), np.zeros((len(recording.instruments), 0, trials))
-        points, clouds = np.empty(deviation.shape), np.zeros((*self.is_measured.shape, 3, trials))
-        compute_points(self.truth.chain_program(construction), recording.instrument, deviation, values, points)
+        recording, trials = self.truth.recording, reading_deviations.shape[2]
+        if construction is None or parameter_values is None:
+            construction, parameter_values = ideal_construction(), np.zeros((len(recording.instruments), 0, trials))
+        points, clouds = np.empty(reading_deviations.shape), np.zeros((*self.is_measured.shape, 3, trials))
+        compute_points(
+            self.truth.chain_program(construction), recording.instrument, reading_deviations, parameter_values, points
+        )
         add_station_means(points, recording.station, recording.target, self._mean_weights[1], clouds)
         transform_to_network(
             clouds, np.ascontiguousarray(self.truth.state.station_rotations), self.truth.state.station_positions
@@ -145,10 +150,12 @@ class TrialEvaluator:
                 error[trials] = MICROMETRES_PER_METRE * np.sqrt(total / count)
         return error
 
-    def common_columns(self, block: TrialBatch) -> ResultColumns:
+    def common_columns(self, trial_batch: TrialBatch) -> ResultColumns:
         """Columns that do not depend on the method: criteria and error before, and error with true parameters."""
-        raw_clouds = self.station_clouds(block.reading_deviations)
-        perfect = self.station_clouds(block.reading_deviations, self.truth.construction, block.instrument_values)
+        raw_clouds = self.station_clouds(trial_batch.reading_deviations)
+        perfect = self.station_clouds(
+            trial_batch.reading_deviations, self.truth.construction, trial_batch.instrument_values
+        )
         columns: ResultColumns = self.criteria_columns(raw_clouds, "before") if self.has_criteria else {}
         columns["error_raw_um"] = self.cloud_error(raw_clouds)
         columns["error_true_parameters_um"] = self.cloud_error(perfect)
@@ -156,7 +163,7 @@ class TrialEvaluator:
 
     def method_columns(
         self,
-        block: TrialBatch,
+        trial_batch: TrialBatch,
         estimates: CalibratedBlock,
         construction: GeometricErrorModel,
         effects: Sequence[Effect] = (),
@@ -167,7 +174,7 @@ class TrialEvaluator:
         other nuisance errors with a prior remain in the readings. The correction by true parameters contains neither of
         them.
         """
-        deviation = block.reading_deviations
+        deviation = trial_batch.reading_deviations
         if estimates.incidence_parameters:
             deviation = deviation.copy()
             deviation[:, 0] -= self.truth.incidence_errors(estimates.incidence_parameters)

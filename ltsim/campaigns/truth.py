@@ -36,9 +36,9 @@ from ltsim.simulation.workshop import WorkshopLayout
 FULL_TURN = 2 * np.pi
 """Full turn [rad]."""
 MAX_NONLINEARITY = 1e-3
-"""Largest deviation of a reading from the linear form of an effect, in standard deviations of the reading, for an
-effect of three prior sigmas. Up to it the effect is computed by its linear form, above it trial by trial.
-"""
+"""Largest difference between the exact and the linear change of a reading by an effect of three prior sigmas, in
+standard deviations of the reading, at which the linear form of the effect is used for all trials. Otherwise the exact
+change is computed trial by trial."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ class CellTruth:
         return [self._linear_effect(entry) for entry in self.effects]
 
     def _linear_effect(self, effect_distribution: EffectDistribution) -> tuple[Floats, Floats] | None:
-        """Constant part (n, 3) and design (n, 3, q) of an effect; None if it is not linear."""
+        """Constant part (n, 3) and design (n, 3, q) of the change of readings by an effect; None if it is nonlinear."""
         constant = effect_distribution.effect.reading_change(self.sightings, effect_distribution.mean_values)
         if not np.any(effect_distribution.value_sigmas):  # nothing is drawn
             return constant, np.zeros((*constant.shape, len(effect_distribution.mean_values)))
@@ -178,31 +178,31 @@ class CellTruth:
         return self.draw_trials(StandardNormalSource(seed, n_trials * block_number + np.arange(n_trials)))
 
     def draw_trials(
-        self, normal_source: StandardNormalSource, values: Floats | None = None, *, stream_key: str = ""
+        self, normal_source: StandardNormalSource, instrument_values: Floats | None = None, *, stream_key: str = ""
     ) -> TrialBatch:
         """Drawn trials, whose numbers are those of the source of random numbers.
 
-        `values` (I, p, B) [SI] replaces the drawn errors of the instruments; `stream_key` is that of
+        `instrument_values` (I, p, B) [SI] replaces the drawn errors of the instruments; `stream_key` is that of
         `TrialDistributions`.
         """
-        draw = self.distributions.draw(normal_source, values, stream_key=stream_key)
+        draw = self.distributions.draw(normal_source, instrument_values, stream_key=stream_key)
         return self.block_from_draw(draw, self._exact_deviations(draw.instrument_values))
 
-    def block_from_draw(self, draw: TrialDraw, deviation: Floats) -> TrialBatch:
+    def block_from_draw(self, draw: TrialDraw, reading_deviations: Floats) -> TrialBatch:
         """Trials with the errors of a draw: their readings, reference lengths and parameters.
 
-        `deviation` (n, 3, B), exact minus nominal readings, is overwritten by the result.
+        `reading_deviations` (n, 3, B), exact minus nominal readings, is overwritten by the result.
         """
         if occurring_blunders([law.effect for law in self.effects], draw.effect_values):
-            deviation = self._deviations_with_blunders(draw)
+            reading_deviations = self._deviations_with_blunders(draw)
         else:
             for place, amounts in enumerate(draw.effect_values):
-                deviation += self._effect_change(place, amounts)
-            deviation += draw.reading_errors
-            deviation = self._round_to_resolution(deviation)
+                reading_deviations += self._effect_change(place, amounts)
+            reading_deviations += draw.reading_errors
+            reading_deviations = self._round_to_resolution(reading_deviations)
         lengths = self.distributions.reference_lengths
         length_errors = draw.certified_lengths * lengths.expansion_factors[:, None] - lengths.lengths[:, None]
-        return TrialBatch(draw.trials, draw.instrument_values, draw.effect_values, deviation, length_errors)
+        return TrialBatch(draw.trials, draw.instrument_values, draw.effect_values, reading_deviations, length_errors)
 
     def _deviations_with_blunders(self, draw: TrialDraw) -> Floats:
         """Readings minus nominal readings (n, 3, B) of trials with blunders, as the simulator computes them."""
@@ -241,19 +241,21 @@ class CellTruth:
         constant, design = linear
         return constant[:, :, None] + np.tensordot(design, amounts - entry.mean_values[:, None], axes=1)
 
-    def _round_to_resolution(self, deviation: Floats) -> Floats:
+    def _round_to_resolution(self, reading_deviations: Floats) -> Floats:
         """Readings minus nominal readings (n, 3, B) after rounding of the readings to the resolution, in place."""
-        of_row = np.broadcast_to(self.resolution[self.recording.instrument], deviation.shape[:2])
+        of_row = np.broadcast_to(self.resolution[self.recording.instrument], reading_deviations.shape[:2])
         for column in range(3):
             rows = np.flatnonzero(of_row[:, column])
             selected: Any = rows if len(rows) < len(of_row) else slice(None)  # a slice needs no copy
             step, start = of_row[selected, column, None], self.recording.readings[selected, column, None]
-            deviation[selected, column] = step * np.round((start + deviation[selected, column]) / step) - start
-        return deviation
+            reading_deviations[selected, column] = (
+                step * np.round((start + reading_deviations[selected, column]) / step) - start
+            )
+        return reading_deviations
 
-    def trial_readings(self, block: TrialBatch, trial: int) -> Floats:
+    def trial_readings(self, trial_batch: TrialBatch, trial: int) -> Floats:
         """Readings (n, 3) of one trial as an instrument gives them, with azimuths within +-180 deg."""
-        readings: Floats = self.recording.readings + block.reading_deviations[:, :, trial]
+        readings: Floats = self.recording.readings + trial_batch.reading_deviations[:, :, trial]
         readings[:, 1] = np.where(np.abs(readings[:, 1]) < FULL_TURN, wrap_angle(readings[:, 1]), readings[:, 1])
         readings[:, ~self.is_recorded_observable] = np.nan
         return readings
@@ -305,7 +307,7 @@ def make_cell_truth(
 
 
 def _state_in_start_frame(geometry: MeasurementGeometry, mean_parameters: Floats) -> NetworkState:
-    """True stations and targets, in the frame of the first station or, if levels define the vertical, of the workshop.
+    """True stations and targets, in the frame of the first station or, if levels define the vertical, of the hall.
 
     `mean_parameters` are the mean parameters of the instrument [SI].
     """

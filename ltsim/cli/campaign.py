@@ -133,7 +133,7 @@ RecoverJobsOption = Annotated[
         "-j",
         parser=bounded_parser("jobs"),
         metavar=f"NUMBER: {bounds_text('jobs')}",
-        help="Number of processes; default all cores, one for few trials.",
+        help="Number of processes; default: one per core, or a single one if the trials are few.",
     ),
 ]
 

@@ -45,7 +45,7 @@ def example_text(name: str) -> str:
 def examples(
     folder: ExamplesFolderArgument = Path("ltsim-examples"), force: ForceOption = False, *, terminal: Terminal
 ) -> None:
-    """Copy sample data: a survey with its hall, a workshop, a plan, a campaign, tasks, notebooks.
+    """Copy sample data: a survey with its hall, a scenario, a plan, a campaign, tasks, notebooks.
 
     Every file is commented; a command to try is printed for each. Jupyter is not part of ltsim.
 

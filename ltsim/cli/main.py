@@ -34,7 +34,7 @@ UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__
 COMMANDS = {
     "demo": ("simulate", "simulate, calibrate, repeat, inject and diagnose a fault; one page"),
     "examples": ("examples", "sample data and commented files, copied into a folder"),
-    "simulate": ("simulate", "simulate one recording of a virtual workshop"),
+    "simulate": ("simulate", "simulate one recording of a virtual hall"),
     "check": ("check", "go or no-go in the field: two faces, drift, bumps"),
     "adjust": ("adjustment", "adjust the network of a recording, no instrument parameters"),
     "calibrate": ("adjustment", "estimate the instrument's parameters from a recording"),
@@ -54,7 +54,7 @@ COMMANDS = {
     "uncertainty": ("check", "uncertainty of lengths, circles, poses: budget and verdict"),
     "accept": ("check", "acceptance tests of a tracker: predicted or evaluated"),
     "bench": ("check", "range error of a reflector against incidence, from a bench test"),
-    "view": ("view", "show the workshop in 3D"),
+    "view": ("view", "show the hall in 3D"),
 }
 """Module in `ltsim.cli` and help line of each command."""
 TYPER_SETTINGS: dict[str, Any] = {

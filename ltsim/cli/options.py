@@ -332,7 +332,7 @@ def function_options(function_name: str, parameter_names: list[str]) -> list[Fun
 
     The source is parsed, not imported, so that help is fast.
     """
-    tree = _module_syntax_tree(lt._HOME[function_name])
+    tree = _module_syntax_tree(lt._MODULE_BY_PUBLIC_NAME[function_name])
     node = next(n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == function_name)
     meanings = dict(_documented_parameters(inspect.cleandoc(ast.get_docstring(node) or "")))
     options = []

@@ -40,7 +40,7 @@ LTSIM_FILE_PATTERN = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(GENERATO
 
 @dataclass(frozen=True)
 class OutputKind:
-    """Annotation of an option or argument that names an output file or folder, with its check."""
+    """Kind of output file or folder, as an annotation of an option or argument, with the check before it is written."""
 
     check: Callable[[Path, bool], None]
     """Function (path, force) that raises RecordError if the output cannot be written or, without `force`, would replace

@@ -93,7 +93,7 @@ def simulate(
     terminal: Terminal,
     **options: Annotated[Any, "simulate seed trial"],
 ) -> None:
-    """Simulate one recording of a virtual workshop.
+    """Simulate one recording of a virtual hall.
 
     Example: ltsim simulate paper-workshop --out my-recording --truth truth.json --seed 7
     """
@@ -204,7 +204,7 @@ DEMO_EFFECTS: tuple[dict[str, Any], ...] = tuple(
 )
 """Effects of which the demonstration injects one, drawn by the seed: at one station the radius of the SMR differs."""
 
-DEMO_TITLE = "Demonstration: a fault is injected into a simulated workshop, and diagnosed"
+DEMO_TITLE = "Demonstration: a fault is injected into a simulated hall, and diagnosed"
 """Title of the page of the demonstration."""
 DEMO_CAMPAIGN = """format = "ltsim-campaign/1"
 title = "Calibrations of drawn instruments in the paper's workshop"

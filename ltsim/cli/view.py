@@ -1,4 +1,4 @@
-"""Commands `view` and `report`: the workshop in 3D, and the page about results."""
+"""Commands `view` and `report`: the hall in 3D, and the page about results."""
 
 import os
 import sys
@@ -74,7 +74,7 @@ def view(
     quiet: QuietOption = False,
     **options: Any,
 ) -> None:
-    """Show the workshop in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
+    """Show the hall in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
 
     With --plan, stations are moved by hand on a page in the browser, which shows the accuracy of every point; its
     server answers only this machine, until Ctrl-C.
@@ -95,7 +95,7 @@ def view(
         raise RecordError(
             "no display is available for a window; use --png FILE for a picture or --html FILE for a page"
         )
-    with terminal.show_progress("drawing the workshop"):
+    with terminal.show_progress("drawing the hall"):
         source = place if reading_options == ReadingOptionsWithFrame() else reading_options.read(Path(place))
         scene_view = lt.view(source, **options)
         if png is not None:

@@ -42,10 +42,10 @@ def bounds_text(argument_name: str) -> str:
 
 
 def check_bounds(*, required_argument: str = "", **argument_values: object) -> None:
-    """Check of numeric arguments against `ARGUMENT_BOUNDS`; raises SetupError for a value out of range.
+    """Check of numeric arguments, given by name, against `ARGUMENT_BOUNDS`; raises SetupError for a value out of range.
 
-    None means that an argument was not given. This is an error for the arguments named in `required_argument`, with
-    blanks between the names.
+    The value None means that an argument was not given. This is an error only for the arguments that
+    `required_argument` names, a text with names separated by blanks.
     """
     for name, value in argument_values.items():
         low, high = ARGUMENT_BOUNDS[name]
@@ -93,7 +93,10 @@ def check_mapping(argument_name: str, argument_value: object) -> None:
 
 
 def source_path(path_or_name: object) -> Path:
-    """Path or name of a source; SetupError for an empty text, and for an object that is neither text nor path."""
+    """Path of a source: the path of a file, or the name of a built-in source.
+
+    Raises SetupError for an empty text, and for an object that is neither text nor path.
+    """
     text = fspath(path_or_name) if isinstance(path_or_name, str | PathLike) else None
     if not isinstance(text, str) or not text or "\0" in text:
         raise SetupError(f"the source is {path_or_name!r}, expected the name of a built-in one, or the path of a file")

@@ -30,9 +30,9 @@ def batches(n_items: int, n_entries_per_item: int) -> Iterator[slice]:
 
 
 def stack_columns(*columns: Floats) -> Floats:
-    """Array (n, k, ...) that joins k arrays (n, ...) along a new second axis.
+    """Array (n, k, ...) that joins k arrays of shape (n, ...) along a new second axis.
 
-    Three times as fast as `np.stack` for a hundred rows.
+    It is three times as fast as `np.stack` for a hundred rows.
     """
     array = np.empty((len(columns[0]), len(columns), *columns[0].shape[1:]))
     for k, column in enumerate(columns):
@@ -41,7 +41,10 @@ def stack_columns(*columns: Floats) -> Floats:
 
 
 def stack_and_release(row_arrays: list[Singles]) -> Singles:
-    """Array (k, ...) of k rows from a list; the list is emptied, so that the rows need their memory only once."""
+    """Array with k rows, (k, ...), from a list of k row arrays.
+
+    Each row is removed from the list once it is copied, so that list and array are never in memory together.
+    """
     array = np.empty((len(row_arrays), *row_arrays[0].shape), dtype=np.float32)
     while row_arrays:
         last = row_arrays.pop()
@@ -50,9 +53,9 @@ def stack_and_release(row_arrays: list[Singles]) -> Singles:
 
 
 def median(values: Floats) -> float:
-    """Median of all entries of an array that is not empty; NaN if an entry is NaN.
+    """Median of all entries of `values`, which is not empty; NaN if an entry is NaN.
 
-    Ten times as fast as `np.median` for a hundred entries.
+    It is ten times as fast as `np.median` for a hundred entries.
     """
     sorted_values = np.sort(values, axis=None)
     middle_index = len(sorted_values) // 2

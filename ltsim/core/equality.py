@@ -62,9 +62,9 @@ def equal_values(first_value: Any, second_value: Any) -> bool:
 
 
 def _comparable_content(compared_object: Any) -> tuple[Any, ...] | None:
-    """Content of an object that is neither a data class nor a model, for the comparison; None without such content.
+    """Content of an object that is neither a data class nor a pydantic model, in a form that `==` can compare.
 
-    Sparse matrices and objects with `__reduce__` have such content.
+    Sparse matrices and objects with `__reduce__` have such a content. The result is None for all other objects.
     """
     kind = type(compared_object)
     if kind.__module__.startswith("scipy.sparse"):

@@ -72,13 +72,14 @@ class WorkerError(LtsimError):
 
 
 class StoppedError(LtsimError):
-    """Error for work that the user interrupted; the message says which results remain and how to continue."""
+    """Error for work that the user interrupted; the message states which results are complete and how to continue."""
 
 
 class CalibratorError(LtsimError):
-    """Error for a trial in which an external calibrator gives no valid result: it fails the check, the input is right.
+    """Error for a trial in which an external calibrator gives no valid result, although its input is valid.
 
-    For a program the message has its command, status and last line.
+    The check of the calibrator fails. If the calibrator is a program, the message contains its command, its exit status
+    and the last line of its output.
     """
 
 
@@ -143,7 +144,7 @@ def printable(text: str) -> str:
 
 
 def unknown_name_error(object_kind: str, unknown_name_text: str, valid_names: Iterable[str]) -> ModelError:
-    """ModelError for a name that does not exist, with the most similar valid names."""
+    """ModelError for a name of an `object_kind` (such as `effect`) that does not exist, with similar valid names."""
     choices = sorted(valid_names)
     short = printable(
         unknown_name_text

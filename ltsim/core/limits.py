@@ -153,7 +153,7 @@ def max_pointings(default_limit: int) -> int:
     return max(default_limit, int(text or 0))
 
 
-def require_few_coordinates(n_coordinates: int, file: object) -> None:
+def require_small_joint_covariance(n_coordinates: int, file: object) -> None:
     """Check that a joint covariance matrix of so many coordinates fits in memory.
 
     RecordError, which names `file`, is raised for more than `MAX_JOINT_COORDINATES`.

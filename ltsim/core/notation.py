@@ -33,7 +33,7 @@ def number_text(value: float | None, n_digits: int = 3) -> str:
 
 
 def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
-    """Value and one standard deviation as text, to the second digit of the standard deviation: `1.23 +- 0.10 um`."""
+    """Value and one standard deviation (`sigma`) in `unit` as text, to the second digit of it: `1.23 +- 0.10 um`."""
     if value is None or not math.isfinite(value):
         return MISSING_TEXT
     if sigma is None or not (math.isfinite(sigma) and sigma > 0):

@@ -105,7 +105,7 @@ class Column:
         return f"{value:.6g}" if isinstance(value, float) and abs(value) < 1e4 else value
 
     def displayed_text(self, value: Any, precision_value: Any = None) -> str:
-        """Displayed text of a value to two digits of `precision_value`, from `sigma_column` or `precision_column`."""
+        """Displayed text of a value to two significant digits of `precision_value`, the value of `precision_column`."""
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return MISSING_TEXT
         if isinstance(value, bool | np.bool_):
@@ -129,7 +129,7 @@ def text_columns(**columns: str) -> tuple[Column, ...]:
 
 
 def number_columns(format_text: str = "", display_format: str = "", **columns: str) -> tuple[Column, ...]:
-    """Columns of a table that hold numbers of one format; further arguments are names and definitions, `name="..."`."""
+    """Columns of numbers of one format (files, display); further arguments are names and definitions, `name="..."`."""
     return tuple(
         Column(name, about, csv_format=format_text, display_format=display_format) for name, about in columns.items()
     )

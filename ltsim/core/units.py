@@ -120,7 +120,7 @@ def permitted_units_text() -> str:
 
 
 def unit_ratio(numerator_unit: str, denominator_unit: str) -> Decimal:
-    """Exact ratio of one unit to another; both are units of angle, of length or of time."""
+    """Exact size of `numerator_unit` divided by that of `denominator_unit`: units of angle, of length or of time."""
     if numerator_unit in _CIRCLE_PARTS:
         return _CIRCLE_PARTS[denominator_unit] / _CIRCLE_PARTS[numerator_unit]
     return Decimal(repr(SI_PER_UNIT[numerator_unit])) / Decimal(repr(SI_PER_UNIT[denominator_unit]))

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ThermalExpansion:
-    """Thermal expansion of a body relative to its length at the reference temperature."""
+    """Thermal expansion of a body: its length relative to the length at the reference temperature, with uncertainty."""
 
     length_ratio: float = 1.0
     """Length at the temperature of the body divided by the length at the reference temperature, 1 + a (T - T_0)."""
@@ -35,8 +35,9 @@ class ThermalExpansion:
     ) -> ThermalExpansion:
         """Expansion of a body that is warmer than its reference temperature by `temperature_difference` [K].
 
-        `coefficient_per_k` is the coefficient of linear expansion [1/K]. A standard deviation that is not given counts
-        as zero.
+        `coefficient_per_k` is the coefficient of linear expansion [1/K]. `sigma_coefficient` [1/K] and
+        `sigma_temperature` [K] are standard deviations of coefficient and difference; one that is not given counts as
+        zero.
         """
         return cls(
             1.0 + coefficient_per_k * temperature_difference,

@@ -87,9 +87,9 @@ def remove_rigid_motion(displacement: Floats, points: Floats, free_motions: Floa
 
 
 def pose_design(point_derivatives: Floats, sight_vectors: Floats) -> Floats:
-    """Derivative (n, 3, 6) of n pointings' readings with respect to translation and rotation of their station.
+    """Derivative (n, 3, 6) of the readings of n pointings with respect to translation and rotation of their station.
 
-    Translations and rotations are in the network frame.
+    Translation and rotation vector refer to the axes of the network frame.
 
     Parameters
     ----------
@@ -138,8 +138,8 @@ def determines_pose(
 MAX_ROBUST_PASSES = 8
 """Largest number of reweightings of a robust alignment."""
 MAX_NOISE_DISTANCE_RATIO = 8.0
-"""Ratio of the largest to the median distance between aligned points below which reweighting ends: all distances are
-then noise."""
+"""Ratio of the largest to the median distance between aligned points and their goals, below which the alignment is not
+reweighted: the distances then contain noise only and no outlier."""
 MAX_OUTLIER_FREE_MISFIT = 1e-4
 """Mean distance [m] between points and their goals after a least-squares alignment. Above it the alignment also starts
 from triples of points, because an outlier may have distorted the least-squares alignment. Start values need no more
@@ -147,8 +147,9 @@ than 0.1 mm."""
 MAX_POINTS_FOR_ALL_TRIPLES = 6
 """Number of points up to which every triple of points is a start of a robust alignment."""
 MAX_TRIPLES = 30
-"""Number of random triples that are tried if there are more points. Of 30 triples at least one has no outlier with 98 %
-probability if half of the points are outliers, and with 99.999 % if a third are."""
+"""Number of random triples of points at which a robust alignment starts if there are too many triples to try all. With
+30 triples at least one has no outlier with a probability of 98 % if half of the points are outliers, and of 99.999 % if
+a third are."""
 
 
 def align_rigidly(points: Floats, goal_points: Floats, weights: Floats | None = None) -> tuple[Floats, Floats]:

@@ -30,7 +30,7 @@ DISPLACEMENTS_TABLE = Table(
         Column("target", "name", "text"),
         Column("moved", "True if the point moved", "flag"),
         *number_columns(".4f", x_mm="place in the first epoch", y_mm="as x_mm", z_mm="as x_mm"),
-        *(Column(f"d{a}_um", "displacement, second less first epoch", sigma_column=f"s{a}_um") for a in "xyz"),
+        *(Column(f"d{a}_um", "displacement, second minus first epoch", sigma_column=f"s{a}_um") for a in "xyz"),
         *(Column(f"s{a}_um", f"standard deviation of d{a}_um") for a in "xyz"),
         *number_columns("", ".1f", a_um="semi-axis of the 95 % confidence ellipsoid", b_um="as a_um", c_um="as a_um"),
         Column("p_value", "p-value of no motion, corrected for the number of points", "chance"),
@@ -180,18 +180,18 @@ class EpochDifference:
         return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
 
     def _whitened_design(self, moved_points: Sequence[int]) -> Floats:
-        """Whitened design matrix of the free motions and of the displacements of the given points."""
+        """Whitened design matrix of the free motions, and of the displacements of the points `moved_points`."""
         columns = np.eye(len(self.differences))[:, coordinate_rows(moved_points, len(self.compared_axes))]
         return self._whitening_root @ np.hstack([self.free_motions, columns])
 
     def sum_of_squares(self, moved_points: Sequence[int] = ()) -> float:
-        """Weighted sum of squared differences, less the part that motions and displaced points explain."""
+        """Weighted sum of squared differences that neither free motions nor displacements of `moved_points` explain."""
         remaining, design = self._whitening_root @ self.differences, self._whitened_design(moved_points)
         basis = scipy.linalg.orth(design / np.linalg.norm(design, axis=0))
         return float(remaining @ remaining - np.sum((basis.T @ remaining) ** 2))
 
     def estimate_displacements(self, moved_points: Sequence[int]) -> tuple[Floats, Floats]:
-        """Estimates of free motions and of the displacements of the given points, and covariance of all estimates."""
+        """Estimates of free motions and of the displacements of `moved_points`, and covariance of all estimates."""
         design = self._whitened_design(moved_points)
         column_norms = np.linalg.norm(design, axis=0)
         inverse = np.linalg.pinv(design / column_norms) / column_norms[:, None]
@@ -262,7 +262,11 @@ def _find_moved_points(difference: EpochDifference, tested_indices: Ints, alpha:
 def _displacement_of_point(
     difference: EpochDifference, point: int, other_moved_points: list[int], n_tested: int, alpha: float
 ) -> Displacement:
-    """Displacement of a point relative to the stable points, and its test given the displacements of other points."""
+    """Displacement of a point relative to the stable points, and its test given the displacements of other points.
+
+    `other_moved_points` are the indices of these points. The p-value is corrected for `n_tested` tested points, and the
+    detectable displacement is that at the level `alpha`.
+    """
     count, a = max(n_tested, 1), len(difference.compared_axes)
     others = [p for p in other_moved_points if p != point]
     values, joint = difference.estimate_displacements([*others, point])

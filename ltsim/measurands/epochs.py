@@ -205,8 +205,9 @@ class _Epoch:
     """Coordinates of the T points, shape (T, 3) [m]."""
     covariance: Floats
     """Joint covariance of the points along a axes, shape (T a, T a) [m^2]."""
-    common_observation_response: Floats
-    """Change of the points per standard deviation of each error that both epochs may share, shape (T a, errors) [m]."""
+    common_point_shifts: Floats
+    """Shifts of the points by one standard deviation of each error that both epochs may share, shape (T a, errors)
+    [m]."""
     free_motions: Floats
     """Coefficients of each free motion in three translations and three rotations, shape (6, motions)."""
 
@@ -214,10 +215,10 @@ class _Epoch:
     def from_adjustment(cls, adjustment: Adjustment, target_indices: Ints, target_names: Sequence[str]) -> Self:
         columns = adjustment.problem.unknowns.target_columns[target_indices].reshape(1, -1)
         reach = displacement_per_observation(adjustment, columns[0])
-        response_by_source = {source.name: source.point_response for source in observed_sources(adjustment, reach)}
+        shifts_by_source = {s.name: s.displacements_per_sigma for s in observed_sources(adjustment, reach)}
         responses = [
             np.zeros((reach.shape[1], 0)),
-            *(response_by_source[name] for name in target_names if name in response_by_source),
+            *(shifts_by_source[name] for name in target_names if name in shifts_by_source),
         ]
         names = [adjustment.recording.targets[i] for i in target_indices]
         covariance = reach.T @ reach + air_covariance(adjustment, columns)[0]
@@ -243,14 +244,14 @@ class _Epoch:
         )
 
     def with_order(self, point_order: Ints, axes: int) -> Self:
-        """Epoch in which the point with index i takes the position of the point with index `point_order[i]`."""
+        """Epoch whose point i is the present point `point_order[i]`, for `axes` coordinates per point."""
         row_indices = coordinate_rows(point_order, axes)
         covariance = self.covariance[np.ix_(row_indices, row_indices)]
         return replace(
             self,
             points=self.points[point_order],
             covariance=covariance,
-            common_observation_response=self.common_observation_response[row_indices],
+            common_point_shifts=self.common_point_shifts[row_indices],
         )
 
 
@@ -304,7 +305,7 @@ def _align_epochs(
             if np.abs(weights - previous).max() < MAX_ROUNDING_ERROR * weights.max():
                 break
     big = np.kron(np.eye(len(before)), turn[np.ix_(axes, axes)])
-    shared = first_epoch.common_observation_response @ second_epoch.common_observation_response.T @ big.T
+    shared = first_epoch.common_point_shifts @ second_epoch.common_point_shifts.T @ big.T
     covariance = first_epoch.covariance + big @ second_epoch.covariance @ big.T - shared - shared.T
     motions = rigid_motion_design(before, centre)
     motions = motions @ _motions_about_centre(free, centre) if free.shape[1] else motions[:, :0]

@@ -156,7 +156,10 @@ class TaskEvaluation:
         )
 
     def _budget_parts(self, result_index: int, sigma: float) -> tuple[BudgetEntry, ...]:
-        """Budget of one result: the fraction of its variance from each source, the largest first; the sum is 1."""
+        """Budget of the result with index `result_index` and standard uncertainty `sigma`.
+
+        It is the fraction of the variance from each source, the largest first; the sum is 1.
+        """
         shares, kinds = (
             {name: float(share[result_index]) for name, share in self.linear.variance_by_source.items()},
             self.linear.evaluation_types,

@@ -50,7 +50,8 @@ CONTROL_SOURCE = "control points"
 PRIOR_SOURCE = "specification"
 """Name of the source of uncertainty: prior of the instrument's constants."""
 STREAM_KEYS = {PRIOR_SOURCE: "what the maker guarantees"}
-"""Key of the random stream of a source, where it is not the name of the source; the draws depend on it."""
+"""Key of the random stream of a source, for sources whose key is not their name. The draws depend on the key, so that
+it must not change."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class UncertaintySource(ValueEquality):
     """Name of the source in the budget."""
     evaluation_type: Literal["A", "B"]
     """Type of evaluation: ``A`` for observations, ``B`` for specifications, certificates and all others."""
-    point_response: Floats
+    displacements_per_sigma: Floats
     """Displacement of all T points by one standard deviation of each of q random variables, shape (3 T, q) [m]."""
     distribution: str = "normal"
     """Distribution of the random variables."""
@@ -69,7 +70,7 @@ class UncertaintySource(ValueEquality):
     @property
     def covariance(self) -> Floats:
         """Contribution of this source to the covariance matrix of the coordinates of T points, (3 T, 3 T) [m^2]."""
-        return self.point_response @ self.point_response.T
+        return self.displacements_per_sigma @ self.displacements_per_sigma.T
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class TaskInputs(ValueEquality):
     """Names of the points that the tasks use."""
     points: Floats
     """Coordinates of the T points, shape (T, 3) [m]."""
-    point_response: Floats
+    displacement_per_observation: Floats
     """Displacement of all T points per unit of each of m whitened observations, shape (m, 3 T) [m]."""
     sources: tuple[UncertaintySource, ...]
     """Sources of uncertainty of the points."""
@@ -111,7 +112,8 @@ class TaskInputs(ValueEquality):
         indices = np.array([recording.targets.index(name) for name in names])
         reach = displacement_per_observation(adjustment, adjustment.problem.unknowns.target_columns[indices].ravel())
         observed = [
-            replace(s, point_response=_reduce_variates(s.point_response)) for s in observed_sources(adjustment, reach)
+            replace(s, displacements_per_sigma=_reduce_variates(s.displacements_per_sigma))
+            for s in observed_sources(adjustment, reach)
         ]
         observed += smr_sources(adjustment, reach)
         further = [_type_b_source(adjustment, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
@@ -156,17 +158,18 @@ def _target_names(tasks: Tasks) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for task in tasks.task for name in task.targets))
 
 
-def observed_sources(adjustment: Adjustment, point_response: Floats) -> list[UncertaintySource]:
-    """Sources of uncertainty from the groups of observations; observations that only define the frame are not included.
+def observed_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
+    """Sources of uncertainty from the groups of observations, without those that only define the frame.
 
-    Errors that reference lengths share (expansion coefficient, thermometer) are separate sources. So are the errors
-    with a prior that the adjustment estimates for heads, reflectors and groups of readings.
+    `point_derivatives` (m, 3 T) [m] are the derivatives of T points with respect to the m whitened observations. Errors
+    that reference lengths share (expansion coefficient, thermometer) are separate sources. So are the errors with a
+    prior that the adjustment estimates for heads, reflectors and groups of readings.
     """
     problem = adjustment.problem
     observable = np.nonzero(problem.is_used_reading)[1]
     groups = [(f"{name} readings", np.flatnonzero(observable == i)) for i, name in enumerate(OBSERVABLES)]
     gauge, at = problem.gauge_rows, len(observable)
-    by_length = point_response[at : at + len(gauge)].T
+    by_length = point_derivatives[at : at + len(gauge)].T
     at += len(gauge)
     for name, count in (
         (CONTROL_SOURCE, problem.control_rows.n_coordinates + problem.control_rows_of_marks.n_coordinates),
@@ -179,7 +182,7 @@ def observed_sources(adjustment: Adjustment, point_response: Floats) -> list[Unc
         groups.append((name, np.arange(at, at + count)))
         at += count
     sources = [
-        UncertaintySource(name, "B" if name == PRIOR_SOURCE else "A", point_response[rows].T)
+        UncertaintySource(name, "B" if name == PRIOR_SOURCE else "A", point_derivatives[rows].T)
         for name, rows in groups
         if name and len(rows)
     ]
@@ -190,13 +193,13 @@ def observed_sources(adjustment: Adjustment, point_response: Floats) -> list[Unc
         sources.insert(sum(len(rows) > 0 for _, rows in groups[: len(OBSERVABLES)]), lengths)
     shared = ((name, by_length @ gauge.decorrelate(change)) for name, change in gauge.shared_error_changes.items())
     sources += [UncertaintySource(name, "B", response[:, None]) for name, response in shared]
-    return [*sources, *_nuisance_sources(adjustment, point_response[at:])]
+    return [*sources, *_nuisance_sources(adjustment, point_derivatives[at:])]
 
 
-def _nuisance_sources(adjustment: Adjustment, point_response: Floats) -> list[UncertaintySource]:
+def _nuisance_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
     """Sources of uncertainty from errors with a prior that the adjustment estimates, by kind.
 
-    `point_response` has the derivatives of the points with respect to the estimated errors, one row for each error,
+    `point_derivatives` has the derivatives of the points with respect to the estimated errors, one row for each error,
     beginning with those of the additional effects.
     """
     model = adjustment.problem.model
@@ -204,15 +207,16 @@ def _nuisance_sources(adjustment: Adjustment, point_response: Floats) -> list[Un
     at, reached = int(finite.sum()), dict[str, list[Floats]]()
     for error in model.nuisance_errors:
         count = len(error.parameters)
-        reached.setdefault(error.parameters[0].description, []).append(point_response[at : at + count].T)
+        reached.setdefault(error.parameters[0].description, []).append(point_derivatives[at : at + count].T)
         at += count
     return [UncertaintySource(name, "B", np.concatenate(parts, axis=1)) for name, parts in reached.items()]
 
 
-def smr_sources(adjustment: Adjustment, point_response: Floats) -> list[UncertaintySource]:
+def smr_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
     """Sources of uncertainty from the radii of SMRs with a declared standard deviation.
 
-    All pointings with an SMR share one error, along the normals of the nests.
+    All pointings with an SMR share one error, along the normals of the nests. `point_derivatives` is that of
+    `observed_sources`.
     """
     problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(smr_names(adjustment.recording))
     rows, columns = np.nonzero(problem.is_used_reading)
@@ -225,7 +229,7 @@ def smr_sources(adjustment: Adjustment, point_response: Floats) -> list[Uncertai
                 design_from_displacements(sightings, off[:, :, None])[rows, columns, 0] / problem.sigma[rows, columns]
             )
             sources.append(
-                UncertaintySource(f"radius of {name}", "B", (point_response[: len(rows)].T @ change)[:, None])
+                UncertaintySource(f"radius of {name}", "B", (point_derivatives[: len(rows)].T @ change)[:, None])
             )
     return sources
 
@@ -239,10 +243,13 @@ def _air_of_budget(tasks: Tasks, adjustment: Adjustment) -> AirUncertainty:
 
 
 def air_sources(
-    adjustment: Adjustment, point_response: Floats, air_uncertainty: AirUncertainty
+    adjustment: Adjustment, point_derivatives: Floats, air_uncertainty: AirUncertainty
 ) -> list[UncertaintySource]:
-    """Sources of uncertainty from the unmeasured air: temperature and gradient at each station, and turbulence."""
-    responses = displacements_by_air_error(adjustment, point_response, air_uncertainty)
+    """Sources of uncertainty from the unmeasured air: temperature and gradient at each station, and turbulence.
+
+    `point_derivatives` is that of `observed_sources`.
+    """
+    responses = displacements_by_air_error(adjustment, point_derivatives, air_uncertainty)
     return [UncertaintySource(name, "B", _reduce_variates(response)) for name, response in responses.items()]
 
 
@@ -258,7 +265,7 @@ def _reduce_variates(variate_response: Floats) -> Floats:
 
 
 def _type_b_source(
-    adjustment: Adjustment, point_response: Floats, type_b_entry: TypeBEffect, entry_number: int
+    adjustment: Adjustment, point_derivatives: Floats, type_b_entry: TypeBEffect, entry_number: int
 ) -> UncertaintySource:
     effect, sizes = _effect_and_sizes(adjustment.recording, type_b_entry, entry_number)
     sigma = sizes * SIGMA_OF_UNIT_SIZE[type_b_entry.distribution]
@@ -267,10 +274,10 @@ def _type_b_source(
     design = (effect.design(adjustment.sightings) * sigma)[rows, columns]
     whitened_design = design / problem.sigma[rows, columns][:, None]
     group = _group_of_pointing(adjustment.recording, type_b_entry.shared)[rows]
-    response = np.zeros((point_response.shape[1], int(group.max(initial=0)) + 1, design.shape[1]))
+    response = np.zeros((point_derivatives.shape[1], int(group.max(initial=0)) + 1, design.shape[1]))
     for g in np.unique(group):
         mine = np.flatnonzero(group == g)
-        response[:, g] = point_response[mine].T @ whitened_design[mine]
+        response[:, g] = point_derivatives[mine].T @ whitened_design[mine]
     gauge = problem.gauge_rows
     lengths = effect.gauge_design(gauge.first_targets, gauge.second_targets, adjustment.state.target_points) * sigma
     if np.any(lengths):
@@ -278,7 +285,7 @@ def _type_b_source(
             raise SetupError(
                 f'type_b.{entry_number}.shared: {type_b_entry.effect} acts on known lengths, expected shared = "all"'
             )
-        response[:, 0] += point_response[len(rows) : len(rows) + len(gauge)].T @ gauge.decorrelate(lengths)
+        response[:, 0] += point_derivatives[len(rows) : len(rows) + len(gauge)].T @ gauge.decorrelate(lengths)
     if not np.any(response):
         raise SetupError(f"type_b.{entry_number}: {type_b_entry.effect} acts on no reading that the tasks depend on")
     place = ", ".join(type_b_entry.stations + type_b_entry.targets)

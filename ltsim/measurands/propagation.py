@@ -104,7 +104,7 @@ def propagate(
     shares: dict[str, Floats] = {}
     kinds: dict[str, Literal["A", "B"]] = {}
     for source in task_inputs.sources:
-        reached = by_points @ source.point_response
+        reached = by_points @ source.displacements_per_sigma
         covariance += reached @ reached.T
         shares[source.name] = shares.get(source.name, 0.0) + np.sum(reached**2, axis=1)
         kinds[source.name] = source.evaluation_type
@@ -141,7 +141,7 @@ def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measuran
             start_state=point_source.state,
             datum_names=point_source.datum.point_names if point_source.datum is not None else None,
         )
-        shift = (noise @ task_inputs.point_response[:count]).reshape(-1, 3)
+        shift = (noise @ task_inputs.displacement_per_observation[:count]).reshape(-1, 3)
         linear = np.concatenate([m.values(task_inputs.points + shift) for m in measurands])
         exact = np.concatenate([m.values(again.state.target_points[indices]) for m in measurands])
         largest_differences = np.maximum(largest_differences, np.abs(exact - linear))
@@ -254,10 +254,10 @@ def _draw_errors(
     """Random draws of one batch of B trials: errors of all T points (B, 3 T) [m], and of the part's scale (B,)."""
     shift = np.zeros((TRIALS_PER_BATCH, task_inputs.points.size))
     for i, source in enumerate(task_inputs.sources):
-        shape = TRIALS_PER_BATCH, source.point_response.shape[1]
+        shape = TRIALS_PER_BATCH, source.displacements_per_sigma.shape[1]
         key = STREAM_KEYS.get(source.name, source.name)
         rng = random_stream(seed, "uncertainty", key, i, batch_number)
-        shift += draw_variates(rng, source.distribution, shape) @ source.point_response.T
+        shift += draw_variates(rng, source.distribution, shape) @ source.displacements_per_sigma.T
     grown = np.zeros(TRIALS_PER_BATCH)
     for name, sigma in expansion_errors(thermal_expansion):
         grown += sigma * random_stream(seed, "uncertainty", name, batch_number).standard_normal(TRIALS_PER_BATCH)
@@ -279,7 +279,7 @@ def _linear_statistics(
     They are computed without random draws.
     """
     others = [
-        (s.distribution, linear_uncertainty.point_derivatives @ s.point_response)
+        (s.distribution, linear_uncertainty.point_derivatives @ s.displacements_per_sigma)
         for s in task_inputs.sources
         if s.distribution != "normal"
     ]
@@ -302,9 +302,11 @@ def _linear_statistics(
 def _coverage_half_width(
     normal_sigma: float, other_distributions: Sequence[tuple[str, Floats]], coverage_probability: float
 ) -> float:
-    """Half-width of the coverage interval of a sum of independent symmetric variables, one of them normal.
+    """Half-width of the coverage interval of a sum of independent symmetric variables.
 
-    The characteristic function of the sum, a product, is inverted (Gil-Pelaez, Biometrika 38 (1951) 481).
+    One variable is normal with the standard deviation `normal_sigma`; `other_distributions` are those of the others.
+    The interval has the probability `coverage_probability`. The characteristic function of the sum, a product, is
+    inverted (Gil-Pelaez, Biometrika 38 (1951) 481).
     """
     independent = sum(float(np.sum(sizes**2)) for _, sizes in other_distributions)
     if normal_sigma == 0 or independent <= MAX_ROUNDING_ERROR * normal_sigma**2:
@@ -327,7 +329,7 @@ def _coverage_half_width(
 def draw_variates(
     random_generator: np.random.Generator, distribution_name: str, array_shape: tuple[int, ...]
 ) -> Floats:
-    """Random draws with zero mean and unit standard deviation."""
+    """Random draws of the shape `array_shape` from the distribution `distribution_name`, with mean 0 and variance 1."""
     if distribution_name == "rectangular":
         return random_generator.uniform(-np.sqrt(3.0), np.sqrt(3.0), array_shape)
     if distribution_name == "triangular":

@@ -297,9 +297,10 @@ def normalised_errors_of_files(first_result: Uncertainty, second_result: Uncerta
 def normalised_error(
     value: float, expanded_uncertainty: float, other_value: float, other_expanded_uncertainty: float
 ) -> float:
-    """Normalised error E_n: difference divided by the root sum of squares of the two expanded uncertainties.
+    """Normalised error E_n of two results, each a value with its expanded uncertainty.
 
-    The results agree if |E_n| <= 1 (ISO 13528).
+    It is the difference of the values divided by the root sum of squares of the uncertainties. The results agree if
+    |E_n| <= 1 (ISO 13528).
     """
     together = float(np.hypot(expanded_uncertainty, other_expanded_uncertainty))
     gap = value - other_value

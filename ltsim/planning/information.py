@@ -198,16 +198,19 @@ class CriteriaPredictor:
 
     @classmethod
     def from_information(
-        cls, information: LayoutInformation, unmodelled_effects: Sequence[Effect] = ()
+        cls, layout_information: LayoutInformation, unmodelled_effects: Sequence[Effect] = ()
     ) -> CriteriaPredictor:
         """Predictor for a layout in which all stations see all targets.
 
         The effects in `unmodelled_effects` act on the readings but are not estimated; each is a separate group of
         errors, with the size of its prior sigma.
         """
-        ways, group = _unit_error_displacements(information, unmodelled_effects)
+        ways, group = _unit_error_displacements(layout_information, unmodelled_effects)
         names = tuple(dict.fromkeys(group))
-        lengths, gaps = _distance_deviation_matrix(information), _coordinate_difference_matrix(information)
+        lengths, gaps = (
+            _distance_deviation_matrix(layout_information),
+            _coordinate_difference_matrix(layout_information),
+        )
         distance = np.empty((2, len(names), len(lengths)))
         coordinate = np.empty((2, len(names), len(gaps), 3, 3))
         member = np.array([names.index(g) for g in group])
@@ -222,7 +225,8 @@ class CriteriaPredictor:
     def expected_criteria(self, group_sizes: Mapping[str, Floats | float] | None = None) -> ExpectedCriteria:
         """Expected criteria for k assumptions on the sizes of the errors.
 
-        `group_sizes` holds, for each group of errors, the k factors on their nominal size; default 1.
+        `group_sizes` holds, by group of errors, k factors (k,) on the nominal size of the group. A group that is
+        missing has its nominal size.
         """
         wanted = dict(group_sizes or {})
         for name in wanted:
@@ -240,7 +244,11 @@ class CriteriaPredictor:
 
 
 def _mean_length(row_matrices: Floats, variances_by_set: Floats) -> Floats:
-    """Mean over rows of the expected length (k,) of normal vectors, computed in batches."""
+    """Mean over rows of the expected length (k,) of normal vectors whose covariance is a sum over groups of errors.
+
+    `row_matrices` hold the covariance of each row by group at its nominal size, `variances_by_set` the k factors on the
+    covariance of each group.
+    """
     means = [
         expected_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, variances_by_set, axes=1)))).mean(axis=1)
         for part in np.array_split(row_matrices, max(1, len(row_matrices) // 64))
@@ -249,10 +257,11 @@ def _mean_length(row_matrices: Floats, variances_by_set: Floats) -> Floats:
 
 
 def expected_length(variances: Floats, n_nodes: int = 48) -> Floats:
-    """Expected length (...) of a normal vector with variances (..., 3) along its axes, accurate to about 1e-6.
+    """Expected length (...) of a normally distributed vector with variances (..., 3) along its axes, to about 1e-6.
 
-    E sqrt(q) = 1 / (2 sqrt(pi)) integral of (1 - E exp(-t q)) t^(-3/2) dt, with E exp(-t q) the product of
-    (1 + 2 t variance)^(-1/2); substituted t = (x / (1 - x))^2 over the total variance, Gauss-Legendre in x.
+    E sqrt(q) = 1 / (2 sqrt(pi)) integral of (1 - E exp(-t q)) t^(-3/2) dt, with E exp(-t q) the product of (1 + 2 t
+    variance)^(-1/2). The variable t is replaced by (x / (1 - x))^2 divided by the total variance, and the integral over
+    x is computed by Gauss-Legendre quadrature with `n_nodes` nodes.
     """
     total_variance = np.maximum(variances.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
     variance_fractions = np.maximum(variances, 0.0) / total_variance
@@ -267,20 +276,24 @@ def expected_length(variances: Floats, n_nodes: int = 48) -> Floats:
 
 
 def _unit_error_displacements(
-    information: LayoutInformation, unmodelled_effects: Sequence[Effect]
+    layout_information: LayoutInformation, unmodelled_effects: Sequence[Effect]
 ) -> tuple[tuple[Floats, Floats], list[str]]:
     """Displacements of measured points by a unit error of each of e error sources, before and after calibration.
 
     Two matrices (3 S T, e), for T targets measured from each of S stations, and the names (e) of the groups (noise,
     gauge lengths, parameters) to which the errors belong.
     """
-    adjustment, construction = information.adjustment, information.construction
+    adjustment, construction = layout_information.adjustment, layout_information.construction
     problem, sightings = adjustment.problem, adjustment.sightings
     design = adjustment.solution.system.design
-    count, lengths, params = int(problem.is_used_reading.sum()), len(problem.gauge_rows), len(information.prior_sigma)
+    count, lengths, params = (
+        int(problem.is_used_reading.sum()),
+        len(problem.gauge_rows),
+        len(layout_information.prior_sigma),
+    )
     n_extra = problem.model.n_extra_parameters
     priors = design.shape[0] - problem.free_motions.shape[1] - params - n_extra
-    averaging_matrix = _averaging_matrix(information)
+    averaging_matrix = _averaging_matrix(layout_information)
     _, by_reading, by_value = construction.linearise(sightings.raw_readings, np.zeros(construction.n_parameters))
     noise = (
         np.einsum("rn,nij->rinj", averaging_matrix, by_reading).reshape(3 * len(averaging_matrix), -1)
@@ -303,7 +316,7 @@ def _unit_error_displacements(
     first_response[:, :count] = noise[:, is_used]
     by_parameter = np.hstack([parameters, by_extra])
     first_response[:, count + lengths : len(columns_used)] = -by_parameter * np.append(
-        information.prior_sigma, problem.effect_sigma
+        layout_information.prior_sigma, problem.effect_sigma
     )
     first_response[:, len(columns_used) :] = noise[:, is_used] @ errors[:count]
     second_response = first_response.copy()
@@ -315,18 +328,18 @@ def _unit_error_displacements(
     return (first_response, second_response), labels + [e.name for e in unmodelled_effects for _ in e.parameters]
 
 
-def _averaging_matrix(information: LayoutInformation) -> Floats:
+def _averaging_matrix(layout_information: LayoutInformation) -> Floats:
     """Matrix (S T, n) of the means over faces and repeats of each station's pointings to each target."""
-    recording = information.adjustment.recording
+    recording = layout_information.adjustment.recording
     place = recording.station * len(recording.targets) + recording.target
     averaging_matrix = np.zeros((len(recording.stations) * len(recording.targets), len(recording)))
     averaging_matrix[place, np.arange(len(recording))] = 1.0
     return averaging_matrix / averaging_matrix.sum(axis=1, keepdims=True)
 
 
-def _distance_deviation_matrix(information: LayoutInformation) -> Floats:
+def _distance_deviation_matrix(layout_information: LayoutInformation) -> Floats:
     """Matrix (rows, 3 S T) from displacements to deviations of each measured distance from its mean over stations."""
-    state = information.adjustment.state
+    state = layout_information.adjustment.state
     stations, targets = len(state.station_positions), len(state.target_points)
     first, second = np.triu_indices(targets, k=1)
     gap = state.target_points[first] - state.target_points[second]
@@ -341,12 +354,12 @@ def _distance_deviation_matrix(information: LayoutInformation) -> Floats:
     return deviation.reshape(stations * len(first), -1)
 
 
-def _coordinate_difference_matrix(information: LayoutInformation) -> Floats:
+def _coordinate_difference_matrix(layout_information: LayoutInformation) -> Floats:
     """Matrix (rows, 3, 3 S T) from displacements to differences between the positions of a target from two stations.
 
     The stations are aligned rigidly first.
     """
-    state = information.adjustment.state
+    state = layout_information.adjustment.state
     stations, targets = len(state.station_positions), len(state.target_points)
     motion = rigid_motion_design(state.target_points, state.target_points.mean(axis=0))
     non_rigid_projector = np.eye(3 * targets) - motion @ np.linalg.pinv(motion)

@@ -70,7 +70,7 @@ class NormalBlocks:
 
 
 def target_weights(incidence_errors: IncidenceErrors, pointing_targets: Ints, n_targets: int) -> Floats:
-    """Weights (T,): 1 for the targets in `pointing_targets` (n,) whose reflector has these errors, else 0."""
+    """Weights (T,): 1 for targets of `pointing_targets` (n,) whose reflector has `incidence_errors`, else 0."""
     weights = np.zeros(n_targets)
     np.maximum.at(weights, pointing_targets, incidence_errors.reflector_indicator)
     return weights

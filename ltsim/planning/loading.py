@@ -228,14 +228,14 @@ def _hall_scenario(
 
 
 def _require_plausible_extent(points: Sequence[PointEntry], scenario: Scenario, file: object) -> None:
-    """Check that the points extend over more than a thousandth of the room.
+    """Check that the points extend over more than a thousandth of the hall.
 
     A full stop may be meant as separator of thousands: 7.000 for 7000 mm. Raises SetupError.
     """
     spread = np.array([[p.x_mm, p.y_mm, p.z_mm] for p in points]).reshape(-1, 3)
     if len(points) and np.all(1000.0 * np.abs(spread) <= scenario.workshop.size_mm):
         raise SetupError(
-            f"{file}: all points lie within {np.abs(spread).max():g} mm of the corner of the room; if their numbers "
+            f"{file}: all points lie within {np.abs(spread).max():g} mm of the corner of the hall; if their numbers "
             "are metres, name the columns x_m, y_m, z_m; if a full stop in a number separates thousands, remove it"
         )
 

@@ -62,15 +62,22 @@ class PlanningProblem:
 
     def make_searcher(
         self,
-        site: SearchSpace,
+        search_space: SearchSpace,
         report_progress: Callable[[float], None] = no_progress,
         store_layout: Callable[[StationLayout], None] = no_progress,
     ) -> LayoutSearcher:
         """Searcher for the objective of the plan file in a search space."""
-        settings, objective = self.plan_file.search, layout_objective(self.plan_file, site.survey)
-        step = grid_step(site.allowed_areas, settings.grid_mm)
+        settings, objective = self.plan_file.search, layout_objective(self.plan_file, search_space.survey)
+        step = grid_step(search_space.allowed_areas, settings.grid_mm)
         return LayoutSearcher(
-            site, objective, self.construction, step, settings.yaws, settings.heights, report_progress, store_layout
+            search_space,
+            objective,
+            self.construction,
+            step,
+            settings.yaws,
+            settings.heights,
+            report_progress,
+            store_layout,
         )
 
 
@@ -133,9 +140,9 @@ def _layout_of_start(
     report_progress: Callable[[float], None] = no_progress,
     store_layout: Callable[[StationLayout], None] = no_progress,
 ) -> tuple[int, RatedLayout | None]:
-    """Task number and layout of one start.
+    """Task number, and layout of one start of the search; no layout (None) if none meets the rules of the plan.
 
-    The layout is None if no layout meets the rules, or if ranges from too few stations determine no layout.
+    The layout is None too if ranges from too few stations determine no layout.
     """
     try:
         return task_number, search_from_start(problem, task, report_progress, store_layout)
@@ -177,6 +184,8 @@ def search_from_start(
     return layout.objective_value, survey
 
 
-def _with_moved_stations(site: SearchSpace, position: Floats, yaw: Floats) -> PlannedSurvey:
+def _with_moved_stations(search_space: SearchSpace, position: Floats, yaw: Floats) -> PlannedSurvey:
     """Survey of a search space with stations at other positions (S, 3) [m] and yaws (S,) [rad]."""
-    return site.survey.replace(station_positions=position, station_yaws=yaw, is_visible=site.is_visible(position))
+    return search_space.survey.replace(
+        station_positions=position, station_yaws=yaw, is_visible=search_space.is_visible(position)
+    )

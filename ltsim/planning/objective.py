@@ -41,12 +41,15 @@ def d_criterion(covariance: Floats) -> Floats:
 
 
 def a_criterion(covariance: Floats) -> Floats:
-    """Root mean square (...) of the parameters' standard deviations: the expected size of an error."""
+    """Root mean square (...) of the standard deviations of the parameters, from their `covariance` (..., p, p).
+
+    It is the expected size of an error.
+    """
     return np.sqrt(np.trace(covariance, axis1=-2, axis2=-1) / covariance.shape[-1])
 
 
 def e_criterion(covariance: Floats) -> Floats:
-    """Standard deviation (...) of the worst-determined combination of unit length."""
+    """Standard deviation (...) of the worst-determined combination of unit length, from a `covariance` (..., p, p)."""
     return np.sqrt(np.linalg.eigvalsh(covariance)[..., -1])
 
 

@@ -32,7 +32,7 @@ class StationEntry(Entry):
     name: str
     """Name of the station."""
     position_mm: Vector
-    """Centre of the head, in the workshop's frame."""
+    """Centre of the head, in the hall frame."""
     yaw_deg: Finite
     """Direction of azimuth zero, counter-clockwise from x."""
     sigma_position_um: XyzSizesUm = ()
@@ -72,7 +72,7 @@ class ReflectorEntry(Entry):
     name: str
     """Name of the reflector."""
     position_mm: Vector
-    """Centre of the reflector, in the workshop's frame."""
+    """Centre of the reflector, in the hall frame."""
     sigma_um: OptionalFloat
     """Expected standard deviation of the reflector [um]: square root of the trace of its covariance."""
     u_um: XyzSizesUm = Field(default=(), alias="U_um")
@@ -135,10 +135,13 @@ class PlannedParameterEntry(Entry):
     """Fraction of the prior variance that the readings are expected to remove: 1 - (sigma / prior_sigma)^2."""
 
     @classmethod
-    def from_information(cls, information: LayoutInformation) -> tuple[Self, ...]:
+    def from_information(cls, layout_information: LayoutInformation) -> tuple[Self, ...]:
         """Entries of the instrument's parameters in units of display."""
         parameter_fields = zip(
-            information.construction.parameters, information.instrument_sigmas, information.prior_sigma, strict=True
+            layout_information.construction.parameters,
+            layout_information.instrument_sigmas,
+            layout_information.prior_sigma,
+            strict=True,
         )
         return tuple(
             cls(
@@ -314,7 +317,7 @@ class LossEntry(Entry):
 
     @property
     def ratio_text(self) -> str:
-        """Text of the ratio in percent, of an undetermined network, or empty for a hidden point."""
+        """Text of the largest ratio of error to tolerance [%]; other texts for undetermined and for hidden points."""
         if self.ratio is not None:
             return percent_text(self.ratio)
         return "" if self.unseen else "not determined"

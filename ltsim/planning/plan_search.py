@@ -45,9 +45,8 @@ SEARCH_PROGRESS_FRACTION = 0.8
 MIN_STATIONS = 2
 """Smallest number of stations of a network."""
 MAX_ERROR_RATIO_AFTER_BEFORE = 0.95
-"""Largest ratio of the errors after and before an additional station (largest error divided by tolerance). If both of
-the last two stations exceed it, layouts with more stations are not searched.
-"""
+"""Largest useful ratio of two errors, with and without an additional station (each is the largest point error divided
+by its tolerance). If the ratios of the last two stations are larger, no further station is added."""
 UNDETERMINED_LAYOUT_MESSAGE = (
     "no layout of the search determines all poses and points; let stations share more points "
     "(stations.min_stations_per_target = 2), or give more stations or more search.starts"
@@ -63,7 +62,7 @@ class SearchCallbacks:
 
     on_progress: ProgressCallback = no_progress
     """Callback with the name of the present task and its finished fraction."""
-    on_sentence: Callable[[str], None] = no_progress
+    on_progress_sentence: Callable[[str], None] = no_progress
     """Callback with a sentence on the best layout so far."""
     on_layout: Callable[[PlannedSurvey], None] = no_progress
     """Callback with the best layout so far."""
@@ -131,7 +130,9 @@ class _PlanSearch:
             quality_text += (
                 " without the common errors of the air" if survey.air is not None and goal.targets > 0 else ""
             )
-            self.callbacks.on_sentence(f"best layout so far: {len(survey.station_positions)} stations, {quality_text}")
+            self.callbacks.on_progress_sentence(
+                f"best layout so far: {len(survey.station_positions)} stations, {quality_text}"
+            )
             self.callbacks.on_layout(survey)
 
         def report_search_progress(finished_fraction: float) -> None:
@@ -232,7 +233,7 @@ class _PlanSearch:
     def _closest_layout(
         self, layouts: list[tuple[float, int, PlannedSurvey]], tolerances: PointTolerances
     ) -> list[tuple[float, int, PlannedSurvey]]:
-        """Layout with the smallest ratio of error to tolerance among those of several starts, as a list of one."""
+        """Layout of several starts with the smallest ratio of error to tolerance, as a list with one element."""
         if len(layouts) == 1:
             return layouts
         return [
@@ -290,13 +291,13 @@ class _PlanSearch:
         )
 
 
-def _never_visible_text(site: SearchSpace, placement: StationPlacement) -> str:
+def _never_visible_text(search_space: SearchSpace, placement: StationPlacement) -> str:
     """Text of the points that no place on the grid and no station of the present layout sees; empty for none."""
-    position = site.survey.station_positions
-    if site.is_feasible(position[None], site.is_visible(position)[None])[0]:
+    position = search_space.survey.station_positions
+    if search_space.is_feasible(position[None], search_space.is_visible(position)[None])[0]:
         return ""
-    return site.unseen_targets_text(
-        placement, placement.place_stations(len(position) - len(site.fixed_stations), site.min_sights)
+    return search_space.unseen_targets_text(
+        placement, placement.place_stations(len(position) - len(search_space.fixed_stations), search_space.min_sights)
     )
 
 
@@ -317,37 +318,37 @@ def _require_grid_fits_memory(file: PlanFile, scenario: Scenario) -> None:
         )
 
 
-def max_stations_per_target(site: SearchSpace, step: float, n_heights: int) -> tuple[int, str]:
+def max_stations_per_target(search_space: SearchSpace, step: float, n_heights: int) -> tuple[int, str]:
     """Largest number of stations that see every reflector in some layout, and the name of the limiting reflector.
 
     The number is a lower bound from greedy placement, and exact if one place on the floor sees everything.
     """
-    placement, names = site.greedy_placement(step, n_heights), site.survey.target_names
+    placement, names = search_space.greedy_placement(step, n_heights), search_space.survey.target_names
     limiting = names[int(np.argmin(placement.is_visible.mean(axis=0)))]
-    n_free_stations = len(site.survey.station_positions) - len(site.fixed_stations)
+    n_free_stations = len(search_space.survey.station_positions) - len(search_space.fixed_stations)
     enough = (
         k
-        for k in range(site.min_sights, 0, -1)
+        for k in range(search_space.min_sights, 0, -1)
         if not placement.missing_sights(placement.place_stations(n_free_stations, k), k).any()
     )
     return next(enough, 0), limiting
 
 
-def with_feasible_min_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
+def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanFile:
     """Plan file with a value of `stations.min_stations_per_target` that some layout meets.
 
     A given value is not reduced; instead SetupError reports the largest possible value.
     """
-    settings, count = file.search, len(site.survey.station_positions)
-    step = grid_step(site.allowed_areas, settings.grid_mm)
-    reachable, limiting = max_stations_per_target(site, step, settings.heights)
-    if reachable >= site.min_sights:
+    settings, count = file.search, len(search_space.survey.station_positions)
+    step = grid_step(search_space.allowed_areas, settings.grid_mm)
+    reachable, limiting = max_stations_per_target(search_space, step, settings.heights)
+    if reachable >= search_space.min_sights:
         return file
 
     def layout_error(min_sights: int) -> SetupError | None:
         """Error of the search for an initial layout; None if there is a layout."""
         searcher = LayoutSearcher(
-            site.replace(min_sights=min_sights), grid_step=step, n_yaws=1, n_heights=settings.heights
+            search_space.replace(min_sights=min_sights), grid_step=step, n_yaws=1, n_heights=settings.heights
         )
         try:
             searcher.random_layout(random_stream(settings.seed, "plan", "sights"))
@@ -359,22 +360,24 @@ def with_feasible_min_sights(file: PlanFile, site: SearchSpace) -> PlanFile:
         while reachable > 1 and layout_error(reachable):
             reachable -= 1
         return file.with_min_stations(reachable)
-    problem = layout_error(site.min_sights)
+    problem = layout_error(search_space.min_sights)
     if problem is None:
         return file
     if not reachable:
         raise problem
-    cure = "remove a station from stations.fixed" if len(site.fixed_stations) else "enlarge the floor"
+    cure = "remove a station from stations.fixed" if len(search_space.fixed_stations) else "enlarge the floor"
     raise SetupError(
-        f"stations.min_stations_per_target requires {site.min_sights} of {count} stations to see every reflector, but "
-        f"at most {reachable} can, and {limiting} is visible from the fewest places: set "
+        f"stations.min_stations_per_target requires {search_space.min_sights} of {count} stations to see every "
+        f"reflector, but at most {reachable} can, and {limiting} is visible from the fewest places: set "
         f"stations.min_stations_per_target = {reachable}, move {limiting}, or {cure}"
     )
 
 
-def placement_seeing_all_points(site: SearchSpace, file: PlanFile) -> StationPlacement:
+def placement_seeing_all_points(search_space: SearchSpace, file: PlanFile) -> StationPlacement:
     """Candidate places of stations; raises SetupError with the names of points that no place sees."""
-    placement = site.greedy_placement(grid_step(site.allowed_areas, file.search.grid_mm), file.search.heights)
+    placement = search_space.greedy_placement(
+        grid_step(search_space.allowed_areas, file.search.grid_mm), file.search.heights
+    )
     if not placement.is_visible.any(axis=0).all():
-        raise SetupError(site.invisible_targets_sentence(np.flatnonzero(~placement.is_visible.any(axis=0))))
+        raise SetupError(search_space.invisible_targets_sentence(np.flatnonzero(~placement.is_visible.any(axis=0))))
     return placement

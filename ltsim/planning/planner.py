@@ -32,7 +32,7 @@ from ltsim.simulation.scenario import Scenario
 
 @dataclass(frozen=True)
 class TradeoffPoint(ValueEquality):
-    """Point of the trade-off curve: measuring procedure with its best layout, cost and quality."""
+    """Point of the curve of cost against quality: a measuring procedure with its best layout."""
 
     survey: PlannedSurvey
     objective_value: float

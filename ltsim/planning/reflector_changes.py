@@ -18,7 +18,7 @@ from ltsim.recordings.result_file import Entry, Finite, Vector
 
 
 def to_millimetres(point: Floats, decimals: int = 1) -> Vector:
-    """Place (3,) [m] converted to millimetres for a result file."""
+    """Place `point` (3,) [m] in millimetres, rounded to a number of `decimals`, for a result file."""
     x, y, z = (round(float(v) / MILLIMETRE, decimals) for v in point)
     return x, y, z
 
@@ -46,13 +46,12 @@ class PlanChange(Entry):
     negative for an increase.
     """
     quality: Finite
-    """Factor on the plan's objective, or, if only targets have a weight, on the error of all other targets; smaller is
-    better.
-    """
+    """Objective after the change divided by the plan's objective; if only targets have a weight, the ratio of the
+    errors of all other targets. Below 1 is better."""
     most_affected_parameter: str = ""
     """Parameter or target whose standard deviation falls most, or rises most if a reflector is removed."""
     most_affected_ratio: Finite = 1.0
-    """Factor on the standard deviation of that parameter or target; below 1 is better."""
+    """Standard deviation of that parameter or target after the change, divided by the one before; below 1 is better."""
 
     @property
     def action_text(self) -> str:
@@ -133,7 +132,7 @@ class _ChangeEvaluator:
             movable_reflectors.normal_matrix_table,
             objective,
         )
-        self.present_place_indices = np.arange(movable_reflectors.n_present)
+        self.present_place_indices = np.arange(movable_reflectors.n_present_places)
         self.present_normal_matrix = self.normal_matrix_table.normal_matrix(self.present_place_indices)
         self.present_objective = self.normal_matrix_table.objective_values(
             self.present_normal_matrix[None], self.present_place_indices[None], objective
@@ -150,10 +149,10 @@ class _ChangeEvaluator:
         )
 
     def _objective_factors(self, normal_matrices: Floats, occupied_places: Ints, other_places: Ints) -> Floats:
-        """Factors (B,) on the objective for normal matrices (B, K, K) with reflectors at `occupied_places` (B, n).
+        """Objectives (B,) with reflectors at `occupied_places` (B, n), divided by the plan's objective.
 
-        If only targets have a weight, the factors are on their point error without the changed reflector:
-        `other_places` are the places of all others.
+        `normal_matrices` (B, K, K) are those of the layouts. If only targets have a weight, the ratio is that of the
+        point errors without the changed reflector: `other_places` are the places of all others.
         """
         if self._has_target_goal_only:
             rms = self.normal_matrix_table.weighted_target_rms

@@ -144,7 +144,7 @@ class MovableReflectors:
     places: Floats
     """Coordinates of the places, (P, 3) [m]."""
     place_names: tuple[str, ...]
-    n_present: int
+    n_present_places: int
     """Number of present places of reflectors."""
     is_visible: Bools
     """Visibility of the k fixed targets and of the places from each station, (S, k + P)."""
@@ -153,28 +153,30 @@ class MovableReflectors:
     @classmethod
     def from_search_space(
         cls,
-        site: SearchSpace,
+        search_space: SearchSpace,
         survey: PlannedSurvey,
         is_fixed: Bools,
         objective: LayoutObjective,
         construction: GeometricErrorModel,
     ) -> MovableReflectors:
         """Visible places for movable reflectors; `is_fixed` (T,) marks the fixed targets."""
-        offered = np.zeros((0, 3)) if site.candidate_nests is None else site.candidate_nests
+        offered = np.zeros((0, 3)) if search_space.candidate_nests is None else search_space.candidate_nests
         places = np.concatenate([survey.target_points[~is_fixed], offered])
         present = [name for name, stay in zip(survey.target_names, is_fixed, strict=True) if not stay]
-        is_usable = _is_usable_place(site, survey, places)
+        is_usable = _is_usable_place(search_space, survey, places)
         is_usable &= ~np.r_[
             np.zeros(len(present), bool),
             _is_near_point(survey.target_points[~is_fixed], offered, MAX_SAME_PLACE_DISTANCE),
         ]
         is_usable &= ~np.r_[
             np.zeros(len(present), bool),
-            _is_near_point(survey.target_points[is_fixed], offered, site.min_reflector_spacing),
+            _is_near_point(survey.target_points[is_fixed], offered, search_space.min_reflector_spacing),
         ]
-        names = tuple(n for n, g in zip((*present, *site.nest_names), is_usable, strict=True) if g)
+        names = tuple(n for n, g in zip((*present, *search_space.nest_names), is_usable, strict=True) if g)
         places = places[is_usable]
-        visible = site.is_visible(survey.station_positions, np.concatenate([survey.target_points[is_fixed], places]))
+        visible = search_space.is_visible(
+            survey.station_positions, np.concatenate([survey.target_points[is_fixed], places])
+        )
         # What stands already is seen as it is, only new places must be seen with some play.
         now = np.concatenate(
             [survey.is_visible[:, is_fixed], survey.is_visible[:, ~is_fixed][:, is_usable[: len(present)]]], axis=1
@@ -211,7 +213,7 @@ def choose_reflectors(
             "add places or ask for fewer"
         )
     start = _initial_places(
-        places, np.arange(len(places)) < choice.n_present, wanted, search_space.min_reflector_spacing
+        places, np.arange(len(places)) < choice.n_present_places, wanted, search_space.min_reflector_spacing
     )
     chosen = _exchange_places(choice.normal_matrix_table, objective, places, start, search_space.min_reflector_spacing)
     columns = np.r_[0 : is_fixed.sum(), is_fixed.sum() + chosen]
@@ -249,7 +251,7 @@ def _initial_places(places: Floats, is_present_place: Bools, n_reflectors: int, 
 
 
 def distances_in_pairs(places: Floats) -> Floats:
-    """Distances (P, P) [m] between places (P, 3) [m], row by row: all differences take four times the memory."""
+    """Distances (P, P) [m] between all pairs of places (P, 3) [m], computed row by row to limit the memory."""
     distances = np.empty((len(places), len(places)))
     for i, place in enumerate(places):
         distances[i] = np.linalg.norm(place - places, axis=1)

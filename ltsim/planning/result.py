@@ -279,5 +279,5 @@ def copy_cad_files(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
         entry if entry.file is None else entry.model_copy(update={"file": names[entry.file]})
         for entry in scenario.workshop.obstacles
     )
-    room = scenario.workshop.model_copy(update={"obstacles": obstacles})
-    return scenario.model_copy(update={"workshop": room}), contents
+    workshop = scenario.workshop.model_copy(update={"obstacles": obstacles})
+    return scenario.model_copy(update={"workshop": workshop}), contents

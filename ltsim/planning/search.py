@@ -27,8 +27,7 @@ MAX_LAYOUT_SWEEPS = 12
 MAX_RANDOM_LAYOUTS = 12
 """Largest number of random layouts that are drawn for one start, until one determines all poses and targets."""
 REMAINING_PROGRESS_FACTOR = 0.985
-"""Factor on the remaining part of the progress bar for each step of a start; the number of steps is unknown in advance.
-"""
+"""Factor on the unfinished part of the progress bar at each step of a start, whose number of steps is not known."""
 MIN_REFINEMENT_STEP = 0.004
 """Step [m] of the pattern search away from the grid, below which the search ends."""
 
@@ -129,7 +128,10 @@ class LayoutSearcher:
         )
 
     def evaluate_layout(self, position: Floats, yaw: Floats) -> StationLayout:
-        """Layout with its objective; the objective is infinite if a rule is broken."""
+        """Layout of stations at `position` (S, 3) [m] with `yaw` (S,) [rad], with its objective.
+
+        The objective is infinite if a rule is broken.
+        """
         blocks = self.layout_blocks(position, yaw)
         is_permitted = (
             self.search_space.is_allowed(position).all()
@@ -185,7 +187,10 @@ class LayoutSearcher:
         return best_index, float(objectives[best_index])
 
     def _exchange_sweep(
-        self, layout: NormalBlocks, value: float, candidate_function: Callable[[NormalBlocks, int], NormalBlocks | None]
+        self,
+        layout: NormalBlocks,
+        objective_value: float,
+        candidate_function: Callable[[NormalBlocks, int], NormalBlocks | None],
     ) -> tuple[NormalBlocks, float]:
         """Layout and objective after one sweep, in which each station is replaced by its best candidate if better."""
         for station_index in self._movable_stations:
@@ -193,27 +198,27 @@ class LayoutSearcher:
             if alternatives is None:
                 continue
             which, best = self.best_replacement(layout, station_index, alternatives)
-            if best < value:
-                layout, value = (
+            if best < objective_value:
+                layout, objective_value = (
                     layout.with_replaced_station(station_index, alternatives.select(np.array([which]))),
                     best,
                 )
-                self.on_layout(StationLayout(layout.setup_positions, layout.setup_yaws, value))
-        return layout, value
+                self.on_layout(StationLayout(layout.setup_positions, layout.setup_yaws, objective_value))
+        return layout, objective_value
 
-    def exchange_on_grid(self, layout: NormalBlocks, value: float) -> tuple[NormalBlocks, float]:
+    def exchange_on_grid(self, layout: NormalBlocks, objective_value: float) -> tuple[NormalBlocks, float]:
         """Layout and objective after exchanges of stations for set-ups of the grid, until none is an improvement."""
         for _ in range(MAX_LAYOUT_SWEEPS):
-            before = value
-            layout, value = self._exchange_sweep(
-                layout, value, lambda _, station_index: self.grid_setups(station_index)
+            before = objective_value
+            layout, objective_value = self._exchange_sweep(
+                layout, objective_value, lambda _, station_index: self.grid_setups(station_index)
             )
-            if not value < before * (1 - MIN_SWEEP_IMPROVEMENT):
+            if not objective_value < before * (1 - MIN_SWEEP_IMPROVEMENT):
                 break
-        return layout, value
+        return layout, objective_value
 
     def refine_off_grid(
-        self, layout: NormalBlocks, value: float, random_generator: np.random.Generator
+        self, layout: NormalBlocks, objective_value: float, random_generator: np.random.Generator
     ) -> tuple[NormalBlocks, float]:
         """Layout and objective after moves of stations away from the grid.
 
@@ -241,11 +246,11 @@ class LayoutSearcher:
             )
 
         while reach > MIN_REFINEMENT_STEP:
-            before = value
-            layout, value = self._exchange_sweep(layout, value, neighbouring_setups)
-            if not value < before * (1 - MIN_SWEEP_IMPROVEMENT):
+            before = objective_value
+            layout, objective_value = self._exchange_sweep(layout, objective_value, neighbouring_setups)
+            if not objective_value < before * (1 - MIN_SWEEP_IMPROVEMENT):
                 reach *= 0.5
-        return layout, value
+        return layout, objective_value
 
     def random_layout(self, random_generator: np.random.Generator) -> NormalBlocks:
         """Random layout that meets the rules; fixed stations remain.
@@ -302,9 +307,9 @@ class LayoutSearcher:
         return layout
 
     def search_from(self, seed: int, start_number: int) -> StationLayout:
-        """Result of the search from one start.
+        """Result of the search from the start with number `start_number`.
 
-        Start 0 is the layout in the scenario if the rules permit it; all other starts are random.
+        Start 0 is the layout in the scenario if the rules permit it; all other starts are random and depend on `seed`.
         """
         rng = random_stream(seed, "plan", self.n_stations, start_number)
         current = self.search_space.survey.station_positions, self.search_space.survey.station_yaws

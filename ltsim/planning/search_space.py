@@ -209,7 +209,7 @@ class SearchSpace(ValueEquality):
         return tuple(rules)
 
     def connectivity_scores(self, is_visible: Bools) -> Floats:
-        """Scores (B,) of B layouts: number of stations that are connected to the first one, and a fraction for ties.
+        """Number of stations that are connected to the first one in each of B layouts, plus a fraction for ties, (B,).
 
         Two stations are connected if they see at least two common targets, or through other stations. The fraction
         grows with the mean number of common targets, of which at most three count for each pair of stations.

@@ -16,16 +16,15 @@ from ltsim.planning.search_space import SearchSpace
 from ltsim.recordings import Recording
 
 MAX_MEDIAN_MISFIT = 0.1
-"""Largest median distance [m] of such targets from the points of the plan. Reflectors are placed within centimetres of
-their planned points; other points are metres away.
-"""
+"""Largest median distance [m] between adjusted targets and the points of the plan with the same names. Reflectors are
+placed within centimetres of their planned points; points in other axes are metres away."""
 MAX_NOMINAL_POSITION_ERROR = 0.5
 """Largest distance [m] of a nominal position of a station from its position on the site. Nominal positions are rounded
 and approximate; those in other axes are metres away.
 """
 
 
-def with_positions_on_site(recording: Recording, site: SearchSpace, site_name: str) -> Recording:
+def with_positions_on_site(recording: Recording, search_space: SearchSpace, site_name: str) -> Recording:
     """Recording whose set-up has the adjusted positions and yaws of the stations, in the axes of a site.
 
     The targets with names of points of the plan determine the axes. With fewer than `MIN_RIGID_POINTS` of them the
@@ -39,7 +38,9 @@ def with_positions_on_site(recording: Recording, site: SearchSpace, site_name: s
     """
     nominal = {n: s.position_mm for n, s in recording.setup.stations.items() if s.position_mm is not None}
     adjustment = adjust(recording, declared_construction(recording))
-    plan = _floor_plan_from_points(recording, adjustment.state, site, adjustment.undetermined_targets, site_name)
+    plan = _floor_plan_from_points(
+        recording, adjustment.state, search_space, adjustment.undetermined_targets, site_name
+    )
     if plan is None and not nominal:
         raise SetupError(
             f"{option_text('site')} needs positions on the floor plan; set position_mm of the stations in setup.toml, "
@@ -49,7 +50,7 @@ def with_positions_on_site(recording: Recording, site: SearchSpace, site_name: s
         adjustment.state.station_positions
     )
     if plan is None:
-        _require_on_allowed_floor(recording, positions, site, site_name)
+        _require_on_allowed_floor(recording, positions, search_space, site_name)
         return recording
     stations = dict(recording.setup.stations)
     for name, place, rotation in zip(recording.stations, positions, adjustment.state.station_rotations, strict=True):
@@ -60,13 +61,13 @@ def with_positions_on_site(recording: Recording, site: SearchSpace, site_name: s
 
 
 def _floor_plan_from_points(
-    recording: Recording, state: NetworkState, site: SearchSpace, undetermined: tuple[str, ...], site_name: str
+    recording: Recording, state: NetworkState, search_space: SearchSpace, undetermined: tuple[str, ...], site_name: str
 ) -> FloorPlan | None:
     """Transformation from the network to the site by the points with equal names; None if there are too few.
 
     The vertical is that of the network.
     """
-    point_by_name = dict(zip(site.survey.target_names, site.survey.target_points, strict=True))
+    point_by_name = dict(zip(search_space.survey.target_names, search_space.survey.target_points, strict=True))
     names = [name for name in recording.targets if name in point_by_name and name not in undetermined]
     if len(names) < MIN_RIGID_POINTS:
         return None
@@ -106,12 +107,14 @@ def _require_same_axes(
         )
 
 
-def _require_on_allowed_floor(recording: Recording, positions: Floats, site: SearchSpace, site_name: str) -> None:
+def _require_on_allowed_floor(
+    recording: Recording, positions: Floats, search_space: SearchSpace, site_name: str
+) -> None:
     """Check that a station of the recording stands on the permitted floor of the site; raises SetupError.
 
     `positions` (S, 3) [m] are the stations on the floor plan of the recording.
     """
-    if not site.is_allowed(positions).any():
+    if not search_space.is_allowed(positions).any():
         raise SetupError(
             f"no station of the recording stands on the permitted floor of {site_name}: {recording.stations[0]} is at "
             f"{_place_text(positions[0])}; set position_mm and yaw_deg in the axes of this plan"

@@ -1,4 +1,4 @@
-"""Plan file (ltsim-plan/1): workshop, degrees of freedom, goal, and budget."""
+"""Plan file (ltsim-plan/1): hall, degrees of freedom, goal, and budget."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ltsim.scene.floor import Floor
 from ltsim.simulation.sections import MeasurementProcedure, ScenarioInstrument, Smr, Workshop
 
 WALLS_NAME = "walls"
-"""Name of the walls of the room in the list of bodies on which reflectors may be placed."""
+"""Name of the walls of the hall in the list of bodies on which reflectors may be placed."""
 StationCount = Annotated[int, Field(ge=2, le=40)]
 """Number of stations, 2 to 40."""
 

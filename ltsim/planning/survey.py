@@ -137,7 +137,10 @@ class PlannedSurvey:
         return empty.with_readings(readings)
 
     def pointing_ranks(self, station: Ints, target: Ints, face: Ints) -> Ints:
-        """Rank (n,) of pointings, from 0, in the first round of their station."""
+        """Rank (n,), from 0, of pointings in the first round of their station.
+
+        The pointings have the indices `station` and `target` (n,) and the faces `face` (n,).
+        """
         rank = target if self.target_ranks is None else self.target_ranks[station, target]
         face_ranks = np.searchsorted(np.sort(self.faces), face)
         if self.measures_face_by_face:

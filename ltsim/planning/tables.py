@@ -6,14 +6,14 @@ from ltsim.planning.plan_entries import ConfusablePair, DetectableSize, Tradeoff
 from ltsim.planning.planner import LayoutEvaluation, PlannedNetwork
 
 PLACE_COLUMNS = number_columns(
-    ".10g", ".3f", x_mm="position in the workshop, rounded to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm"
+    ".10g", ".3f", x_mm="position in the hall, rounded to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm"
 )
 PLANNED_STATIONS_TABLE = Table(
     "stations.csv",
     "places of the tripods",
     (
         *text_columns(station="name"),
-        *number_columns(display_format=".0f", x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm"),
+        *number_columns(display_format=".0f", x_mm="place in the hall", y_mm="as x_mm", z_mm="as x_mm"),
         *number_columns(display_format=".0f", yaw_deg="direction of azimuth zero"),
         *number_columns(sigma_x_um="expected standard deviation", sigma_y_um="as x", sigma_z_um="as x"),
         *number_columns(visible_reflectors="number of visible reflectors"),

@@ -43,7 +43,7 @@ def text_distinct_from_limit(value: float, limit: float, digits: int = 3) -> str
 
 
 def percent_text(ratio: float) -> str:
-    """Ratio of error to tolerance as text: `100.4 %` for one that is 0.4 % too large."""
+    """Text of a ratio of error to tolerance in percent, with enough digits: `100.4 %` for an error 0.4 % too large."""
     return f"{text_distinct_from_limit(100.0 * ratio, 100.0)} %"
 
 
@@ -273,7 +273,10 @@ def feasibility_and_ratio(
 
 @dataclass(frozen=True)
 class PlanVerdict:
-    """Verdict on a layout by the rules and tolerances of its plan, the same in the search, the planner and the page."""
+    """Verdict on a layout by the rules and tolerances of its plan.
+
+    Search, interactive planner and page use the same one.
+    """
 
     is_goal_reached: bool
     """True if no rule is broken and all tolerances are met, after any single loss if required."""

@@ -145,15 +145,15 @@ def next_measurement(
     return NextMeasurement.from_ranking(made, SourceEntry.from_recording(measured), site=str(site or ""))
 
 
-def _visibility_function(site: SearchSpace) -> VisibilityFunction:
+def _visibility_function(search_space: SearchSpace) -> VisibilityFunction:
     """Sights at a site from places where a tripod may stand, within the position tolerance of its height."""
-    low, high = np.array([area.heights for area in site.allowed_areas]).T
+    low, high = np.array([area.heights for area in search_space.allowed_areas]).T
 
     def sights(places: Floats, targets: Floats) -> Bools:
         height = np.clip(places[:, 2], low.min(), high.max())
-        is_near = np.abs(height - places[:, 2]) <= site.position_tolerance
+        is_near = np.abs(height - places[:, 2]) <= search_space.position_tolerance
         standing = np.column_stack([places[:, :2], np.where(is_near, height, places[:, 2])])
-        return np.asarray(site.is_visible(places, targets) & site.is_allowed(standing)[:, None])
+        return np.asarray(search_space.is_visible(places, targets) & search_space.is_allowed(standing)[:, None])
 
     return sights
 
@@ -288,13 +288,13 @@ def _station_index(survey: PlannedSurvey, name: str) -> int:
 
 
 def _evaluate_alternative(
-    problem: PlanningProblem, site: SearchSpace, survey: PlannedSurvey, description: str, move: str = ""
+    problem: PlanningProblem, search_space: SearchSpace, survey: PlannedSurvey, description: str, move: str = ""
 ) -> StationAlternative:
     """Alternative with the verdict by rules and tolerances, or by the worst point if there are no tolerances."""
     demands, built, broken = (
         PointTolerances.from_plan_file(problem.plan_file),
         problem.construction,
-        site.broken_rules(survey),
+        search_space.broken_rules(survey),
     )
     if demands:
         check = check_tolerances(survey, demands, built)

@@ -20,9 +20,8 @@ MAX_TAPE_DISTANCE = 15.0
 MAX_CONSIDERED_MARKS = 16
 """Largest number of marks among which the three of a station are selected."""
 MIN_STRAIGHT_STRENGTH_GAIN = 0.1
-"""Smallest gain in `intersection_strength` at which a distance straight to a reflector is preferred to one along the
-floor.
-"""
+"""Smallest increase of `intersection_strength` at which a straight distance to a reflector is used instead of one along
+the floor."""
 TAPE_RESOLUTION = 0.01
 """Resolution [m] with which a distance is read from a tape."""
 MAX_POSITION_AMBIGUITY = 0.03
@@ -38,7 +37,7 @@ MIN_TAPE_DISTANCE = 0.3
 FREE_TAPE_HEIGHT = 0.1
 """Height [m] above the floor at which no obstacle may cross the tape."""
 MIN_STRENGTH_GAIN_PER_METRE = 0.03
-"""Smallest gain in `intersection_strength` per additional metre of the longest distance."""
+"""Smallest increase of `intersection_strength` per metre by which the longest of the three distances grows."""
 MIN_MOVED_SIGMAS = 3.0
 """Difference of a repeated point, in standard deviations, above which tripod or point count as moved."""
 N_REPEATED_POINTS = 3
@@ -53,8 +52,8 @@ class TapeDistance:
     reflector.
     """
 
-    end_name: str
-    end_point: Floats
+    mark_name: str
+    mark_position: Floats
     """Coordinates of the point, (3,) [m]."""
     length: float
     is_along_floor: bool
@@ -63,7 +62,7 @@ class TapeDistance:
     @property
     def text(self) -> str:
         """Text of the distance and its end point."""
-        return f"{self.length:.2f} m to {self.end_name}{'' if self.is_along_floor else ' (straight)'}"
+        return f"{self.length:.2f} m to {self.mark_name}{'' if self.is_along_floor else ' (straight)'}"
 
     @classmethod
     def from_station(
@@ -131,23 +130,23 @@ def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[
     """Marks for tape distances to a station, in order of preference.
 
     First come those within reach of a tape, then those along the floor, then the nearest. Distances along the floor
-    lead to points that can be plumbed and to corners of the room, if no body and no keep-out area is in the path;
+    lead to points that can be plumbed and to corners of the hall, if no body and no keep-out area is in the path;
     others lead straight to visible reflectors.
     """
     survey, obstacles = plan.layout.survey, plan.search_space.obstacles
     targets = list(zip(survey.target_names, survey.target_points, strict=True))
     wide, deep = np.array(plan.scenario.workshop.size_mm[:2]) * MILLIMETRE
-    corners = [(f"room corner ({x:g} m, {y:g} m)", np.array([x, y, 0.0])) for x in (0.0, wide) for y in (0.0, deep)]
+    corners = [(f"hall corner ({x:g} m, {y:g} m)", np.array([x, y, 0.0])) for x in (0.0, wide) for y in (0.0, deep)]
     plumbed = [*((name, point) for name, point in targets if point[2] <= MAX_PLUMB_HEIGHT), *corners]
     level = [TapeDistance.from_station(name, point, place, is_along_floor=True) for name, point in plumbed]
-    tapes = [np.stack([place[:2], mark.end_point[:2]]) for mark in level]
+    tapes = [np.stack([place[:2], mark.mark_position[:2]]) for mark in level]
     crossed = [any(area.is_crossed_by_path(tape) for area in plan.search_space.forbidden_areas) for tape in tapes]
     level = [mark for mark, is_crossed in zip(level, crossed, strict=True) if not is_crossed]
     if obstacles is not None:
-        ends = np.array([[*mark.end_point[:2], FREE_TAPE_HEIGHT] for mark in level])
+        ends = np.array([[*mark.mark_position[:2], FREE_TAPE_HEIGHT] for mark in level])
         blocked = obstacles.is_blocked(np.tile([*place[:2], FREE_TAPE_HEIGHT], (len(ends), 1)), ends)
         level = [mark for mark, hidden in zip(level, blocked, strict=True) if not hidden]
-    reachable = {mark.end_name for mark in level}
+    reachable = {mark.mark_name for mark in level}
     straight = [
         TapeDistance.from_station(*targets[t], place, is_along_floor=False)
         for t in np.flatnonzero(is_visible)
@@ -184,11 +183,11 @@ def _best_tape_distances(marks: Sequence[TapeDistance], place: Floats) -> tuple[
 
 
 def intersection_strength(distances: Sequence[TapeDistance], place: Floats) -> float:
-    """Strength of the intersection of distances: their smallest change per unit step of the station on the floor.
+    """Strength of the intersection of distances to a place: smallest change of the distances per metre on the floor.
 
-    It is the smallest singular value of the gradients.
+    It is the smallest singular value of their gradients, between 0 (undetermined) and the square root of their number.
     """
-    slopes = np.array([(place[:2] - mark.end_point[:2]) / mark.length for mark in distances])
+    slopes = np.array([(place[:2] - mark.mark_position[:2]) / mark.length for mark in distances])
     return float(np.linalg.svd(slopes, compute_uv=False).min())
 
 
@@ -199,7 +198,7 @@ def tape_deficiency_sentence(tape_distances: Sequence[TapeDistance], place: Floa
     if (strength := intersection_strength(tape_distances, place)) * MAX_POSITION_AMBIGUITY < TAPE_RESOLUTION:
         wide = f"by {100 * TAPE_RESOLUTION / strength:.0f} cm" if strength > TAPE_RESOLUTION else "along a line"
         return f"The tapes meet at a flat angle, and the place is uncertain {wide}: mark it in another way."
-    end_points = np.array([mark.end_point[:2] for mark in tape_distances])
+    end_points = np.array([mark.mark_position[:2] for mark in tape_distances])
     rise = np.array([mark.length for mark in tape_distances]) ** 2 - np.sum((place[:2] - end_points) ** 2, axis=1)
     first, second = max(combinations(end_points, 2), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
     direction = (second - first) / np.linalg.norm(second - first)

@@ -12,13 +12,13 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.geometry.polar import wrap_angle
 
 MIN_CIRCLE_RESET_ROTATION = 0.02
-"""Rotation [rad] of all directions above which the circle counts as set anew. A disturbed tripod rotates by less."""
+"""Rotation [rad] of all directions above which the circle counts as rotated. A disturbed tripod rotates by less."""
 MAX_DIRECTION_DIFFERENCE = 1e-3
 """Difference [rad] of two directions, or two elevations, to one target below which they count as equal."""
 MAX_DISTANCE_DIFFERENCE_M = 0.02
 """Difference [m] of two distances to one target above which the target counts as moved."""
 MIN_AGREEING_TARGETS = 3
-"""Number of repeated targets whose directions must change by the same rotation before the circle counts as set anew."""
+"""Number of repeated targets whose directions must change by the same rotation before the circle counts as rotated."""
 MAX_CONTRADICTORY_FRACTION = 0.1
 """Fraction of the repeated pointings of an occupation that may contradict its orientations, because of gross errors.
 
@@ -29,10 +29,11 @@ MAX_ROWS_AHEAD = 100
 
 
 def circle_orientations(occupation: Ints, sight_number: Ints, readings: Floats) -> Ints | None:
-    """Number (n,) of the orientation of each row within its occupation; None if no circle was set anew.
+    """Number (n,) of the orientation of the horizontal circle in each row, counted within the row's occupation.
 
-    `sight_number` (n,) numbers the pointings from one occupation to one target on one face, `readings` are (n, 3) [m,
-    rad]. An occupation whose rows cannot all be assigned has one orientation.
+    The result is None if no circle was rotated within an occupation. `occupation` (n,) numbers the occupations,
+    `sight_number` (n,) the pointings from one occupation to one target on one face, `readings` are (n, 3) [m, rad,
+    rad]. An occupation in which a row fits no orientation counts as one orientation.
     """
     _, first_row_of_sight, code = np.unique(sight_number, return_index=True, return_inverse=True)
     change = readings - readings[first_row_of_sight[code]]
@@ -51,19 +52,19 @@ def circle_orientations(occupation: Ints, sight_number: Ints, readings: Floats) 
 
 
 def zeroed_circle_note(n_orientations: int, n_occupations: int) -> str:
-    """Note on occupations whose circle was set anew."""
+    """Note that the circle was rotated in `n_occupations` occupations, which gives `n_orientations` orientations."""
     return (
-        f"the circle was set anew between repeated pointings: {n_orientations} orientations at {n_occupations} "
+        f"the circle was rotated between repeated pointings: {n_orientations} orientations at {n_occupations} "
         "occupations are separate set-ups at the same positions"
     )
 
 
 def _orientations_of_occupation(first_row_of_same_target: list[int], rotations_from_first: list[float]) -> list[int]:
-    """Number of the orientation of each row of one occupation; all 0 if too many rows contradict the orientations.
+    """Number of the orientation of the circle in each row of one occupation.
 
-    `first_row_of_same_target` holds, for each row, the row of the first pointing to the same target.
-    `rotations_from_first` is the direction of the row minus the direction in that first row [rad], NaN for a first
-    pointing.
+    All numbers are 0 if too many rows contradict the orientations. `first_row_of_same_target` holds, for each row, the
+    row of the first pointing to the same target. `rotations_from_first` is the direction in a row minus the direction
+    in that first row [rad], NaN for a first pointing.
     """
     rotations, orientations = [0.0], list[int]()
     n_repeated = n_contradictory = 0
@@ -90,7 +91,7 @@ def _is_confirmed(
     rotations: list[float],
     orientations: list[int],
 ) -> bool:
-    """True if the next repeated targets confirm that the circle rotated by `circle_rotation` [rad].
+    """True if the next repeated targets confirm that the circle was rotated by `circle_rotation` [rad] at `row`.
 
     `rotations` holds the rotation [rad] of each earlier orientation, `orientations` the number of the orientation of
     each earlier row.

@@ -150,7 +150,7 @@ def _is_possible_convention(
 
 
 def _same_target_rows(polar: PolarReadings) -> tuple[Ints, Ints]:
-    """Rows (k,) of repeated pointings, and rows (k,) of the next pointing from the same station to the same target."""
+    """Pairs of successive pointings from a station to the same target: rows (k,) of the earlier and of the later."""
     order = np.lexsort((np.arange(len(polar.station)), polar.target, polar.station))
     first, next_ = order[:-1], order[1:]
     is_repeated = (polar.station[first] == polar.station[next_]) & (polar.target[first] == polar.target[next_])
@@ -270,9 +270,9 @@ def _azimuth_sense_by_alignment(
 
 
 def _rigid_misfits(points: Floats, fixed_points: Floats) -> list[float]:
-    """Median misfits [m] of points (n, 3), and of their mirror image, to `fixed_points` (n, 3) after a rigid alignment.
+    """Median distances [m] of points (n, 3), and of their mirror image, from `fixed_points` (n, 3) after alignment.
 
-    A misfit is 1 if no alignment exists.
+    The alignment is rigid. A distance is 1 if there is none.
     """
     misfits = []
     for y_sign in (1.0, -1.0):

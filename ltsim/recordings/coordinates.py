@@ -21,7 +21,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import require_few_coordinates
+from ltsim.core.limits import require_small_joint_covariance
 from ltsim.core.results import guard_formula, unguard_formula
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.files import SourceLocation, decode_head, quoted_text
@@ -44,7 +44,7 @@ TARGETS_FILE = "targets.csv"
 MAX_ASYMMETRY = 1e-6
 """Largest difference of entries ij and ji, relative to the largest variance, at which a covariance is accepted."""
 MIN_RELATIVE_EIGENVALUE = -1e-9
-"""Smallest eigenvalue of a correlation matrix, divided by its size, at which it is accepted, because of rounding."""
+"""Smallest accepted eigenvalue of a correlation matrix, divided by its number of rows: rounding may make 0 negative."""
 MAX_COORDINATE_IN_METRES = 500.0
 """Largest coordinate of a list without a unit below which the unit is metres, and from which it is millimetres."""
 MIN_GRID_COORDINATE = 1e6
@@ -116,9 +116,9 @@ def read_points(path: str | Path, *, requires_all_axes: bool = True) -> PointLis
     raise RecordError(f"is not a list of coordinates, {POINT_LIST_CONTENT_TEXT}", file=path)
 
 
-def recognises(beginning: str) -> bool:
-    """True if a file that begins with the text `beginning` is a list of points, with or without a header."""
-    first_rows = head_rows(beginning)
+def recognises(file_beginning: str) -> bool:
+    """True if a file that begins with the text `file_beginning` is a list of points, with or without a header."""
+    first_rows = head_rows(file_beginning)
     header = _header_columns(first_rows)
     data_rows = [row for row in first_rows[0 if header is None else header[0] :] if not row.is_comment]
     if header is not None:
@@ -222,7 +222,7 @@ class _PointRowReader:
         return where.name(unguard_formula(row.cell(self.name.position)), "point"), coordinates
 
     def _unit_factors(self, table: Floats) -> tuple[Floats, list[str]]:
-        """Factor of each column of numbers to metres (square metres for covariances), and notes on the unit."""
+        """Factors that convert each column of numbers to m (covariances to m^2), and notes on the assumed unit."""
         axes = [c for c in self.numbers.values() if c.role in COORDINATE_ROLES]
         largest = np.nanmax(np.abs(table[:, [role in COORDINATE_ROLES for role in self.numbers]]), initial=0.0)
         declared_unit = next((c.unit for c in axes if c.unit in SI_PER_UNIT and c.unit), "")
@@ -322,7 +322,7 @@ def _coordinates_from_gama(path: Path) -> EpochCoordinates:
     ]
     band = {cell.tag: cell for cell in elements["cov-mat"]}
     size, width = (_parse_number(band[key]) if key in band else -1 for key in ("dim", "band"))
-    require_few_coordinates(int(size), path)
+    require_small_joint_covariance(int(size), path)
     row, column, values = band_matrix_entries(
         elements["cov-mat"], size, width, [_parse_number(c) for c in elements["cov-mat"] if c.tag == "flt"]
     )
@@ -350,7 +350,7 @@ def _coordinates_from_list(path: Path) -> EpochCoordinates:
     if not measured[:, indices].all():
         row, axis = np.argwhere(~measured[:, indices])[0]
         raise SourceLocation(path, listed.line_numbers[row], axes[axis]).error("found '', expected a number")
-    require_few_coordinates(len(axes) * len(listed.names), path)
+    require_small_joint_covariance(len(axes) * len(listed.names), path)
     points = np.where(measured, listed.points, 0.0)
     companion = path.with_suffix(".covariance.csv")
     if companion.is_file():

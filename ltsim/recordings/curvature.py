@@ -16,11 +16,12 @@ deviation: Gauss's mean value; Brunner 1984, Geodetic Refraction.
 
 
 def with_earth_curvature(recording: Recording) -> Recording:
-    """Recording with position-dependent verticals (`curved`) and refraction, unless its set-up declares them itself.
+    """Recording whose set-up has plumb lines that depend on the position (`curved`), and refraction.
 
-    Over a sight of length d a level surface leaves the plane by d^2 / 2 R, R the radius of the earth: an angle of
-    d / 2 R. It is modelled if it exceeds `MIN_CURVATURE_SIGMAS` standard deviations of the elevation. Refraction
-    changes this angle by its fraction k (coefficient of refraction) and is modelled above the same limit.
+    The recording is unchanged if its set-up declares either itself. Over a line of sight of length d a level surface
+    departs from the horizontal plane by d^2 / (2 R), with R the radius of the earth, which is an angle of d / (2 R).
+    The curvature is modelled if this angle exceeds `MIN_CURVATURE_SIGMAS` standard deviations of an elevation.
+    Refraction changes the angle by its fraction k (coefficient of refraction), and is modelled above the same limit.
     """
     setup = recording.setup
     is_levelled = np.array([recording.station_setup(name).levelled for name in recording.stations])[recording.station]

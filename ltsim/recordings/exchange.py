@@ -32,7 +32,8 @@ RecordingSource = Recording | str | Path
 MAX_HEAD_BYTES = 16_384
 """Number of bytes at the beginning of a file that are read to recognise its format."""
 MIN_CONTRADICTORY_ROWS = 2
-"""Number of rows that repeat a name with other coordinates, from which a list counts as those of a moving target."""
+"""Number of rows that repeat a name with other coordinates, from which a list counts as the successive positions of one
+moving target."""
 TRIAL_STATION_NAME = "S1"
 """Name of a set-up with which a table of positions is tried."""
 MAX_REPEATED_POINT_M = 1e-3
@@ -48,10 +49,10 @@ WriteFunction = Callable[[Recording, Path], None]
 
 @dataclass(frozen=True)
 class FileFormat:
-    """File format: recognition by the first characters, reader, and writer (if there is one).
+    """File format: a function that recognises it by the beginning of a file, its reader, and its writer if it has one.
 
-    A file of a format that `has_signature` begins in a way that no other format does. If several other formats fit the
-    beginning of a file, the `suffixes` of file names decide.
+    If `has_signature` is True, no other format can begin in the same way. If the beginning of a file fits several
+    formats, the `suffixes` of file names decide.
     """
 
     name: str
@@ -74,8 +75,8 @@ def _make_format(
     return FileFormat(name, description, suffixes, module.recognises, module.read, write, has_signature)
 
 
-def _is_list_of_points(path: Path, beginning: str) -> bool:
-    return path.is_file() and not beginning.startswith(("<", "PK")) and coordinates.recognises(beginning)
+def _is_list_of_points(path: Path, file_beginning: str) -> bool:
+    return path.is_file() and not file_beginning.startswith(("<", "PK")) and coordinates.recognises(file_beginning)
 
 
 def _refuse_point_list(path: Path, hints: Hints) -> Recording:

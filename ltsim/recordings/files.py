@@ -189,7 +189,7 @@ def parse_comma_number(text: str, *, file: object, row: int | None = None, colum
     return SourceLocation(file, row, column).number(text, allows_decimal_comma=True)
 
 
-def as_title(text: str) -> str:
+def single_line_title(text: str) -> str:
     """Title of a foreign file as one line of at most `MAX_RECORDING_TITLE_LENGTH` characters."""
     line = textwrap.shorten(text, MAX_RECORDING_TITLE_LENGTH, placeholder=" ...")
     return "".join(c for c in line.replace("<", "(").replace(">", ")") if c.isprintable())

@@ -72,7 +72,7 @@ MAX_INTERNED_TEXTS = 10_000
 """Number of distinct texts of cells, such as names, up to which equal cells share one string, which saves memory."""
 
 
-def recognises(path: Path, beginning: str) -> bool:
+def recognises(path: Path, file_beginning: str) -> bool:
     """True for a recording folder or its `observations.csv`."""
     return (path.is_dir() and not is_table_folder(path)) or path.name == OBSERVATIONS_FILE
 
@@ -124,7 +124,7 @@ def _read_table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
 
 
 def _release_lines(lines: list[str]) -> Iterator[str]:
-    """The lines in order. Each line is removed from the list, so that its memory is released."""
+    """Iterator over lines in order; each line is removed from the list before it is used, which frees its memory."""
     lines.reverse()
     while lines:
         yield lines.pop()

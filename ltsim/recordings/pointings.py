@@ -229,9 +229,10 @@ def _pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
 def separate_constant_heights(
     pointings: Sequence[Pointing],
 ) -> tuple[list[Pointing], dict[str, float], dict[str, float]]:
-    """Pointings without constant heights, height [mm] of the instrument by station, and height [mm] by target.
+    """Pointings without constant heights; these heights [mm] of the instrument by station, of reflectors by target.
 
-    If the height at one station (or of one target) varies, all heights of that kind stay in the pointings.
+    If the height varies at one station, all heights of instruments remain in the pointings, and their mapping is empty.
+    The same holds for the heights of reflectors.
     """
     constant_heights: list[dict[str, float]] = []
     for column, kind in zip(HEIGHT_COLUMNS, ("station", "target"), strict=True):
@@ -247,6 +248,6 @@ def separate_constant_heights(
 
 
 def _without_constant_height(covariates: dict[str, float], column: str, *, is_constant: bool) -> dict[str, float]:
-    """Covariates without the height `column` if it is constant; otherwise with it, 0 if it is missing."""
+    """Covariates of a pointing without the height in `column` if it `is_constant`, otherwise with it (or 0)."""
     other_covariates = {name: value for name, value in covariates.items() if name != column}
     return other_covariates if is_constant else {**other_covariates, column: covariates.get(column, 0.0)}

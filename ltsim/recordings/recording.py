@@ -260,7 +260,7 @@ class Recording(Result):
         return np.array([kind == "horizontal" for kind in kinds], dtype=bool)
 
     def select(self, selection: Bools | Ints) -> Recording:
-        """Recording with the rows of a mask or of indices; stations and targets without rows are dropped."""
+        """Recording with the rows of `selection`, a mask or indices; stations and targets without rows are dropped."""
         row_indices = np.arange(len(self))[selection]
         station_ids, station = np.unique(self.station[row_indices], return_inverse=True)
         target_ids, target = np.unique(self.target[row_indices], return_inverse=True)
@@ -292,10 +292,10 @@ class Recording(Result):
         return self.select((repeat_numbers(self.station, self.target, self.face) - 1) % row_step == 0)
 
     def require_at_most(self, pointings: int, targets: int, command: str) -> None:
-        """Check of the numbers of pointings, set-ups and targets.
+        """Check that a command can process the recording: not more `pointings`, set-ups and `targets` than its limits.
 
-        Raises NetworkError with the way to divide or to thin the recording. The environment variable that raises the
-        number of pointings raises the others as well.
+        Raises NetworkError, which names the `command` and the way to divide or to thin the recording. The environment
+        variable that raises the limit of the pointings raises the other limits by the same factor.
         """
         setups, pointings, targets = (max_pointings(n) for n in (MAX_NETWORK_SETUPS, pointings, targets))
         if len(self.stations) > setups:
@@ -324,7 +324,7 @@ class Recording(Result):
 
     @property
     def _larger_limits_phrase(self) -> str:
-        """Way to raise the limits such that this recording is taken."""
+        """Text for users: how to raise the limits so that this recording is accepted."""
         return f"on a machine with more memory set the environment variable {POINTINGS_LIMIT_VARIABLE} to {len(self)}"
 
     def with_readings(self, readings: Floats) -> Recording:

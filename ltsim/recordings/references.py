@@ -93,7 +93,10 @@ class ReferenceLengths:
 def _expansion_factor_and_changes(
     recording: Recording, gauge_distance: GaugeDistance, location: dict[str, Any]
 ) -> tuple[float, dict[str, float]]:
-    """Ratio of a length at use to that at calibration, and change of the ratio by one sigma of each error, by name."""
+    """Ratio of a length at its temperature of use to that at calibration, and its change by one sigma of each error.
+
+    The changes are given by the name of the error, which other lengths may share.
+    """
     if gauge_distance.measured_in_place:
         return 1.0, {}
     gauge = recording.gauge

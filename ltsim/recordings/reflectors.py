@@ -64,9 +64,9 @@ def excess_radii_of_names(
 
 
 def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | None:
-    """Height (n,) [m] of each pointing's SMR centre above its seat, minus the reference height; None if all are 0.
+    """Height (n,) [m] of the SMR centre above the seat of its nest in each pointing, minus the reference height.
 
-    Raises RecordError under the conditions of `excess_radii_of_names`.
+    The result is None if all are 0. Raises RecordError under the conditions of `excess_radii_of_names`.
     """
     setup = recording.setup
     if not setup.reflectors:
@@ -80,7 +80,10 @@ def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | 
 
 
 def require_equal_radii(recording: Recording, task: str) -> None:
-    """Check that the centre of every SMR is at its target; otherwise raises NetworkError, which names the `task`."""
+    """Check that all SMRs have the reference radius, so that every SMR centre is at its target.
+
+    Raises NetworkError that names the `task` which needs this.
+    """
     if excess_radii(recording) is not None:
         raise NetworkError(
             f"{task} assumes one centre per target, but SMRs of different radii have different centres; adjust or "

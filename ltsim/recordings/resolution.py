@@ -35,7 +35,7 @@ MIN_VALUES_FOR_STEP = 10
 
 
 def reading_step(readings: Floats, steps: Sequence[float]) -> float:
-    """Largest of some descending `steps` of which all finite values (n,) are multiples; 0 if there is none."""
+    """Largest of descending `steps` of which all finite values of `readings` (n,) are multiples; 0 without one."""
     readings = readings[np.isfinite(readings)]
     if len(np.unique(readings)) < MIN_VALUES_FOR_STEP:
         return 0.0

@@ -263,7 +263,7 @@ def _model_schema(root: type[BaseModel]) -> JsonSchema:
 
 
 def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[JsonSchema, list[JsonSchema]]]:
-    """JSON schemas of the value at a path of keys in a model, each with the list of its alternatives."""
+    """JSON schemas of the value at a `path` of keys below the schema `root`, each with the list of its alternatives."""
 
     def choices(node: JsonSchema) -> list[JsonSchema]:
         if "$ref" in node:

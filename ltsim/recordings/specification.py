@@ -77,10 +77,11 @@ class Specification(TomlSection):
         return (self.range_um + self.range_um_per_m * range_) * MICROMETRE
 
     def length_limits(self, first_points: Floats, second_points: Floats) -> Floats:
-        """Limit (k,) [m] of the errors of lengths between points (k, 3) [m] in the instrument's frame.
+        """Limit (k,) [m] of the errors of lengths between `first_points` and `second_points` (k, 3) [m].
 
-        It is the root sum of squares of the limits at both ends, in the direction of the length. The range zero error
-        is the same at both ends and cancels if both are on one line of sight.
+        Points are in the instrument's frame. The limit is the root sum of squares of the limits at both ends, in the
+        direction of the length. The range zero error is the same at both ends and cancels if both are on one line of
+        sight.
         """
         difference = second_points - first_points
         direction = difference / np.linalg.norm(difference, axis=1, keepdims=True)

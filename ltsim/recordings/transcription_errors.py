@@ -128,9 +128,9 @@ def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
 
 
 def neighbour_pairs(station: Ints, target: Ints, n_stations: int) -> list[tuple[int, int]]:
-    """Pairs of a station and a later one: the earlier one with which the later one shares most targets, at least five.
+    """Pairs of each station and that earlier one with which it shares most targets, `MIN_MIRRORED_TARGETS` at least.
 
-    Four may lie in a plane, which is its own mirror image.
+    Fewer targets may lie in a plane, which is its own mirror image.
     """
     n_shared = np.triu(shared_target_counts(station, target, n_stations), 1)
     best_neighbours = n_shared.argmax(axis=0).tolist()
@@ -158,7 +158,7 @@ def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:
 
 
 def _two_face_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Floats:
-    """Sum of the mean vertical angles on both faces, for each station and target that was measured on both."""
+    """Sum of the mean vertical angles on both faces, for each station and target that were measured on both."""
     keys, place = np.unique(station * (int(target.max(initial=0)) + 1) + target, return_inverse=True)
     means = []
     for side in (1, 2):

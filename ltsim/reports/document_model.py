@@ -30,7 +30,7 @@ CONTENT_SECURITY_POLICY = (
 Assessment = Literal["good", "caution", "bad", "plain"]
 """Assessment of a result, which determines its colour."""
 WorkshopDetail = Literal["turn", "plan", "none"]
-"""View of the workshop in a section: `turn` for interactive 3D, `plan` for a floor plan, `none` for no view."""
+"""View of the hall in a section: `turn` for interactive 3D, `plan` for a floor plan, `none` for no view."""
 MAX_UNFOLDED_ROWS = 30
 """Number of rows above which a table on a page starts folded."""
 MAX_PRINTED_ROWS = 120

@@ -24,7 +24,7 @@ QUALITY_MEASURES = {
 
 
 def is_determined(sigma: float | None, prior_sigma: float | None) -> bool:
-    """True if the readings halve the prior variance of a parameter (sigma < 0.7 prior sigma), or without a prior."""
+    """True if the readings at least halve the prior variance of a parameter (sigma < 0.7 prior), or without prior."""
     return prior_sigma is None or (sigma or 0.0) < 0.7 * prior_sigma
 
 
@@ -55,7 +55,7 @@ def natural_sort_key(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name) if part]
 
 
-def as_sentence(text: str) -> str:
+def capitalised_sentence(text: str) -> str:
     """Text as a sentence, with a capital letter and a full stop."""
     return f"{text[:1].upper()}{text[1:].rstrip('.')}." if text else ""
 

@@ -222,7 +222,7 @@ def _part_sections(page_parts: list[PagePart], page_folder: Path) -> Iterator[tu
             if part.folder == page_folder or len(page_parts) == 1:
                 raise
             section = Section(part.folder.name, UNREADABLE_KIND, str(problem), "bad")
-        if {block.title for block in section.blocks} & {"Floor plan", "The workshop in 3D"}:
+        if {block.title for block in section.blocks} & {"Floor plan", "The hall in 3D"}:
             shown_sources.add(source)
         yield part, section
 

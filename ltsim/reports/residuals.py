@@ -57,7 +57,7 @@ class Residuals:
         """Names of the stations in the order of their appearance."""
         return list(dict.fromkeys(self.station.tolist()))
 
-    def is_observable(self, observable: str) -> Bools:
+    def is_of_observable(self, observable: str) -> Bools:
         """Mask (n,), True for the readings of an observable."""
         return self.observable == OBSERVABLES.index(observable)
 
@@ -72,7 +72,7 @@ class Residuals:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.abs(self.residual / self.normalised_residual) / np.sqrt(self.redundancy))
 
-    def is_between(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
+    def is_at_places(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
         """Mask (n,), True for readings from the given stations to the given targets; an empty sequence means all."""
         mask = np.ones(len(self), dtype=np.bool_)
         for names, column in ((stations, self.station), (targets, self.target)):

@@ -1,4 +1,4 @@
-"""3D scene of a workshop with pyvista: picture and window."""
+"""3D scene of a hall with pyvista: picture and window."""
 
 import io
 from collections.abc import Sequence
@@ -50,7 +50,7 @@ class SceneLegend:
 
 
 def round_magnification(length: float, drawn_length: float) -> float:
-    """Round factor (1, 2 or 5 times a power of ten, at least 1) that magnifies `length` to about `drawn_length`."""
+    """Magnification (1, 2 or 5 times a power of ten, at least 1) that draws `length` about `drawn_length` long."""
     if not length > 0:
         return 1.0
     exact_factor = drawn_length / length
@@ -75,7 +75,7 @@ def build_scene(
     off_screen: bool = True,
     camera: Camera | None = None,
 ) -> tuple[pv.Plotter, SceneLegend]:
-    """Plotter with the scene of a workshop, and its legend; `window_size` in pixels, on screen or `off_screen`."""
+    """Plotter with the scene of a hall, and its legend; `window_size` in pixels, on screen or `off_screen`."""
     plotter = pv.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="three lights")
     plotter.background_color = pv.Color("white")
     _draw_surroundings(plotter, workshop)
@@ -95,7 +95,7 @@ def build_scene(
 
 
 def scene_png(workshop: WorkshopScene, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
-    """PNG of the scene of a workshop, with title, legend and colour bar."""
+    """PNG of the scene of a hall, with title, legend and colour bar."""
     plotter, legend = build_scene(workshop, window_size=window_size)
     write_legend(plotter, workshop.title, legend)
     stream = io.BytesIO()

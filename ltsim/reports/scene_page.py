@@ -1,4 +1,4 @@
-"""3D scene of a workshop as one HTML page that works offline, with the viewer of vtk.js."""
+"""3D scene of a hall as one HTML page that works offline, with the viewer of vtk.js."""
 
 import io
 import json
@@ -58,7 +58,7 @@ def scene_page(workshop: WorkshopScene, camera: scene3d.Camera | None = None) ->
 
 
 def scene_picture_and_page(workshop: WorkshopScene) -> tuple[Image.Image, scene3d.SceneLegend, str]:
-    """Picture, legend and interactive HTML page of the scene of a workshop."""
+    """Picture, legend and interactive HTML page of the scene of a hall."""
     plotter, legend = scene3d.build_scene(workshop, window_size=(1200, 860))
     html = _page_html(plotter, workshop, legend)
     scene3d.write_legend(plotter, "", scene3d.SceneLegend((), legend.colour_bar))

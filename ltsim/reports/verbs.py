@@ -1,4 +1,4 @@
-"""Public functions `view` and `report`: the workshop in 3D, and the report page."""
+"""Public functions `view` and `report`: the hall in 3D, and the report page."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from ltsim.simulation.scenario import Scenario
 
 @dataclass(frozen=True, repr=False)
 class View(Result):
-    """3D view of a workshop: interactive in a notebook, or as a picture, a page or a window."""
+    """3D view of a hall: interactive in a notebook, or as a picture, a page or a window."""
 
     workshop: WorkshopScene
 
@@ -72,14 +72,14 @@ def view(
     cad_up: str | None = None,
     colour: str = "incidence",
 ) -> View:
-    """The workshop in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
+    """The hall in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
 
     Parameters
     ----------
     source : Recording, Scenario, str or Path
         Recording (adjusted first) or scenario, its file, or the name of a built-in scenario.
     cad : str or Path, optional
-        CAD file (STL, OBJ, PLY, GLB, STEP or IGES) that is shown in the workshop.
+        CAD file (STL, OBJ, PLY, GLB, STEP or IGES) that is shown in the hall.
     cad_unit : {`mm`, `m`, `in`}, optional
         Unit of the coordinates in the CAD file; default by its format (glTF: metres; STEP: declared in the file;
         others: millimetres).

@@ -32,12 +32,10 @@ to the millimetre, and lines of sight pass bodies at a few centimetres.
 SINGLE_PRECISION_SUFFIXES = (".stl", *GLTF_SUFFIXES)
 """Suffixes of files whose coordinates may be in single precision."""
 MIN_RELATIVE_BODY_LENGTH = SI_PER_UNIT["mm"] / SI_PER_UNIT["in"]
-"""Smallest length of a body divided by the length of the room at which the unit of a CAD file is not questioned.
-
-A body as long as the room has this ratio, 1 to 25.4, if its inches were read as millimetres.
-"""
+"""Smallest length of a body, divided by the length of the hall, at which the unit of a CAD file is not questioned: 1 /
+25.4. A body as long as the hall has this ratio if a file in inches is read in millimetres."""
 MAX_OVERHANG = 0.05
-"""Largest distance [m] by which a body may extend beyond the room or below its floor."""
+"""Largest distance [m] by which a body may extend beyond the hall or below its floor."""
 GRID_POINTS_PER_METRE = 1e5
 """Grid points per metre to which corners of triangles are rounded (10 um). Single precision, as in STL and glTF,
 resolves no more over 40 m.
@@ -71,7 +69,7 @@ class CadFile:
 
     @property
     def with_other_vertical(self) -> Floats:
-        """Triangles (m, 3, 3) [m] of the file if it is read with the other vertical axis (y instead of z, or z)."""
+        """Triangles (m, 3, 3) [m] of the same file, read with its other possible vertical axis (y or z)."""
         return self.triangles @ (Y_UP_TO_Z_UP if self.vertical_axis == "y" else Y_UP_TO_Z_UP.T)
 
 
@@ -138,7 +136,7 @@ def _grid_coordinates(triangles: Floats, vertical_axis: str) -> Ints:
 def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
     """Triangles (m, 3, 3) in the axes and the unit of the file, or in metres for a format with exact surfaces.
 
-    `factor` is the length of the file's unit [m]. Raises SetupError for a file that cannot be read.
+    `metres_per_unit` is the length of the file's unit [m]. Raises SetupError for a file that cannot be read.
     """
     suffix = path.suffix.lower()
     if suffix in EXACT_SUFFIXES and not is_installed("cascadio"):
@@ -182,15 +180,15 @@ def extent_text(triangles: Floats) -> str:
     )
 
 
-def implausible_size_question(cad_file: CadFile, room_size: Floats) -> str:
-    """Message that asks for the unit of a CAD file whose body has an implausible size in a room (3,) [m].
+def implausible_size_question(cad_file: CadFile, hall_size: Floats) -> str:
+    """Message that asks for the unit of a CAD file whose body has an implausible size in a hall (3,) [m].
 
     It is empty for a plausible size or a declared unit.
     """
     length, least, most = (
         np.ptp(cad_file.triangles, axis=(0, 1)),
-        MIN_RELATIVE_BODY_LENGTH * room_size.max(),
-        1.5 * room_size.max(),
+        MIN_RELATIVE_BODY_LENGTH * hall_size.max(),
+        1.5 * hall_size.max(),
     )
     if cad_file.has_declared_unit or least <= length.max() <= most:
         return ""
@@ -207,7 +205,7 @@ def implausible_size_question(cad_file: CadFile, room_size: Floats) -> str:
     )
 
 
-def is_inside_room(triangles: Floats, room_size: Floats) -> bool:
-    """True if triangles (m, 3, 3) [m] lie within a room (3,) [m] that has a corner at the origin."""
+def is_inside_hall(triangles: Floats, hall_size: Floats) -> bool:
+    """True if triangles (m, 3, 3) [m] lie within a hall (3,) [m] that has a corner at the origin."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    return bool(np.all(low >= -MAX_OVERHANG) and np.all(high <= room_size + MAX_OVERHANG))
+    return bool(np.all(low >= -MAX_OVERHANG) and np.all(high <= hall_size + MAX_OVERHANG))

@@ -72,10 +72,10 @@ class Door(TomlSection):
 
 
 class Floor(TomlSection):
-    """Floor on which tripods may stand; by default the whole room except a margin along the walls."""
+    """Floor on which tripods may stand; by default the whole hall except a margin along the walls."""
 
     corners_mm: PlanOutline | None = None
-    """Coordinates x and y of the corners of the floor, in order around it; default the corners of the room."""
+    """Coordinates x and y of the corners of the floor, in order around it; default the corners of the hall."""
     margin_mm: NonNegative = 600.0
     """Distance to be kept from the walls if neither corners nor areas are given."""
     height_mm: HeightRange | None = None
@@ -99,12 +99,12 @@ class Floor(TomlSection):
 
 
 def areas_and_keep_outs(
-    floor_spec: Floor, room_size_mm: tuple[float, float, float], heights: tuple[float, float]
+    floor_spec: Floor, hall_size_mm: tuple[float, float, float], heights: tuple[float, float]
 ) -> tuple[tuple[StandingArea, ...], tuple[KeepOutArea, ...]]:
     """Areas where tripods may stand, and keep-out areas, both in metres.
 
     `heights` are the lowest and highest height [m] of the instrument's head, for areas whose heights neither the floor
-    nor the area declares. Raises SetupError for an outline that crosses itself or leaves the room, and for a ceiling
+    nor the area declares. Raises SetupError for an outline that crosses itself or leaves the hall, and for a ceiling
     that is too low for every height of the head.
     """
     mm = MILLIMETRE
@@ -112,7 +112,7 @@ def areas_and_keep_outs(
         heights if floor_spec.height_mm is None else (floor_spec.height_mm[0] * mm, floor_spec.height_mm[1] * mm)
     )
     floor_areas = floor_spec.areas or (
-        FloorArea(corners_mm=floor_spec.corners_mm or _room_outline(floor_spec, room_size_mm)),
+        FloorArea(corners_mm=floor_spec.corners_mm or _hall_outline(floor_spec, hall_size_mm)),
     )
     areas = []
     for i, part in enumerate(floor_areas, 1):
@@ -125,7 +125,7 @@ def areas_and_keep_outs(
                 f"floor.areas.{i}.ceiling_mm is {part.ceiling_mm:g}, but tracker heads are at {low / mm:g} mm or more; "
                 "set a lower height_mm for the area"
             )
-        outline = _outline_in_metres(key, part.corners_mm, room_size_mm)
+        outline = _outline_in_metres(key, part.corners_mm, hall_size_mm)
         holes = tuple(
             _outline_in_metres(f"floor.areas.{i}.holes_mm.{k}", hole) for k, hole in enumerate(part.holes_mm, 1)
         )
@@ -138,36 +138,36 @@ def areas_and_keep_outs(
     return tuple(areas), tuple(free)
 
 
-def _room_outline(floor_spec: Floor, room_size_mm: tuple[float, float, float]) -> tuple[PlanPoint, ...]:
-    """Corners [mm] of the floor of the room without its margin along the walls.
+def _hall_outline(floor_spec: Floor, hall_size_mm: tuple[float, float, float]) -> tuple[PlanPoint, ...]:
+    """Corners [mm] of the floor of the hall without its margin along the walls.
 
     Raises SetupError for a margin that leaves no floor.
     """
-    (wide, deep, _), margin = room_size_mm, floor_spec.margin_mm
+    (wide, deep, _), margin = hall_size_mm, floor_spec.margin_mm
     if 2 * margin >= min(wide, deep):
-        raise SetupError(f"floor.margin_mm of {margin:g} leaves no floor in a workshop of {wide:g} x {deep:g} mm")
+        raise SetupError(f"floor.margin_mm of {margin:g} leaves no floor in a hall of {wide:g} x {deep:g} mm")
     return (margin, margin), (wide - margin, margin), (wide - margin, deep - margin), (margin, deep - margin)
 
 
 def _outline_in_metres(
-    outline_key: str, corners_mm: tuple[PlanPoint, ...], room_size_mm: tuple[float, float, float] | None = None
+    outline_key: str, corners_mm: tuple[PlanPoint, ...], hall_size_mm: tuple[float, float, float] | None = None
 ) -> np.ndarray:
     """Corners (k, 2) [m] of an outline, whose key in the plan file is `outline_key`.
 
-    Raises SetupError if the outline crosses itself, or leaves the room if `room_size_mm` is given.
+    Raises SetupError if the outline crosses itself, or leaves the hall if `hall_size_mm` is given.
     """
     outline = np.array(corners_mm, dtype=np.float64) * MILLIMETRE
     problem = outline_error(outline)
     if problem:
         raise SetupError(f"{outline_key} is not an outline: {problem}")
-    if room_size_mm is not None:
-        room = np.array(room_size_mm[:2]) * MILLIMETRE
-        beyond = np.flatnonzero(np.any((outline < -1e-3) | (outline > room + 1e-3), axis=1))
+    if hall_size_mm is not None:
+        hall = np.array(hall_size_mm[:2]) * MILLIMETRE
+        beyond = np.flatnonzero(np.any((outline < -1e-3) | (outline > hall + 1e-3), axis=1))
         if len(beyond):
             x, y = corners_mm[beyond[0]]
             raise SetupError(
-                f"{outline_key} has the corner ({x:g}, {y:g}), outside the room of "
-                f"{room_size_mm[0]:g} x {room_size_mm[1]:g} mm"
+                f"{outline_key} has the corner ({x:g}, {y:g}), outside the hall of "
+                f"{hall_size_mm[0]:g} x {hall_size_mm[1]:g} mm"
             )
     return outline
 

@@ -40,9 +40,8 @@ MIN_NORMAL_Z = -0.5
 """Vertical component of the unit normal of a surface at or below which it carries no nest, because it faces downwards
 too much (60 deg from straight down)."""
 N_DRAWS_PER_PLACE = 12.0
-"""Number of random points on a surface per squared spacing of nests. Points that are too near to each other are dropped
-afterwards.
-"""
+"""Number of random points that are drawn on an area of the squared spacing of nests. Of points that are too near to
+each other only the first is used."""
 MAX_DRAWN_PLACES = 20_000
 """Largest number of random points on a body."""
 MERGE_DECIMALS = 8
@@ -306,9 +305,9 @@ def cylinder_triangles(diameter: float, height: float) -> Floats:
     return np.stack(lateral_triangles, axis=1).reshape(-1, 3, 3)
 
 
-def wall_triangles(room_size: Floats) -> Floats:
-    """Triangles (8, 3, 3) of the walls of a room (3,) [m] with a corner at the origin; normals inward."""
-    body = (UNIT_CUBE + 0.5) * room_size
+def wall_triangles(hall_size: Floats) -> Floats:
+    """Triangles (8, 3, 3) of the walls of a hall (3,) [m] with a corner at the origin; normals inward."""
+    body = (UNIT_CUBE + 0.5) * hall_size
     return body[np.ptp(body[..., 2], axis=1) > 0.0][:, ::-1]
 
 
@@ -343,8 +342,8 @@ def candidate_nest_places(
     """Possible positions (P, 3) [m] of reflector centres on the surfaces of a body with triangles (m, 3, 3) [m].
 
     The centres are `surface_offset` [m] above the surface, at least `min_spacing` [m] from each other, and outside all
-    bodies of `obstacles`. If the body is closed, its outer side is determined for any orientation of its triangles.
-    Otherwise the outer side is that of the triangles' normals.
+    bodies of `obstacles`. If `is_closed`, the triangles enclose the body, and its outer side is found for any order of
+    their corners. Otherwise the outer side is that of the normals of the triangles.
     """
     drawn, normal = _random_surface_points(body_triangles, min_spacing)
     surface = Obstacles(body_triangles)
@@ -374,9 +373,10 @@ def _random_surface_points(body_triangles: Floats, mean_spacing: float) -> tuple
 
 
 def _is_flat_enough(body_surface: Obstacles, places: Floats, surface_normals: Floats, surface_offset: float) -> Bools:
-    """Flags (n,) of positions (n, 3) [m] under which the surface is flat enough for the foot of a nest.
+    """Flags (n,) of positions (n, 3) [m] under which the surface of a body is flat over the foot of a nest.
 
-    `surface_offset` [m] is the height of the positions above the surface.
+    `surface_normals` (n, 3) are the normals of the surface under the positions, `surface_offset` [m] is the height of
+    the positions above the surface.
     """
     side, other = perpendicular_vectors(surface_normals)
     is_flat = np.ones(len(places), dtype=bool)

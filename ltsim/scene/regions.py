@@ -31,9 +31,9 @@ MIN_CENTRE_STEP = 0.5
 MAX_CENTRES_PER_AXIS = 10
 """Largest number of centres of regions along an axis of the coarsest grid (limits the cost)."""
 GRID_SUBDIVISIONS = {1: (1, 4), 2: (1, 2), 3: (1,)}
-"""Grids of regions by their number of bounded axes. Each grid is given by the divisor of the spacing of the coarsest
-grid. Finer grids are needed because a region several times as wide as the disturbance has a tenth of its evidence.
-"""
+"""Fineness of the grids of candidate regions, by the number of axes in which a region is bounded: each number divides
+the spacing of the coarsest grid. A finer grid detects disturbances much narrower than the coarsest spacing: a region
+several times as wide as the disturbance has only a tenth of the evidence."""
 MIN_PASSING_LINES = 6
 """Smallest number of lines of sight through a candidate region: fewer lines indicate an error of single readings."""
 MAX_PASSING_FRACTION = 0.8
@@ -87,11 +87,12 @@ class HallRegion:
         return path
 
     def lever_weighted_paths(self, sightings: Sightings) -> Floats:
-        """Integral (n,) [m] of w (d - s) / d over the distance s along each line of sight of length d.
+        """Integral (n,) [m] of w (d - s) / d over the distance s from the station, along lines of sight of length d.
 
-        The weight w at s bends the line there; the factor (d - s) / d is the fraction of the line that follows. Along
-        the line w is a Gaussian about the nearest approach s0. The integral of (d - s) w is therefore (d - s0) times
-        the path length minus the first moment of w about s0.
+        A deflection of the line at the distance s, proportional to the weight w there, moves its end in proportion to
+        the remaining length d - s. The integral is therefore proportional to the change of the measured direction.
+        Along the line w is a Gaussian about the nearest approach s0. The integral of (d - s) w is (d - s0) times the
+        path length minus the first moment of w about s0.
         """
         key = self, "lever"
         if key not in sightings.derived_cache:
@@ -256,7 +257,7 @@ def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: floa
     centres = np.array(list(product(*grids))).reshape(-1, len(bounded_axes))
     for part in np.array_split(centres, 1 + len(centres) * len(sightings) // MAX_REGION_LINE_PAIRS):
         path_lengths = region_paths(sightings, bounded_axes, part, width)
-        chosen = np.flatnonzero(is_distinctive(path_lengths > width, sightings))
+        chosen = np.flatnonzero(has_sights_inside_and_outside(path_lengths > width, sightings))
         lever_integrals = lever_weighted_region_paths(
             sightings, bounded_axes, part[chosen], width, path_lengths[chosen]
         )
@@ -269,10 +270,10 @@ def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: floa
     return regions
 
 
-def is_distinctive(is_crossed: Bools, sightings: Sightings) -> Bools:
-    """Flags (r,) of the regions that enough lines of sight to several targets pass, but not almost all lines.
+def has_sights_inside_and_outside(is_crossed: Bools, sightings: Sightings) -> Bools:
+    """Flags (r,) of the regions through which enough lines of sight to several targets pass, but not almost all lines.
 
-    `is_crossed` (r, n) flags the lines of sight that pass each region.
+    `is_crossed` (r, n) flags the lines of sight of n pointings that pass through each of r regions.
     """
     n_crossed = is_crossed.sum(axis=1)
     is_sufficient = (n_crossed >= MIN_PASSING_LINES) & (n_crossed <= MAX_PASSING_FRACTION * len(sightings))

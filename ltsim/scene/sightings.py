@@ -194,7 +194,7 @@ class Sightings:
         return before
 
     def _cumulative_sum(self, row_increments: Floats | Bools) -> Floats:
-        """Cumulative sum (n,) of increments (n,) since the first pointing of the set-up, whose own is excluded."""
+        """Sum (n,) of increments (n,) over a set-up up to each pointing, without that of its first pointing."""
         row_order = self.order_by_setup
         first_indices = np.maximum.accumulate(np.where(self.previous_rows[row_order] < 0, np.arange(len(row_order)), 0))
         cumulative_sums = np.cumsum(row_increments[row_order], dtype=np.float64)
@@ -237,7 +237,7 @@ class Sightings:
 
     @cached_property
     def seating_numbers(self) -> Ints:
-        """Number (n,) of changes of the target since the set-up began, which is how often the reflector was moved."""
+        """Number (n,) of changes of the target since the set-up began, at each of which the reflector was moved."""
         return self._cumulative_sum(self.target != self.target[self.previous_rows]).astype(np.int64)
 
     @cached_property

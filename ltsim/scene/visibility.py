@@ -163,8 +163,9 @@ def compute_visibility(
     """Visibility tables from instrument origins (S, 3) [m] to points (T, 3) [m].
 
     `rotation` (S, 3, 3) transforms the instrument frames to the network frame; by default the instruments are upright.
-    `nest_normals` (T, 3) are the unit normals of the nests. A row of NaN is an unknown normal, for which every
-    incidence angle is accepted. `is_reaimed` (T,) flags the reflectors that are turned to the station, by default all.
+    `nest_normals` (T, 3) are the unit normals of the nests. In a row of NaN the normal is unknown, and every incidence
+    angle is accepted. `is_reaimed` (T,) flags the reflectors that are turned to the station before each pointing, by
+    default all.
     """
     position, points = as_floats(position, (-1, 3), "position"), as_floats(points, (-1, 3), "points")
     sight = points - position[:, None, :]
@@ -231,10 +232,10 @@ def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Flo
 
 
 def best_nest_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Best normals (T, 3) of fixed nests for all stations, and the largest incidence angle (T,) [rad] of each.
+    """Best normals (T, 3) of fixed nests at `points` (T, 3), and the largest incidence angle (T,) [rad] of each.
 
-    The normal is the axis of the narrowest cone from the target that contains all stations. All stations see the
-    reflector if its acceptance angle is at least the half-angle of this cone.
+    The normal is the axis of the narrowest cone from the target that contains all stations, at `position` (S, 3) [m].
+    All stations see the reflector if its acceptance angle is at least the half-angle of this cone.
     """
     directions_to_stations = position - points[:, None, :]
     directions_to_stations /= np.linalg.norm(directions_to_stations, axis=2, keepdims=True)

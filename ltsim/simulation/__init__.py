@@ -1,1 +1,1 @@
-"""Simulation of virtual workshops: a scenario and a seed give a recording and its truth."""
+"""Simulation of virtual halls: a scenario and a seed give a recording and its truth."""

@@ -85,7 +85,7 @@ class StandardNormalSource:
         return standard_normal_trials(self.seed, self.trials, n_values, *stream_key)
 
     def single_trial_sources(self) -> list[StandardNormalSource]:
-        """Source of each single trial; the numbers of all trials are drawn once and cached."""
+        """Sources of single trials, one for each trial of this source; their numbers are drawn once and cached."""
         together = lru_cache(maxsize=None)(self.__call__)
         return [_SingleTrialSource(self.seed, self.trials[[k]], together, k) for k in range(len(self.trials))]
 
@@ -211,7 +211,10 @@ class TrialDistributions:
         )
 
     def _sigmas_with_noise_effects(self, noise_effects: Sequence[tuple[NoiseEffect, Floats]]) -> Floats:
-        """Standard deviations of the readings (pointings, 3) with effects on the noise, each given with its sizes."""
+        """Standard deviations (pointings, 3) of the readings with effects on the noise.
+
+        `noise_effects` holds pairs of an effect and its sizes.
+        """
         sigma = self.noise_sigmas
         for effect, amount in noise_effects:
             variance = effect.variance(self.sightings, sigma, amount)

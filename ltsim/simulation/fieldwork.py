@@ -207,12 +207,12 @@ def _height_levels(heights: Floats) -> Floats:
 
 def _air_sensor_readings(scenario: Scenario, time: Floats) -> dict[str, Floats]:
     """Readings of the air sensors of the instrument by column name, rounded to 0.1 of their units."""
-    room = scenario.workshop
-    temperature = room.temperature_c + room.temperature_rise_c_per_h * time / 3600.0
+    hall = scenario.workshop
+    temperature = hall.temperature_c + hall.temperature_rise_c_per_h * time / 3600.0
     return {
         "air_temperature_c": np.round(temperature, 1),
-        "air_pressure_hpa": np.full(len(time), round(room.pressure_hpa, 1)),
-        "relative_humidity_pct": np.full(len(time), round(room.humidity_pct, 1)),
+        "air_pressure_hpa": np.full(len(time), round(hall.pressure_hpa, 1)),
+        "relative_humidity_pct": np.full(len(time), round(hall.humidity_pct, 1)),
     }
 
 

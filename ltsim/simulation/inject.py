@@ -31,8 +31,8 @@ NONCENTRALITY_TOLERANCE = 1e-4
 MAX_SCALING_STEPS = 60
 """Largest number of steps in the scaling of an effect to a noncentrality."""
 MAX_CHANGE_SIGMAS = 30.0
-"""Ratio of the largest change of a reading, in standard deviations, to the square root of the requested noncentrality,
-above which the unknowns of the network count as absorbing the effect."""
+"""Largest change of a reading, in its standard deviations, divided by the square root of the requested noncentrality.
+If an injected effect needs a larger change, the unknowns of the network count as absorbing it."""
 
 
 @dataclass(frozen=True, repr=False)

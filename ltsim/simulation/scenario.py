@@ -63,7 +63,7 @@ class Scenario(TomlSection, Result):
     base: str | None = None
     """Built-in scenario whose tables are the defaults for tables of this file; the value "none" removes a table."""
     workshop: Workshop = Workshop()
-    """Room, air and obstacles."""
+    """Hall, air and obstacles."""
     placing: PlacingSigmas = PlacingSigmas()
     """Standard deviations of the true positions about the planned ones."""
     instrument: ScenarioInstrument = ScenarioInstrument()
@@ -71,7 +71,7 @@ class Scenario(TomlSection, Result):
     instruments: dict[str, ScenarioInstrument] = Field(default_factory=dict)
     """Several trackers by name, tables `[instruments.NAME]`, all of one design."""
     smr: Smr = Smr()
-    """Properties of the reflectors."""
+    """Orientation and range error of the reflectors."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
     """SMRs with individual radii, tables `[reflectors.NAME]`, one per target or station; the offset is along the nest's
     normal, and true radii are drawn with the positions.
@@ -251,7 +251,7 @@ def _with_reduced_network(scenario: Scenario, file: Path) -> Scenario:
 
 
 def _effects_of_network(effects: Sequence[EffectEntry], stations: set[str], targets: set[str]) -> Iterator[EffectEntry]:
-    """Effects, reduced to the remaining stations and targets, without those whose stations or targets are all gone."""
+    """Effects restricted to the remaining stations and targets, without those whose places were all removed."""
     for entry in effects:
         here = tuple(name for name in entry.stations if name in stations)
         at = tuple(name for name in entry.targets if name in targets)
@@ -267,7 +267,7 @@ def _select_spread_targets(targets: Mapping[str, PlannedTarget], n_targets: int)
 
 
 def even_filling_order(points: Floats) -> list[int]:
-    """Indices of points (points, 3) in an order that fills the room evenly: each is farthest from the previous ones."""
+    """Indices of points (points, 3) in an order that fills the hall evenly: each is farthest from the previous ones."""
     order: list[int] = []
     gap = np.linalg.norm(points - points.mean(axis=0), axis=1) if len(points) else np.zeros(0)
     for _ in range(len(points)):
@@ -348,14 +348,14 @@ def _instrument_errors(scenario: Scenario) -> Iterator[str]:
 
 
 def _place_errors(scenario: Scenario) -> Iterator[str]:
-    room_size_mm = scenario.workshop.size_mm
+    hall_size_mm = scenario.workshop.size_mm
     placed = {f"stations.{name}": station.position_mm for name, station in scenario.stations.items()}
     placed |= {f"targets.{name}": target.position_mm for name, target in scenario.targets.items()}
     placed |= {"gauge": scenario.gauge.position_mm} if scenario.gauge else {}
     for key, place in placed.items():
-        if any(not -1.0 <= x <= high + 1.0 for x, high in zip(place, room_size_mm, strict=True)):
-            room = " x ".join(f"{x:g}" for x in room_size_mm)
-            where = f"outside the workshop of {room} mm whose corner is the origin"
+        if any(not -1.0 <= x <= high + 1.0 for x, high in zip(place, hall_size_mm, strict=True)):
+            hall = " x ".join(f"{x:g}" for x in hall_size_mm)
+            where = f"outside the hall of {hall} mm whose corner is the origin"
             yield f"{key}.position_mm is {list(place)}, {where}"
     for name, target in scenario.targets.items():
         if target.nest_normal is not None and not any(target.nest_normal):

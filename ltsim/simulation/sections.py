@@ -31,7 +31,7 @@ LengthSigma = Annotated[float, Field(ge=1e3 * MIN_SIGMA, le=1e9, allow_inf_nan=F
 Percentage = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)]
 """Ratio [%]."""
 Celsius = Annotated[float, Field(ge=-60, le=80, allow_inf_nan=False)]
-"""Temperature [deg C] of a workshop or of a reference length."""
+"""Temperature [deg C] of a hall or of a reference length."""
 
 PAPER_PRIOR = Prior(range_scale_ppm=1.4, range_offset_mm=0.007, angle_arcsec=2.0, offset_mm=0.014)
 """Prior of the paper's instrument. Errors drawn from it reproduce the paper's Table 3 before calibration approximately:
@@ -50,13 +50,10 @@ PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
         },
     }
 )
-"""Instruments by name, as changes of the defaults below.
-
-`paper`: half of the specified 3.5 um/m across the beam, an ADM better than 15 um, the resolutions of section
-2.1.1; `modern`: a current tracker, half of its maker's limits, with the ranges of the rated conditions of a FARO
-Vantage E (0.1 to 35 m, as its calibration certificates state them); `after-transport`: the paper's instrument with the
-misalignments that a knock leaves.
-"""
+"""Named instruments, as changes of the defaults below. `paper`: half of the specified 3.5 um/m across the beam, an ADM
+better than 15 um, the resolutions of section 2.1.1. `modern`: a current tracker with half of its maker's limits and the
+ranges of the rated conditions of a FARO Vantage E (0.1 to 35 m, as its calibration certificates state them).
+`after-transport`: the paper's instrument with the misalignments that a mechanical shock leaves."""
 
 
 def _existing_preset(preset_name: str) -> str:
@@ -79,7 +76,7 @@ class Obstacle(TomlSection):
     up: Literal["y", "z"] | None = None
     """Vertical axis of the file; default y for glTF, else z."""
     beyond_room: bool = False
-    """True if the obstacle may extend beyond the room or below its floor; otherwise this is an error of the CAD file.
+    """True if the obstacle may extend beyond the hall or below its floor; otherwise this is an error of the CAD file.
     """
     box_mm: tuple[Positive, Positive, Positive] | None = None
     """Width, depth and height of a box that replaces a file."""
@@ -98,10 +95,10 @@ class Obstacle(TomlSection):
 
 
 class Workshop(TomlSection):
-    """Room and its air. The air is the same everywhere; its temperature may rise."""
+    """Hall and its air. The air is the same everywhere; its temperature may rise."""
 
     size_mm: tuple[Positive, Positive, Positive] = (6000.0, 6000.0, 6000.0)
-    """Width, depth and height of the room; a corner is the origin, z is up."""
+    """Width, depth and height of the hall; a corner is the origin, z is up."""
     temperature_c: Celsius = 20.0
     """Temperature of the air at the start."""
     temperature_rise_c_per_h: Finite = 0.0

@@ -28,7 +28,7 @@ INSTRUMENT_TABLE = Table(
 )
 POINTS_TABLE = Table(
     "points.csv",
-    "true positions of the targets in the workshop frame",
+    "true positions of the targets in the hall frame",
     (
         *text_columns(target="name"),
         *number_columns("r", ".3f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
@@ -48,12 +48,12 @@ class AppliedEffect(ValueEquality):
 
 @dataclass(frozen=True)
 class TruthArrays(ValueEquality):
-    """True values of a simulation as arrays in SI units, in the frame of the workshop."""
+    """True values of a simulation as arrays in SI units, in the frame of the hall."""
 
     station_positions: Floats
     """Positions of the stations, shape (stations, 3) [m]."""
     station_rotations: Floats
-    """Rotation matrices from instrument to workshop, shape (stations, 3, 3)."""
+    """Rotation matrices from instrument to hall, shape (stations, 3, 3)."""
     target_points: Floats
     """Positions of the targets without displacements by effects, shape (targets, 3) [m]."""
     instrument_values: Mapping[str, float]
@@ -162,14 +162,14 @@ class TruePoint(Entry):
     name: str
     """Name of the point."""
     position_mm: Vector
-    """Position in the workshop's frame."""
+    """Position in the hall frame."""
 
 
 class TruePose(TruePoint):
     """True pose of a station."""
 
     rotation_quaternion: Quaternion
-    """Rotation from instrument to workshop, as a unit quaternion x, y, z, w."""
+    """Rotation from instrument to hall, as a unit quaternion x, y, z, w."""
 
 
 class Truth(ResultFile):
@@ -279,7 +279,7 @@ class Truth(ResultFile):
 
     @property
     def station_rotations(self) -> Floats:
-        """Rotation matrices from instrument to workshop, shape (stations, 3, 3)."""
+        """Rotation matrices from instrument to hall, shape (stations, 3, 3)."""
         return self.arrays.station_rotations
 
     @property

@@ -57,7 +57,7 @@ def simulate(
     geometry: GeometrySharing = "shared",
     changes: Mapping[str, Any] | None = None,
 ) -> SimulatedRecording:
-    """Recording of a virtual workshop, and its truth.
+    """Recording of a virtual hall, and its truth.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from ltsim.core.errors import SetupError
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.geometry.expansion import ThermalExpansion
-from ltsim.scene.cad import CadFile, extent_text, implausible_size_question, is_inside_room, read_mesh
+from ltsim.scene.cad import CadFile, extent_text, implausible_size_question, is_inside_hall, read_mesh
 from ltsim.scene.meshes import Obstacles, box_triangles, cylinder_triangles, join_obstacles, place_triangles
 from ltsim.scene.visibility import (
     SightLimits,
@@ -71,7 +71,7 @@ def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
     if abs(frame.lengths[worst_length] - lengths[worst_length]) > MAX_RELATIVE_LENGTH_ERROR:
         a, b = names[first[worst_length]], names[second[worst_length]]
         has, wanted = frame.lengths[worst_length] / MILLIMETRE, lengths[worst_length] / MILLIMETRE
-        message = f"the points that fit them best have {has:.4f} mm between {a} and {b}, not {wanted:.4f} mm"
+        message = f"the points that fit them best are {has:.4f} mm apart between {a} and {b}, not {wanted:.4f} mm"
         raise SetupError(f"gauge: the lengths contradict each other; {message}")
     return frame
 
@@ -100,10 +100,11 @@ def _declared_lengths(gauge: ScenarioGauge, target_pairs: list[tuple[int, int]])
 
 
 def points_from_distances(n_points: int, first_points: Ints, second_points: Ints, lengths: Floats) -> Floats:
-    """Points about their centre whose mutual distances are nearest to the given ones, shape (n_points, 3) [m].
+    """Points (n_points, 3) [m] about their centre, whose mutual distances are nearest to the given `lengths` (k,) [m].
 
-    Classical scaling (Torgerson, Psychometrika 17 (1952) 401-419): the coordinates are eigenvectors of the doubly
-    centred squared distances. The first axis is that of the largest extent; the first point determines the signs.
+    The lengths are those from the points with the indices `first_points` to `second_points` (k,). Classical scaling
+    (Torgerson, Psychometrika 17 (1952) 401-419): the coordinates are eigenvectors of the doubly centred squared
+    distances. The first axis is that of the largest extent; the first point determines the signs.
     """
     squared = np.zeros((n_points, n_points))
     squared[first_points, second_points] = squared[second_points, first_points] = lengths**2
@@ -123,7 +124,7 @@ def expansion_factor(gauge: ScenarioGauge, workshop_temperature_c: float) -> flo
 
 
 def gauge_rotation(gauge: ScenarioGauge) -> Floats:
-    """Rotation matrix (3, 3) from the axes of the frame to those of the workshop."""
+    """Rotation matrix (3, 3) from the axes of the frame to those of the hall."""
     angles = np.array([gauge.roll_deg, gauge.pitch_deg, gauge.yaw_deg]) * DEGREE
     return Rotation.from_euler("xyz", angles).as_matrix()
 
@@ -159,14 +160,14 @@ def measure_nominal_points(
 
 @dataclass(frozen=True)
 class WorkshopLayout:
-    """Poses of the stations and positions of the targets in the frame of the workshop, in SI units."""
+    """Poses of the stations and positions of the targets in the frame of the hall, in SI units."""
 
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
     station_positions: Floats
     """Positions of the stations, shape (stations, 3) [m]."""
     station_rotations: Floats
-    """Rotation matrices from instrument to workshop, shape (stations, 3, 3)."""
+    """Rotation matrices from instrument to hall, shape (stations, 3, 3)."""
     target_points: Floats
     """Positions of the targets, shape (targets, 3) [m]."""
     nest_normals: Floats
@@ -237,7 +238,7 @@ def make_sight_limits(scenario: Scenario, tracker: ScenarioInstrument) -> SightL
 
 @dataclass(frozen=True)
 class PlacedObstacle:
-    """Obstacle at its position in the workshop."""
+    """Obstacle at its position in the hall."""
 
     name: str
     triangles: Floats
@@ -263,7 +264,7 @@ def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
 
     SetupError is raised for a CAD file that cannot be read, or whose size or position is implausible.
     """
-    room = np.array(scenario.workshop.size_mm) * MILLIMETRE
+    hall = np.array(scenario.workshop.size_mm) * MILLIMETRE
     obstacle_parts = []
     for i, entry in enumerate(scenario.workshop.obstacles, 1):
         cad = None
@@ -279,7 +280,7 @@ def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
             raise SetupError("an obstacle has no shape: expected file, box_mm or cylinder_mm")
         body = PlacedObstacle(entry.name or f"obstacle {i}", _placed_triangles(entry, triangles), cad)
         if cad is not None and (
-            asked := implausible_size_question(cad, room) or _implausible_place_question(entry, body, cad, room)
+            asked := implausible_size_question(cad, hall) or _implausible_place_question(entry, body, cad, hall)
         ):
             raise SetupError(asked)
         obstacle_parts.append(body)
@@ -287,25 +288,25 @@ def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
 
 
 def _placed_triangles(obstacle_entry: Obstacle, triangles: Floats) -> Floats:
-    """Triangles of an obstacle after its rotation and translation to its position in the workshop."""
+    """Triangles of an obstacle after its rotation and translation to its position in the hall."""
     return place_triangles(
         triangles, np.array(obstacle_entry.position_mm) * MILLIMETRE, obstacle_entry.yaw_deg * DEGREE
     )
 
 
 def _implausible_place_question(
-    obstacle_entry: Obstacle, placed_body: PlacedObstacle, cad_file: CadFile, room_size: Floats
+    obstacle_entry: Obstacle, placed_body: PlacedObstacle, cad_file: CadFile, hall_size: Floats
 ) -> str:
-    """Question to the user about an obstacle that extends beyond the room; empty if it does not."""
-    if obstacle_entry.beyond_room or is_inside_room(placed_body.triangles, room_size):
+    """Question to the user about an obstacle that extends beyond the hall; empty if it does not."""
+    if obstacle_entry.beyond_room or is_inside_hall(placed_body.triangles, hall_size):
         return ""
     other_axis = "z" if cad_file.vertical_axis == "y" else "y"
     turned = _placed_triangles(obstacle_entry, cad_file.with_other_vertical)
-    size_text = " x ".join(f"{v:g}" for v in room_size)
-    problem = "reaches below the floor" if placed_body.triangles[..., 2].min() < 0 else "reaches beyond the room"
+    size_text = " x ".join(f"{v:g}" for v in hall_size)
+    problem = "reaches below the floor" if placed_body.triangles[..., 2].min() < 0 else "reaches beyond the hall"
     fits = (
-        f'with up = "{other_axis}" it is inside the room'
-        if is_inside_room(turned, room_size)
+        f'with up = "{other_axis}" it is inside the hall'
+        if is_inside_hall(turned, hall_size)
         else "move it by position_mm"
     )
     return (

@@ -167,5 +167,5 @@ MEDIAN_OF_ABSOLUTE_NORMAL = 0.6744897501960817
 
 
 def robust_sigma(residuals: Floats) -> float:
-    """Standard deviation estimated from the median of absolute values; 0 for an empty array."""
+    """Standard deviation of `residuals`, estimated from the median of their absolute values; 0 for an empty array."""
     return median(np.abs(residuals)) / MEDIAN_OF_ABSOLUTE_NORMAL if len(residuals) else 0.0

@@ -27,7 +27,7 @@ SQUARED_STEP_TOLERANCE = 1e-8
 """Squared length of a step, in squared standard deviations of the unknowns, below which the iteration has converged.
 """
 MAX_SQUARED_STEP_FOR_REUSE = 1.0
-"""Squared length of a step, in squared standard deviations, below which the design is reused for one more step."""
+"""Squared length of a step, in squared standard deviations, below which the next step uses the same design matrix."""
 MAX_PREDICTED_STEP_FRACTION = 1e-4
 """Ratio of the predicted squared length of the next step to `SQUARED_STEP_TOLERANCE` below which this step is not
 computed. The length is then below a millionth of a standard deviation."""
@@ -167,29 +167,29 @@ def _squared_step_length(block_system: BlockSystem, step: Floats) -> float:
 
 
 def _step_with_previous_design(
-    problem: LeastSquaresProblem[PointT], point: PointT, block_system: BlockSystem, factor: BlockFactor
+    problem: LeastSquaresProblem[PointT], point: PointT, block_system: BlockSystem, normal_equations: BlockFactor
 ) -> tuple[PointT, BlockSystem] | None:
-    """Final point and system after one more step with the previous design; None if this step is not below tolerance.
+    """Last point and system after one more step with the previous design; None if the step is not below tolerance.
 
-    After a step of one standard deviation the design is the same to five digits. The design is therefore used again
-    with the residuals at the new point.
+    After a step of one standard deviation the design is the same to five digits. It is therefore used again, with the
+    residuals at the new point.
     """
     residual = problem.whitened_residuals(point)
-    step = factor.step(residual)
+    step = normal_equations.step(residual)
     if not _squared_step_length(block_system, step) < SQUARED_STEP_TOLERANCE:
         return None
     return problem.retract(point, step), _system_after_step(block_system, residual, step)
 
 
 def _system_after_step(block_system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
-    """Linear system after a step, with the same design and linearly updated residuals."""
+    """Linear system after a `step`, with the same design, and with the `residual` (m,) reduced by the linear change."""
     return BlockSystem(block_system.design, residual - block_system.design @ step, block_system.n_reduced)
 
 
 def _damped_factor(block_system: BlockSystem, damping: float) -> tuple[BlockFactor | None, float]:
-    """Factorised normal equations, and the damping used: `damping`, or more if the normal matrix is singular.
+    """Factorised normal equations, and their damping: `damping`, or more if the normal matrix is singular.
 
-    The factor is None if the matrix is singular even with a damping of 0.01.
+    The factorisation is None if the matrix is singular even with a damping of 0.01.
     """
     while True:
         try:

@@ -85,10 +85,11 @@ def _first_vertex(design: Floats, observations: Floats, start_solution: Floats) 
 
 
 def _entering_row(residual: Floats, residual_rates_along_edge: Floats, objective_slope: float) -> int:
-    """Index of the row at which the sum of absolute residuals stops decreasing along an edge (a weighted median).
+    """Index of the row whose residual becomes zero at the optimum along an edge (a weighted median).
 
-    `residual_rates_along_edge` (m,) is the decrease of each residual per unit of length along the edge, and
-    `objective_slope` the initial decrease of the sum of absolute residuals per unit of length.
+    There the sum of absolute residuals stops decreasing. `residual_rates_along_edge` (m,) is the decrease of each
+    `residual` (m,) per unit of length along the edge, and `objective_slope` the initial decrease of the sum of absolute
+    residuals per unit of length.
     """
     ahead = np.flatnonzero(residual * residual_rates_along_edge > 0.0)
     order = ahead[np.argsort(residual[ahead] / residual_rates_along_edge[ahead])]

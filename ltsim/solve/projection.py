@@ -80,7 +80,7 @@ class BasisResidualProjector:
             yield _spectrum_from_root(part) if len(rows) > part.shape[1] else np.linalg.eigh(part @ part.T)
 
     def with_removed_columns(self, columns: Floats) -> BasisResidualProjector:
-        """Projector that also removes the components along e orthonormal vectors (m, e) of the residual space."""
+        """Projector that also removes the components along orthonormal `columns` (m, e) of the residual space."""
         return BasisResidualProjector(np.hstack([self.basis, columns]))
 
 
@@ -100,19 +100,26 @@ class FactorResidualProjector:
     """Stored blocks (r, r) of the projector, by the bytes of their row indices."""
 
     @classmethod
-    def from_design(cls, design: DesignMatrix, factor: BlockFactor) -> FactorResidualProjector:
+    def from_design(cls, design: DesignMatrix, normal_equations: BlockFactor) -> FactorResidualProjector:
         """Projector onto the residual space of a design."""
         design = sp.csr_array(design)
-        return cls(design, factor, np.zeros((design.shape[0], 0)), sp.csr_array(design.T), inverse_column_norms(design))
+        return cls(
+            design,
+            normal_equations,
+            np.zeros((design.shape[0], 0)),
+            sp.csr_array(design.T),
+            inverse_column_norms(design),
+        )
 
     def project(self, vectors: Floats) -> Floats:
         """Component (m, q) of q vectors (m, q) in the residual space, as `BasisResidualProjector.project`."""
         return self._residual_part(vectors, slice(None))
 
     def gram_matrices(self, columns: Floats, group_boundaries: Ints, row_selection: Ints | slice) -> list[Floats]:
-        """Gram matrices (k, k) of projected vectors, as `BasisResidualProjector.gram_matrices`.
+        """Gram matrices (k, k) of groups of projected vectors, as `BasisResidualProjector.gram_matrices`.
 
-        On at most `MAX_STORED_BLOCK_ROWS` rows they are computed from the block of the projector on these rows.
+        On at most `MAX_STORED_BLOCK_ROWS` rows they are computed from the block of the projector on these rows, which
+        is stored.
         """
         block = self._stored_block(row_selection)
         if block is None:
@@ -135,9 +142,9 @@ class FactorResidualProjector:
         return block
 
     def _residual_part(self, columns: Floats, rows: Ints | slice) -> Floats:
-        """Component (m, q) in the residual space of vectors with entries `columns` on `rows` and zeros elsewhere.
+        """Component (m, q) in the residual space of vectors with entries `columns` (r, q) on `rows`, 0 elsewhere.
 
-        A second projection corrects the rounding errors of the first, if they are visible.
+        If rounding errors of the projection are visible, the result is projected a second time.
         """
         design_products = (
             self._transposed_design if len(columns) == len(self.removed_columns) else self.design[rows].T
@@ -194,15 +201,15 @@ class FactorResidualProjector:
 ResidualProjector: TypeAlias = BasisResidualProjector | FactorResidualProjector
 
 
-def make_residual_projector(block_system: BlockSystem, factor: BlockFactor | None) -> ResidualProjector:
+def make_residual_projector(block_system: BlockSystem, normal_equations: BlockFactor | None) -> ResidualProjector:
     """Projector onto the residual space of a system.
 
     It uses an orthonormal basis for a small system or if there is no factor, otherwise the factor.
     """
     rows, columns = block_system.design.shape
-    if factor is None or rows * columns <= MAX_BASIS_ENTRIES:
+    if normal_equations is None or rows * columns <= MAX_BASIS_ENTRIES:
         return BasisResidualProjector.from_design(block_system.design)
-    return FactorResidualProjector.from_design(block_system.design, factor)
+    return FactorResidualProjector.from_design(block_system.design, normal_equations)
 
 
 def _group_gram_matrices(columns: Floats, group_boundaries: Ints) -> list[Floats]:

@@ -228,7 +228,7 @@ def test_the_radius_of_a_ball_is_a_source_of_the_budget() -> None:
     source = next(s for s in inputs.sources if s.name == "radius of small")
     normal = np.array(recording.target_setup("T12").nest_normal)
     assert source.evaluation_type == "B" and len([s for s in inputs.sources if s.name.startswith("radius")]) == 1
-    np.testing.assert_allclose(1e3 * source.point_response[:, 0], 0.01 * normal, atol=1e-3)
+    np.testing.assert_allclose(1e3 * source.displacements_per_sigma[:, 0], 0.01 * normal, atol=1e-3)
 
 
 def test_a_pointing_in_gon_to_a_small_ball_is_mended() -> None:

@@ -101,7 +101,7 @@ def test_names_are_as_short_as_tells_them_apart() -> None:
         ('[grid]\n"work.targets" = [0]\ngauge = ["none"]\n', "work.targets is 0, expected at least 3"),
         ('[grid]\n"effects.3.values.x" = [1]\n', "goes through 3, which is not a table"),
         ('[design]\nkind = "sobol"\ncells = 50\n[design.ranges."work.targets"]\nlow = 3\nhigh = 6\n', "such as 64"),
-        ('[design]\nkind = "sobol"\ncells = 8\n[design.ranges."work.targets"]\nlow = 6\nhigh = 3\n', "low below high"),
+        ('[design]\nkind = "sobol"\ncells = 8\n[design.ranges."work.targets"]\nlow = 6\nhigh = 3\n', "less than high"),
         (LINK + '[grid]\nnoise_arcsec = [1]\n"instrument.noise.azimuth_arcsec" = [1]\n', "vary each key once"),
         ('[stop]\nwithin = 0\n', "greater than 0"),
         ('statistics = ["errors"]\n[stop]\nwithin = 1\nstatistic = "z:beam-tilt"\n', "'z-scores' among its statistics"),

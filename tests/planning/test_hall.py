@@ -108,10 +108,10 @@ def test_holes_ceilings_and_clearance_take_floor_away() -> None:
     ("old", "new", "sentence"),
     [
         ("[11400, 2800], [600, 2800]]", "[600, 2800], [11400, 2800]]", "floor.areas.1.corners_mm is not an outline:"),
-        ("[11400, 600], [11400, 2800]", "[12400, 600], [11400, 2800]", "has the corner (12400, 600), outside the room"),
+        ("[11400, 600], [11400, 2800]", "[12400, 600], [11400, 2800]", "has the corner (12400, 600), outside the hall"),
         ("ceiling_mm = 2300", "ceiling_mm = 1500", "floor.areas.2.ceiling_mm is 1500, but tracker heads are at 1400"),
         ("[workshop]\n", 'scenario = "paper-workshop"\n[workshop]\n', "either scenario or [workshop], not both"),
-        ("12000, 8000, 5000", "12000, 2000, 5000", "outside the workshop"),
+        ("12000, 8000, 5000", "12000, 2000, 5000", "outside the hall"),
         ("[search]", '[[goal.tolerances]]\ngroup = "machin"\nwithin_mm = 0.1\n[search]', "did you mean machine?"),
         ('points = "points.csv"', "", "has 0 reflectors"),
         ("[search]", "[stations]\ncount = 3\n[budget]\nfaces = [1]\n[search]", "budget.faces without budget.hours"),
@@ -156,7 +156,7 @@ def test_points_in_a_thousandth_of_the_room_are_a_question(hall: Path, scale: fl
     if scale == 1.0:
         load_plan(hall)
         return
-    with pytest.raises(SetupError, match=r"all points lie within .* mm of the corner of the room; if .* x_m, y_m, z_m"):
+    with pytest.raises(SetupError, match=r"all points lie within .* mm of the corner of the hall; if .* x_m, y_m, z_m"):
         load_plan(hall)
 
 
@@ -264,7 +264,7 @@ def test_the_headline_is_the_root_mean_square_of_all_points(hall: Path, tmp_path
         station_instructions(content.network), content.network.layout.survey.station_positions, strict=True
     ):
         for tape in setting.tape_distances:
-            path = np.linspace(place[:2], tape.end_point[:2], 200)
+            path = np.linspace(place[:2], tape.mark_position[:2], 200)
             crane_way = (path[:, 0] > 4.0) & (path[:, 0] < 5.5) & (path[:, 1] > 0.6) & (path[:, 1] < 2.8)
             assert not (tape.is_along_floor and crane_way.any())
 
@@ -288,8 +288,8 @@ def test_the_work_order_places_tripods_by_tape_and_lists_the_work(hall: Path, tm
     for setting, place in zip(station_instructions(made), made.layout.survey.station_positions, strict=True):
         assert len(setting.tape_distances) == 3
         for tape in setting.tape_distances:
-            if tape.end_name in points:
-                assert tape.length == pytest.approx(np.hypot(*(points[tape.end_name] - place)[:2]))
+            if tape.mark_name in points:
+                assert tape.length == pytest.approx(np.hypot(*(points[tape.mark_name] - place)[:2]))
         assert list(setting.target_order) == [n for n in points if n in setting.target_order]
     assert run(["plan", "hall.toml", "--out", "out", "--jobs", "1"]) == 0
     rows = (tmp_path / "out" / "work-order.csv").read_text(encoding="utf-8").splitlines()

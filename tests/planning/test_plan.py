@@ -194,7 +194,7 @@ def test_ctrl_c_keeps_the_best_layout_so_far(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(LayoutSearcher, "refine_off_grid", stop)
     said: list[str] = []
     file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
-    made = make_plan(file, scenario, callbacks=SearchCallbacks(on_sentence=said.append))
+    made = make_plan(file, scenario, callbacks=SearchCallbacks(on_progress_sentence=said.append))
     ((position, value),) = exchanged
     assert made.layout.survey.station_positions == pytest.approx(position)
     assert made.layout.objective_value == pytest.approx(value, rel=1e-6)

@@ -88,7 +88,7 @@ def test_a_wrong_head_gets_a_sentence(line: str, words: str, folder: Path, tmp_p
 
 
 def test_hidden_stands_beside_found_with_every_constant(tmp_path: Path) -> None:
-    """The workshop in 3D, both curves, and each hidden value; the time constant was a dash."""
+    """The hall in 3D, both curves, and each hidden value; the time constant was a dash."""
     place = samples.diagnosis_folder(tmp_path)
     truth = {
         "format": "ltsim-truth/1", "construction": "misalignment",

@@ -121,7 +121,7 @@ def test_a_recording_that_lies_in_two_folders_is_told_once(tmp_path: Path) -> No
     shutil.move(tmp_path / "recording", tmp_path / "converted")
     blocks = [block for section in document_of_folder(tmp_path).sections for block in section.blocks]
     titles = [block.title for block in blocks]
-    assert titles.count("The workshop in 3D") == titles.count("Floor plan") == titles.count("Residuals by station") == 1
+    assert titles.count("The hall in 3D") == titles.count("Floor plan") == titles.count("Residuals by station") == 1
     pictures = [block for block in blocks if block.kind == "picture"]
     for picture in pictures:
         assert not {'"', "\n"} & set(picture.data_uri)  # safe between quotation marks
@@ -151,7 +151,7 @@ def test_a_swap_is_shown_as_who_stands_for_whom_and_says_what_to_do(tmp_path: Pa
 def test_report_of_a_folder_without_recording_still_tells(folder: Path, tmp_path: Path) -> None:
     alone = shutil.copytree(folder / "calibration", tmp_path / "alone")
     titles = [block.title for block in document_of_folder(alone).sections[0].blocks]
-    assert {"Floor plan", "The workshop in 3D", "Residuals by station"} <= set(titles)
+    assert {"Floor plan", "The hall in 3D", "Residuals by station"} <= set(titles)
 
 
 @pytest.mark.parametrize(("p", "shown"), [(0.0, "< 1e-6"), (0.03, "0.06"), (None, "–")])
@@ -262,7 +262,7 @@ def test_plan_shows_where_the_tripod_goes(tmp_path: Path) -> None:
     table = blocks["Places of the tripod"]
     assert table.kind == "table"
     assert [row[0] for row in table.rows] == ["S1", "S2", "S3", "S4", "S5"]
-    wanted = {"Floor plan", "The workshop in 3D", "Time against quality: instrument", "Reasons for this plan"}
+    wanted = {"Floor plan", "The hall in 3D", "Time against quality: instrument", "Reasons for this plan"}
     assert wanted <= set(blocks)
     assert "Seed 5." in page_html(content)
 

@@ -200,7 +200,7 @@ PLACE = "position_mm = [0, 0, 0]"
         ("fuselage.obj", None, 1e3, PLACE, "is 3e+04 x 4e+03 x 4e+03 m large if its numbers are millimetres"),
         ("fuselage.glb", np.eye(3), 1.0, PLACE, 'with up = "z" it is inside'),
         ("fuselage.stl", None, 1.0, "position_mm = [0, 0, -3000]", "reaches below the floor of 40 x 25 x 12 m"),
-        ("fuselage.step", None, 1.0, "position_mm = [10000, 0, 0]", "reaches beyond the room of 40 x 25 x 12 m"),
+        ("fuselage.step", None, 1.0, "position_mm = [10000, 0, 0]", "reaches beyond the hall of 40 x 25 x 12 m"),
     ],
 )
 def test_a_body_that_cannot_be_meant_so_is_a_question(

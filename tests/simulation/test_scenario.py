@@ -88,7 +88,7 @@ WRONG = [
     ('format = "ltsim-scenario/1"', "", "the key format is missing"),
     ('format = "ltsim-scenario/1"', 'format = "ltsim-recording/1"', "format"),
     ("position_mm = [100, 100, 2000]", "position_mm = [100, 2000]", r"targets\.A\.position_mm"),
-    ("position_mm = [100, 100, 2000]", "position_mm = [100, 100, 20000]", "outside the workshop of 6000 x 6000 x 6000"),
+    ("position_mm = [100, 100, 2000]", "position_mm = [100, 100, 20000]", "outside the hall of 6000 x 6000 x 6000"),
     ("[targets.C]\nposition_mm = [3000, 100, 2500]", "", "has 2 reflectors"),
     ("[targets.C]", '[targets."C/D"]', "may not contain"),
     ("[targets.C]", "[targets.C", "is not TOML"),

@@ -1,9 +1,10 @@
 """Points of each station in its instrument frame, alignment of stations to one frame, and errors relative to the truth.
 
-Errors are known in simulations only. One part of them no parameters remove (noise, unmodelled effects); the true
-parameters would remove the other, correctable part. With the mean squares R of raw, C of calibrated and P of perfectly
-corrected readings over all trials, the share of a method is (R - C) / (R - P). It is 1 for a calibration with the true
-parameters, 0 for one without effect, and negative for one that increases errors.
+Errors are known in simulations only. An error has two parts: one remains even with the true parameters of the
+instrument (noise, unmodelled effects), the other one a correction with the true parameters removes. Let R, C and P be
+the mean squared errors over all trials of raw readings, of calibrated readings, and of readings corrected with the true
+parameters. The share that a calibration removes of the correctable error is (R - C) / (R - P). It is 1 for a
+calibration with the true parameters, 0 for one without effect, and negative for one that increases errors.
 """
 
 from dataclasses import dataclass
@@ -55,7 +56,7 @@ def station_point_clouds(recording: Recording, points: Floats, row_mask: Bools |
 
 
 def align_to_points(cloud: Floats, target_points: Floats) -> Floats:
-    """Points of a station (targets, 3) after the best rigid fit to `target_points`, over the common targets.
+    """Points `cloud` (targets, 3) [m] of a station after the best rigid fit to `target_points`, over common targets.
 
     NetworkError is raised unless at least three common targets are not on one line.
     """
@@ -65,7 +66,7 @@ def align_to_points(cloud: Floats, target_points: Floats) -> Floats:
 
 
 def align_to_first_station(clouds: Floats, names: tuple[str, ...]) -> Floats:
-    """Points of all stations (stations, targets, 3) after a rigid fit to the frame of the first station.
+    """Points `clouds` (stations, targets, 3) of all stations after a rigid fit to the frame of the first station.
 
     A station with fewer than three targets in common with the first is fitted to the mean of the stations fitted
     before. In the paper all stations see all targets. NetworkError names a station that cannot be fitted.
@@ -109,15 +110,16 @@ class CalibrationErrors:
     @property
     def share_removed(self) -> float:
         """Fraction of the correctable mean square error that the calibration removed."""
-        return share(self.raw_rms, self.calibrated_rms, self.true_parameters_rms)
+        return removed_share(self.raw_rms, self.calibrated_rms, self.true_parameters_rms)
 
 
-def share(
+def removed_share(
     raw_errors: Floats | float, calibrated_errors: Floats | float, true_parameter_errors: Floats | float
 ) -> float:
-    """Fraction of the correctable mean square error that a calibration removed, over all trials together.
+    """Fraction of the correctable mean squared error that a calibration removed, over all trials together.
 
-    The arguments are the rms errors of each trial. The result is NaN if nothing is correctable.
+    The correctable error is the difference between raw readings and readings corrected with the true parameters. The
+    arguments are the rms errors of each trial [m]. The result is NaN if nothing is correctable.
     """
     squares = (float(np.nanmean(np.square(error))) for error in (raw_errors, calibrated_errors, true_parameter_errors))
     before, after, perfect = squares

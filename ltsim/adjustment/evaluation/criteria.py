@@ -186,7 +186,10 @@ def distance_differences(clouds: Floats) -> StationDisagreement:
 
 
 def distance_differences_to_first(clouds: Floats) -> StationDisagreement:
-    """Mean absolute difference of each distance between two targets from that of station 1 (eq. 11)."""
+    """Mean absolute difference of each distance between two targets from that of station 1 (eq. 11).
+
+    `clouds` (stations, targets, 3) [m] are the points of each station in its instrument frame, NaN if not measured.
+    """
     lengths = (length for _, length in iterate_distances_by_target(clouds[:, np.isfinite(clouds[0, :, 0])], 2))
     means = [np.nanmean(np.abs(length[1:] - length[0]), axis=0) for length in lengths if length.size]
     return StationDisagreement(np.concatenate([np.zeros(0), *means]))
@@ -291,12 +294,20 @@ def read_nominal(path: Path) -> dict[str, Floats]:
 
 
 def distance_errors(clouds: Floats, nominal_points: Floats) -> StationDisagreement:
-    """Mean absolute error of each distance between two targets relative to the nominal distance (eq. 13)."""
+    """Mean absolute error of each distance between two targets relative to the nominal distance (eq. 13).
+
+    `clouds` (stations, targets, 3) [m] are the points of each station, NaN if not measured, `nominal_points` (targets,
+    3) [m] those of the measuring machine.
+    """
     return distance_differences_to_first(np.concatenate([nominal_points[None], clouds]))
 
 
 def coordinate_errors(clouds: Floats, nominal_points: Floats) -> StationDisagreement:
-    """Mean distance of each target from its nominal point after a rigid fit of each station, over stations (eq. 14)."""
+    """Mean distance of each target from its nominal point after a rigid fit of each station, over stations (eq. 14).
+
+    `clouds` (stations, targets, 3) [m] are the points of each station, NaN if not measured, `nominal_points` (targets,
+    3) [m] those of the measuring machine.
+    """
     gap = np.linalg.norm([align_to_points(cloud, nominal_points) - nominal_points for cloud in clouds], axis=2)
     return StationDisagreement(np.nanmean(gap[:, np.isfinite(gap).any(axis=0)], axis=0))
 

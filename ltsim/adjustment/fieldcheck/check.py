@@ -157,7 +157,7 @@ def _test_setup(
     paired_recording: Recording,
     recording_with_declared_noise: Recording,
     station: int,
-    family: HypothesisFamily,
+    test_family: HypothesisFamily,
     mpe: tuple[float, float] | None,
 ) -> SetupCheck:
     """Tests of a set-up.
@@ -174,13 +174,13 @@ def _test_setup(
     occupation = StationOccupation.from_recording(recording, construction)
     setup_tests = SetupTests((), occupation, (), recording)
     if occupation.dof > 0:
-        setup_tests = _gross_and_motion_tests(occupation, construction, family, row_numbers)
+        setup_tests = _gross_and_motion_tests(occupation, construction, test_family, row_numbers)
     two_faced, corrected = paired_recording.select(indices), setup_tests.motion_corrected_recording.readings
     corrected = np.where(np.isnan(corrected), two_faced.readings, corrected)
     items, faces = (
         list[CheckItem](),
         TwoFaceDifferences.from_recordings(
-            two_faced, two_faced.with_readings(corrected), construction, family.alpha_per_test, mpe
+            two_faced, two_faced.with_readings(corrected), construction, test_family.alpha_per_test, mpe
         ),
     )
     if faces is not None:
@@ -192,17 +192,17 @@ def _test_setup(
     if occupation.dof < 1:
         return SetupCheck(name, tuple(items), faces, None, row_numbers)
     remaining = setup_tests.corrected_occupation
-    scale = noise_factors_by_target_scatter(remaining, family)
+    scale = noise_factors_by_target_scatter(remaining, test_family)
     if scale is None:
-        items += [*setup_tests.items, repeatability_item(remaining, family, noise_text)]
+        items += [*setup_tests.items, repeatability_item(remaining, test_family, noise_text)]
     else:
         setup_tests = _gross_and_motion_tests(
             StationOccupation.from_recording(recording, construction, sigma=occupation.sigma * scale),
             construction,
-            family,
+            test_family,
             row_numbers,
         )
-        items += [target_scatter_item(occupation, remaining, family, noise_text), *setup_tests.items]
+        items += [target_scatter_item(occupation, remaining, test_family, noise_text), *setup_tests.items]
     return SetupCheck(name, tuple(items), faces, remaining, row_numbers, setup_tests.motions)
 
 
@@ -220,27 +220,27 @@ class SetupTests:
 
 
 def _gross_and_motion_tests(
-    occupation: StationOccupation, construction: GeometricErrorModel, family: HypothesisFamily, row_numbers: Ints
+    occupation: StationOccupation, construction: GeometricErrorModel, test_family: HypothesisFamily, row_numbers: Ints
 ) -> SetupTests:
     """Tests of one set-up for gross errors, a bump, and drifts of the station and of the instrument's zeros.
 
     `row_numbers` (n,) are the rows of the pointings in the whole recording, from 1.
     """
-    gross, bump, occupation = _gross_pointings_and_bump(occupation, construction, family)
+    gross, bump, occupation = _gross_pointings_and_bump(occupation, construction, test_family)
     check_items = [
-        _gross_item(occupation, gross, row_numbers, family),
-        _bump_item(occupation, bump, row_numbers, family),
+        _gross_item(occupation, gross, row_numbers, test_family),
+        _bump_item(occupation, bump, row_numbers, test_family),
     ]
     recording, uniform_motion = occupation.recording, UniformMotion((occupation.recording.stations[0],))
     motions: list[StationMotion] = [] if bump is None else [bump]
     designs = [motion.design(occupation.sightings) for motion in motions]
     remaining = reduce(StationOccupation.with_fitted_columns, designs, occupation)
     drift_design, zeros = uniform_motion.design(occupation.sightings), _zero_drift_design(occupation)
-    check_items.append(_drift_item(remaining, family, "drift", drift_design, station_drift_sentence))
+    check_items.append(_drift_item(remaining, test_family, "drift", drift_design, station_drift_sentence))
     if not check_items[-1].passed:
         motions.append(uniform_motion)
         designs, remaining = [*designs, drift_design], remaining.with_fitted_columns(drift_design)
-    check_items.append(_drift_item(remaining, family, "instrument-drift", zeros, zero_drift_sentence))
+    check_items.append(_drift_item(remaining, test_family, "instrument-drift", zeros, zero_drift_sentence))
     if not check_items[-1].passed:
         designs, remaining = [*designs, zeros], remaining.with_fitted_columns(zeros)
     if designs:
@@ -250,7 +250,7 @@ def _gross_and_motion_tests(
 
 
 def _gross_pointings_and_bump(
-    occupation: StationOccupation, construction: GeometricErrorModel, family: HypothesisFamily
+    occupation: StationOccupation, construction: GeometricErrorModel, test_family: HypothesisFamily
 ) -> tuple[dict[int, float], StationBump | None, StationOccupation]:
     """p-values of pointings with gross errors by index, the bump or None, and the occupation without these pointings.
 
@@ -265,8 +265,10 @@ def _gross_pointings_and_bump(
         bump, explained, gaps = best_bump(occupation)
         creep = _neg_log_p(occupation.fit_columns(UniformMotion().design(occupation.sightings)))
         steady = creep >= _neg_log_p(explained) - np.log(gaps)
-        bump = None if steady or occupation.p_value(explained) * gaps >= family.alpha_per_test else bump
-        enough = alone[worst] <= max(-np.log(family.alpha_per_test), creep if steady else 0.0) or len(gross) >= most
+        bump = None if steady or occupation.p_value(explained) * gaps >= test_family.alpha_per_test else bump
+        enough = (
+            alone[worst] <= max(-np.log(test_family.alpha_per_test), creep if steady else 0.0) or len(gross) >= most
+        )
         if enough or (bump is not None and alone[worst] <= _neg_log_p(explained) - np.log(gaps)):
             return gross, bump, occupation
         gross[worst] = float(np.exp(-alone[worst]))
@@ -307,7 +309,7 @@ def _neg_log_p(fit: ColumnsFit) -> float:
 
 
 def _gross_item(
-    occupation: StationOccupation, p_values: Mapping[int, float], row_numbers: Ints, family: HypothesisFamily
+    occupation: StationOccupation, p_values: Mapping[int, float], row_numbers: Ints, test_family: HypothesisFamily
 ) -> CheckItem:
     recording, name = occupation.recording, occupation.recording.stations[0]
     targets = tuple(dict.fromkeys(recording.targets[recording.target[i]] for i in p_values))
@@ -315,12 +317,12 @@ def _gross_item(
         gross_pointing_sentence(occupation, list(p_values), row_numbers),
         tuple(row_numbers[list(p_values)].tolist()),
     )
-    chance = family.corrected_p_value(max(p_values.values())) if p_values else None
+    chance = test_family.corrected_p_value(max(p_values.values())) if p_values else None
     return CheckItem.from_test(name, "gross", not p_values, sentence, chance, targets=targets, rows=numbers)
 
 
 def _bump_item(
-    occupation: StationOccupation, bump: StationBump | None, row_numbers: Ints, family: HypothesisFamily
+    occupation: StationOccupation, bump: StationBump | None, row_numbers: Ints, test_family: HypothesisFamily
 ) -> CheckItem:
     recording, name = occupation.recording, occupation.recording.stations[0]
     if bump is None:
@@ -331,7 +333,7 @@ def _bump_item(
     pair = order[index - 1 : index + 1]
     time_interval = float(recording.time[pair[0]]), float(recording.time[pair[1]])
     rows_around_motion = int(row_numbers[pair[0]]), int(row_numbers[pair[1]])
-    chance = family.corrected_p_value(occupation.p_value(fit), len(order) - 1)
+    chance = test_family.corrected_p_value(occupation.p_value(fit), len(order) - 1)
     motion_interval_text = interval_text(recording, int(pair[0]), int(pair[1]), row_numbers.tolist())
     sentence = bump_sentence(recording, motion_interval_text, fit)
     return CheckItem.from_test(name, "bump", False, sentence, chance, rows=rows_around_motion, between_s=time_interval)
@@ -348,14 +350,14 @@ def _zero_drift_design(occupation: StationOccupation) -> Floats:
 
 def _drift_item(
     occupation: StationOccupation,
-    family: HypothesisFamily,
+    test_family: HypothesisFamily,
     kind: CheckItemKind,
     design: Floats,
     write_sentence: SentenceWriter,
 ) -> CheckItem:
     fit = occupation.fit_columns(design)
-    p_value = family.corrected_p_value(occupation.p_value(fit))
-    is_passed = p_value >= family.false_alarm_rate
+    p_value = test_family.corrected_p_value(occupation.p_value(fit))
+    is_passed = p_value >= test_family.false_alarm_rate
     return CheckItem.from_test(
         occupation.recording.stations[0], kind, is_passed, write_sentence(occupation.recording, fit, is_passed), p_value
     )

@@ -38,7 +38,7 @@ def n_network_tests(recording: Recording) -> int:
 
 
 def adjust_for_check(recording: Recording, motions: Sequence[StationMotion]) -> Adjustment | LtsimError:
-    """Adjusted network with motions of stations among its unknowns, or the error that prevents an adjustment."""
+    """Adjusted network with `motions` of stations among its unknowns, or the error that prevents the adjustment."""
     try:
         plain = adjust(
             recording, effects=motions, robust=bool(motions), tested_reference_kinds=EXCLUDABLE_REFERENCE_KINDS
@@ -103,7 +103,7 @@ def scale_target_noise(
 def network_items(
     recording: Recording,
     adjustment_or_error: Adjustment | LtsimError,
-    family: HypothesisFamily,
+    test_family: HypothesisFamily,
     motions: Sequence[StationMotion],
     station_motions: Sequence[FittedMotion],
     *,
@@ -170,17 +170,17 @@ def network_items(
             )
         p_value, less = two_sided_chi2_p_value(adjustment.chi2, adjustment.dof)
         if (
-            uses_target_noise and not less and family.corrected_p_value(p_value) < family.false_alarm_rate
+            uses_target_noise and not less and test_family.corrected_p_value(p_value) < test_family.false_alarm_rate
         ):  # noise: what stands out of it, by adjust
             is_explained |= ~np.isin(
                 np.arange(len(is_explained)),
                 [motion.row for motion in adjustment_or_error.flagged_readings(uses_estimated_noise=True)],
             )
         check_items += [
-            *_target_agreement_items(adjustment, is_explained, family, noise_text),
-            *_level_items(fitted, family),
+            *_target_agreement_items(adjustment, is_explained, test_family, noise_text),
+            *_level_items(fitted, test_family),
         ]
-        check_items += _length_items(fitted, family)
+        check_items += _length_items(fitted, test_family)
     return tuple(check_items)
 
 
@@ -199,7 +199,7 @@ def _has_instrument_errors(adjustment_without_centring: Adjustment, adjustment_w
 
 
 def _target_agreement_items(
-    adjustment: Adjustment, is_explained: Bools, family: HypothesisFamily, noise_text: str
+    adjustment: Adjustment, is_explained: Bools, test_family: HypothesisFamily, noise_text: str
 ) -> list[CheckItem]:
     """Result of the test whether the stations agree on their common targets, with the worst pointing.
 
@@ -207,11 +207,11 @@ def _target_agreement_items(
     """
     recording, out = adjustment.recording, adjustment.is_rejected.any(axis=1) & ~is_explained
     alone, less = two_sided_chi2_p_value(adjustment.chi2, adjustment.dof)
-    p = family.corrected_p_value(alone)
+    p = test_family.corrected_p_value(alone)
     scatter = f"sigma0 is {adjustment.sigma0:.2f}, expected is 1 ({adjustment.dof} degrees of freedom)"
     scatter += f"; {noise_text}" if noise_text else ""
     if not out.any():
-        passed = less or p >= family.false_alarm_rate
+        passed = less or p >= test_family.false_alarm_rate
         verb = "agree" if passed else "disagree"
         if passed and not less and alone < GLOBAL_TEST_LEVEL:
             scatter += (
@@ -233,19 +233,19 @@ def _target_agreement_items(
     ]
 
 
-def _level_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckItem]:
+def _level_items(fitted: Adjustment, test_family: HypothesisFamily) -> list[CheckItem]:
     """Results of the tests of each station's level against the vertical of the other stations, by common targets."""
     items, levels = [], fitted.problem.level_rows
     for test in fitted.reference_tests if len(levels) > 1 else ():
         if test.kind == "level" and test.redundancy.max() > MIN_CHECKED_REDUNDANCY:
-            p = family.corrected_p_value(float(special.chdtrc(test.rank, test.chi2_drop)), len(levels))
-            verb = "agrees with" if p >= family.false_alarm_rate else "deviates from"
+            p = test_family.corrected_p_value(float(special.chdtrc(test.rank, test.chi2_drop)), len(levels))
+            verb = "agrees with" if p >= test_family.false_alarm_rate else "deviates from"
             sentence = f"{test.name}: its level {verb} the vertical of the other stations ({test.error_text})"
-            items.append(CheckItem.from_test(test.name, "level", p >= family.false_alarm_rate, sentence, p))
+            items.append(CheckItem.from_test(test.name, "level", p >= test_family.false_alarm_rate, sentence, p))
     return items
 
 
-def _length_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckItem]:
+def _length_items(fitted: Adjustment, test_family: HypothesisFamily) -> list[CheckItem]:
     """Result of the test of the scale of the known lengths, or of a single length, against the distances.
 
     The uncertainty includes the specification of the instrument. A rejected length or scale has an item already.
@@ -257,8 +257,8 @@ def _length_items(fitted: Adjustment, family: HypothesisFamily) -> list[CheckIte
     scales = [test for test in tests if test.kind == "scale" and test.rank] or lengths[:1]
     check_items = []
     for test in scales:
-        p = family.corrected_p_value(float(special.chdtrc(test.rank, test.chi2_drop)))
-        passed = p >= family.false_alarm_rate
+        p = test_family.corrected_p_value(float(special.chdtrc(test.rank, test.chi2_drop)))
+        passed = p >= test_family.false_alarm_rate
         agreement = f"{test.name}: agreement with the distances within noise and specification ({test.error_text})"
         check_items.append(CheckItem.from_test("", "network", passed, agreement if passed else test.sentence, p))
     return check_items

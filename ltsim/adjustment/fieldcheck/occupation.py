@@ -35,9 +35,8 @@ MIN_INSTRUMENT_SINGULAR_VALUE = 0.1
 which their combination is a parameter of the model. Smaller combinations change the readings by less than their noise.
 """
 MIN_DETERMINED_FRACTION = 0.999
-"""Share of a parameter's unit vector, squared, in the space that the readings determine. A parameter with a smaller
-share is undetermined and gets an infinite variance.
-"""
+"""Squared length of the part of a parameter's unit vector that lies in the space which the readings determine. A
+parameter with a smaller value is undetermined and gets an infinite variance."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +175,7 @@ class StationOccupation:
         return max(by_declared, float(special.fdtrc(fit.rank, dof, ratio)))
 
     def with_fitted_columns(self, design: Floats) -> StationOccupation:
-        """Occupation whose model also contains the columns (n, 3, c) of a suspected cause."""
+        """Occupation whose model also contains the columns of a suspected cause, its `design` (n, 3, c)."""
         u, size, _ = np.linalg.svd(self._unit_columns(design)[0], full_matrices=False)
         added = u[:, size > np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * max(float(size.max(initial=0.0)), 1e-12)]
         residuals = self.whitened_residuals.ravel() - added @ (added.T @ self.whitened_residuals.ravel())
@@ -196,7 +195,7 @@ class StationOccupation:
         return np.asarray(sums[0], dtype=np.float64), np.asarray(sums[1], dtype=np.float64)
 
     def distance_from_mean(self, row: int) -> float:
-        """Distance [m] of the point of a row from the mean of the other points of its target; NaN without others."""
+        """Distance [m] of the point measured in `row` from the mean of the other points of its target, or NaN."""
         points = from_polar(self.recording.readings)
         is_complete = np.isfinite(points).all(axis=1)
         others: Bools = np.logical_and(is_complete & self.row_mask, self.recording.target == self.recording.target[row])
@@ -357,18 +356,18 @@ def face_pair_rows(recording: Recording) -> Ints:
 
 
 def two_face_pairs(
-    recording: Recording, construction: GeometricErrorModel | None = None, values: Floats | None = None
+    recording: Recording, construction: GeometricErrorModel | None = None, parameter_values: Floats | None = None
 ) -> TwoFacePairs:
     """Two-face half differences of a recording, after the correction of its readings by the instrument's parameters.
 
-    `values` are the p parameters of the geometric error model [SI], (p,) or for each of n pointings (n, p). By default
-    the readings are not corrected. Raises NetworkError if no target was measured on both faces.
+    `parameter_values` are the p parameters of the geometric error model [SI], (p,) or for each of n pointings (n, p).
+    By default the readings are not corrected. Raises NetworkError if no target was measured on both faces.
     """
     row_pairs = face_pair_rows(recording)
     if not len(row_pairs):
         raise NetworkError("no station measured a target in range and both angles on both faces")
     model = construction or ideal_construction()
-    applied_values = np.zeros(model.n_parameters) if values is None else values
+    applied_values = np.zeros(model.n_parameters) if parameter_values is None else parameter_values
     readings = np.where(recording.is_measured, recording.readings, 1.0)
     polar = to_polar(model.points_from_readings(readings, applied_values))
     first, second = polar[row_pairs[:, 0]], polar[row_pairs[:, 1]]

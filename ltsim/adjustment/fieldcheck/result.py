@@ -53,7 +53,10 @@ class CheckItem(Entry):
     def from_test(
         cls, place: str, kind: CheckItemKind, passed: bool, sentence: str, p_value: float | None = None, **details: Any
     ) -> CheckItem:
-        """Item of a test with its sentence, its p-value, and the targets, rows or times of the tested readings."""
+        """Item of a test at `place`, with its sentence, its p-value, and the targets, rows or times of its readings.
+
+        `passed` is the result of the test.
+        """
         return cls(station=place, kind=kind, passed=passed, sentence=sentence, p_value=p_value, **details)
 
 
@@ -224,11 +227,14 @@ class HypothesisFamily:
         return self.false_alarm_rate / self.n_tests
 
     def corrected_p_value(self, p_value: float, n_places: int = 1) -> float:
-        """p-value times the number of tests and the number of places that one test tries (Bonferroni), at most 1."""
+        """p-value times the number of tests in this family, and times `n_places` if one test tries several places.
+
+        It is at most 1 (Bonferroni).
+        """
         return min(1.0, p_value * n_places * self.n_tests)
 
 
 def two_sided_chi2_p_value(chi2: float, dof: int) -> tuple[float, bool]:
-    """Two-sided p-value of a chi-square, and a flag that the chi-square is smaller than expected."""
+    """Two-sided p-value of `chi2` with `dof` degrees of freedom, and a flag that it is smaller than expected."""
     low, high = float(special.chdtr(dof, chi2)), float(special.chdtrc(dof, chi2))
     return min(1.0, 2 * min(low, high)), low < high

@@ -12,7 +12,7 @@ MIN_TARGET_DOF = 6.0
 """Number of degrees of freedom from which the scatter of a target is compared with that of the other targets."""
 
 
-def noise_factors_by_target_scatter(occupation: StationOccupation, family: HypothesisFamily) -> Floats | None:
+def noise_factors_by_target_scatter(occupation: StationOccupation, test_family: HypothesisFamily) -> Floats | None:
     """Factor (n, 1) on the declared noise of each of n pointings, at least 1, from the scatter at its target.
 
     None if the scatter of the targets does not differ significantly (test of Bartlett).
@@ -25,14 +25,14 @@ def noise_factors_by_target_scatter(occupation: StationOccupation, family: Hypot
     mean_variance = float(dof_of_target @ variance / dof_of_target.sum())
     gain = dof_of_target.sum() * np.log(mean_variance) - dof_of_target @ np.log(variance)
     gain /= 1.0 + (np.sum(1.0 / dof_of_target) - 1.0 / dof_of_target.sum()) / (3.0 * (len(dof_of_target) - 1.0))
-    if not special.chdtrc(len(dof_of_target) - 1.0, gain) < family.alpha_per_test:
+    if not special.chdtrc(len(dof_of_target) - 1.0, gain) < test_family.alpha_per_test:
         return None
     scatter_ratio = np.full(len(dof), np.sqrt(mean_variance))
     scatter_ratio[is_testable] = np.sqrt(variance)
     return np.asarray(np.maximum(scatter_ratio, 1.0)[occupation.recording.target][:, None])
 
 
-def repeatability_item(occupation: StationOccupation, family: HypothesisFamily, noise_text: str) -> CheckItem:
+def repeatability_item(occupation: StationOccupation, test_family: HypothesisFamily, noise_text: str) -> CheckItem:
     """Result of the two-sided test of the scatter of repeated pointings against the noise of the occupation.
 
     Scatter that is significantly smaller than this noise passes with a remark. `noise_text` states an estimated noise;
@@ -44,21 +44,24 @@ def repeatability_item(occupation: StationOccupation, family: HypothesisFamily, 
             name, "closure", True, f"{name}: too few repeated pointings for an estimate of the scatter"
         )
     p, less = two_sided_chi2_p_value(occupation.chi2, occupation.dof)
-    p = family.corrected_p_value(p)
+    p = test_family.corrected_p_value(p)
     freedom = f"{occupation.dof} degrees of freedom"
     noise, remark = ("estimated", f"; {noise_text}") if noise_text else ("declared", "")
     phrase = f"{name}: repeated pointings scatter {ratio:.2f} times the {noise} noise ({freedom})"
-    if p >= family.false_alarm_rate:
+    if p >= test_family.false_alarm_rate:
         return CheckItem.from_test(name, "closure", True, f"{phrase}, as expected{remark}", p)
     more = "less" if less else "more"
     return CheckItem.from_test(name, "closure", less, f"{phrase}, {more} than {noise}{remark}", p)
 
 
 def target_scatter_item(
-    occupation: StationOccupation, corrected_occupation: StationOccupation, family: HypothesisFamily, noise_text: str
+    occupation: StationOccupation,
+    corrected_occupation: StationOccupation,
+    test_family: HypothesisFamily,
+    noise_text: str,
 ) -> CheckItem:
     """Result of the test of scatter for a set-up whose targets scatter differently, with the names of the worst."""
-    closure = repeatability_item(corrected_occupation, family, noise_text)
+    closure = repeatability_item(corrected_occupation, test_family, noise_text)
     chi2, dof = corrected_occupation.target_chi2_and_dof()
     listed_targets = np.flatnonzero(dof >= MIN_TARGET_DOF)
     listed_targets = listed_targets[np.argsort(-chi2[listed_targets] / dof[listed_targets], kind="stable")]

@@ -42,9 +42,10 @@ converge with it.
 
 
 def largest_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> float:
-    """Size [m] of an error in the model: largest displacement of a measured point, or misclosure of a reference value.
+    """Size [m] of the error in a hypothesis: largest displacement of a measured point, or a misclosure.
 
-    It is 0 for a hypothesis on the noise or on wrongly recorded rows.
+    The misclosure is that of a reference value. The size is 0 for a hypothesis on the noise or on wrongly recorded
+    rows.
     """
     change, sightings = hypothesis.model_change, fit.adjustment.sightings
     if isinstance(change, ReferenceOmission):

@@ -157,7 +157,7 @@ def reported_kind(fit: NetworkFit, hypothesis: Hypothesis) -> CauseKind:
 
 
 def _size_entry(hypothesis: Hypothesis, shift_components: Floats, covariance: Floats) -> dict[str, Any]:
-    """Dictionary with the keys `estimate`, `sigma` and `unit` of a shift; the size of a vector is its length."""
+    """Keys `estimate`, `sigma` and `unit` of a shift, with the length of `shift_components` (p,) as estimate."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     unit, factor = ("mm", MILLIMETRE)
     if isinstance(hypothesis.model_change.effect, ReadingShift):
@@ -380,7 +380,7 @@ def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
 
 
 def _p_target_moved(fit: NetworkFit, row: int, chi2_drop: float) -> float:
-    """Posterior probability that the target of an outlier has moved.
+    """Posterior probability that the target of an outlier in `row` has moved; `chi2_drop` is that by its rejection.
 
     It is 0 unless the outlier is the last pointing to its target: later pointings would show the motion.
     """

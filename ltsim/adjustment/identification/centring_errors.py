@@ -57,31 +57,35 @@ class _CentringPlace:
     """Occupation (n,) to which each of n pointings belongs; -1 for pointings elsewhere."""
 
 
-def centring_hypotheses(fit: NetworkFit, space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
+def centring_hypotheses(fit: NetworkFit, residual_space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
     """Pairs of a gain of log evidence and a hypothesis of centring errors, in the linear approximation at a fit."""
-    places = _centring_places(fit.recording, space.is_used_reading)
-    squares = np.zeros(space.is_used_reading.shape)
-    squares[space.is_used_reading] = space.residuals[: int(space.is_used_reading.sum())] ** 2
+    places = _centring_places(fit.recording, residual_space.is_used_reading)
+    squares = np.zeros(residual_space.is_used_reading.shape)
+    squares[residual_space.is_used_reading] = residual_space.residuals[: int(residual_space.is_used_reading.sum())] ** 2
     largest_first = sorted(places, key=lambda place: -float(squares[place.occupation >= 0].mean()))
     offers, entries = list[tuple[float, Hypothesis]](), 0
     for place in largest_first:
-        entries += 3 * (int(place.occupation.max()) + 1) * space.n_rows
+        entries += 3 * (int(place.occupation.max()) + 1) * residual_space.n_rows
         if entries > MAX_SCREENED_ENTRIES:
             break
-        offers.append(_gain_and_hypothesis(place, *best_centring_sigma(space, place.occupation)[:2], len(places)))
+        offers.append(
+            _gain_and_hypothesis(place, *best_centring_sigma(residual_space, place.occupation)[:2], len(places))
+        )
     return offers
 
 
-def _gain_and_hypothesis(place: _CentringPlace, gain: float, sigma: float, n_places: int) -> tuple[float, Hypothesis]:
-    """Gain of log evidence including the prior, and the hypothesis of centring errors at a place.
+def _gain_and_hypothesis(
+    place: _CentringPlace, log_likelihood_ratio: float, sigma: float, n_places: int
+) -> tuple[float, Hypothesis]:
+    """Gain of log evidence by centring errors at a place, with their prior probability, and the hypothesis.
 
-    `gain` is the gain without the prior, `sigma` [m] the standard deviation of the displacements, and `n_places` the
-    number of places that share the prior probability.
+    `log_likelihood_ratio` is the gain without the prior, `sigma` [m] the standard deviation of the displacements, and
+    `n_places` the number of places that share the prior probability.
     """
     centring, prior = place.centring, log_prior_of_kind("centring", n_places) + LOG_ODDS_OF_CENTRING
     change = CentringChange(centring.model_copy(update={"sigma_mm": sigma / MILLIMETRE}))
     targets = () if len(centring.targets) > 1 else centring.targets
-    return gain + prior, Hypothesis("centring", "position", centring.stations, targets, prior, change)
+    return log_likelihood_ratio + prior, Hypothesis("centring", "position", centring.stations, targets, prior, change)
 
 
 def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
@@ -141,7 +145,10 @@ def _local_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, rows: Ints) ->
 
 
 def _robust_misfit_cost(fit: NetworkFit, whitened_residuals: Floats) -> float:
-    """Negative log evidence of whitened residuals (r,), each taken as noise or as an outlier, whichever is smaller."""
+    """Negative log evidence of whitened residuals (r,).
+
+    Each residual counts as noise or as an outlier, whichever is more likely.
+    """
     prior = log_prior_of_kind("outlier", int(fit.problem_with_all_readings.is_used_reading.sum()))
     outlier = -log_occam_factor_of_shift(np.abs(whitened_residuals), 1) - prior
     return float(np.minimum(0.5 * whitened_residuals**2, outlier).sum())
@@ -183,16 +190,16 @@ class CentringEstimate(NamedTuple):
     """
 
 
-def best_centring_sigma(space: ResidualSpace, occupation: Ints) -> CentringEstimate:
+def best_centring_sigma(residual_space: ResidualSpace, occupation: Ints) -> CentringEstimate:
     """Most likely standard deviation of centring errors.
 
     `occupation` (n,) is the occupation of each pointing; -1 for pointings without centring errors.
     """
-    design_columns = space.whitened_design(CentringErrors(1.0, occupation))
-    projected = space.project(design_columns)
+    design_columns = residual_space.whitened_design(CentringErrors(1.0, occupation))
+    projected = residual_space.project(design_columns)
     strength, turn = np.linalg.eigh(projected.T @ projected)
     visible = strength > MAX_SOLUTION_ROUNDING_ERROR * float(np.max(np.sum(design_columns**2, axis=0)))
-    strength, score = strength[visible], (turn[:, visible].T @ (projected.T @ space.residuals)) ** 2
+    strength, score = strength[visible], (turn[:, visible].T @ (projected.T @ residual_space.residuals)) ** 2
     variance = CENTRING_SIGMA_GRID[:, None] ** 2
     ratio = 0.5 * np.sum(score * variance / (1.0 + variance * strength) - np.log1p(variance * strength), axis=1)
     best = int(np.argmax(ratio))

@@ -22,7 +22,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 SHIFT_SIZE_DECADES = 6.0
-"""Width of the prior of the size of a shift, in decades: from 10 um to 10 m."""
+"""Width, in decades, of the prior of the size of a shift: sizes from 10 um to 10 m are possible."""
 LOG_SIZE_PRIOR_WIDTH = float(np.log(SHIFT_SIZE_DECADES * np.log(10.0)))
 """Logarithm of the width of the prior of a shift. The width is the natural logarithm of the ratio of largest to
 smallest size.
@@ -40,11 +40,11 @@ def log_occam_factor_of_shift(normalised_size: Floats | float, rank: int) -> Flo
 
 
 NOISE_FACTOR_DECADES = 2.0
-"""Largest ratio of the noise to the declared noise in its prior, in decades; the smallest ratio is the inverse."""
+"""Half-width, in decades, of the prior of the factor on the declared standard deviation: 0.01 to 100 are possible."""
 
 
 def log_occam_factor_of_variance(redundancy: Floats | float) -> Floats:
-    """Logarithm (at most 0) of the Occam factor of a variance factor that is estimated with a redundancy."""
+    """Logarithm (at most 0) of the Occam factor of a variance factor estimated from readings with a redundancy."""
     width = np.sqrt(np.pi / np.maximum(np.asarray(redundancy, dtype=np.float64), 1.0))
     return np.minimum(np.log(width / (2.0 * NOISE_FACTOR_DECADES * np.log(10.0))), 0.0)
 

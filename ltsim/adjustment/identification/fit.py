@@ -60,7 +60,7 @@ from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, Solution, solve
 MAX_NOISE_ESTIMATES = 3
 """Largest number of estimates of the noise factors, or of centring errors, in a fit."""
 NOISE_TOLERANCE = 0.05
-"""Relative change of the noise factors up to which their estimation ends (0.1 in log evidence)."""
+"""Relative change of the noise factors at which their estimation ends; it changes the log evidence by 0.1."""
 MIN_NOISE_CHANGE_FOR_OUTLIERS = 0.2
 """Relative change of the noise factors above which outliers are searched again."""
 WEAK_SHIFT_PRIOR_FACTOR = 1e6

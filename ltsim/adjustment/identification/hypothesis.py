@@ -131,7 +131,10 @@ class Hypothesis:
 
     @property
     def place_key(self) -> tuple[object, ...]:
-        """Key of kind and place; hypotheses with equal keys differ only in the onset time and the start values."""
+        """Key of the kind and place of a hypothesis.
+
+        Hypotheses with equal keys differ only in their onset time and start values.
+        """
         return self.kind, self.acts_on, self.stations, self.targets, self.rows
 
     def competes_with(self, rival: Hypothesis) -> bool:

@@ -56,9 +56,10 @@ class LocalShift:
 
 
 def fit_local_shifts(shifts: Sequence[LocalShift], outlier_cost: float) -> list[tuple[float, Floats]]:
-    """Robust estimate of each of k shifts: decrease of the negative log likelihood by the shift, and parameters (q,).
+    """Decrease of the negative log likelihood by each of k shifts, and its robust parameters (q,), for k shifts.
 
-    In this likelihood each reading contributes at most `outlier_cost`.
+    In this likelihood the negative logarithm of one reading is at most `outlier_cost`, so that outliers do not distort
+    the estimate.
     """
     fits: dict[int, tuple[float, Floats]] = {}
     for batch in _batches(shifts):

@@ -89,6 +89,6 @@ class ReadingShift(LinearEffect):
 
 
 def displacement_per_reading(sightings: Sightings) -> Floats:
-    """Displacement (n, 3) [m/m or m/rad] of a measured point per unit error of its range, azimuth and elevation."""
+    """Displacement (n, 3) of a measured point by a unit error of its range [m/m], azimuth and elevation [m/rad]."""
     range_ = sightings.range_
     return np.stack([np.ones_like(range_), range_ * np.cos(sightings.elevation), range_], axis=1)

@@ -124,25 +124,25 @@ def _best_onset_per_place(
     return best
 
 
-def _exact_log_evidence_gains(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
-    """Gains (h,) of log evidence by each of h candidates, from the projection onto a residual space."""
+def _exact_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
+    """Gains (h,) of log evidence by each of h candidate shifts, from projected columns in a residual space."""
     gains = np.full(len(candidates), -np.inf)
     indices = np.arange(len(candidates))
-    n_entries = np.array([space.n_rows * c.family.design.shape[2] for c in candidates], dtype=np.int64)
+    n_entries = np.array([residual_space.n_rows * c.family.design.shape[2] for c in candidates], dtype=np.int64)
     if n_entries.sum() > MAX_SCREENED_ENTRIES:
-        indices = np.argsort(-_approximate_log_evidence_gains(space, candidates))
+        indices = np.argsort(-_approximate_log_evidence_gains(residual_space, candidates))
         indices = indices[np.cumsum(n_entries[indices]) <= MAX_SCREENED_ENTRIES]
     by_rank: dict[int, list[int]] = {}
     for i in indices.tolist():
         by_rank.setdefault(candidates[i].family.design.shape[2], []).append(i)
     for rank, group in by_rank.items():
-        for batch in (group[part] for part in batches(len(group), space.n_rows * rank)):
-            rows = np.hstack([_whitened_design(space, candidates[i]) for i in batch])
-            projected = space.project(rows).reshape(space.n_rows, len(batch), rank)
-            size = space.norms_without_centring(rows).reshape(len(batch), rank)
+        for batch in (group[part] for part in batches(len(group), residual_space.n_rows * rank)):
+            rows = np.hstack([_whitened_design(residual_space, candidates[i]) for i in batch])
+            projected = residual_space.project(rows).reshape(residual_space.n_rows, len(batch), rank)
+            size = residual_space.norms_without_centring(rows).reshape(len(batch), rank)
             unit = projected / np.where(size > 0, size, 1.0)
             gram = np.einsum("mhi,mhj->hij", unit, unit)
-            score = np.einsum("mhi,m->hi", unit, space.residuals)
+            score = np.einsum("mhi,m->hi", unit, residual_space.residuals)
             strength, turn = np.linalg.eigh(gram)
             along = np.einsum("hij,hi->hj", turn, score)
             visible = strength > MAX_SOLUTION_ROUNDING_ERROR
@@ -157,23 +157,24 @@ def _log_evidence(chi2_drop: float, rank: int) -> float:
     return 0.5 * chi2_drop + float(log_occam_factor_of_shift(np.sqrt(chi2_drop), rank)) if rank else -np.inf
 
 
-def _whitened_design(space: ResidualSpace, candidate: ShiftCandidate) -> Floats:
+def _whitened_design(residual_space: ResidualSpace, candidate: ShiftCandidate) -> Floats:
     design = np.zeros_like(candidate.family.design)
     design[candidate.affected_rows] = candidate.family.design[candidate.affected_rows]
-    return space.whiten(design)
+    return residual_space.whiten(design)
 
 
-def _approximate_log_evidence_gains(space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
+def _approximate_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
     """Gains (h,) of log evidence by each of h candidates, without projection.
 
     Each uses only the residuals of the rows that the candidate shifts, weighted by the redundancy of the rows.
     """
-    use, count = space.is_used_reading, int(space.is_used_reading.sum())
+    use, count = residual_space.is_used_reading, int(residual_space.is_used_reading.sum())
     residual, share = np.zeros(use.shape), np.zeros(use.shape)
-    residual[use], share[use] = space.residuals[:count], np.maximum(space.redundancy[:count], 1e-3)
+    residual[use], share[use] = residual_space.residuals[:count], np.maximum(residual_space.redundancy[:count], 1e-3)
     gains = np.empty(len(candidates))
     weighted = {
-        id(c.family): np.where(use[:, :, None], c.family.design / space.sigma[:, :, None], 0.0) for c in candidates
+        id(c.family): np.where(use[:, :, None], c.family.design / residual_space.sigma[:, :, None], 0.0)
+        for c in candidates
     }
     for i, c in enumerate(candidates):
         g, r, q = weighted[id(c.family)][c.affected_rows], residual[c.affected_rows], share[c.affected_rows]
@@ -330,7 +331,7 @@ def _fit_without_distances(fit: NetworkFit, rows: Ints) -> NetworkFit | None:
 
 
 def _outlier_log_evidence(fit: NetworkFit, pointing_indices: Ints) -> float:
-    """Log evidence that is gained if the outliers among some rows are explained: their Occam factors and priors."""
+    """Gain of log evidence if all outliers among some pointings are explained: their Occam factors and priors."""
     is_outlier = fit.is_outlier[pointing_indices]
     w = np.abs(fit.whitened_residuals[pointing_indices][is_outlier])
     return -float(np.sum(log_occam_factor_of_shift(w, 1))) - len(w) * log_prior_of_kind(
@@ -339,7 +340,7 @@ def _outlier_log_evidence(fit: NetworkFit, pointing_indices: Ints) -> float:
 
 
 def _rows_at(fit: NetworkFit, hypothesis: Hypothesis) -> Ints:
-    """Rows of the pointings to the targets, or from the stations, of a hypothesis."""
+    """Indices of the pointings from the stations, or to the targets, at which a hypothesis acts."""
     recording = fit.recording
     targets = [recording.targets.index(name) for name in hypothesis.targets]
     stations = [recording.stations.index(name) for name in hypothesis.stations]
@@ -360,12 +361,12 @@ def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[tuple
     return offers
 
 
-def _length_scale_hypothesis(fit: NetworkFit, space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
+def _length_scale_hypothesis(fit: NetworkFit, residual_space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
     """Gain and hypothesis of a scale error of all reference lengths, or of all distances; empty for few lengths."""
     scale = GaugeScale()
     if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge_rows) < MIN_LENGTHS_FOR_SCALE:
         return []
-    drop, rank = space.chi2_drop(space.whitened_design(scale))
+    drop, rank = residual_space.chi2_drop(residual_space.whitened_design(scale))
     prior = log_prior_of_kind("reference-scale", 1)
     scale_hypothesis = Hypothesis("reference-scale", "length", (), (), prior, ReadingShiftChange(scale))
     return [(_log_evidence(drop, rank) + prior, scale_hypothesis)] if rank else []

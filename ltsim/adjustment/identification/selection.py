@@ -57,25 +57,24 @@ MAX_OUTLIER_FRACTION_CONSISTENT = 0.01
 `FAMILY_WISE_LEVEL`.
 """
 MIN_REFERENCE_TO_OUTLIER_RATIO = 3
-"""Smallest ratio of the number of reference values to the number of those far off at which the latter are omitted from
-the start: the others are then the majority."""
+"""Smallest ratio of the number of all reference values to the number of those with large misclosures, at which the
+latter are left out from the start, because the others are a clear majority."""
 MIN_GAIN_FRACTION_WARM_START = 0.5
-"""Fraction of its approximate gain that a hypothesis must reach from the present state; otherwise it is fitted from the
-start.
-"""
+"""Smallest ratio of the gain of log evidence of a fitted hypothesis to its approximate gain from the screening. A fit
+from the present state with a smaller ratio is repeated from the initial state."""
 MIN_LOG_EVIDENCE_FOR_RESTART = 50.0
 """Log evidence of a shift of ten standard deviations; a smaller shift hardly changes the converged state."""
 MIN_GAIN_FRACTION_TRUSTED = 0.8
-"""Fraction of its approximate gain that the first fitted hypothesis must reach for the approximate gains of the others
-to be trusted."""
+"""Smallest ratio of the gain of log evidence of the first fitted hypothesis to its approximate gain from the screening,
+at which the approximate gains are trusted: only its rivals, which may explain the same readings, are fitted too."""
 
 
 MIN_MOTION_SIGMAS_FOR_REFINEMENT = 1000.0
 """Smallest size of a station's motion, in its standard deviations, at which other moments are fitted: a smaller one
 does not distort the network.
 """
-FitKey = tuple[NetworkFit, list[tuple[Hypothesis, NetworkFit]]]
-"""Fit, and the hypotheses that were fitted in addition to its own."""
+FitWithTrials = tuple[NetworkFit, list[tuple[Hypothesis, NetworkFit]]]
+"""Fit of a network, and the hypotheses that were fitted in addition to its hypotheses, each with its fit."""
 
 
 @single_threaded
@@ -94,7 +93,7 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
         If the readings determine no network with any hypothesis.
     """
     fit = beginning = _initial_fit(network)
-    last_key: FitKey | None = None
+    last_key: FitWithTrials | None = None
     indispensable_hypotheses: list[Hypothesis] = []
     while len(fit.hypotheses) < MAX_SELECTED_HYPOTHESES and not _is_consistent_as_a_whole(fit):
         tried = _fit_best_hypotheses(fit)
@@ -111,9 +110,9 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
 
 
 def _fit_with_other_causes(fit: NetworkFit, min_gain_needed: float, rival: NetworkFit) -> NetworkFit:
-    """Fit with a few more shifts, each with at least `min_gain_needed`, if they may exceed the evidence of a rival.
+    """Fit with a few more shifts, if they may exceed the evidence of a `rival` (centring errors).
 
-    Centring errors, the rival, also fit the sum of several simple causes.
+    Each shift gains at least `min_gain_needed`. Centring errors also fit the sum of several simple causes.
     """
     for n_remaining in range(MAX_CAUSES_BEFORE_CENTRING, 0, -1):
         smallest = (rival.log_evidence - fit.log_evidence) / n_remaining
@@ -178,9 +177,10 @@ def _is_consistent_as_a_whole(fit: NetworkFit) -> bool:
 def identify_causes(
     recording: Recording, construction: GeometricErrorModel | None = None, prior: ParameterPrior | None = None
 ) -> CauseSelection | None:
-    """Simple causes of a recording, by default with instrument errors in the model; None if it is no network.
+    """Simple causes of the misfit of a recording; None if the recording is no network.
 
-    NetworkError where it holds too many pointings.
+    By default the errors of the instrument are part of the model. Raises NetworkError for a recording with too many
+    pointings.
     """
     recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "an adjustment")
     recording, _ = without_copied_rows(recording)
@@ -275,7 +275,7 @@ def refit_with_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, approximate_g
 def _drop_unneeded_hypotheses(
     fit: NetworkFit, min_gain: float, n_initial: int, indispensable_hypotheses: list[Hypothesis]
 ) -> NetworkFit:
-    """Fit without hypotheses that are no longer needed.
+    """Fit without hypotheses whose removal costs less log evidence than `min_gain`.
 
     Of the first `n_initial` hypotheses only omitted reference values may be removed: without the others there is no
     network. Hypotheses in `indispensable_hypotheses` remain too; those that prove to be necessary are added to it.
@@ -310,13 +310,14 @@ def _with_compared_alternatives(
     fit: NetworkFit,
     min_gain: float,
     initial_fit: NetworkFit,
-    last_fit: FitKey | None,
+    last_fit: FitWithTrials | None,
     indispensable_hypotheses: list[Hypothesis],
 ) -> CauseSelection:
-    """Selection in which every hypothesis is compared again with its alternatives, given the others.
+    """Selection in which every hypothesis is compared again with its alternatives, given the other hypotheses.
 
-    Without those of the `initial_fit` there is no network. `last_fit` are the hypotheses that were fitted in place of
-    the last one.
+    The hypotheses of the `initial_fit` are not compared, because the network needs them. `last_fit` are the hypotheses
+    that were fitted in place of the last one. `min_gain` and `indispensable_hypotheses` are those of
+    `_drop_unneeded_hypotheses`.
     """
     choices = [SelectedHypothesis(h, np.inf, ()) for h in fit.hypotheses if h in initial_fit.hypotheses]
     for h in fit.hypotheses[len(choices) :]:

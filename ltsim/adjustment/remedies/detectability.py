@@ -112,43 +112,43 @@ class EffectDetectability:
         return table_rows
 
 
-def _noise_effect_information(space: ResidualSpace, places: Sequence[NoiseEffect]) -> list[Floats]:
+def _noise_effect_information(residual_space: ResidualSpace, places: Sequence[NoiseEffect]) -> list[Floats]:
     """Information matrix of the parameters of each effect on the noise, from half the trace of P D_i P D_j.
 
     P is the projector onto the residuals. D_i is the derivative of the whitened variances with respect to parameter i,
     by central differences over a tenth of its plausible size.
     """
-    problem, changes = space.adjustment.problem, []
+    problem, changes = residual_space.adjustment.problem, []
     for effect in places:
         steps = np.diag([0.1 * p.prior_sigma for p in effect.parameters])
         for step in steps:
-            upper = effect.variance(space.sightings, problem.sigma, step)
+            upper = effect.variance(residual_space.sightings, problem.sigma, step)
             changes.append(((upper - problem.sigma**2) / (problem.sigma**2 * step.sum()))[problem.is_used_reading])
     stack = np.array(changes)
     n_parameters = stack.shape[1]
     spread = np.empty_like(stack)
-    for part in batches(n_parameters, space.n_rows):
-        units = np.eye(space.n_rows, part.stop - part.start, -part.start)
-        spread[:, part] = stack @ space.project(units)[:n_parameters] ** 2
+    for part in batches(n_parameters, residual_space.n_rows):
+        units = np.eye(residual_space.n_rows, part.stop - part.start, -part.start)
+        spread[:, part] = stack @ residual_space.project(units)[:n_parameters] ** 2
     edges = np.cumsum([0, *(len(effect.parameters) for effect in places)])
     return [0.5 * stack[a:b] @ spread[a:b].T for a, b in pairwise(edges)]
 
 
-def detectability_at_places(space: ResidualSpace, places: Sequence[Effect]) -> EffectDetectability | None:
+def detectability_at_places(residual_space: ResidualSpace, places: Sequence[Effect]) -> EffectDetectability | None:
     """Detectability of one effect at all places that a search would test; None if the network lacks data for it."""
     selected_places = subsample_evenly(places)
     noises = [effect for effect in selected_places if isinstance(effect, NoiseEffect)]
     visible_effects: list[tuple[Effect, Floats, float, int, Floats]] = []
-    informations = _noise_effect_information(space, noises) if noises else []
+    informations = _noise_effect_information(residual_space, noises) if noises else []
     visible_effects += [
         (effect, information, 1.0, len(information), np.zeros((0, 0)))
         for effect, information in zip(noises, informations, strict=True)
     ]
     for effect in () if noises else selected_places:
-        whole = space.whitened_design(effect)
+        whole = residual_space.whitened_design(effect)
         if np.isfinite(whole).all() and whole.any():
             norm = np.linalg.norm(whole, axis=0)
-            scaled = space.project(whole / np.where(norm > 0, norm, 1.0))
+            scaled = residual_space.project(whole / np.where(norm > 0, norm, 1.0))
             basis = orthonormal_columns(scaled, np.ones(len(norm)))
             information, share, rank = visible_information(scaled.T @ scaled, norm, MAX_SOLUTION_ROUNDING_ERROR)
             visible_effects.append((effect, information, float(share), int(rank), basis))

@@ -88,9 +88,11 @@ class PlannedNetwork:
     def with_pointings(
         self, station: Ints | int, target: Ints, face: Ints | int, time: Floats | float | None = None
     ) -> PlannedNetwork:
-        """Network with additional pointings to the targets with the indices `target`, after all other pointings.
+        """Network with additional pointings from the stations `station` to the targets `target`, after all other ones.
 
-        `time` [s] is the time of the first additional pointing, or of each; default right after the last pointing.
+        Stations and targets are given by their indices, `face` is 1 or 2; each is an array with one number per
+        pointing, or one number. `time` [s] is the time of the first additional pointing, or of each; default right
+        after the last pointing.
         """
         recording, count, step = self.recording, len(target), self.seconds_per_pointing
         times = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
@@ -157,7 +159,10 @@ class PlannedNetwork:
         )
 
     def with_length(self, first_target: int, second_target: int, sigma_mm: float) -> PlannedNetwork:
-        """Network with a calibrated length between two targets; unchanged if it is a reference length already."""
+        """Network with a calibrated length between two targets, given by indices, with standard deviation `sigma_mm`.
+
+        The network is unchanged if the length is a reference length already.
+        """
         recording, rows = self.recording, GaugeRows.from_recording(self.recording)
         if {first_target, second_target} in (
             set(pair) for pair in zip(rows.first_targets.tolist(), rows.second_targets.tolist(), strict=True)

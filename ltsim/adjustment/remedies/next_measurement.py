@@ -70,7 +70,7 @@ def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[LinearEffe
     return ResidualSpace.from_adjustment(adjustment).with_effects(extra_effects)
 
 
-def best_explanation(space: ResidualSpace, name: str) -> Explanation:
+def best_explanation(residual_space: ResidualSpace, name: str) -> Explanation:
     """Effect with the given name, at the place and with the constants that fit a recording best, and its size.
 
     ModelError is raised for an unknown effect, and for an effect that does not change the residuals.
@@ -79,9 +79,9 @@ def best_explanation(space: ResidualSpace, name: str) -> Explanation:
     if issubclass(kind, NoiseEffect):
         raise ModelError(f"{name} is a change of the noise; only effects that shift readings can be separated here")
     best_so_far: Explanation | None = None
-    least = float(space.residuals @ space.residuals)
-    for effect in kind.candidates(space.sightings):
-        values, sum_of_squares = _best_fitting_size(space, effect, space.residuals)
+    least = float(residual_space.residuals @ residual_space.residuals)
+    for effect in kind.candidates(residual_space.sightings):
+        values, sum_of_squares = _best_fitting_size(residual_space, effect, residual_space.residuals)
         if sum_of_squares < least:
             least, best_so_far = sum_of_squares, Explanation(effect, values)
     if best_so_far is None:
@@ -91,9 +91,9 @@ def best_explanation(space: ResidualSpace, name: str) -> Explanation:
     return best_so_far
 
 
-def _best_fitting_size(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
+def _best_fitting_size(residual_space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
     """Size of an effect that fits a vector of residuals best, shape (parameters,), and remaining squared length."""
-    projected_design = space.project(space.whitened_design(effect))
+    projected_design = residual_space.project(residual_space.whitened_design(effect))
     if not np.isfinite(projected_design).all() or not projected_design.any():
         return np.zeros(len(effect.parameters)), float(residual @ residual)
     fitted_values = np.asarray(np.linalg.lstsq(projected_design, residual, rcond=1e-6)[0], dtype=np.float64)
@@ -117,15 +117,15 @@ class RivalExplanations:
 
     @classmethod
     def from_explanations(
-        cls, space: ResidualSpace, first_explanation: Explanation, second_explanation: Explanation
+        cls, residual_space: ResidualSpace, first_explanation: Explanation, second_explanation: Explanation
     ) -> RivalExplanations:
         """Pair of two possible causes, compared in the residuals of a recording."""
         return cls(
             first_explanation,
             second_explanation,
             (
-                _instances_with_unexplained_part(space, first_explanation, second_explanation.effect),
-                _instances_with_unexplained_part(space, second_explanation, first_explanation.effect),
+                _instances_with_unexplained_part(residual_space, first_explanation, second_explanation.effect),
+                _instances_with_unexplained_part(residual_space, second_explanation, first_explanation.effect),
             ),
         )
 
@@ -134,28 +134,32 @@ class RivalExplanations:
         """Difference of chi-square between the two causes in the present recording."""
         return min(instances[0][0] for instances in self.rival_instances)
 
-    def expected_chi2_difference(self, space: ResidualSpace) -> float:
+    def expected_chi2_difference(self, residual_space: ResidualSpace) -> float:
         """Expected difference of chi-square between the two causes in a longer recording, whichever of them is true."""
         least = []
         for truth, rival_instances in zip((self.first, self.second), self.rival_instances, strict=True):
-            residual_change = space.project(space.whitened_design(truth.effect) @ truth.parameter_values)
+            residual_change = residual_space.project(
+                residual_space.whitened_design(truth.effect) @ truth.parameter_values
+            )
             smallest = float(residual_change @ residual_change)
             for before, effect in rival_instances:
                 if before >= smallest:
                     break
-                smallest = min(smallest, _best_fitting_size(space, effect, residual_change)[1])
+                smallest = min(smallest, _best_fitting_size(residual_space, effect, residual_change)[1])
             least.append(smallest)
         return min(least)
 
 
 def _instances_with_unexplained_part(
-    space: ResidualSpace, true_explanation: Explanation, rival: Effect
+    residual_space: ResidualSpace, true_explanation: Explanation, rival: Effect
 ) -> list[tuple[float, Effect]]:
-    """Variants of a rival effect, each with the chi-square of the true cause that it leaves, the smallest first."""
-    residual_change = space.project(space.whitened_design(true_explanation.effect) @ true_explanation.parameter_values)
-    instances = [rival, *subsample_evenly(type(rival).candidates(space.sightings))]
+    """Variants of a rival effect, each with the chi-square of the true cause that it leaves, smallest first."""
+    residual_change = residual_space.project(
+        residual_space.whitened_design(true_explanation.effect) @ true_explanation.parameter_values
+    )
+    instances = [rival, *subsample_evenly(type(rival).candidates(residual_space.sightings))]
     return sorted(
-        ((_best_fitting_size(space, effect, residual_change)[1], effect) for effect in instances),
+        ((_best_fitting_size(residual_space, effect, residual_change)[1], effect) for effect in instances),
         key=lambda pair: pair[0],
     )
 
@@ -167,7 +171,8 @@ class MeasurementProposal(ValueEquality):
     candidate: CandidateMeasurement
     """Measurement that is proposed."""
     sigma_ratio: float
-    """Ratio of the standard deviations of the parameters after the measurement to those before (geometric mean)."""
+    """Standard deviations of the parameters after the measurement divided by those before (geometric mean of the
+    ratios)."""
     most_improved_parameter: str
     """Parameter whose standard deviation decreases most."""
     most_improved_ratio: float

@@ -1,8 +1,8 @@
 """Combinations of parameters that a recording does not determine, and measurements that would determine them.
 
-In prior standard deviations, the covariance of the parameters has eigenvalues between 0 and 1. The gain of a
-combination is one minus its eigenvalue: the fraction of its prior variance that the readings removed. A combination
-with a gain below one half is undetermined: its prior is more precise than the readings alone.
+For parameters in units of their prior standard deviations, the eigenvalues of the posterior covariance lie between 0
+and 1. The gain of a combination is one minus its eigenvalue: the fraction of its prior variance that the readings
+removed. A combination with a gain below one half is undetermined: its prior is more precise than the readings alone.
 """
 
 from collections.abc import Sequence
@@ -28,14 +28,16 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MIN_DETERMINED_GAIN = 0.5
-"""Gain from which a combination counts as determined."""
+"""Fraction of the prior variance of a combination that the readings must remove for the combination to count as
+determined."""
 MAX_UNINFORMATIVE_GAIN = 0.01
-"""Gain below which combinations count as equally undetermined. Such combinations are rotated among each other to
-combinations of few parameters."""
+"""Fraction of the prior variance removed by the readings, below which combinations count as equally undetermined. Such
+combinations are rotated among each other to combinations of few parameters."""
 MIN_REPORTED_COEFFICIENT = 0.1
 """Coefficient of a parameter in a combination from which it is reported."""
 MIN_WORTHWHILE_GAIN_INCREASE = 0.25
-"""Increase of a gain from which a measurement is proposed: half of the gain of a determined combination."""
+"""Increase of the removed fraction of prior variance from which a measurement is proposed: half of
+`MIN_DETERMINED_GAIN`."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +58,9 @@ class ParameterCombination:
 
 
 def gains_and_combinations(covariance: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
-    """Gains in ascending order, shape (p,), and their combinations of p parameters in prior sigmas, shape (p, p).
+    """Gains (p,) in ascending order, and their combinations of p parameters in prior standard deviations, (p, p).
 
-    A gain is 1 minus the ratio of the posterior to the prior variance.
+    A gain is 1 minus the ratio of posterior to prior variance. The columns are the combinations.
     """
     scaled_covariance = covariance / np.outer(prior_sigma, prior_sigma)
     remaining, vectors = np.linalg.eigh(0.5 * (scaled_covariance + scaled_covariance.T))
@@ -86,7 +88,7 @@ def _index_of_first_largest(sizes: Floats) -> int:
 
 
 def rotate_to_simple_structure(vectors: Floats) -> Floats:
-    """Orthonormal columns rotated among themselves so that each has few large coefficients (varimax).
+    """Orthonormal columns of `vectors` (p, k), rotated among themselves so that each has few large elements (varimax).
 
     The result depends only on the span of the columns: the rotations of pairs begin at a basis formed by projections of
     the parameters, and converge to rounding.
@@ -170,7 +172,10 @@ def measurements_for_undetermined(
 def _gains_of_combinations(
     network: PlannedNetwork, directions: Sequence[Sequence[ParameterCombination]]
 ) -> list[list[float]]:
-    """Gain of each combination of each instrument in a network; empty for an undetermined network."""
+    """Fraction of the prior variance of each combination of each instrument that the readings of a network remove.
+
+    The list is empty for an undetermined network.
+    """
     try:
         covariance, prior = network.parameter_covariance()
     except NetworkError:
@@ -186,8 +191,8 @@ def _measurement_for_combination(
 ) -> MeasurementForCombination:
     """Measurement that determines one combination of parameters.
 
-    `candidates_with_gains` are instructions of possible measurements, each with the gain that it would give;
-    `present_gain` is the present gain.
+    `candidates_with_gains` holds the instruction of each possible measurement and the fraction of the prior variance
+    that would be removed with it; `present_gain` is this fraction without a further measurement.
     """
     if present_gain >= MIN_DETERMINED_GAIN > combination.gain:
         instruction = advice_sentence("network method")

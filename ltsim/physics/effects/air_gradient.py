@@ -20,7 +20,7 @@ class AirGradient(WarmAirEffect):
     station, so that each station has another scale.
 
     Size: 0.1 K/m in a good hall, 1 to 2 K/m in a heated one; 1 K/m bends 8 m by 3.7 urad, 30 um.
-    Like: with a sensor on the head, station-weather; with a sensor in the room no effect, because the residuals do not
+    Like: with a sensor on the head, station-weather; with a sensor in the hall no effect, because the residuals do not
     change. Bending alone: head-sag (correlation 0.92), vertical-index (0.86 in one face, 0 in two).
     Separate by: thermometers at two heights; a length standard at the floor and at the ceiling (5.6 ppm over 6 m at 1
     K/m).
@@ -39,7 +39,7 @@ class AirGradient(WarmAirEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates with a weather sensor in the room, and with one on the head."""
+        """Candidates with a weather sensor in the hall, and with one on the head."""
         return [cls(sensor="room"), cls(sensor="head")]
 
     def _sensor_height(self, sightings: Sightings) -> Floats:

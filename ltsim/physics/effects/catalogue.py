@@ -37,7 +37,7 @@ EFFECT_NAME_PATTERN = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 """Permitted names of effects: lower-case words, joined by hyphens."""
 DOCSTRING_SECTIONS = ("Size", "Like", "Separate by", "Valid", "Source", "Status")
 """Sections of a catalogue entry after its equation, in this order. Size: sizes in a good and in a bad instrument or
-room. Like: effects with similar residuals, with the correlation of the residuals in the reference workshop for one face
+hall. Like: effects with similar residuals, with the correlation of the residuals in the reference workshop for one face
 and for two faces. Separate by: measurements that distinguish the effect from these. Valid: domain in which the equation
 holds. Source: literature. Status: how the equation was validated.
 """

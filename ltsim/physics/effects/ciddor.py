@@ -68,9 +68,11 @@ def refractivity(
     share = humidity / 100.0 * enhancement * saturation_vapour_pressure(temperature) / pressure
     mass = 1e-3 * (28.9635 + 12.011e-6 * 50.0)
 
-    def density(temperature: Floats, pressure: float, x: Floats) -> Floats:
+    def density(temperature: Floats, pressure: float, vapour_fraction: Floats) -> Floats:
         """Molar density [mol/m^3] at temperature [C], pressure [Pa] and mole fraction of water vapour."""
-        return pressure / (_compressibility(temperature, pressure, x) * GAS_CONSTANT * (temperature + 273.15))
+        return pressure / (
+            _compressibility(temperature, pressure, vapour_fraction) * GAS_CONSTANT * (temperature + 273.15)
+        )
 
     standard = density(np.array(15.0), 101_325.0, np.array(0.0)) * mass
     saturated = density(np.array(20.0), 1333.0, np.array(1.0)) * WATER_MOLAR_MASS

@@ -15,7 +15,10 @@ READING_COLUMN_BY_CIRCLE = {"azimuth": 1, "elevation": 2}
 def cos_sin_parameters(
     name_stem: str, angle_text: str, prior_sigma: float, prior_kind: PriorKind | None = None
 ) -> tuple[Parameter, ...]:
-    """Parameters with the amplitudes of cosine and sine of an angle, which `angle_text` describes."""
+    """Parameters `name_stem-cos` and `name_stem-sin`, the amplitudes of cosine and sine of an angle.
+
+    `angle_text` describes the angle, `prior_sigma` [rad] is the prior standard deviation of each amplitude.
+    """
     waves = ("cosine", "sine")
     return tuple(
         Parameter(f"{name_stem}-{wave[:3]}", "urad", f"{wave} of {angle_text}", prior_sigma, prior_kind)

@@ -6,7 +6,7 @@ from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, 
 
 
 def beam_deviation_basis(readings: Floats) -> Floats:
-    """Basis function with the constant value 0.5, which is the shift of the beam divided by that of the return spot."""
+    """Basis function (n,), 0.5 for all pointings: a shift of the return spot by 1 shifts the beam by 0.5."""
     return np.full(len(readings), 0.5)
 
 

@@ -72,7 +72,7 @@ class Effect(CandidateEffect):
     targets: tuple[str, ...] = ()
     """Names of the targets at which the effect acts; empty for all."""
     size_factor: float = field(default=1.0, kw_only=True)
-    """Factor on the plausible sizes of the parameters, above 1 for instruments that are less accurate than a
+    """Factor on the plausible sizes of the parameters; it exceeds 1 for instruments that are less accurate than a
     tracker."""
 
     name: ClassVar[str]
@@ -84,11 +84,9 @@ class Effect(CandidateEffect):
     may_recur: ClassVar[bool] = False
     """True for an effect that commonly occurs several times in a recording: outliers, nests, targets."""
     base_rate: ClassVar[float] = 1.0
-    """Relative frequency in service, a judgement: 8 very common, 4 common, 2 frequent, 1 occasional, 0.5 rare.
-
-    The prior probability of all effects of the catalogue that shift readings is divided among them in these
-    proportions, and so is that of its changes of the noise.
-    """
+    """Relative frequency of the effect in practice, an expert judgement: 8 very common, 4 common, 2 frequent, 1
+    occasional, 0.5 rare. The prior probability that any effect of the catalogue shifts readings is divided among these
+    effects in proportion to their frequencies; that of a change of the noise is divided likewise."""
 
     @property
     def size_scales(self) -> Floats:

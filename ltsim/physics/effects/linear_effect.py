@@ -61,7 +61,10 @@ class Parameter:
 
 
 def axis_parameters(name: str, unit: str, description: str, prior_sigma: float) -> tuple[Parameter, ...]:
-    """Parameters along, or about, the axes of the network; `description` is the description without the axis."""
+    """Parameters `name-x`, `name-y` and so on, along or about the axes of the network, in one unit.
+
+    `description` is the description without the axis, `prior_sigma` the prior standard deviation [SI] of each.
+    """
     return tuple(
         Parameter(f"{name}-{axis}", unit, f"{description} the network's {axis} axis", prior_sigma) for axis in "xyz"
     )
@@ -159,9 +162,10 @@ class LinearEffect(Protocol):
         return Linearisation(self.reading_change(sightings, parameter_values), self.design(sightings))
 
     def gauge_design(self, first_targets: Ints, second_targets: Ints, points: Floats) -> Floats:
-        """Change (g, p) of g reference lengths, given by the indices of their two targets, per unit of each parameter.
+        """Change (g, p) of g reference lengths per unit of each parameter; zero unless the effect changes lengths.
 
-        It is zero except for effects that change the gauge.
+        `first_targets` and `second_targets` (g,) are the indices of the targets at their ends, `points` (T, 3) [m] the
+        coordinates of all targets.
         """
         return np.zeros((len(first_targets), len(self.parameters)))
 
@@ -236,7 +240,8 @@ class CandidateNoiseEffect(CandidateEffect, Protocol):
     """Change of the noise: parameters are added variances or factors on variances, not changes of the mean."""
 
     min_relative_size: ClassVar[float] = 0.0
-    """Smallest permitted value of a parameter divided by its prior standard deviation. At 0 noise can only increase."""
+    """Smallest permitted value of a parameter, divided by its prior standard deviation. With 0 the effect can only
+    increase the noise."""
 
     @abstractmethod
     def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:

@@ -24,8 +24,9 @@ class NoiseLevel(NoiseEffect):
 
     name = "noise-level"
     base_rate = 4.0
-    """Declared standard deviations are mostly limits of a data sheet, so that they differ from those of the readings in
-    most recordings. A judgement, as all prior probabilities of causes."""
+    """High relative frequency (see `Effect.base_rate`): declared standard deviations are mostly limits from a data
+    sheet, which differ from the scatter of the readings in most recordings. It is an expert judgement, as all prior
+    probabilities of causes."""
     min_relative_size = -0.95
     stage = LightPathStage.NOISE
     parameters = (

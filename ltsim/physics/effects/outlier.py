@@ -14,7 +14,8 @@ Observable = Literal["distance", "azimuth", "elevation"]
 OBSERVABLE_COLUMN: dict[Observable, int] = {"distance": 0, "azimuth": 1, "elevation": 2}
 """Column of each observable in the array of readings."""
 MAX_SEARCHED_POINTINGS = 1500
-"""Number of pointings above which a search does not try single outliers, because the w-test detects them."""
+"""Number of pointings above which a search has no candidates for single outliers; the w-test of an adjustment detects
+them."""
 
 
 @dataclass(frozen=True)

@@ -15,45 +15,48 @@ N_NEIGHBOUR_GAPS = 6
 """Number of gaps between pointings, on either side of a change point, in which a local search tries the change."""
 
 
-def change_times(times: Floats, *, min_pointings: int, max_times: int) -> list[float]:
+def change_times(times: Floats, *, min_pointings: int, max_n_times: int) -> list[float]:
     """Midpoints of the gaps between pointings at `times` [s] with at least `min_pointings` pointings on either side.
 
-    At most `max_times` midpoints are returned, spread evenly over the measurement.
+    At most `max_n_times` midpoints are returned, spread evenly over the measurement.
     """
     ordered = np.sort(times)
     middle, gap = 0.5 * (ordered[1:] + ordered[:-1]), np.diff(ordered)
     allowed_range = slice(min_pointings - 1, max(len(middle) - min_pointings + 1, min_pointings - 1))
     middles = middle[allowed_range][gap[allowed_range] > 0]
-    if len(middles) > max_times:
-        middles = middles[np.unique(np.linspace(0, len(middles) - 1, max_times).round().astype(int))]
+    if len(middles) > max_n_times:
+        middles = middles[np.unique(np.linspace(0, len(middles) - 1, max_n_times).round().astype(int))]
     return [float(t) for t in middles]
 
 
 def station_change_times(sightings: Sightings, *, min_pointings: int) -> list[tuple[str, float]]:
-    """Candidate change points within the visits of stations: pairs (station, time [s])."""
+    """Candidate change points within the visits of stations: pairs (station, time [s]).
+
+    At least `min_pointings` pointings of the visit are before and after each.
+    """
     max_times = max(2, MAX_CHANGE_POINTS // max(len(sightings.station_names), 1))
     return [
         (name, time)
         for s, name in enumerate(sightings.station_names)
         for time in change_times(
-            sightings.time[sightings.station == s], min_pointings=min_pointings, max_times=max_times
+            sightings.time[sightings.station == s], min_pointings=min_pointings, max_n_times=max_times
         )
     ]
 
 
-def times_between_visits(sightings: Sightings, target_index: int, *, max_times: int) -> list[float]:
-    """Times [s] between pointings to a target from two successive stations, at most `max_times`.
+def times_between_visits(sightings: Sightings, target_index: int, *, max_n_times: int) -> list[float]:
+    """Times [s] between pointings to a target from two successive stations, at most `max_n_times`.
 
     If only one station measured the target, they are times between its pointings.
     """
     target_rows = sightings.measurement_order[sightings.target[sightings.measurement_order] == target_index]
     times, stations = sightings.time[target_rows], sightings.station[target_rows]
     if len(np.unique(stations)) < 2:
-        return change_times(times, min_pointings=2, max_times=max_times)
+        return change_times(times, min_pointings=2, max_n_times=max_n_times)
     change_rows = np.flatnonzero(np.diff(stations))
     middles = 0.5 * (times[change_rows] + times[change_rows + 1])
-    if len(middles) > max_times:
-        middles = middles[np.linspace(0, len(middles) - 1, max_times).round().astype(int)]
+    if len(middles) > max_n_times:
+        middles = middles[np.linspace(0, len(middles) - 1, max_n_times).round().astype(int)]
     return [float(t) for t in np.unique(middles)]
 
 

@@ -28,19 +28,22 @@ def reflector_axes(sightings: Sightings) -> Floats:
 class SmrCentring(Effect):
     """Centring error of a reflector: the vertex of its mirrors is not at the centre of its sphere.
 
-    The tracker measures the vertex, off the centre by e = axial a + side s + up p, axial along the open face: Delta_d =
-    e_axial cos(alpha) + e_t sin(alpha) cos(chi - chi_0), lateral -e_perp, alpha the incidence off the axis and chi its
-    direction around it. For a fixed reflector e is constant in the nest. The axis of a re-aimed reflector points to the
-    tracker. Its axial part is therefore an error of the range zero, and the other parts are constant lateral lengths
-    that are the same on both faces, if the reflector's mark is always up. Otherwise these parts are noise.
+    The tracker measures the vertex, which is displaced from the centre by e = e_a axial + e_s side + e_u up; the unit
+    vector axial is perpendicular to the open face. With the incidence angle alpha to this vector and its direction chi
+    around it, Delta_d = e_a cos(alpha) + e_t sin(alpha) cos(chi - chi_0), where e_t and chi_0 are length and direction
+    of the part across the axis; the lateral correction is the component of -e across the beam. A fixed reflector has
+    the same e in all pointings. The axis of a re-aimed reflector points to the tracker. Its axial part is therefore an
+    error of the range zero, and the other parts are constant lateral lengths that are the same on both faces, if the
+    reflector's mark is always up. Otherwise these parts are noise.
 
     Size: 2.5 um in a good reflector, 12 to 25 um in a bad one.
     Like: fixed: the target's position, exactly. Re-aimed: range-offset, exactly (axial, all); beam-offset (one face).
     Separate by: the reflector turned by 4 x 90 deg in one nest, or swapped.
-    Valid: up to 25 um; independent of where the beam hits.
-    Source: patent US 2015/0285615 A1 (run-out and the mark that keeps it still); Yan et al. 2010 (geometric errors of a
-    spherically mounted reflector); the law follows from a ray trace of three mirrors.
-    Status: validated: fixed is a displacement, re-aimed axial a range offset.
+    Valid: up to 25 um; independent of the point where the beam meets the mirrors.
+    Source: patent US 2015/0285615 A1 (run-out, and the mark that keeps it constant); Yan et al. 2010 (geometric errors
+    of a spherically mounted reflector); the law follows from a ray trace of three mirrors.
+    Status: validated: a fixed reflector against a displacement, the axial part of a re-aimed one against a range
+    offset.
     """
 
     name = "smr-centring"

@@ -57,22 +57,24 @@ def _ramp_values(incidence: Floats) -> Floats:
 class SmrIncidence(Effect):
     """Incidence-angle error of a reflector: the range depends on the angle between open face and beam.
 
-    With alpha the incidence and chi its direction around the nest's normal, Delta_d = even(alpha) + cos(chi) c(alpha) +
-    sin(chi) s(alpha) + (c3 cos 3 chi + s3 sin 3 chi) sin^3(alpha). The first three are linear between the angles of a
-    table in steps of 7.5 deg, as a roundness table and an interferometer give it; a parameter is the change of slope at
-    one of these angles by its size at 30 deg. A table of signed incidences along the direction chi_0 is even(alpha) +
-    odd(alpha) cos(chi - chi_0). The threefold term comes from the three mirrors. The error at normal incidence is part
-    of the range zero, which is set with the reflector facing the beam: it is taken off the table, and a re-aimed
-    reflector has no error.
+    With the incidence angle alpha and its direction chi around the nest's normal, Delta_d = even(alpha) + cos(chi)
+    c(alpha) + sin(chi) s(alpha) + (c3 cos 3 chi + s3 sin 3 chi) sin^3(alpha). The functions even, c and s are piecewise
+    linear with knots every 7.5 deg, as a test on a roundness table with an interferometer gives them. Each parameter of
+    these functions is a change of slope at one knot, expressed as the resulting range error at 30 deg. A table of
+    signed incidence angles along the direction chi_0 corresponds to even(alpha) + odd(alpha) cos(chi - chi_0). The term
+    in 3 chi comes from the three mirrors. The error at normal incidence belongs to the range zero, which is determined
+    with the reflector facing the beam. It is therefore subtracted from the table, and a re-aimed reflector has no
+    error.
 
     Size: table of the paper: about 3 um in the middle, up to 13 um at the edge of the negative side, no symmetry; a
     good reflector 1.3 um.
     Like: beam-offset (linear form, correlation 0.84 in one face, 0 in two), range zero of one station (0.51).
     Separate by: two faces; one station with the reflectors re-aimed; a log of how each reflector was turned.
-    Valid: to 30 deg; beyond, the beam is lost. One reflector carried to all nests with its mark held alike.
+    Valid: up to 30 deg, beyond which the beam is lost; one reflector that is carried to all nests with its mark in the
+    same direction.
     Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, sections 2.2 and 3.1, fig. 9 (size, asymmetry); Sabatke et
     al. 2009, Proc. SPIE 7461 (polarisation in a retroreflector and an absolute meter).
-    Status: the table is met at its own angles; validated against the geometry of the sightings.
+    Status: validated against the table at its angles, and against the geometry of the sightings.
     """
 
     table: tuple[float, ...] = ()

@@ -12,13 +12,15 @@ from ltsim.scene.sightings import Sightings
 class SmrOffset(TargetMotion):
     """Other reflector or adaptor: one station used an SMR of another radius with the previous constant.
 
-    D = (R_true - R_used) n along the nest's normal n. The parameter is the motion of the sphere's centre away from the
-    nest (no correction of a reading).
+    The displacement of the sphere's centre is D = (R_true - R_used) n along the nest's normal n. The parameter is this
+    displacement, positive away from the nest (no correction of a reading).
 
-    Size: 12.7 mm for 1.5 in taken for 0.5 in, 7.94 mm for 7/8 in: one of a few catalogue lengths.
+    Size: 12.7 mm if a 1.5 in SMR is taken for 0.5 in, 7.94 mm if it is taken for 7/8 in: one of a few nominal
+    differences.
     Like: nest-lift of many targets at once, a station-bump along a wall's normal.
-    Separate by: nothing is needed, the size tells.
-    Valid: nests with a known normal. At all stations alike it moves the targets, and only the gauge would show it.
+    Separate by: no measurement is needed, because the size is one of the nominal differences.
+    Valid: nests with a known normal. The same error at all stations displaces the targets, and only a reference length
+    shows it.
     Source: nominal radii of reflectors: 1.5, 7/8 and 0.5 in across.
     Status: first order validated against the exact motion.
     """

@@ -57,7 +57,7 @@ class TargetMoved(TargetMotion):
         """Candidates for every target: a step between any two visits, and creep."""
         candidates = []
         for t, name in enumerate(sightings.target_names):
-            steps = times_between_visits(sightings, t, max_times=MAX_STEP_TIMES_PER_TARGET)
+            steps = times_between_visits(sightings, t, max_n_times=MAX_STEP_TIMES_PER_TARGET)
             candidates += [cls((), (name,), time) for time in steps]
             candidates += [cls((), (name,), kind="creep")] if len(steps) > 1 else []
         return candidates

@@ -16,7 +16,8 @@ PLACE_FIELDS = ("stations", "targets")
 COMMON_FIELDS = {f.name for f in dataclasses.fields(AnyEffect)}
 """Fields that every effect has; the others are its constants."""
 MAX_SIMULATED_BOUND_RATIO = 100.0
-"""Largest ratio of a simulated length or time to the upper bound of its search, or of the lower bound to it."""
+"""Factor by which a constant of a simulated effect (a length or time) may lie outside the bounds between which a search
+looks for it."""
 
 
 @dataclasses.dataclass(frozen=True)

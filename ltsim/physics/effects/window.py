@@ -29,13 +29,15 @@ def _targets_in_azimuth_order(sightings: Sightings, station: str) -> list[int]:
 class Window(TargetMotion):
     """Window in the path: a pane of glass is between a station and some of its targets.
 
-    With i the angle at the pane: range + w (sqrt(n^2 - sin^2 i) - cos i), lateral w sin i (1 - cos i / sqrt(n^2 - sin^2
-    i)) away from the normal. The parameter is the thickness w (no correction of a reading).
+    With the thickness w, the index n and the angle of incidence i at the pane, the range is too long by w (sqrt(n^2 -
+    sin^2 i) - cos i), and the target appears displaced by w sin i (1 - cos i / sqrt(n^2 - sin^2 i)) across the beam,
+    away from the pane's normal. The parameter is w (no correction of a reading).
 
-    Size: 3 mm give 1.500 mm of range at normal incidence and 1.645 mm at 30 deg, and 0.58 mm across.
-    Like: range-step over the whole visit (if all targets are behind it), smr-offset.
-    Separate by: the window taken away.
-    Valid: plane parallel glass of index 1.5, anywhere on the path.
+    Size: a pane of 3 mm changes the range by 1.500 mm at normal incidence and by 1.645 mm at 30 deg, where it displaces
+    the target by 0.58 mm across the beam.
+    Like: range-step over the whole visit (if all targets are behind the pane), smr-offset.
+    Separate by: the window removed.
+    Valid: plane-parallel glass of index 1.5, anywhere on the path.
     Source: Born and Wolf, Principles of Optics (refraction at a plane-parallel plate), derived here from Snell's law.
     Status: validated against the numbers above.
     """

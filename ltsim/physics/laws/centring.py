@@ -31,10 +31,10 @@ def shared_errors_sentence(sigma_text: str) -> str:
 
 @dataclass(frozen=True)
 class CentringVariance(VarianceFunction):
-    """Random displacement of the reflector at each occupation of a target, common to all pointings of the occupation.
+    """Hypothesis of centring errors: a random displacement of the reflector at each occupation of a target.
 
-    The variance of single readings does not change. The adjustment estimates the displacements, and the standard
-    deviation of this hypothesis is their prior.
+    All pointings of an occupation share its displacement, so that the variance of single readings does not change. The
+    adjustment estimates the displacements. Their prior standard deviation is the parameter of the hypothesis.
     """
 
     occupation: Occupation = "station"

@@ -53,12 +53,12 @@ FORMULA_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
     "stuck": lambda x, k: np.where(np.abs(x) < k, np.sign(x), 0.0),
 }
 """Functions of a covariate x with a constant k that the formula of a law may contain, by name."""
-PLAY_FUNCTION = "hysteresis"
+HYSTERESIS_FUNCTION = "hysteresis"
 """Name of the function with hysteresis. It depends on the values of a covariate in the order of measurement. Its
 constant is half the width of the loop, in the unit of the covariate."""
 MAX_NATURAL_ZERO_FRACTION = 0.02
-"""Limit for the smallest absolute value of a covariate divided by the largest. Below it the covariate counts as a
-quantity, such as a load, that was zero during the measurement. Zero is then its reference value."""
+"""Limit for the smallest absolute value of a covariate, divided by the largest. A covariate below this limit, such as a
+load, counts as zero at some pointings, and zero is its reference value."""
 
 
 def has_natural_zero(covariate: Floats) -> bool:
@@ -133,7 +133,7 @@ def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
 def function_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
     """Column (n, 1) of a function of `FORMULA_FUNCTIONS`, or with hysteresis, of a covariate, with an rms of one."""
     x = sightings.covariate_values[covariate]
-    if function_name == PLAY_FUNCTION:
+    if function_name == HYSTERESIS_FUNCTION:
         slack = play_operator(x[sightings.measurement_order], constant)
         values = np.empty_like(x)
         values[sightings.measurement_order] = slack - x[sightings.measurement_order]
@@ -190,7 +190,7 @@ def first_order_lag_columns(sightings: Sightings, covariate: str, time_constant:
 
 
 def lagged_values(unlagged_values: Floats, sightings: Sightings, time_constant: float) -> Floats:
-    """Values (n,) of a quantity after a first-order lag with `time_constant` [s], from its values (n,) without lag.
+    """Values (n,) of a quantity after a first-order lag with `time_constant` [s], from its `unlagged_values` (n,).
 
     Before the first pointing the quantity counts as constant.
     """

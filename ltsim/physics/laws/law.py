@@ -262,7 +262,7 @@ class EmpiricalLaw(CandidateEffect):
         return [replace(self, regressor=regressor, length_scale_index=0) for regressor in products]
 
     def candidate_forms(self, sightings: Sightings) -> dict[str, list[list[EmpiricalLaw]]]:
-        """Alternative forms of the law by kind (`curve`, `formula`): lists of laws that differ in the length scale."""
+        """Alternative forms by kind (`curve`, `formula`): lists of laws that differ only in the length scale."""
         regressor, forms = self.regressor, {"curve": [self], "formula": self.candidate_formulas(sightings)}
         if regressor.kind == "smooth":
             n_modes = N_MODES_FINE if regressor.constant > N_MODES_IN_PRODUCT else N_MODES_DEFAULT
@@ -323,7 +323,7 @@ class EmpiricalLaw(CandidateEffect):
         return replace(self, regressor=self._regressor_with_gate(switch_regressor(edge_steps)), length_scale_index=0)
 
     def _regressor_with_gate(self, gate_regressor: Regressor) -> Regressor:
-        """Regressor with a gate (steps or a switch) in place of its switchable factor, or times it for a region."""
+        """Regressor whose curve or wave is replaced by a gate (steps or a switch); that of a region is multiplied."""
         if self.depends_on_fixed_region:
             return Regressor("product", factors=(self.regressor, gate_regressor))
         others = [f for f in self.regressor.factors if f != self.switchable_factor]
@@ -348,7 +348,7 @@ class EmpiricalLaw(CandidateEffect):
         return replace(self, response=index, regressor=rest[0]) if is_index else self
 
     def with_coefficients_per_setup(self, sightings: Sightings) -> EmpiricalLaw | None:
-        """Law with separate coefficients for each set-up; None if the law is limited to places, or is a product."""
+        """Law with separate coefficients for each set-up; None for a law at some places only, or with a product."""
         stations = tuple(sightings.station_names)
         is_restricted = len(self.stations) > 1 or self.targets or self.instruments
         is_unsuitable = (
@@ -361,12 +361,12 @@ class EmpiricalLaw(CandidateEffect):
     def law_at_largest_effect(
         self, coefficient_mean: Floats, coefficient_covariance: Floats, sightings: Sightings
     ) -> tuple[EmpiricalLaw, Floats, Floats, Floats]:
-        """Law restricted to the set-up where its effect is largest, with its main direction and coefficients there.
+        """Law restricted to the set-up where its effect is largest, and to the direction of its largest change there.
 
-        The tuple contains the law, the main direction, the coefficients and their covariance. The main direction is the
-        unit vector (c,) of the c components along which the effect is largest, or one component if their units differ.
-        The coefficients have the shape (c, k) for k columns, and their covariance the shape (c, k, c, k). The
-        arguments are the mean and the covariance of all coefficients of this law [SI].
+        The tuple contains the law, the direction, the coefficients there and their covariance. The direction is a unit
+        vector (c,) of the c components of the response, or one component if their units differ. The coefficients have
+        the shape (c, k) for k columns, their covariance (c, k, c, k). The arguments are mean and covariance of all
+        coefficients [SI].
         """
         n_components, k = len(self.response.component_names), self.regressor.n_columns
         if self.direction:

@@ -39,7 +39,7 @@ from ltsim.physics.laws.states import (
     candidate_latches,
     candidate_state_keys,
 )
-from ltsim.scene.regions import HallRegion, candidate_regions, is_distinctive
+from ltsim.scene.regions import HallRegion, candidate_regions, has_sights_inside_and_outside
 from ltsim.scene.sightings import Sightings
 
 RAW_READING_NAMES = ("azimuth", "elevation", "distance")
@@ -108,10 +108,9 @@ DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
 LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
 """Time constants [s] of lags that a search tries, typical of detectors, instrument parts, stands, walls and floors."""
 MAX_SEPARATE_PARTS = 12
-"""Largest number of set-ups, instruments, or targets of a group, for which a search tries a law with a separate value
-or curve for each; also the number of times at which it tries a step of a group of targets, and of distinct times from
-which it divides a recording in time. More coefficients fit any errors.
-"""
+"""Largest number of groups (set-ups, instruments, targets) for which a search tries a law with a separate value for
+each group, because more coefficients fit any errors. A search also tries at most this number of times for a step in
+time, and divides a recording with at least this number of distinct times into parts."""
 MAX_SEPARATE_TARGETS = 60
 """Largest number of targets for which a search tries a law with a separate value for each."""
 WAVE_FREQUENCY_STEP = 0.6
@@ -257,7 +256,7 @@ def temporary_region_regressors(sightings: Sightings, function: str = "") -> Ite
         for begin, end in zip([-np.inf, *ends[:-1]], ends, strict=True):
             gate = switch_regressor([scalar_regressor("time", "step", edge) for edge in (begin, end) if edge < np.inf])
             during = (sightings.time > begin) & (sightings.time <= end)
-            for i in np.flatnonzero(is_distinctive(passing & during, sightings)):
+            for i in np.flatnonzero(has_sights_inside_and_outside(passing & during, sightings)):
                 yield Regressor("product", factors=(passage_regressor(regions[i], function), gate))
 
 

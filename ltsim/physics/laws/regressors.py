@@ -124,11 +124,12 @@ class Regressor:
     """Threshold below which a latch is released."""
 
     def columns(self, sightings: Sightings, *, acts_on_targets: bool = False) -> Floats:
-        """Columns (n, k), one row for each of n pointings, each column with an rms of about one.
+        """Columns (n, k) of the regressor for n pointings, each with an rms of about one.
 
-        A motion of targets is relative to their coordinates in a reference state. If the law `acts_on_targets`, the
-        columns are therefore zero at the start of the measurement, or where the additional column of the recording on
-        which the regressor depends is zero. If there is no such state, the mean of each column is zero.
+        If the law changes the position of targets (`acts_on_targets`), the columns are relative to a reference state,
+        in which the targets have their declared coordinates: the start of the measurement, or the pointings at which
+        the additional column of the recording on which the regressor depends is zero. If there is no such state, each
+        column has zero mean.
         """
         columns = self._unreduced_columns(sightings, acts_on_targets)
         if not acts_on_targets or self.kind in ("constant", "field", "amounts", "product"):
@@ -137,7 +138,7 @@ class Regressor:
         return scaled_to_unit_rms(columns) if self.kind == "simple" else columns
 
     def _is_at_reference(self, sightings: Sightings) -> Bools:
-        """Flags (n,) of the pointings at which moving targets have their reference coordinates."""
+        """Flags (n,) of the pointings in the reference state (see `columns`) of targets that move."""
         full_mask = np.ones(len(sightings), dtype=bool)
         name = "".join(self.covariates)
         if name == "time" and self.kind in ("simple", "pieces"):
@@ -185,7 +186,11 @@ class Regressor:
         return state_column(sightings, name, self.function, self.constant)
 
     def _region_column(self, region: HallRegion, sightings: Sightings) -> Floats:
-        """Values (n,) of a regressor of a region: lengths of paths [m], weighted lengths [m], or weights of targets."""
+        """Values (n,) of a regressor of a hall `region`, by its kind.
+
+        They are the length of each line of sight in the region [m], this length weighted by the lever of a deflection
+        [m], or the weight of the region at the target.
+        """
         if self.kind == "near":
             return region.target_weights(sightings)
         return (
@@ -330,12 +335,15 @@ def nearness_regressor(region: HallRegion) -> Regressor:
 
 
 def state_regressor(covariate: str, function: str, constant: float) -> Regressor:
-    """Regressor with a state, which accumulates the changes of a covariate since the start of the set-up."""
+    """Regressor with a state, which accumulates the changes of a covariate since the start of the set-up.
+
+    `function` is the kind of decay or reset of the state, and `constant` its constant (`laws.states`).
+    """
     return Regressor("state", (covariate,), function, constant)
 
 
 def latch_regressor(covariate: str, set_threshold: float, release_threshold: float) -> Regressor:
-    """Regressor that switches on above one threshold of a covariate and off below another."""
+    """Regressor that is 1 once a covariate exceeds `set_threshold`, until it falls below `release_threshold`."""
     return Regressor("latch", (covariate,), constant=set_threshold, release_threshold=release_threshold)
 
 

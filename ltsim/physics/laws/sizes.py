@@ -10,7 +10,7 @@ from ltsim.scene.sightings import Sightings
 
 
 class DisplayedSize(NamedTuple):
-    """Reported size of a law, in its display unit."""
+    """Size of a law as reported to users: name, value, standard deviation and display unit."""
 
     name: str
     value: float

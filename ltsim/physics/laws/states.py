@@ -96,7 +96,10 @@ def _state_functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
 
 
 def state_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
-    """Value (n,) of a state at each of n pointings, minus its mean."""
+    """Value (n,) of a state at each of n pointings, minus its mean; the input is a `covariate`.
+
+    `function_name` is the kind of decay or reset, `constant` its constant.
+    """
     key: StateKey = covariate, function_name, constant
     _cache_states(sightings, [key])
     values: Floats = sightings.derived_cache[key]

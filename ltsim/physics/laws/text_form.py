@@ -239,9 +239,9 @@ def parse_law(
     stations: tuple[str, ...] = (),
     targets: tuple[str, ...] = (),
 ) -> EmpiricalLaw:
-    """Law from the name of the changed quantity and the text form of its regressor, at the given places or all.
+    """Law from the name of the changed quantity (`response_name`) and the text form of its regressor.
 
-    Raises ModelError for an unknown quantity, and for a text that is not the text form of a regressor.
+    It acts at `stations` and `targets`, or at all. Raises ModelError for an unknown quantity or text form.
     """
     if response_name not in RESPONSE_AND_DESIGN_BY_NAME:
         raise ModelError(

@@ -17,8 +17,8 @@ REPETITION_KINDS = REPEATS_PER_FACE, REPEATS_IN_BOTH_FACES = ("in each face", "i
 
 
 MIN_RELATIVE_PATH = 0.05
-"""Path of a line of sight through a region as a fraction of the longest such path. Up to this fraction the line counts
-as outside the region."""
+"""Length of a line of sight within a region, divided by the longest such length, up to which the line counts as outside
+the region."""
 
 
 def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...], Ints]:

@@ -37,7 +37,7 @@ MAX_NEWTON_STEPS = 12
 NEWTON_TOLERANCE = 1e-14
 """Size of a Newton step [m, rad] below which the inversion of the kinematic chain ends."""
 FINAL_STEP_THRESHOLD = 1e-11
-"""Size of a Newton step [m, rad] below which one more step, with the exact derivative, has rounding errors only."""
+"""Size of a Newton step [m, rad] after which one last step, with the exact derivative, leaves rounding errors only."""
 
 
 @dataclass(frozen=True)
@@ -144,10 +144,10 @@ class GeometricErrorModel:
         return raw
 
     def _invert_chain(self, points: Floats, face: Ints, parameter_values: Floats, tolerance: float) -> Floats:
-        """Raw readings (n, 3) of points (n, 3) [m], with errors below `tolerance` [m, rad]; azimuths may exceed pi.
+        """Raw readings (n, 3) of points (n, 3) [m] by Newton's method, with errors below `tolerance` [m, rad].
 
-        Each Newton step, with the derivative of an ideal tracker, reduces the error by a factor of about 1e-5. Steps
-        decrease by a constant ratio, and a step that would be below `tolerance` is omitted.
+        Azimuths may exceed pi. Each step has the derivative of an ideal tracker, which reduces the error by a constant
+        factor of about 1e-5. The last step is omitted if this factor predicts a step below `tolerance`.
         """
         polar = to_polar(points)
         raw = to_face(polar, face)

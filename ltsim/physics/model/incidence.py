@@ -31,7 +31,10 @@ declared values are replaced by it."""
 
 @dataclass(frozen=True)
 class IncidenceErrors(LinearEffect):
-    """Range error of one reflector by angle of incidence: the mean from its bench test plus k independent errors."""
+    """Range error of one reflector as a function of the incidence angle: a mean, and k independent errors about it.
+
+    The mean follows from a bench test and is zero without one.
+    """
 
     reflector: str
     """Name of the reflector; empty if the recording has no names of reflectors."""

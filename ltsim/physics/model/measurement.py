@@ -95,8 +95,9 @@ def _unit_vectors(directions: list[tuple[float, float, float]]) -> Floats:
 def sight_vector_offsets(recording: Recording) -> Floats | None:
     """Offsets (n, 3) [m] of the sight vectors, network frame, as `Sightings.sight_vector_offsets`; None if all are 0.
 
-    An offset is that of the reflector from the mark of its target. If the instrument height of a pointing differs from
-    that of the set-up, the difference is subtracted. The height of the set-up is part of the station's position.
+    The offset of a pointing is the vector from the mark of its target to the reflector. The height of the instrument
+    above its mark, as declared for the set-up, is part of the station's position. If a pointing has another instrument
+    height, the difference is subtracted from the offset.
     """
     instrument, target = recording.heights()
     setup_heights = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]
@@ -325,8 +326,8 @@ def reduce_to_horizontal(readings: Floats, derivatives: tuple[Floats, ...], is_h
 
 
 MAX_AXIS_SPREAD = 5 * DEGREE
-"""Largest angle [rad] between the standing axes of instruments and their mean direction up to which all are upright.
-Its cosine is compared with the length of the mean of their unit vectors."""
+"""Largest angle [rad] between the standing axes of the instruments and their mean direction, up to which all
+instruments count as upright."""
 MIN_PLAN_POSITIONS = 3
 """Smallest number of approximate station positions that determine the rotation from floor plan to network frame."""
 PLAN_DIRECTION_SIGMA = 3 * DEGREE

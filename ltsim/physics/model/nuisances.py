@@ -33,8 +33,8 @@ class HeightErrors(LinearEffect):
     sigma: float
     """Standard deviation [m] of each error."""
     occupation_coefficients: Floats
-    """Coefficient of each occupation in each pointing, (n, q): 1 if the reflector stands on it, -1 if the instrument
-    does, otherwise 0."""
+    """Coefficients (n, q) of the height errors of q occupations in n pointings: 1 if the reflector of the pointing is
+    on the mark of the occupation, -1 if the instrument is, otherwise 0."""
     plumb_directions: Floats
     """Unit vector of the plumb line at the station of each pointing, (n, 3)."""
 
@@ -117,11 +117,11 @@ def centring_errors(recording: Recording) -> tuple[CentringErrors, ...]:
 
 @dataclass(frozen=True)
 class SharedErrors(LinearEffect):
-    """Set of q independent errors, in units of their standard deviations, each of which several readings share.
+    """Errors that several readings share: q independent errors in units of their standard deviations.
 
-    Let D be the standard deviations of the independent noise, and F the changes of the readings by one standard
-    deviation of each error. The readings then have the covariance D^2 + F F'. Estimating the errors with the network is
-    equivalent to an adjustment with that covariance.
+    Let D be the diagonal matrix of the standard deviations of the independent noise, and F the changes of the readings
+    by one standard deviation of each shared error. The readings then have the covariance D^2 + F F'. Estimating the
+    errors together with the network is equivalent to an adjustment with this covariance.
     """
 
     reading_changes: Floats

@@ -60,7 +60,10 @@ class LineWords:
         return self.tokens[:n_words]
 
     def numbers(self, first_word: int, *columns: str, limit: float = 1e12) -> list[float]:
-        """Numbers in the words from index `first_word` on, one for each of `columns`; raises RecordError."""
+        """Numbers in the words from index `first_word` on, one for each name in `columns`; raises RecordError.
+
+        Numbers are decimal, and at most `limit` in magnitude.
+        """
         words = zip(self.tokens[first_word : first_word + len(columns)], columns, strict=True)
         return [self.location.number(word, column, limit=limit) for word, column in words]
 
@@ -136,33 +139,33 @@ class DeclaredPoint:
         return point, covariance
 
 
-def parse_point(keyword: str, words: LineWords) -> tuple[str, DeclaredPoint]:
+def parse_point(keyword: str, line_words: LineWords) -> tuple[str, DeclaredPoint]:
     """Name and declaration of the point in a line of a block of points (`keyword`); raises RecordError."""
-    name, declared_point = _name_and_point(words, "a point needs a name and three coordinates")
+    name, declared_point = _name_and_point(line_words, "a point needs a name and three coordinates")
     point = DeclaredPoint(declared_point)
     axes = np.array([axis in FIXED_AXES[keyword] for axis in "xyz"])
     if axes.any():
         point.add_observation(declared_point, np.eye(3) * FIXED_SIGMA_M**2, axes)
     else:
-        _read_precision(point, [token.upper() for token in words.tokens[4:]], words.location)
+        _read_precision(point, [token.upper() for token in line_words.tokens[4:]], line_words.location)
     return name, point
 
 
-def parse_observed_point(words: LineWords) -> tuple[str, Floats, Floats]:
+def parse_observed_point(line_words: LineWords) -> tuple[str, Floats, Floats]:
     """Name, coordinates (3,) [m] and covariance (3, 3) [m^2] of the point in a line of *OBSXYZ; raises RecordError."""
     message = "*OBSXYZ needs a point, three coordinates and three standard deviations"
-    name, point = _name_and_point(words, message)
-    words.first_words(7, message)
-    sigma = np.array(words.numbers(4, *SIGMA_OPTIONS))
+    name, point = _name_and_point(line_words, message)
+    line_words.first_words(7, message)
+    sigma = np.array(line_words.numbers(4, *SIGMA_OPTIONS))
     if not np.all(sigma > 0):
-        raise words.location.error("the line has a standard deviation of 0, expected one above 0")
+        raise line_words.location.error("the line has a standard deviation of 0, expected one above 0")
     return name, point, np.diag(sigma * MILLIMETRE) ** 2
 
 
-def _name_and_point(words: LineWords, message: str) -> tuple[str, Floats]:
-    name = words.location.name(words.tokens[0], "point")
-    words.first_words(4, message)
-    return name, np.array(words.numbers(1, "X", "Y", "Z", limit=1e8))
+def _name_and_point(line_words: LineWords, message: str) -> tuple[str, Floats]:
+    name = line_words.location.name(line_words.tokens[0], "point")
+    line_words.first_words(4, message)
+    return name, np.array(line_words.numbers(1, "X", "Y", "Z", limit=1e8))
 
 
 def _read_precision(point: DeclaredPoint, sigma_words: list[str], location: SourceLocation) -> None:
@@ -197,10 +200,10 @@ def _parse_matrix(word: str, location: SourceLocation) -> Floats:
 
 @dataclass(frozen=True)
 class TargetSigmas:
-    """Declared standard deviations of pointings to a kind of target, and its height.
+    """Declared standard deviations of pointings to a kind of target, and the height of such targets.
 
-    Azimuth and zenith angle (`elevation`) [cc], distance [mm] with its part proportional to the distance [ppm], height
-    of the target [m].
+    The standard deviations are those of azimuth and zenith angle (`elevation`) [cc], of the distance [mm], and of its
+    part that is proportional to the distance [ppm]. The height is in metres.
     """
 
     azimuth: float
@@ -229,16 +232,16 @@ class PolarInstrument:
     height: float
     targets: dict[str, TargetSigmas] = field(default_factory=dict)
 
-    def declare(self, words: LineWords) -> str:
+    def declare(self, line_words: LineWords) -> str:
         """Storage of the kind of target that a line declares, with its standard deviations.
 
         Returns a note on a distance correction that is not used, or ''. Raises RecordError.
         """
         fields = "its name and the standard deviations of azimuth, elevation, distance (constant and ppm)"
-        name = words.first_words(5, f"a target needs {fields}")[0]
-        height = words.numbers(9, "height")[0] if len(words.tokens) > 9 else 0.0
-        correction = words.numbers(6, "correction")[0] if len(words.tokens) > 6 else 0.0
-        azimuth, elevation, distance, ppm = words.numbers(1, "sigma", "sigma", "sigma", "sigma")
+        name = line_words.first_words(5, f"a target needs {fields}")[0]
+        height = line_words.numbers(9, "height")[0] if len(line_words.tokens) > 9 else 0.0
+        correction = line_words.numbers(6, "correction")[0] if len(line_words.tokens) > 6 else 0.0
+        azimuth, elevation, distance, ppm = line_words.numbers(1, "sigma", "sigma", "sigma", "sigma")
         self.targets[name] = TargetSigmas(azimuth, elevation, distance, ppm, height)
         return (
             f"the distance correction of {correction:g} m of target {quoted_text(name)} is not applied"

@@ -25,7 +25,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.units import EARTH_RADIUS, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import SourceLocation, as_title, quoted_text, read_lines
+from ltsim.recordings.files import SourceLocation, quoted_text, read_lines, single_line_title
 from ltsim.recordings.formats.cern_declarations import (
     FIXED_AXES,
     FIXED_SIGMA_M,
@@ -105,9 +105,9 @@ class _LgcContent:
         self.setups[numbered_name(setup.point, n_earlier)] = setup
 
 
-def recognises(path: Path, beginning: str) -> bool:
+def recognises(path: Path, file_beginning: str) -> bool:
     """True if a file begins like an LGC file."""
-    return re.search(r"^\s*\*(TITR|RS2K|OLOC|INSTR|CALA|POIN)\b", beginning, re.MULTILINE) is not None
+    return re.search(r"^\s*\*(TITR|RS2K|OLOC|INSTR|CALA|POIN)\b", file_beginning, re.MULTILINE) is not None
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -148,18 +148,18 @@ def _lines(file: _LgcContent) -> Iterator[LineWords]:
             yield LineWords(text.split(), SourceLocation(file.path, i + 1))
 
 
-def _begin_block(keyword: str, words: LineWords, file: _LgcContent) -> None:
+def _begin_block(keyword: str, line_words: LineWords, file: _LgcContent) -> None:
     if keyword in CURVED_KEYWORDS:
         file.curved_reference_keyword = keyword
     elif keyword == "POLAR":
-        name, default, _ = words.first_words(3, "*POLAR needs an instrument, its default target and a height")
-        file.instruments[words.location.name(name, "instrument")] = PolarInstrument(
-            default, words.numbers(2, "height")[0]
+        name, default, _ = line_words.first_words(3, "*POLAR needs an instrument, its default target and a height")
+        file.instruments[line_words.location.name(name, "instrument")] = PolarInstrument(
+            default, line_words.numbers(2, "height")[0]
         )
     elif keyword == "TSTN":
-        _begin_setup(words, file)
+        _begin_setup(line_words, file)
     elif keyword == "V0":
-        _begin_direction_set(words, file)
+        _begin_direction_set(line_words, file)
     elif keyword not in (
         *KEYWORDS_WITHOUT_OBSERVATIONS,
         *FIXED_AXES,
@@ -171,28 +171,28 @@ def _begin_block(keyword: str, words: LineWords, file: _LgcContent) -> None:
         file.n_skipped_by_keyword.setdefault(keyword, 0)
 
 
-def _begin_setup(words: LineWords, file: _LgcContent) -> None:
-    instrument = "".join(words.tokens[1:2])
+def _begin_setup(line_words: LineWords, file: _LgcContent) -> None:
+    instrument = "".join(line_words.tokens[1:2])
     if instrument not in file.instruments:
         given = quoted_text(instrument) or "nothing"
-        raise words.location.error(f"*TSTN names {given}, expected an instrument declared as *POLAR")
-    point = words.location.name(words.tokens[0], "station")
+        raise line_words.location.error(f"*TSTN names {given}, expected an instrument declared as *POLAR")
+    point = line_words.location.name(line_words.tokens[0], "station")
     if point not in file.points:
-        raise words.location.error(f"the set-up is on {point}, which no block of points declares")
-    options, polar = words.options(2), file.instruments[instrument]
+        raise line_words.location.error(f"the set-up is on {point}, which no block of points declares")
+    options, polar = line_words.options(2), file.instruments[instrument]
     height = options.number("IH", polar.height if "IHFIX" in options.values else 0.0)
     default = options.values.get("TRGT", polar.default)
     file.add_setup(_SetUp(point, instrument, height, "ROT3D" not in options.values, default))
 
 
-def _begin_direction_set(words: LineWords, file: _LgcContent) -> None:
+def _begin_direction_set(line_words: LineWords, file: _LgcContent) -> None:
     """Begin of a set of directions with one orientation of the circle.
 
     The first set of a set-up belongs to this set-up; each further set creates another set-up over the same point.
     """
     if not file.setups:
-        raise words.location.error("*V0 has no set-up (*TSTN) before it")
-    options, name = words.options(0), file.station
+        raise line_words.location.error("*V0 has no set-up (*TSTN) before it")
+    options, name = line_words.options(0), file.station
     setup = file.setups[name]
     default = options.values.get("TRGT", setup.default_target)
     setup = replace(setup, direction_constant=options.number("ACST", 0.0) * GON, default_target=default)
@@ -202,38 +202,38 @@ def _begin_direction_set(words: LineWords, file: _LgcContent) -> None:
         file.setups[name] = setup
 
 
-def _process_line(keyword: str, words: LineWords, file: _LgcContent) -> bool:
+def _process_line(keyword: str, line_words: LineWords, file: _LgcContent) -> bool:
     """Processing of one line in a block of the kind `keyword`; returns False if such blocks are not supported."""
     if keyword in ("TITR", ""):
-        file.title_words += words.tokens
+        file.title_words += line_words.tokens
     elif keyword in FIXED_AXES:
-        name, point = parse_point(keyword, words)
+        name, point = parse_point(keyword, line_words)
         if name in file.points:
-            raise words.location.error(f"the point {name} is declared twice")
+            raise line_words.location.error(f"the point {name} is declared twice")
         file.points[name] = point
     elif keyword == "OBSXYZ" and not file.curved_reference_keyword:
-        file.observed_points.append(parse_observed_point(words))
+        file.observed_points.append(parse_observed_point(line_words))
     elif keyword == "PDOR":
-        file.orientation_points.append(words.tokens[0])
+        file.orientation_points.append(line_words.tokens[0])
     elif keyword == "POLAR":
-        file.notes += filter(None, [file.instruments[next(reversed(file.instruments))].declare(words)])
+        file.notes += filter(None, [file.instruments[next(reversed(file.instruments))].declare(line_words)])
     elif keyword in OBSERVATION_KEYWORDS:
-        _add_observation(keyword, words, file)
+        _add_observation(keyword, line_words, file)
     else:
         return keyword in KEYWORDS_WITHOUT_OBSERVATIONS
     return True
 
 
-def _add_observation(keyword: str, words: LineWords, file: _LgcContent) -> None:
-    kinds, where = OBSERVATION_KEYWORDS[keyword], words.location
+def _add_observation(keyword: str, line_words: LineWords, file: _LgcContent) -> None:
+    kinds, where = OBSERVATION_KEYWORDS[keyword], line_words.location
     if not file.setups:
         raise where.error(f"*{keyword} has no set-up (*TSTN) before it")
-    words.first_words(1 + len(kinds), f"*{keyword} needs a point and {len(kinds)} values")
+    line_words.first_words(1 + len(kinds), f"*{keyword} needs a point and {len(kinds)} values")
     setup = file.setups[file.station]
-    target = where.name(words.tokens[0], "target")
+    target = where.name(line_words.tokens[0], "target")
     if target not in file.points:
         raise where.error(f"the point {target} is in no block of points")
-    options = words.options(1 + len(kinds))
+    options = line_words.options(1 + len(kinds))
     kind_of_target, sigmas_by_target = (
         options.values.get("TRGT", setup.default_target),
         file.instruments[setup.instrument].targets,
@@ -243,7 +243,7 @@ def _add_observation(keyword: str, words: LineWords, file: _LgcContent) -> None:
             f"the target {quoted_text(kind_of_target)} is not declared with instrument {setup.instrument}"
         )
     height = options.number("TH", sigmas_by_target[kind_of_target].height)
-    for kind, value in zip(kinds, words.numbers(1, *kinds, limit=1e6), strict=True):
+    for kind, value in zip(kinds, line_words.numbers(1, *kinds, limit=1e6), strict=True):
         reading, sigma = (
             _reading_in_si(kind, value, setup, where),
             sigmas_by_target[kind_of_target].sigma_of(kind, options, value),
@@ -283,7 +283,7 @@ def _make_recording(file: _LgcContent) -> Recording:
         file.curved_reference_keyword,
     )
     setup = Setup(
-        title=as_title(" ".join(file.title_words)),
+        title=single_line_title(" ".join(file.title_words)),
         instruments={name: polar.instrument(name) for name, polar in file.instruments.items()},
         stations={
             name: Station(

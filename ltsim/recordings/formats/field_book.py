@@ -128,7 +128,10 @@ class FieldBook:
         return with_earth_curvature(recording_of_pointings(pointings, setup, notes=all_notes, file=self.path))
 
     def _separate_orientations(self) -> list[str]:
-        """Division, in place, of set-ups whose circle was set anew into set-ups of one orientation; returns notes."""
+        """Division of set-ups during which the circle was rotated into set-ups of one orientation each.
+
+        The field book is changed in place; the result is a list of notes.
+        """
         occupations, occupation = index_names([p.station for p in self.pointings], "station", self.path)
         _, sight = np.unique([f"{p.station}\n{p.target}\n{p.face}" for p in self.pointings], return_inverse=True)
         readings = np.array([[p.distance, p.azimuth, p.elevation] for p in self.pointings])

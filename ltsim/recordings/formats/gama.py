@@ -20,7 +20,7 @@ from ltsim.core.notation import listing
 from ltsim.core.units import ARCSECOND, DEGREE, GON, MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import SourceLocation, as_title, quoted_text
+from ltsim.recordings.files import SourceLocation, quoted_text, single_line_title
 from ltsim.recordings.formats.gama_network import (
     GamaNetwork,
     GamaPoint,
@@ -64,9 +64,11 @@ OMITTED_CORRELATIONS_NOTE = "correlations between height differences, or between
 _SEXAGESIMAL_ANGLE_PATTERN = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
 
 
-def recognises(path: Path, beginning: str) -> bool:
+def recognises(path: Path, file_beginning: str) -> bool:
     """True if the root element is that of an input file of gama-local."""
-    return re.search(r"<gama-(local|xml)\b", beginning) is not None and "<gama-local-adjustment" not in beginning
+    return (
+        re.search(r"<gama-(local|xml)\b", file_beginning) is not None and "<gama-local-adjustment" not in file_beginning
+    )
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -83,7 +85,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
         if node.tag == "network":
             _read_axes(node, network)
         elif node.tag == "description":
-            network.title = as_title(node.text)
+            network.title = single_line_title(node.text)
         else:
             _read_parameters(node, network)
     for section in root.descendants("points-observations"):
@@ -279,10 +281,11 @@ def _read_angle(child: XmlNode, block: XmlNode, sigma_and_errors: SigmaAndShared
 def _scale_sigma(
     sigma_and_errors: SigmaAndSharedErrors, unit: float, child: XmlNode, network: GamaNetwork, distance: float = 0.0
 ) -> tuple[float, dict[str, float]]:
-    """Standard deviation [m, rad], and changes [m, rad] by shared errors, of an observation.
+    """Standard deviation [m, rad] of the independent error of an observation, and its changes by shared errors.
 
     `sigma_and_errors` holds both in the unit of the file, and `unit` converts them to SI; a negative `unit` reverses
-    the sense of an angle.
+    the sense of an angle. A standard deviation that the file does not give follows from its defaults and the `distance`
+    [m].
     """
     sigma, shared = sigma_and_errors
     independent = sigma if np.isfinite(sigma) else _sigma_of_observation(child, network, distance)

@@ -235,12 +235,13 @@ def _reference_difference(child: XmlNode, y_sign: float, covariance: Floats) -> 
 
 
 def split_correlations(block: XmlNode, matrix: tuple[Ints, Ints, Floats], n_earlier: int) -> tuple[Floats, Floats]:
-    """Standard deviations (n,) of the independent errors of n observations, and changes (n, q) by q shared errors.
+    """Independent and shared errors of n observations that have the declared covariance together.
 
-    With the changes F and the independent standard deviations on the diagonal of D, the declared covariance is D^2 + F
-    F'. F has the smallest number of errors with which each observation keeps an independent error; uncorrelated
-    observations have none. `matrix` is the covariance from `covariance_entries`, `n_earlier` the number of shared
-    errors of earlier observations. Raises RecordError.
+    The results are the standard deviations (n,) of the independent errors, and the changes (n, q) of the observations
+    by one standard deviation of each of q shared errors. With the changes F and the independent standard deviations on
+    the diagonal of D, the declared covariance is D^2 + F F'. F has the smallest number of columns for which D has no
+    zero; it has none for uncorrelated observations. `matrix` is the covariance from `covariance_entries`, `n_earlier`
+    the number of shared errors of earlier observations, from which the new ones are numbered. Raises RecordError.
     """
     (row, column, numbers), diagonal = matrix, matrix[0] == matrix[1]
     if not np.all(numbers[diagonal] > 0.0):

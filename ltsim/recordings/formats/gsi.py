@@ -95,9 +95,9 @@ class _GsiBlock:
         return value * GSI_ANGLE_FACTORS.get(unit, NOT_MEASURED)
 
 
-def recognises(path: Path, beginning: str) -> bool:
+def recognises(path: Path, file_beginning: str) -> bool:
     """True if the first line consists of GSI words."""
-    first_line = next((line for line in beginning.splitlines() if line.strip()), "")
+    first_line = next((line for line in file_beginning.splitlines() if line.strip()), "")
     return re.match(r"\*?(11|41)\d{4}[+-]", first_line) is not None
 
 
@@ -130,7 +130,7 @@ def _blocks(lines: Sequence[str], path: Path) -> Iterator[_GsiBlock]:
 
 @dataclass
 class _BlockFacts:
-    """Facts on all blocks of a file that decide how each of them is read."""
+    """Properties of all blocks of a file together, which decide how each single block is read."""
 
     has_stations: bool = False
     """True if a block has the coordinates of a station."""

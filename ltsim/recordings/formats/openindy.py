@@ -17,7 +17,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import to_polar
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import as_title, quoted_text
+from ltsim.recordings.files import quoted_text, single_line_title
 from ltsim.recordings.pointings import NOT_MEASURED, Pointing, declares_noise, recording_of_pointings
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Setup
@@ -37,9 +37,9 @@ SIGMA_COLUMN_BY_MEASUREMENT = dict(zip(("distance", "azimuth", "zenith"), SIGMA_
 """Column of the standard deviation of each measurement."""
 
 
-def recognises(path: Path, beginning: str) -> bool:
+def recognises(path: Path, file_beginning: str) -> bool:
     """True if the root element is an OpenIndy project."""
-    return f"<{ROOT_ELEMENT}" in beginning
+    return f"<{ROOT_ELEMENT}" in file_beginning
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -61,7 +61,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     first_time = np.min([p.time for p in pointings])
     pointings = [replace(p, time=p.time - first_time) for p in pointings]
     count_notes = [f"{count} {what}" for what, count in notes.items()]
-    setup = Setup(title=as_title(root.get("name", path.stem)))
+    setup = Setup(title=single_line_title(root.get("name", path.stem)))
     recording = recording_of_pointings(pointings, setup, notes=count_notes, file=path)
     return recording if declares_noise(recording) else recording.replace(notes=(NO_NOISE_NOTE, *recording.notes))
 

@@ -32,11 +32,11 @@ _SETTING_PATTERN = re.compile(r"#\s*(units|azimuth|vertical)\s*:\s*([\w-]+)(?:\s
 _POLAR_PATTERN = re.compile(r"^#.*(polar|spherical|azimuth)", re.IGNORECASE | re.MULTILINE)
 
 
-def recognises(path: Path, beginning: str) -> bool:
+def recognises(path: Path, file_beginning: str) -> bool:
     """True if the first lines have two names and three numbers, or one name if a comment declares polar text."""
-    data_rows = [row.fields for row in head_rows(beginning) if not row.is_comment]
+    data_rows = [row.fields for row in head_rows(file_beginning) if not row.is_comment]
     sample = data_rows[: max(1, min(6, len(data_rows) - 1))]
-    field_counts = (4, 5) if _POLAR_PATTERN.search(beginning) else (5,)
+    field_counts = (4, 5) if _POLAR_PATTERN.search(file_beginning) else (5,)
     return bool(sample) and all(len(f) in field_counts and all(map(is_value, f[-3:])) for f in sample)
 
 

@@ -74,9 +74,9 @@ class _Dialect:
         return cells[:n_names], cells[n_names:]
 
 
-def recognises(_: Path, beginning: str) -> bool:
+def recognises(_: Path, file_beginning: str) -> bool:
     """True if the first line is the header of SDR20 or SDR33."""
-    return _HEADER_PATTERN.match(beginning) is not None
+    return _HEADER_PATTERN.match(file_beginning) is not None
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -112,14 +112,14 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     return book.make_recording("an SDR file", *notes)
 
 
-def _read_setup(line: str, dialect: _Dialect, book: FieldBook, location: SourceLocation) -> None:
+def _read_setup(line: str, dialect: _Dialect, field_book: FieldBook, location: SourceLocation) -> None:
     (name,), (first, second, z_text, height) = dialect.fields(line, 1, 4)
     plan_coordinates = [_parse_number(text, location) * dialect.length_factor / MILLIMETRE for text in (first, second)]
     y, x = plan_coordinates if dialect.is_north_first else plan_coordinates[::-1]
     z = _parse_number(z_text, location) * dialect.length_factor / MILLIMETRE
     coordinates_mm = (x, y, z) if np.isfinite([x, y, z]).all() else None
     instrument_height = _parse_number(height, location)
-    book.add_setup(
+    field_book.add_setup(
         name,
         0.0 if np.isnan(instrument_height) else instrument_height * dialect.length_factor,
         coordinates_mm,
@@ -128,16 +128,22 @@ def _read_setup(line: str, dialect: _Dialect, book: FieldBook, location: SourceL
 
 
 def _read_observation(
-    line: str, dialect: _Dialect, book: FieldBook, location: SourceLocation, *, height: float, is_from_horizon: bool
+    line: str,
+    dialect: _Dialect,
+    field_book: FieldBook,
+    location: SourceLocation,
+    *,
+    height: float,
+    is_from_horizon: bool,
 ) -> None:
     (station, target), cells = dialect.fields(line, 2, 3)
-    if book.station and station != book.setups[book.station][0]:
+    if field_book.station and station != field_book.setups[field_book.station][0]:
         raise location.error(
             f"the record names the station '{quoted_text(station)}', expected that of the last record 02"
         )
     distance, vertical, horizontal = (_parse_number(cell, location) for cell in cells)
     vertical *= dialect.angle_factor
-    book.add_pointing(
+    field_book.add_pointing(
         target,
         location,
         distance=distance * dialect.length_factor,

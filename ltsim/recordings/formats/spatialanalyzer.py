@@ -74,9 +74,9 @@ class _Block:
         return Rotation.from_euler("xyz", self.rotation).as_matrix(), self.position
 
 
-def recognises(path: Path, beginning: str) -> bool:
+def recognises(path: Path, file_beginning: str) -> bool:
     """True if the file begins with the title of a report or with the heading of its observations."""
-    return REPORT_TITLE in beginning or _HEADING_PATTERN.search(beginning) is not None
+    return REPORT_TITLE in file_beginning or _HEADING_PATTERN.search(file_beginning) is not None
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -248,9 +248,9 @@ def _prefix_ambiguous_points(
 
 
 def _new_names_by_group(name: str, groups: dict[str, list[tuple[str, Floats]]]) -> dict[str, str]:
-    """New name, by group, of the points called `name`.
+    """New name, by group, of points in several groups that are all called `name` but are different points.
 
-    `groups` holds the station and the position (3,) [m] of each pointing, by group. The place that was measured from
+    `groups` holds the station and the position (3,) [m] of each pointing, by group. The position that was measured from
     most stations, and then with most pointings, keeps the name.
     """
     clusters: list[tuple[Floats, list[str]]] = []

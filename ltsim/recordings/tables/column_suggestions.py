@@ -187,10 +187,10 @@ def _possible_conventions(
 def _distance_columns(
     role: str, candidate_columns: Sequence[int], titles: Sequence[str], columns: CellsByColumn, angle: Sequence[int]
 ) -> list[list[str]]:
-    """Texts `role=title[unit]`, at most one, of the first candidate column whose cells may be distances; else empty.
+    """Assignment for ``--columns`` of the first candidate column whose cells may be distances, else an empty list.
 
-    The list in the list is a part of the option ``--columns``. The unit is that of the title. Without one it is
-    metres if the `angle` is in degrees, minutes and seconds, otherwise it follows from the size of the numbers.
+    It is a list with one list of texts `role=title[unit]`. The unit is that of the title. Without a unit in the title
+    it is metres if the `angle` is in degrees, minutes and seconds, otherwise it follows from the size of the numbers.
     """
     candidates = [
         i

@@ -67,7 +67,8 @@ FALLBACK_TITLES = {
 }
 """Titles that have a meaning only if no other title has it."""
 FALLBACK_TITLE_ROLES = {"target": "", "station": "instrument_setup"}
-"""Meaning of such a title if another title has the usual one: with a station, a set-up numbers the occupations."""
+"""Role of a column with such a title if another column already has the usual role: beside a column of stations, a
+column of set-up numbers counts the occupations."""
 MAPPABLE_ROLES = tuple(dict.fromkeys((*TITLE_WORDS, *SIGMA_ROLES.values())))
 """Roles that the option ``--columns`` accepts."""
 MAX_TITLE_LENGTH = 80
@@ -96,7 +97,8 @@ _ANGLE_PART_PATTERNS = tuple(
 _VALUE_PATTERN = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
 _NUMBER_PATTERN = re.compile(rf"([a-z0-9]+?)(?:{'|'.join(NUMBER_TITLE_ENDINGS)})")
 NUMBERED_ROLES = ("station", "round")
-"""Roles of titles that may end with a word for a number or name; targets and instruments have titles of their own."""
+"""Roles of columns whose titles may end with a word for number or name, as in "station no". Titles of targets and
+instruments with such an ending are listed separately."""
 
 
 @dataclass(frozen=True)

@@ -238,7 +238,7 @@ def _azimuth_sense(
         ]
     if interpretation.vertical == "elevation":
         spherical = (
-            "azimuths with elevations are interpreted as counter-clockwise (otherwise give --hint azimuth=clockwise)"
+            "azimuths in tables with elevations are read as counter-clockwise (otherwise give --hint azimuth=clockwise)"
         )
         return "counter-clockwise", [spherical]
     raise RecordError(SENSE_UNKNOWN_NOTE, file=file)

@@ -11,10 +11,8 @@ from ltsim.recordings.tables.header import HORIZONTAL_ROLES, VERTICAL_ROLES, Tab
 from ltsim.recordings.tables.pointing_table import Digits, PointingTable, to_digits
 
 MIN_PACKED_CELLS = 10
-"""Number of distinct angles from which a column whose minutes and seconds are all below 60 counts as packed.
-
-A decimal angle has such digits with a probability of 36 %, ten angles with one of 4e-5.
-"""
+"""Number of distinct angles from which a column counts as packed if all minutes and seconds are below 60. The digits of
+a decimal angle fulfil this by chance with a probability of 36 %, those of ten angles with 4e-5."""
 MIN_PACKED_DIGITS = 4
 """Number of decimals from which a cell contains minutes and seconds."""
 

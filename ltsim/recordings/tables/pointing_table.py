@@ -177,7 +177,7 @@ def _concatenate(columns: Iterable[list[ValueType]]) -> list[ValueType]:
 
 
 def indices_by_value(values: Iterable[ValueType]) -> tuple[list[ValueType], Ints]:
-    """Distinct values in order of appearance, and the index of each value among them."""
+    """Distinct values in order of their first occurrence, and index (n,) into these for each of n values."""
     index_by_value: dict[ValueType, int] = {}
     indices = [index_by_value.setdefault(value, len(index_by_value)) for value in values]
     return list(index_by_value), np.array(indices, dtype=np.int64)

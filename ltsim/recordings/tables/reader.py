@@ -123,16 +123,16 @@ HEAD_HEIGHT_SIGMA_MM = 1.0
 """Assumed standard deviation [mm] of the height of a head above its mark, for tables whose heights are not applied."""
 
 
-def recognises(path: Path, beginning: str) -> bool:
+def recognises(path: Path, file_beginning: str) -> bool:
     """True for a folder of tables, a workbook, or text with a header of readings or with columns of numbers."""
     if path.is_dir():
         return is_table_folder(path)
-    if beginning.startswith(ZIP_SIGNATURE.decode("latin-1")):
+    if file_beginning.startswith(ZIP_SIGNATURE.decode("latin-1")):
         return path.suffix.lower() == ".xlsx"
-    if "\x00" in beginning[2:] or beginning.lstrip()[:1] in ("<", "{"):
+    if "\x00" in file_beginning[2:] or file_beginning.lstrip()[:1] in ("<", "{"):
         return False
     first_rows = head_rows(
-        beginning if beginning.endswith("\n") else "\n".join(beginning.splitlines()[:-1])
+        file_beginning if file_beginning.endswith("\n") else "\n".join(file_beginning.splitlines()[:-1])
     )  # the last may be cut
     headers = [columns for row in first_rows if (columns := parse_header(row, NO_HINTS))]
     if headers and has_named_coordinates(headers[0]) and not any(c.role == "station" for c in headers[0]):
@@ -363,8 +363,9 @@ MIN_COARSE_DIGIT_M = 0.5e-4
 MIN_DISPLAYED_DIGIT_M = 0.5e-9
 """Last digit [m] below which the digits of a range are those of a computation and not of an instrument."""
 
-MIN_RANGES = 6
-"""Number of ranges below which their last digit does not decide, because fewer may all end in zeros by chance."""
+MIN_RANGES_FOR_RESOLUTION = 6
+"""Number of ranges below which their last digits do not show the resolution of the instrument: fewer may all end in
+zeros by chance."""
 
 
 def total_station_reason(table: PointingTable, interpretation: ColumnInterpretation, readings: Floats) -> str:
@@ -383,7 +384,7 @@ def total_station_reason(table: PointingTable, interpretation: ColumnInterpretat
         return f"its longest range is {ranges.max():.4g} m, beyond any laser tracker"
     columns = [digits for role, digits in table.pointings.digits_by_role.items() if role in DISTANCE_ROLES]
     n_decimals = np.concatenate([decimal_places(digits[digits != b""]) for digits in columns])
-    if len(n_decimals) < MIN_RANGES:
+    if len(n_decimals) < MIN_RANGES_FOR_RESOLUTION:
         return ""
     digit = 10.0 ** -int(n_decimals.max()) * SI_PER_UNIT[interpretation.length_unit]
     digit = max(digit, reading_step(ranges, FOOT_STEPS if digit > MIN_DISPLAYED_DIGIT_M else LENGTH_STEPS))

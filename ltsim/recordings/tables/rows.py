@@ -251,7 +251,7 @@ class _SheetReader:
 
 
 def _duplicate_role_warnings(columns: Sequence[TableColumn]) -> list[str]:
-    """Notes on columns whose meaning another column already has."""
+    """Notes on columns whose title has a role that an earlier column of the table already has."""
     title_by_role = {c.role: c.title for c in columns if c.role}
     unused_columns = [(c.title, title_role(title_words_and_unit(c.title)[0])) for c in columns if not c.role]
     return [

@@ -38,9 +38,8 @@ MIN_ROWS_OF_OCCUPATION = 3
 MIN_RECIPROCAL_LINES = 4
 """Number of lines measured in both directions below which they do not decide whether heights are applied."""
 MAX_CLOSURE_RATIO = 0.5
-"""Closure of lines measured in both directions without heights, divided by that with heights, below which the heights
-are not applied.
-"""
+"""Limit for applying heights above marks. Lines measured in both directions close better with the correct heights: the
+heights are not applied if the misclosure without them is below this fraction of the misclosure with them."""
 MIN_CIRCLE_ROTATION = 1e-3
 """Median difference [rad] between the directions of two rounds above which the circle was rotated."""
 MIN_ROTATION_SIGMAS = 6.0

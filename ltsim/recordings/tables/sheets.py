@@ -193,9 +193,9 @@ def _require_few_fields(fields: Sequence[str], line: int, file: Path) -> None:
         raise SourceLocation(file, line).error(f"{len(fields)} fields, expected at most {MAX_ROW_FIELDS}")
 
 
-def head_rows(beginning: str) -> list[SheetRow]:
-    """First rows of a file that begins with the text `beginning`, with comments, for the detection of its format."""
-    lines = [line for line in beginning.splitlines() if line.strip()]
+def head_rows(file_beginning: str) -> list[SheetRow]:
+    """First rows of a file that begins with the text `file_beginning`, with comments, to detect its format."""
+    lines = [line for line in file_beginning.splitlines() if line.strip()]
     separator = _detect_separator(lines)
     return [
         SheetRow(i + 1, _split_fields(line.lstrip("# "), separator), line.startswith("#"))

@@ -8,15 +8,13 @@ from ltsim.recordings.files import quoted_text
 from ltsim.recordings.tables.header import title_words_and_unit
 from ltsim.recordings.tables.pointing_table import PointingTable, indices_by_value
 
-MAX_SETUP_SPREADS = (0.1, 0.02)
-"""Median differences of the ranges [m] and elevations [rad] of one target above which a table has several set-ups.
-
-No reflector, face or drift changes the readings as much, and set-ups differ by more (0.02 rad is 0.1 m at 5 m).
-"""
+MAX_SPREADS_WITHIN_SETUP = (0.1, 0.02)
+"""Median differences of the ranges [m] and elevations [rad] to one target, above which a table without station names
+contains several set-ups. Reflectors, faces and drifts change readings by less, and set-ups at different positions by
+more (0.02 rad is 0.1 m at 5 m)."""
 MAX_SPREAD_RATIO = 0.01
-"""Median difference within rows with one value of a column, divided by that of all rows, below which the column has the
-names of the set-ups.
-"""
+"""Largest ratio of two median differences of readings to one target, at which a column contains the names of the
+set-ups: among rows with equal value of the column, and among all rows."""
 MIN_ROWS_PER_SETUP = 3
 """Mean number of rows with one value below which a column does not have the names of the set-ups."""
 
@@ -35,7 +33,7 @@ def require_station_names(table: PointingTable, readings: Floats, file: object) 
         return
     targets = indices_by_value(table.pointings.target)[1]
     elevation = np.where(np.abs(readings[:, 2]) > np.pi / 2, np.pi - readings[:, 2], readings[:, 2])
-    for values, limit, unit in zip((readings[:, 0], elevation), MAX_SETUP_SPREADS, ("m", "rad"), strict=True):
+    for values, limit, unit in zip((readings[:, 0], elevation), MAX_SPREADS_WITHIN_SETUP, ("m", "rad"), strict=True):
         spread = _median_spread(values, targets)
         if spread <= limit:
             continue
@@ -65,7 +63,7 @@ def several_positions_notes(table: PointingTable, readings: Floats) -> list[str]
     """Note on names of targets that are not names of points: ranges from one set-up to most of them differ."""
     sights, groups = indices_by_value(zip(table.pointings.station, table.pointings.target, strict=True))
     spread = _median_spread(readings[:, 0], groups)
-    if spread <= MAX_SETUP_SPREADS[0]:
+    if spread <= MAX_SPREADS_WITHIN_SETUP[0]:
         return []
     finite = np.isfinite(readings[:, 0])
     low, high = np.full(len(sights), np.inf), np.full(len(sights), -np.inf)

@@ -99,7 +99,7 @@ def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats)
 
 
 def _position_numbers(readings: Floats) -> Ints:
-    """Number (n,) of the position of each pointing, in the order of their first rows; both faces see one position."""
+    """Number (n,) of the position that each pointing measured, in the order of first measurement, from both faces."""
     ranges = readings[:, 0]
     longest = float(np.nanmax(ranges, initial=0.0)) or 1.0
     points = from_polar(np.stack([np.where(np.isnan(ranges), longest, ranges), *np.nan_to_num(readings[:, 1:]).T], 1))

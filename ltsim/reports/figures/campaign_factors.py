@@ -37,7 +37,7 @@ def varying_factors(results: CampaignResults) -> list[Factor]:
 
 
 def cell_descriptions(results: CampaignResults) -> dict[int, str]:
-    """Short description of each setting, by the number of its cell."""
+    """Short description of each combination of settings (cell), by the number of the cell."""
     factors = varying_factors(results)
     texts = [", ".join(factor_level_text(f, level[f.name]) for f in factors) for level in results.levels]
     default_text = "as the scenario" if len(texts) == 1 else ""

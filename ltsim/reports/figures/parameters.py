@@ -331,7 +331,7 @@ def trade_off_figure(plan: Plan, quality_name: str) -> Figure:
     if (all_qualities > 0).all() and all_qualities.max() > 20 * all_qualities.min():
         ax.set_yscale("log")
     ax.margins(x=0.1, y=0.12)
-    ax.set_xlabel("time on the floor [h]; s: stations, f: faces, r: rounds")
+    ax.set_xlabel("time for the measurement [h]; s: stations, f: faces, r: rounds")
     ax.set_ylabel(f"{typographic_text(label)}\n(lower is better)")
     style.set_grid(ax, grid_axis="both")
     style.add_legend(figure, [ax], n_columns=2)

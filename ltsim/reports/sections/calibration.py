@@ -42,7 +42,7 @@ from ltsim.reports.document_model import (
     entries_table_blocks,
     table_blocks,
 )
-from ltsim.reports.formatting import as_sentence, count_text, global_test_verdict, is_determined, listing
+from ltsim.reports.formatting import capitalised_sentence, count_text, global_test_verdict, is_determined, listing
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.network import (
     adjustment_pair_if_possible,
@@ -263,7 +263,7 @@ def _warning_blocks(content: Calibration, *, has_converged: bool, agrees: bool) 
     if content.correction is not None and content.correction.uncorrected_um > 0:
         lines = [*([content.correction.point_error_text] if agrees else []), *content.correction.sentences]
         if lines:
-            blocks.append(BulletListBlock("Benefit of the calibration", [as_sentence(line) for line in lines]))
+            blocks.append(BulletListBlock("Benefit of the calibration", [capitalised_sentence(line) for line in lines]))
     if content.undetermined_targets:
         text = f"The readings that remain do not determine {', '.join(content.undetermined_targets)}."
         blocks.append(NoteBlock("Targets without coordinates", text, "bad"))

@@ -46,7 +46,7 @@ from ltsim.reports.figures.campaign_factors import (
     statistic_figures,
     varying_factors,
 )
-from ltsim.reports.formatting import as_sentence, count_text, tracker_presets_text
+from ltsim.reports.formatting import capitalised_sentence, count_text, tracker_presets_text
 from ltsim.reports.sections.campaign_coverage import coverage_blocks, coverage_key_figures
 from ltsim.reports.sections.method_comparison import MethodComparison
 from ltsim.simulation.keys import key_description
@@ -316,7 +316,7 @@ def _error_tables(results: CampaignResults, summaries: Mapping[str, list[Statist
 def _column_meaning(column: str) -> str:
     """Definition of a column as a sentence without full stop; empty for an undeclared column."""
     declared = find_column(column)
-    return as_sentence("" if declared is None else declared.meaning.replace("`", "")).removesuffix(".")
+    return capitalised_sentence("" if declared is None else declared.meaning.replace("`", "")).removesuffix(".")
 
 
 def _statistic_tables(

@@ -41,7 +41,7 @@ from ltsim.reports.document_model import (
     entries_table_blocks,
     table_blocks,
 )
-from ltsim.reports.formatting import as_sentence, count_text, listing
+from ltsim.reports.formatting import capitalised_sentence, count_text, listing
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.network import (
     AdjustmentPair,
@@ -95,7 +95,9 @@ def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
         ]
     n_lead_blocks = len(blocks)
     for finding_number, finding in enumerate(content.findings, start=1):
-        blocks += _finding_blocks(finding, finding_number, as_sentence(content.summary), adjustments, (before, after))
+        blocks += _finding_blocks(
+            finding, finding_number, capitalised_sentence(content.summary), adjustments, (before, after)
+        )
     blocks += target_tables(
         context.companion_file(DIAGNOSED_TARGETS_TABLE.file, content), note="Adjusted with the findings in the model."
     )
@@ -118,7 +120,7 @@ def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
     recording_title = (recording.setup.title if recording else "") or (
         content.recording.title if content.recording else ""
     )
-    answer, simulation_notice = as_sentence(content.summary), ""
+    answer, simulation_notice = capitalised_sentence(content.summary), ""
     if truth is not None and truth.effects:
         injected = listing(
             [f"{effect_title(a.effect.name)} ({effect_place_text(a.effect)})" for a in truth.applied_effects]
@@ -139,7 +141,7 @@ def _next_actions(content: Diagnosis) -> list[str]:
     if not content.findings:
         return []
     separating_measurements = [
-        as_sentence(finding.separate_by)
+        capitalised_sentence(finding.separate_by)
         for finding in content.findings
         if finding.separate_by and _has_probable_alternative(finding)
     ]
@@ -313,7 +315,7 @@ def finding_figure(
         name for name in candidate_covariates if name in without_finding.covariates and name in with_finding.covariates
     ]
     place = scope.stations, scope.targets
-    has_no_rows = not (without_finding.is_between(*place).any() and with_finding.is_between(*place).any())
+    has_no_rows = not (without_finding.is_at_places(*place).any() and with_finding.is_at_places(*place).any())
     if not common_covariates or has_no_rows:
         return None
     return lambda: figures.residuals.finding_comparison_figure(

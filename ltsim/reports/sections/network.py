@@ -123,7 +123,7 @@ def workshop_blocks(make_scene: Callable[[], WorkshopScene], detail: WorkshopDet
 
 
 def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
-    """3D view of a workshop with its interactive page.
+    """3D view of a hall with its interactive page.
 
     A note instead, if the packages for 3D views are missing or there are more than `MAX_NETWORK_SETUPS` stations, which
     are drawn one by one.
@@ -143,7 +143,7 @@ def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
         f" Lines of sight are coloured by {coloured_workshop.sights.label}." if coloured_workshop.sights else ""
     )
     caption = f"{legend_text[:1].upper()}{legend_text[1:]}.{colour_sentence}"
-    return SceneBlock("The workshop in 3D", webp_data_uri(picture), caption, page)
+    return SceneBlock("The hall in 3D", webp_data_uri(picture), caption, page)
 
 
 def undetermined_tables(

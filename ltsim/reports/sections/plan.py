@@ -60,7 +60,7 @@ def plan_section(content: Plan, context: ReportContext) -> Section:
         title=content.title or "Plan of a network", kind="Plan", summary=content.summary, assessment=assessment,
         key_figures=_key_figures(content), blocks=blocks, seed_text="" if content.seed is None else str(content.seed),
         instrument_text=tracker_presets_text([scenario]) if scenario else "", measurement_date="planned",
-        axes_text="those of the workshop",
+        axes_text="those of the hall",
     )  # fmt: skip
 
 

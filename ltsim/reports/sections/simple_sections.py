@@ -33,7 +33,14 @@ from ltsim.reports.document_model import (
     entries_table_blocks,
     table_blocks,
 )
-from ltsim.reports.formatting import as_sentence, count_text, distinct_labels, duration_text, listing, natural_sort_key
+from ltsim.reports.formatting import (
+    capitalised_sentence,
+    count_text,
+    distinct_labels,
+    duration_text,
+    listing,
+    natural_sort_key,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -91,7 +98,7 @@ def check_section(content: Check, context: ReportContext) -> Section:
     recording_title = content.recording.title if content.recording else ""
     title, answer = (
         f"Check in the field: {recording_title}" if recording_title else "Check in the field",
-        as_sentence(content.sentence),
+        capitalised_sentence(content.sentence),
     )
     actions = [*recommendations_for_causes(content.tests), *_failed_test_actions(content)]
     return Section(
@@ -140,7 +147,7 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
         KeyFigure("no motion, p", p_text(content.p_value), assessment_of(content.p_value >= content.level)),
         *([] if content.scale_ppm is None else [KeyFigure("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
-    answer = " ".join(map(as_sentence, (content.sentence, *content.notes)))
+    answer = " ".join(map(capitalised_sentence, (content.sentence, *content.notes)))
     picture = PictureBlock("Displacements", lambda: figures.points.displacement_figure(content), caption)
     action = f"Inspect and re-measure these points before you use them as references: {listing(moved_targets)}."
     if content.is_rigid_motion:
@@ -204,7 +211,7 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     return Section(
         title,
         kind,
-        as_sentence(content.sentence),
+        capitalised_sentence(content.sentence),
         assessment,
         facts,
         blocks,
@@ -241,7 +248,7 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
     return Section(
         title,
         "Uncertainty",
-        as_sentence(answer),
+        capitalised_sentence(answer),
         ASSESSMENT_BY_JUDGEMENT[joint_judgement([r.conformity.judgement for r in judged_results if r.conformity])],
         facts,
         blocks,
@@ -283,7 +290,7 @@ def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Sect
         f"the standard deviations of the instrument's parameters fall by {reductions[0]:.0f} % on average, "
         f"of the {parameter_text(best_proposal.most_improved_parameter)} by {reductions[1]:.0f} %."
     )
-    answer = as_sentence(content.advice) if content.between and content.advice else answer
+    answer = capitalised_sentence(content.advice) if content.between and content.advice else answer
     note = (
         "Factors: standard deviation of a parameter after the measurement, divided by that before; mean and smallest."
     )
@@ -305,7 +312,7 @@ def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Sect
         KeyFigure("time for it", duration_text(60 * best_proposal.minutes)),
         KeyFigure("mean fall of sigma", f"{reductions[0]:.0f} %"),
     ]
-    actions = [as_sentence(proposal.action) for proposal in content.proposals[:1]]
+    actions = [capitalised_sentence(proposal.action) for proposal in content.proposals[:1]]
     return Section("What to measure next", "Next measurement", answer, assessment, facts, blocks, next_actions=actions)
 
 

@@ -10,7 +10,7 @@ for (const button of document.querySelectorAll(".scene button")) {
     button.textContent = open ? "Turn it" : "Done";
     if (open) return open.remove();
     const frame = document.createElement("iframe");
-    frame.title = "The workshop in 3D";
+    frame.title = "The hall in 3D";
     frame.srcdoc = await unpacked(packed);
     scene.append(frame);
   });

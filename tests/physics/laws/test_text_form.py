@@ -10,7 +10,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.core.errors import ModelError
-from ltsim.physics.laws.columns import FORMULA_FUNCTIONS, PLAY_FUNCTION
+from ltsim.physics.laws.columns import FORMULA_FUNCTIONS, HYSTERESIS_FUNCTION
 from ltsim.physics.laws.regressor_library import READING_COVARIATES, candidate_regressors
 from ltsim.physics.laws.regressors import (
     CONSTANT_REGRESSOR,
@@ -134,7 +134,7 @@ def every() -> list[Regressor]:
 
 @pytest.mark.parametrize("clock", [True, False])
 def test_every_driver_is_read_as_it_is_told(recording: Recording, clock: bool) -> None:
-    assert {*FORMULA_FUNCTIONS, PLAY_FUNCTION} <= {driver.function for driver in every()}
+    assert {*FORMULA_FUNCTIONS, HYSTERESIS_FUNCTION} <= {driver.function for driver in every()}
     for driver in every():
         words = regressor_text(driver, has_clock=clock)
         read = parse_regressor(words, recording.replace(has_clock=clock))
