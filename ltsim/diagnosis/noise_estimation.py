@@ -66,10 +66,10 @@ def reml_gain_function(
     return reml_gain_at
 
 
-def _log_ratios_of_groups(reml_gain: Callable[[Floats], Floats], scale: Floats, variance_factors: Floats) -> Floats:
+def _log_ratios_of_groups(reml_gain: Callable[[Floats], Floats], n_groups: int, variance_factors: Floats) -> Floats:
     """Log restricted likelihood ratio (f, k) of each of k groups of readings, for each of f variance factors."""
-    base_gain = reml_gain(0.0 * scale)
-    return np.stack([reml_gain(scale * (factor - 1.0)) - base_gain for factor in variance_factors])
+    base_gain = reml_gain(np.zeros(n_groups))
+    return np.stack([reml_gain(np.full(n_groups, factor - 1.0)) - base_gain for factor in variance_factors])
 
 
 def _log_likelihood_by_fraction(log_ratios: Floats) -> Floats:
@@ -94,14 +94,14 @@ def _heavy_tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[
     weight is (1 - p) + p E[1 / f], as in the EM algorithm for scale mixtures (Little 1988, Applied Statistics 37, 23).
     The fraction of readings in the tail is the one with the largest likelihood.
     """
-    scale = np.ones(len(hypothesis.effect.parameters))
-    log_ratios = _log_ratios_of_groups(reml_gain, scale, TAIL_VARIANCE_FACTORS)
+    n_readings = len(hypothesis.effect.parameters)
+    log_ratios = _log_ratios_of_groups(reml_gain, n_readings, TAIL_VARIANCE_FACTORS)
     q = float(NOISY_GROUP_FRACTIONS[int(np.argmax(_log_likelihood_by_fraction(log_ratios)))])
     inside = expit(log_sum_exp(log_ratios) - np.log(len(log_ratios)) + np.log(q / (1.0 - q)))
     weight = 1.0 - inside + inside * (normalised_probabilities(log_ratios) / TAIL_VARIANCE_FACTORS[:, None]).sum(axis=0)
     values = 1.0 / weight - 1.0
     drop, sigma = (
-        2.0 * float((reml_gain(values) - reml_gain(0.0 * scale)).sum()),
+        2.0 * float((reml_gain(values) - reml_gain(np.zeros(n_readings))).sum()),
         np.sqrt(2.0) * (1.0 + values),  # one reading each
     )
     estimated = replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
@@ -154,4 +154,4 @@ def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis
     estimated = replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
     if not getattr(effect, "group_kind", ""):
         return estimated
-    return _with_occam_factor(estimated, _log_ratios_of_groups(reml_gain, scale, COARSE_VARIANCE_FACTORS))
+    return _with_occam_factor(estimated, _log_ratios_of_groups(reml_gain, len(scale), COARSE_VARIANCE_FACTORS))

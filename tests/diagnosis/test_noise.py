@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
 from ltsim.diagnosis.noise_estimation import with_estimated_sizes
 from ltsim.diagnosis.noise_groups import GROUP_VARIANCE_FACTORS
+from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.prior import CAUSE_PRIOR
 from ltsim.diagnosis.repeats import normalised_sum_matrix_of_repeats
 from ltsim.diagnosis.selection_state import SelectionState
@@ -262,3 +264,33 @@ def test_the_size_of_noise_is_estimated_beyond_the_sizes_that_are_searched(facto
     level = next(h for _, h in state.ranked_noise_changes(state.empty_model) if h.effect.name == "noise-level")
     found = with_estimated_sizes(state.space, noisy.sigma(), level)
     np.testing.assert_allclose(np.sqrt(1.0 + np.array(found.sizes)), factor, rtol=0.25)
+
+
+def test_a_target_that_no_other_reading_checks_does_not_widen_the_sizes_without_end(repeated) -> None:
+    """The likelihood of readings with little redundancy rises with their noise without end, by ever less."""
+    space, _, bank = repeated
+    (mixture, *_) = (g for g in bank.group_noise_changes if getattr(g.effect, "group_kind", "") == "target")
+    is_first = np.zeros(space.n_rows, dtype=bool)
+    is_first[: int(space.is_used_reading.sum())] = (space.sightings.target == 0)[np.nonzero(space.is_used_reading)[0]]
+    projector = SimpleNamespace(leverage=lambda: np.where(is_first, 1.0, 1.0 - space.redundancy))
+    unchecked = replace(space, projector=projector, residuals=np.where(is_first, 1e3, space.residuals))
+    found = with_estimated_sizes(unchecked, space.sigma, NoiseHypothesis(mixture.name, mixture.effect, ()))
+    assert np.isfinite(found.sizes).all() and np.isfinite(found.chi2_drop)
+
+
+@pytest.mark.parametrize("group_kind", ["target", "station", "reading"])
+def test_the_likelihood_times_the_occam_factor_of_separate_noise_is_its_evidence(repeated, group_kind: str) -> None:
+    """Also where an effect has left a target quiet that was noisy when the change was selected."""
+    space, _, bank = repeated
+    (mixture, *_) = (g for g in bank.group_noise_changes if getattr(g.effect, "group_kind", "") == group_kind)
+    pointing = np.nonzero(space.is_used_reading)[0]
+    factors = np.ones(space.n_rows)
+    factors[: len(pointing)] = np.where(space.sightings.target[pointing] == 2, 4.0, 1.0)
+    occam_factors = []
+    for residual in (factors * space.residuals, space.residuals):
+        case = replace(space, residuals=residual)
+        found = with_estimated_sizes(case, space.sigma, NoiseHypothesis(mixture.name, mixture.effect, ()))
+        evidence = mixture.log_evidence(residual[:, None], space.redundancy)[0]
+        assert 0.5 * found.chi2_drop + found.log_occam_factor == pytest.approx(evidence, abs=1e-6)
+        occam_factors.append(found.log_occam_factor)
+    assert occam_factors[0] < occam_factors[1] - 1.0

@@ -12,6 +12,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.remedies.next_measurement import MIN_DECISIVE_CHI2
 from ltsim.core.randomness import random_stream
+from ltsim.diagnosis.assembly import _reported_findings
 from ltsim.diagnosis.detectability import separating_measurement_sentence
 from ltsim.diagnosis.diagnose import log_bayes_factor_of_refits
 from ltsim.diagnosis.diagnosis import Diagnosis
@@ -19,7 +20,7 @@ from ltsim.diagnosis.evidence import active_observables
 from ltsim.diagnosis.findings import SelectedModelFit
 from ltsim.diagnosis.global_test import GlobalTestResult
 from ltsim.diagnosis.hypotheses import Model
-from ltsim.diagnosis.schema import FindingScope, Misfit
+from ltsim.diagnosis.schema import Finding, FindingEvidence, FindingScope, Misfit
 from ltsim.diagnosis.sentences import law_sentence
 from ltsim.physics.effects.station_settling import StationSettling
 from ltsim.physics.model.construction import misalignment_construction
@@ -117,6 +118,20 @@ def test_a_doubtful_finding_is_modelled_and_told_only_where_nothing_else_is() ->
     assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, has_test_findings=False)) == ("b",)
     assert untold(Set(("b",), {"b": 0.1}, has_test_findings=False)) == ()
     assert untold(Set(("b", "d"), {"b": 0.1, "d": 0.1}, has_test_findings=True)) == ("b",)
+
+
+def finding(effect: str, chi2_drop: float, probability: float) -> Finding:
+    return Finding(effect=effect, evidence=FindingEvidence(chi2_drop=chi2_drop, parameters=1, probability=probability))
+
+
+def test_a_certain_effect_of_uncertain_form_is_reported_beside_noise() -> None:
+    """It was left out where a change of the noise, or a wrong reading, was probable."""
+    effect, noise = finding("unknown", 90.0, 0.1), finding("station-noise", 100.0, 0.9)
+    doubtful, blunder = finding("turbulence", 20.0, 0.2), finding("outlier", 200.0, 0.9)
+    assert _reported_findings([], [effect], [noise, doubtful]) == [noise, effect]
+    assert _reported_findings([blunder], [effect], [doubtful]) == [blunder, effect]
+    assert _reported_findings([], [], [doubtful]) == [doubtful]
+    assert _reported_findings([blunder], [], [doubtful]) == [blunder]
 
 
 def cause(name: str, coefficients: int) -> SimpleNamespace:
