@@ -267,13 +267,13 @@ def test_the_size_of_noise_is_estimated_beyond_the_sizes_that_are_searched(facto
 
 
 def test_a_target_that_no_other_reading_checks_does_not_widen_the_sizes_without_end(repeated) -> None:
-    """The likelihood of readings with little redundancy rises with their noise without end, by ever less."""
+    """Their redundancy is a rounding error; where it is negative the likelihood rises with the noise without end."""
     space, _, bank = repeated
     (mixture, *_) = (g for g in bank.group_noise_changes if getattr(g.effect, "group_kind", "") == "target")
     is_first = np.zeros(space.n_rows, dtype=bool)
     is_first[: int(space.is_used_reading.sum())] = (space.sightings.target == 0)[np.nonzero(space.is_used_reading)[0]]
-    projector = SimpleNamespace(leverage=lambda: np.where(is_first, 1.0, 1.0 - space.redundancy))
-    unchecked = replace(space, projector=projector, residuals=np.where(is_first, 1e3, space.residuals))
+    projector = SimpleNamespace(leverage=lambda: np.where(is_first, 1.0 + 1e-15, 1.0 - space.redundancy))
+    unchecked = replace(space, projector=projector, residuals=np.where(is_first, 0.0, space.residuals))
     found = with_estimated_sizes(unchecked, space.sigma, NoiseHypothesis(mixture.name, mixture.effect, ()))
     assert np.isfinite(found.sizes).all() and np.isfinite(found.chi2_drop)
 
