@@ -139,8 +139,11 @@ def is_installed(package_name: str) -> bool:
 
 
 def printable(text: str) -> str:
-    """Text with `?` in place of control characters, safe to print on a terminal."""
-    return "".join(c if c.isprintable() or c in "\n\t" else "?" for c in text)
+    """Text with `?` in place of control characters, also those of the direction of writing.
+
+    It is safe on a terminal and, escaped, on a page. Blanks that are no control characters stay.
+    """
+    return "".join(c if c.isprintable() or c in "\n\t\u00a0" else "?" for c in text)
 
 
 def unknown_name_error(object_kind: str, unknown_name_text: str, valid_names: Iterable[str]) -> ModelError:

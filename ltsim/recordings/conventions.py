@@ -24,7 +24,13 @@ from ltsim.geometry.rigid import align_rigidly, rotation_about_z
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup
-from ltsim.recordings.transcription_errors import MIN_DISTANCE_MM, length_disagreement, neighbour_pairs, station_clouds
+from ltsim.recordings.transcription_errors import (
+    MIN_DISTANCE_MM,
+    length_disagreement,
+    neighbour_pairs,
+    position_disagreement,
+    station_clouds,
+)
 
 AngleUnit = Literal["deg", "gon", "rad"]
 VerticalKind = Literal["zenith", "elevation"]
@@ -257,9 +263,10 @@ def _azimuth_sense_by_alignment(
     times better than the other, for example if all points lie in one plane.
     """
     station_senses = []
-    for s in np.unique(polar.station):
-        rows = np.flatnonzero((polar.station == s) & np.isin(polar.target, list(points_by_target)))
-        rows = rows[np.all(np.isfinite(local_points[rows]), axis=1)]
+    is_usable = np.isin(polar.target, list(points_by_target)) & np.all(np.isfinite(local_points), axis=1)
+    usable_rows = np.flatnonzero(is_usable)
+    usable_rows = usable_rows[np.argsort(polar.station[usable_rows], kind="stable")]
+    for rows in np.split(usable_rows, np.flatnonzero(np.diff(polar.station[usable_rows])) + 1):
         if len(np.unique(polar.target[rows])) < 4:
             continue
         fixed_points = np.array([points_by_target[int(t)] for t in polar.target[rows]])
@@ -293,27 +300,18 @@ def azimuth_sense_from_poses(
     `local_points` (n, 3) [m] are measured positions with counter-clockwise azimuths. None if the data do not decide.
     """
     misfits = []
+    rows = np.flatnonzero(np.isin(polar.station, list(poses)))
+    stations, index = np.unique(polar.station[rows], return_inverse=True)
+    rotations = np.array([poses[int(s)][0] for s in stations]).reshape(-1, 3, 3)
+    positions = np.array([poses[int(s)][1] for s in stations]).reshape(-1, 3)
     for y_sign in (1.0, -1.0):
         points = np.full_like(local_points, np.nan)
-        for s, (rotation, position) in poses.items():
-            rows = polar.station == s
-            points[rows] = (local_points[rows] * [1.0, y_sign, 1.0]) @ rotation.T + position
-        misfits.append(_median_station_distance(points, polar))
+        images = local_points[rows] * [1.0, y_sign, 1.0]
+        points[rows] = np.einsum("nij,nj->ni", rotations[index], images) + positions[index]
+        misfits.append(position_disagreement(points, polar.station, polar.target))
     if not np.all(np.isfinite(misfits)) or max(misfits) < MIN_MISFIT_RATIO * min(misfits):
         return None
     return _unanimous_sense([int(np.argmin(misfits))])
-
-
-def _median_station_distance(points: Floats, polar: PolarReadings) -> float:
-    """Median over targets of the distance [m] between their positions from different stations; NaN without any."""
-    positions_of: dict[int, list[Floats]] = {}
-    for cloud in station_clouds(points, polar.station, polar.target).values():
-        for target, point in cloud.items():
-            positions_of.setdefault(target, []).append(point)
-    distances = [
-        np.linalg.norm(np.ptp(np.array(positions), axis=0)) for positions in positions_of.values() if len(positions) > 1
-    ]
-    return float(np.median(distances)) + 1e-9 if distances else float("nan")
 
 
 def _unanimous_sense(station_senses: list[int]) -> AzimuthSense | None:
@@ -382,8 +380,7 @@ def _mirrored_station_pairs(local_points: Floats, recording: Recording) -> list[
     measured = np.isfinite(local_points).all(axis=1)
     clouds, pairs = station_clouds(local_points, recording.station, recording.target), []
     for other, s in neighbour_pairs(recording.station[measured], recording.target[measured], len(recording.stations)):
-        common = sorted(clouds[other].keys() & clouds[s].keys())
-        here, there = (np.array([clouds[k][t] for t in common]) for k in (s, other))
+        here, there = clouds[s].common_points(clouds[other])
         misfit, mirror = _rigid_misfits(here, there)
         if misfit > MIN_MISFIT_RATIO * mirror and mirror < MAX_MIRROR_MISFIT * float(np.ptp(there, axis=0).max()):
             pairs.append((other, s))

@@ -64,8 +64,8 @@ COLUMN_BOUNDS = {
 """Smallest and largest permitted number of each column, in the unit of its name."""
 WRONG_UNIT_SUFFIXES = ("k", "f", "pa", "bar", "inch")
 """Suffixes of column names that are recognised as a wrong unit, in addition to the units of ltsim."""
-
-
+TextTable = tuple[list[str], list[Sequence[str]]]
+"""Names of columns, and the texts of each column, as `observations.csv` has them. Rows would take twice the memory."""
 MAX_COMPARED_NAMES = 100_000
 """Number of names that are compared, in all notes on unused settings, to propose similar ones; one takes 5 us."""
 MAX_INTERNED_TEXTS = 10_000
@@ -87,14 +87,14 @@ def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
     if not folder.is_dir():
         message = f"there is no such folder; a recording is a folder with {OBSERVATIONS_FILE} and {SETUP_FILE}"
         raise RecordError(message, file=path)
-    table_rows = _read_table(folder / OBSERVATIONS_FILE, incomplete_tail=hints.incomplete_tail)
-    recording = parse(table_rows, read_setup(folder / SETUP_FILE), folder, incomplete_tail=hints.incomplete_tail)
+    table = _read_table(folder / OBSERVATIONS_FILE, incomplete_tail=hints.incomplete_tail)
+    recording = parse(table, read_setup(folder / SETUP_FILE), folder, incomplete_tail=hints.incomplete_tail)
     sense = [1.0, -1.0 if hints.azimuth == "clockwise" else 1.0, 1.0]
     return recording.with_readings(recording.readings * sense)
 
 
-def _read_table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
-    """Header and rows of a CSV file, all with the same number of cells; raises RecordError."""
+def _read_table(path: Path, *, incomplete_tail: bool) -> TextTable:
+    """Header and columns of a CSV file, whose rows have the same number of cells; raises RecordError."""
     lines = read_lines(path)
     if lines[-1] and incomplete_tail:
         lines = lines[:-1]
@@ -120,7 +120,7 @@ def _read_table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
         raise SourceLocation(path, len(rows)).error(f"is not CSV here ({problem})") from None
     if len(rows) < 2:
         raise RecordError("contains only a header, expected one row per pointing", file=path)
-    return rows
+    return rows[0], list(zip(*rows[1:], strict=True))
 
 
 def _release_lines(lines: list[str]) -> Iterator[str]:
@@ -130,21 +130,21 @@ def _release_lines(lines: list[str]) -> Iterator[str]:
         yield lines.pop()
 
 
-def parse(table_rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
-    """Recording from the header and rows of `observations.csv` and its set-up; `folder` is named in errors."""
+def parse(table: TextTable, setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
+    """Recording from the header and columns of `observations.csv` and its set-up; `folder` is named in errors."""
     file = folder / OBSERVATIONS_FILE
-    header = list(map(unguard_formula, table_rows[0]))
+    header = list(map(unguard_formula, table[0]))
     _check_header(header, file)
-    columns = {
-        name: list(map(unguard_formula, column))
-        for name, column in zip(header, zip(*table_rows[1:], strict=True), strict=True)
-    }
+    columns = {name: list(map(unguard_formula, column)) for name, column in zip(header, table[1], strict=True)}
     stations, station = index_names(columns["station"], "station", file)
     targets, target = index_names(columns["target"], "target", file)
-    n_rows = len(table_rows) - 1
+    n_rows = len(station)
     face = _integer_column(columns["face"], SourceLocation(file, column="face"), (1, 2))
-    repeat = columns.get("repeat", ["1"] * n_rows)
-    time = columns.get("time_s", list(map(str, range(n_rows))))
+    repeat, time = np.ones(n_rows, dtype=np.int64), np.arange(n_rows, dtype=np.float64)
+    if "repeat" in columns:
+        repeat = _integer_column(columns["repeat"], SourceLocation(file, column="repeat"), (1, 1_000_000))
+    if "time_s" in columns:
+        time = _float_column(columns["time_s"], SourceLocation(file, column="time_s"), is_optional=False)
     measured = np.stack(
         [_float_column(columns[name], SourceLocation(file, column=name)) for name in READING_COLUMNS], axis=1
     )
@@ -161,8 +161,8 @@ def parse(table_rows: list[list[str]], setup: Setup, folder: Path, *, incomplete
         station=station,
         target=target,
         face=face,
-        repeat=_integer_column(repeat, SourceLocation(file, column="repeat"), (1, 1_000_000)),
-        time=_float_column(time, SourceLocation(file, column="time_s"), is_optional=False),
+        repeat=repeat,
+        time=time,
         readings=measured * [MILLIMETRE, DEGREE, DEGREE],
         covariates=covariates,
         labels=labels,
@@ -344,16 +344,18 @@ def recording_texts(recording: Recording, path: Path) -> dict[str, str]:
 
     Raises RecordError for names or values that could not be read back.
     """
-    rows, toml = observation_table(recording), setup_to_toml(recording.setup)
+    (header, columns), toml = observation_table(recording), setup_to_toml(recording.setup)
     validate_setup(recording.setup.model_dump(by_alias=True, mode="json", exclude_none=True), path / SETUP_FILE)
-    parse(rows, recording.setup, path)
+    parse((header, columns), recording.setup, path)
     stream = io.StringIO()
-    csv.writer(stream, lineterminator="\n").writerows(rows)
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(zip(*columns, strict=True))
     return {OBSERVATIONS_FILE: stream.getvalue(), SETUP_FILE: toml}
 
 
-def observation_table(recording: Recording) -> list[list[str]]:
-    """Header and rows of `observations.csv`."""
+def observation_table(recording: Recording) -> TextTable:
+    """Header and columns of `observations.csv`."""
     readings = recording.readings
     columns: dict[str, Sequence[str]] = {
         "station": [guard_formula(recording.stations[i]) for i in recording.station],
@@ -368,7 +370,7 @@ def observation_table(recording: Recording) -> list[list[str]]:
     columns["distance_mm"] = _number_texts(readings[:, 0], MILLIMETRE, 6)
     columns |= {name: _number_texts(values) for name, values in recording.covariates.items()}
     columns |= {name: [guard_formula(text) for text in labels] for name, labels in recording.labels.items()}
-    return [list(map(guard_formula, columns)), *(list(row) for row in zip(*columns.values(), strict=True))]
+    return list(map(guard_formula, columns)), list(columns.values())
 
 
 def _integer_texts(values: Ints) -> list[str]:

@@ -6,10 +6,13 @@ millimetres, gon, zenith angles) is refused by `require_degrees_and_millimetres`
 error, which the diagnosis locates.
 """
 
+from __future__ import annotations
+
 import itertools
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import DEGREE, MILLIMETRE, QUARTER_TURN, SI_PER_UNIT
@@ -93,6 +96,8 @@ MIN_DISTANCE_MM = 200.0
 """Longest distance of a recording, as a number, below which its distances are in metres, not millimetres."""
 MAX_COMPARED_PAIRS = 400
 """Largest number of pairs of stations, and of lengths between targets, that are compared."""
+MAX_COMPARED_TARGETS = 60
+"""Largest number of targets of two stations that are compared."""
 MIN_WRONG_DISAGREEMENT = 2e-3
 """Median relative difference of the lengths between targets from two stations, above which an error is searched."""
 MAX_RIGHT_DISAGREEMENT = 2e-4
@@ -102,10 +107,25 @@ MIN_MIRRORED_TARGETS = 5
 """Smallest number of common targets of two stations that are compared with mirror images: four may lie in a plane."""
 
 
-def station_clouds(points: Floats, station: Ints, target: Ints) -> dict[int, dict[int, Floats]]:
-    """Mean position (3,) of each target in each station's frame, by index of the station and then of the target.
+@dataclass(frozen=True)
+class StationCloud:
+    """Targets (k,) of one station in ascending order, and their mean positions (k, 3) in the station's frame."""
 
-    `points` (n, 3) are the positions of single pointings; rows with NaN are ignored.
+    targets: Ints
+    points: Floats
+
+    def common_points(self, other_cloud: StationCloud) -> tuple[Floats, Floats]:
+        """Positions (m, 3) of the targets of both stations, in both frames."""
+        _, rows, other_rows = np.intersect1d(self.targets, other_cloud.targets, assume_unique=True, return_indices=True)
+        return self.points[rows], other_cloud.points[other_rows]
+
+
+def station_clouds(
+    points: Floats, station: Ints, target: Ints, max_stations: int | None = None
+) -> dict[int, StationCloud]:
+    """Cloud of each station, by its index, of the positions (n, 3) of single pointings; rows with NaN are ignored.
+
+    Only the first `max_stations` stations with a position have a cloud; by default all.
     """
     is_valid = np.all(np.isfinite(points), axis=1)
     n_targets = int(target.max(initial=0)) + 1
@@ -113,17 +133,20 @@ def station_clouds(points: Floats, station: Ints, target: Ints) -> dict[int, dic
     mean_points = np.zeros((len(keys), 3))
     np.add.at(mean_points, place, points[is_valid])
     mean_points /= np.bincount(place, minlength=len(keys))[:, None]
-    clouds: dict[int, dict[int, Floats]] = {}
-    for key, point in zip(keys.tolist(), mean_points, strict=True):
-        clouds.setdefault(key // n_targets, {})[key % n_targets] = point
-    return clouds
+    stations, first_rows = np.unique(keys // n_targets, return_index=True)
+    bounds = [*first_rows.tolist(), len(keys)]
+    return {
+        s: StationCloud(keys[start:end] % n_targets, mean_points[start:end])
+        for s, (start, end) in zip(stations[:max_stations].tolist(), itertools.pairwise(bounds), strict=False)
+    }
 
 
 def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
     """Numbers (S, S) of targets that pairs of S stations share, from the stations and targets (n,) of pointings."""
-    is_sighted = np.zeros((n_stations, int(target.max(initial=0)) + 1), dtype=np.float32)
-    is_sighted[station, target] = 1.0
-    counts: Ints = (is_sighted @ is_sighted.T).astype(np.int64)
+    n_targets = int(target.max(initial=0)) + 1
+    is_sighted = csr_array((np.ones(len(station)), (station, target)), shape=(n_stations, n_targets))
+    is_sighted.data[:] = 1.0
+    counts: Ints = (is_sighted @ is_sighted.T).toarray().astype(np.int64)
     return counts
 
 
@@ -143,18 +166,34 @@ def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:
     Lengths do not depend on poses: they test units and the kind of vertical angle, but not the sense of the azimuth.
     `points` (n, 3) are the positions in each station's frame.
     """
-    clouds = station_clouds(points, station, target).values()
+    clouds = station_clouds(points, station, target, MAX_COMPARED_PAIRS + 1).values()
     disagreements: list[float] = []
-    for first, other in itertools.islice(itertools.combinations(clouds, 2), MAX_COMPARED_PAIRS):
-        common = sorted(first.keys() & other.keys())[:60]
-        if len(common) < 2 or len(disagreements) >= MAX_COMPARED_PAIRS:
+    for cloud, other in itertools.islice(itertools.combinations(clouds, 2), MAX_COMPARED_PAIRS):
+        if len(disagreements) >= MAX_COMPARED_PAIRS:
+            break
+        common_points = [p[:MAX_COMPARED_TARGETS] for p in cloud.common_points(other)]
+        if len(common_points[0]) < 2:
             continue
-        first_points = np.array([first[k] for k in common])
-        other_points = np.array([other[k] for k in common])
-        lengths = [np.linalg.norm(np.diff(p, axis=0, append=p[:1]), axis=1) for p in (first_points, other_points)]
+        lengths = [np.linalg.norm(np.diff(p, axis=0, append=p[:1]), axis=1) for p in common_points]
         scale = np.maximum(lengths[0] + lengths[1], 1e-9) / 2
         disagreements += np.abs((lengths[0] - lengths[1]) / scale).tolist()
     return float(np.median(disagreements)) if disagreements else float("nan")
+
+
+def position_disagreement(points: Floats, station: Ints, target: Ints) -> float:
+    """Median over targets of the distance [m] between their positions from different stations; NaN without any.
+
+    `points` (n, 3) are the positions in a common frame.
+    """
+    clouds = station_clouds(points, station, target).values()
+    if not clouds:
+        return float("nan")
+    targets = np.concatenate([cloud.targets for cloud in clouds])
+    positions = np.concatenate([cloud.points for cloud in clouds])[np.argsort(targets, kind="stable")]
+    _, first_rows, counts = np.unique(np.sort(targets), return_index=True, return_counts=True)
+    ranges = np.maximum.reduceat(positions, first_rows) - np.minimum.reduceat(positions, first_rows)
+    distances = np.linalg.norm(ranges[counts > 1], axis=1)
+    return float(np.median(distances)) + 1e-9 if len(distances) else float("nan")
 
 
 def _two_face_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Floats:

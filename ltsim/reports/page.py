@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from ltsim.campaigns import require_packages
-from ltsim.core.errors import LtsimError, RecordError
+from ltsim.core.errors import LtsimError, RecordError, printable
 from ltsim.core.units import MILLIMETRE
 from ltsim.planning.result import Plan
 from ltsim.planning.tables import SETUPS_TABLE
@@ -239,11 +239,19 @@ def _recording_digest(page_part: PagePart) -> str:
 
 
 def page_html(document: Document) -> str:
-    """HTML of the page; all texts are escaped."""
+    """HTML of the page; all texts are escaped, and control characters in them are replaced."""
     loader = PackageLoader("ltsim.reports")
-    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    environment = Environment(
+        loader=loader,
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        finalize=lambda value: printable(value) if type(value) is str else value,
+    )
     environment.filters["print"] = typographic_text
-    environment.filters["names"] = lambda text: Markup(re.sub(r"[_:]|\.(?=[a-z])", r"\g<0><wbr>", str(escape(text))))
+    environment.filters["names"] = lambda text: Markup(
+        re.sub(r"[_:]|\.(?=[a-z])", r"\g<0><wbr>", str(escape(printable(text))))
+    )
     files = "palette.css", "page.css", "page.js"
     palette, style, script = (loader.get_source(environment, file)[0] for file in files)
     assets = {"style": Markup(palette + style), "script": Markup(script)}

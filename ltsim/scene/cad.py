@@ -100,6 +100,8 @@ def read_mesh(path: Path, unit: str | None = None, vertical_axis: str | None = N
 def _read_triangles(path: Path, _modification_time: int, metres_per_unit: float, vertical_axis: str) -> Floats:
     """Triangles (m, 3, 3) [m], z up, of a file of any format with length unit `metres_per_unit` [m]."""
     triangles = _triangles_in_file_units(path, metres_per_unit)
+    if triangles.shape[1:] != (3, 3):
+        raise SetupError(f"{path}: has points without three coordinates; export it again")
     batch_starts = range(0, len(triangles), TRIANGLES_PER_BATCH)
     corners = np.concatenate(
         [

@@ -243,3 +243,12 @@ def test_a_result_with_very_long_lists_is_refused_before_it_is_built(tmp_path: P
     long = content | {"stations": content["stations"][:1] * (MAX_RESULT_ENTRIES + 1)}
     says = sentence(tmp_path / "calibration.json", long)
     assert f"stations has {MAX_RESULT_ENTRIES + 1} entries, expected at most {MAX_RESULT_ENTRIES}" in says
+
+
+def test_characters_that_turn_the_direction_of_writing_do_not_reach_a_page(tmp_path: Path) -> None:
+    content = CONTENTS["calibration.json"]
+    content = content | {"recording": {"title": "safe\u202egpj.exe\u0007\u2066", "pointings": 1, "digest": "0"}}
+    page = page_of(tmp_path, "calibration.json", content)
+    text = "".join(page.text)
+    assert "safe?gpj.exe??" in text
+    assert not {c for c in text if not c.isprintable()} - set("\n\t\u00a0")

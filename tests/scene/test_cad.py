@@ -249,3 +249,11 @@ def test_a_body_that_vanishes_on_the_grid_is_one_sentence(suffix: str, tmp_path:
     trimesh.creation.box(extents=(1e-9, 1e-9, 1e-9)).export(file)
     with pytest.raises(SetupError, match=r"body\.\w+: has no triangle larger than 10 um"):
         read_mesh(file)
+
+
+def test_a_body_whose_points_have_two_coordinates_is_refused(tmp_path: Path) -> None:
+    """The rows of points were divided by three: a traceback."""
+    file = tmp_path / "flat.obj"
+    file.write_text("v 0 0\nv 300 0\nv 300 300\nv 0 300\nf 1 2 3\nf 1 3 4\n")
+    with pytest.raises(SetupError, match="without three coordinates"):
+        read_mesh(file)

@@ -52,6 +52,8 @@ MAX_CLOSURE_M = 0.02
 """Median closure [m] of lines measured in both directions below which heads are on forced centring over the targets;
 lines over marks differ by decimetres.
 """
+_NAME_AFTER_STATION = re.compile(r"[\s._:/-]+(.+)")
+_NAME_BEFORE_STATION = re.compile(r"(.+?)[\s._:/-]+")
 OccupationKey = tuple[str, ...]
 """Station, occupation, and round or orientation if the circle was rotated."""
 
@@ -76,17 +78,19 @@ def common_target_names(pointings: UnconvertedPointings) -> tuple[list[str], lis
             f"the name of the set-up is removed from the names of its targets: '{targets[0]}' is '{plain_names[0]}'"
         )
         targets = plain_names
+    plain_by_name = {target: normalised_name(target) for target in targets}
+    n_spellings = Counter(plain_by_name.values())
     stations_of: dict[str, set[str]] = {}
-    for station, target in zip(stations, targets, strict=True):
-        stations_of.setdefault(target, set()).add(station)
     spellings_by_name: dict[str, list[str]] = {}
+    for station, target in zip(stations, targets, strict=True):
+        if n_spellings[plain_by_name[target]] > 1:
+            stations_of.setdefault(target, set()).add(station)
     for target in stations_of:
-        spellings_by_name.setdefault(normalised_name(target), []).append(target)
+        spellings_by_name.setdefault(plain_by_name[target], []).append(target)
     spelling_by_name = {
         name: spellings[0]
         for spellings in spellings_by_name.values()
-        if len(spellings) > 1
-        and sum(len(stations_of[s]) for s in spellings) == len(set().union(*(stations_of[s] for s in spellings)))
+        if sum(len(stations_of[s]) for s in spellings) == len(set().union(*(stations_of[s] for s in spellings)))
         for name in spellings[1:]
     }
     if spelling_by_name:
@@ -102,8 +106,12 @@ def _without_station_name(station: str, target: str) -> str:
     """Name of a target without the name of its set-up; empty if the name of the set-up is not a prefix or suffix."""
     if len(target) > MAX_RECORDING_NAME_LENGTH:  # which is refused later
         return ""
-    match = re.fullmatch(rf"{re.escape(station)}[\s._:/-]+(.+)|(.+?)[\s._:/-]+{re.escape(station)}", target)
-    return (match[1] or match[2]) if match else ""
+    match = None
+    if target.startswith(station):
+        match = _NAME_AFTER_STATION.fullmatch(target, len(station))
+    if match is None and target.endswith(station):
+        match = _NAME_BEFORE_STATION.fullmatch(target, 0, len(target) - len(station))
+    return match[1] if match else ""
 
 
 def _have_shared_names(stations: Sequence[str], targets: Sequence[str]) -> bool:
