@@ -88,6 +88,11 @@ MAX_RESULT_ENTRIES = 20_000
 values of pointings are in tables. An entry takes 1 to 2 kB in a report.
 """
 
+MAX_DRAWN_ITEMS = 1_000
+"""Largest number of points, bars or curves in a figure of a report; each takes 5 ms and 0.1 MB, and more cannot be told
+apart.
+"""
+
 MAX_XML_TAGS = 600_000
 """Largest number of tags in an XML file; each element has one or two and takes 400 bytes."""
 MAX_XML_ATTRIBUTES = 1_000_000

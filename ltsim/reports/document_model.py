@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from ltsim.core import results
 from ltsim.core.descriptions import field_descriptions
+from ltsim.core.limits import MAX_DRAWN_ITEMS
 from ltsim.core.notation import MISSING_TEXT, align_columns, number_text
 from ltsim.recordings import Recording
 from ltsim.recordings.result_file import ResultFile, companion_path
@@ -122,6 +123,15 @@ class PictureBlock:
 
         drawn = self.draw_figure()
         return svg_data_uri(drawn if isinstance(drawn, str) else svg_text(drawn))
+
+
+def picture_or_note(
+    title: str, draw_figure: Callable[[], Figure | str], caption: str, n_items: int
+) -> PictureBlock | NoteBlock:
+    """Picture of `n_items` points, bars or curves; a note if there are more than `MAX_DRAWN_ITEMS`."""
+    if n_items <= MAX_DRAWN_ITEMS:
+        return PictureBlock(title, draw_figure, caption)
+    return NoteBlock(f"No figure: {title}", f"{n_items} items are too many to draw; at most {MAX_DRAWN_ITEMS} are.")
 
 
 @dataclass(frozen=True)

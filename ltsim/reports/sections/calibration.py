@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,12 +35,12 @@ from ltsim.reports.document_model import (
     BulletListBlock,
     KeyFigure,
     NoteBlock,
-    PictureBlock,
     ReportContext,
     Section,
     TableBlock,
     assessment_of,
     entries_table_blocks,
+    picture_or_note,
     table_blocks,
 )
 from ltsim.reports.formatting import capitalised_sentence, count_text, global_test_verdict, is_determined, listing
@@ -323,21 +324,16 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
     ]
     if undetermined:
         note += f" Not determined by the recording, so that the prior remains: {listing(undetermined, 6)}."
+    parameter_figure = partial(figures.parameters.parameter_figure, rows, true_in_display_units)
     blocks: list[Block] = [
-        PictureBlock(
-            "Instrument parameters", lambda: figures.parameters.parameter_figure(rows, true_in_display_units), text
-        ),
+        picture_or_note("Instrument parameters", parameter_figure, text, len(rows)),
         *table_blocks("Parameters in numbers", PARAMETERS_TABLE.with_rows(rows), note=note, is_foldable=False),
     ]
     if len(content.parameter_covariance) == len(rows) and len(rows) > 1:
         covariance = np.array(content.parameter_covariance)
         text = "Two parameters near +-100 % can hardly be separated with this network."
-        picture = PictureBlock(
-            "Correlation of the parameters",
-            lambda: figures.parameters.correlation_figure(rows, covariance),
-            text,
-        )
-        blocks.append(picture)
+        figure = partial(figures.parameters.correlation_figure, rows, covariance)
+        blocks.append(picture_or_note("Correlation of the parameters", figure, text, len(rows)))
     return blocks
 
 

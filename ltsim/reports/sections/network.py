@@ -34,6 +34,7 @@ from ltsim.reports.document_model import (
     WorkshopDetail,
     assessment_of,
     entries_table_blocks,
+    picture_or_note,
     table_blocks,
 )  # fmt: skip
 from ltsim.reports.formatting import count_text, duration_text, global_test_verdict, natural_sort_key
@@ -118,7 +119,9 @@ def workshop_blocks(make_scene: Callable[[], WorkshopScene], detail: WorkshopDet
         "station hides it"
     )
     caption = "; ".join([text, *workshop.notes]) + "."
-    plan = PictureBlock("Floor plan", lambda: figures.floor_plan.floor_plan(workshop), caption)
+    plan = picture_or_note(
+        "Floor plan", lambda: figures.floor_plan.floor_plan(workshop), caption, len(workshop.stations)
+    )
     return [scene_block(workshop), plan] if detail == "turn" else [plan]
 
 

@@ -19,6 +19,7 @@ from ltsim.reports.document_model import (
     ReportContext,
     Section,
     assessment_of,
+    picture_or_note,
     table_blocks,
 )
 from ltsim.reports.formatting import QUALITY_MEASURES, duration_text, tracker_presets_text
@@ -129,10 +130,14 @@ def _layout_pictures(content: Plan, scenario: Scenario | None, *, has_3d_view: b
         " Hollow: the stations of the reference layout." if len(reference_positions) else ""
     )
     floor_areas = content.settings.floor
+    n_areas = 0 if floor_areas is None else len(floor_areas.areas + floor_areas.keep_outs + floor_areas.doors)
     floor = figures.floor_plan
     pictures: list[Block] = [
-        PictureBlock(
-            "Floor plan", lambda: floor.floor_plan(workshop, reference=reference_positions, floor=floor_areas), text
+        picture_or_note(
+            "Floor plan",
+            lambda: floor.floor_plan(workshop, reference=reference_positions, floor=floor_areas),
+            text,
+            len(workshop.stations) + len(reference_positions) + n_areas,
         )
     ]
     pictures += [scene_block(workshop)] if has_3d_view else []
@@ -140,7 +145,8 @@ def _layout_pictures(content: Plan, scenario: Scenario | None, *, has_3d_view: b
     changes = partial(
         figures.marked_floor_plans.reflector_changes_figure, workshop, content.reflector_changes, floor_areas
     )
-    return pictures, [PictureBlock("Places of these reflectors", changes, text)] if content.reflector_changes else []
+    n_changes = len(content.reflector_changes)
+    return pictures, [picture_or_note("Places of these reflectors", changes, text, n_changes)] if n_changes else []
 
 
 def _trade_off_picture(content: Plan) -> list[Block]:
@@ -165,7 +171,9 @@ def _parameter_picture(content: Plan) -> list[Block]:
     text = "Prediction; on the dashed line the recording would add no information."
     figure = partial(figures.parameters.sigma_figure, estimated_parameters, reference_sigmas)
     return (
-        [PictureBlock("Predicted sigma of the instrument's parameters", figure, text)] if estimated_parameters else []
+        [picture_or_note("Predicted sigma of the instrument's parameters", figure, text, len(estimated_parameters))]
+        if estimated_parameters
+        else []
     )
 
 

@@ -31,6 +31,7 @@ from ltsim.reports.document_model import (
     Section,
     assessment_of,
     entries_table_blocks,
+    picture_or_note,
     table_blocks,
 )
 from ltsim.reports.formatting import (
@@ -148,7 +149,8 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
         *([] if content.scale_ppm is None else [KeyFigure("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
     answer = " ".join(map(capitalised_sentence, (content.sentence, *content.notes)))
-    picture = PictureBlock("Displacements", lambda: figures.points.displacement_figure(content), caption)
+    figure = partial(figures.points.displacement_figure, content)
+    picture = picture_or_note("Displacements", figure, caption, len(points))
     action = f"Inspect and re-measure these points before you use them as references: {listing(moved_targets)}."
     if content.is_rigid_motion:
         action = f"If the lists are in different frames, compare them with {option_text('free=True')}."
@@ -172,7 +174,9 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     hardest_tests = sorted(content.tests, key=lambda t: t.hardest_first_key)[:MAX_LISTED_TESTS]
     last_column = "pass_probability" if predicted else "judgement"
     blocks: list[Block] = [
-        PictureBlock("Errors over limits", lambda: figures.points.error_to_limit_figure(content), caption),
+        picture_or_note(
+            "Errors over limits", lambda: figures.points.error_to_limit_figure(content), caption, len(content.groups)
+        ),
         *table_blocks("Groups", content.table("groups"), note=note),
         *entries_table_blocks(
             "The hardest tests", hardest_tests, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um",
@@ -229,7 +233,7 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
     blocks: list[Block] = [*table_blocks("Results", results, note=UNCERTAINTY_NOTE, is_foldable=False)]
     blocks += table_blocks("Conformity (JCGM 106)", content.table("conformity"))
     caption = "Contributions to the variance of each result; improve the source with the widest bar."
-    blocks.append(PictureBlock("Budget", lambda: uncertainty_budget_figure(content), caption))
+    blocks.append(picture_or_note("Budget", lambda: uncertainty_budget_figure(content), caption, len(content.results)))
     blocks += table_blocks("Undetectable errors", content.table("hidden"), note=UNDETECTABLE_NOTE)
     blocks += [BulletListBlock("Warnings", content.warnings)] if content.warnings else []
     fields = ("source", "type", "standard_uncertainty=sigma", "share=fraction of the variance")
@@ -324,7 +328,8 @@ def history_section(content: History, _: ReportContext) -> Section:
     has_changed = bool(content.events) if knows_usual_changes else since.p_value < FAMILY_WISE_LEVEL
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
     figure = partial(figures.parameters.history_figure, labels, content.determined_parameters)
-    course = [PictureBlock("Course of the parameters", figure, text)] if content.determined_parameters else []
+    n_estimates = len(labels) * len(content.determined_parameters)
+    course = [picture_or_note("Course of the parameters", figure, text, n_estimates)] if n_estimates else []
     limitation = (
         "no event can be detected" if len(labels) <= MIN_STEPS_FOR_TEST else "only a gross event can be detected"
     )
