@@ -12,7 +12,12 @@ from ltsim.adjustment.frame import alignment_distances
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import WEAK_PRIOR_FACTOR, NetworkProblem
 from ltsim.adjustment.reference_snooping import snoop_references
-from ltsim.adjustment.reference_tests import TESTED_REFERENCE_KINDS, ReferenceTest
+from ltsim.adjustment.reference_tests import (
+    TESTED_REFERENCE_KINDS,
+    ReferenceTest,
+    passes_global_test,
+    requires_constants_for_points,
+)
 from ltsim.adjustment.reference_values import ReferenceKind
 from ltsim.adjustment.reliability import noise_factor
 from ltsim.adjustment.significance import (
@@ -141,6 +146,11 @@ def adjust(
         )
         tested, tested_state = sound.with_instrument_constants(start_state)
         problem, solution, wrong = snoop_references(tested, solve(tested, tested_state), tested_reference_kinds)
+        if tested is sound and requires_constants_for_points(problem, solution):
+            with_constants, state = sound.with_instrument_constants(start_state, requires_length=False)
+            snooped = snoop_references(with_constants, solve(with_constants, state), tested_reference_kinds)
+            if passes_global_test(*snooped[:2]):
+                tested, (problem, solution, wrong) = with_constants, snooped
         if tested is not sound:
             problem = (
                 sound.with_model(replace(measurement_model, recording=problem.model.recording)) if wrong else sound

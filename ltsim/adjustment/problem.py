@@ -112,14 +112,16 @@ class NetworkProblem(NetworkRows):
         )
         return replace(new_problem, effect_sigma=self.effect_sigma, difference_rows=differences)
 
-    def with_instrument_constants(self, state: NetworkState) -> tuple[NetworkProblem, NetworkState]:
-        """Problem and state for tests of known lengths: with the constants of the instruments and their priors.
+    def with_instrument_constants(
+        self, state: NetworkState, *, requires_length: bool = True
+    ) -> tuple[NetworkProblem, NetworkState]:
+        """Problem and state for tests of reference values: with the constants of the instruments and their priors.
 
         The scale of the distances and their zero make the error of a length uncertain also if the network is adjusted
-        without them. Problem and state are unchanged if they contain constants, or no length.
+        without them. Problem and state are unchanged if they contain constants, or with `requires_length` no length.
         """
         recording = self.model.recording
-        if not len(self.gauge_rows) or self.model.construction.n_parameters:
+        if (requires_length and not len(self.gauge_rows)) or self.model.construction.n_parameters:
             return self, state
         try:
             construction = declared_construction(recording)

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from scipy import special
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reference_values import (
@@ -170,16 +171,32 @@ def scaled_reference_tests(
     return [test.with_noise_factor(factor) for test in tests]
 
 
+def passes_global_test(problem: NetworkProblem, solution: Solution[NetworkState]) -> bool:
+    """True if chi-square is not too large for the declared noise, at `FAMILY_WISE_LEVEL`."""
+    return bool(special.chdtrc(max(problem.dof, 1), solution.sum_of_squares) >= FAMILY_WISE_LEVEL)
+
+
+def requires_constants_for_points(problem: NetworkProblem, solution: Solution[NetworkState]) -> bool:
+    """True if constants of the instruments may hide the error of a known point: the fit fails the global test."""
+    return bool(len(problem.control_rows)) and not passes_global_test(problem, solution)
+
+
 def reference_tests_with_constants(
     problem: NetworkProblem, solution: Solution[NetworkState]
 ) -> tuple[ReferenceTest, ...]:
     """Tests of the reference values of an adjustment, whose errors are uncertain by the constants of the instruments.
 
-    Standard deviations are those of the fit with these constants, multiplied by its `noise_factor`. The residuals are
-    those of the adjustment itself.
+    Known points without known lengths are tested with the constants if only the fit with them passes the global test.
+    Standard deviations are those of the tested fit, multiplied by its `noise_factor`. The residuals are those of the
+    adjustment itself.
     """
     tested, state = problem.with_instrument_constants(solution.x)
     tested_solution = solution if tested is problem else solve(tested, state)
+    if tested is problem and requires_constants_for_points(problem, solution):
+        with_constants, state = problem.with_instrument_constants(solution.x, requires_length=False)
+        other_solution = solve(with_constants, state)
+        if passes_global_test(with_constants, other_solution):
+            tested, tested_solution = with_constants, other_solution
     tests = scaled_reference_tests(tested, tested_solution)
     residuals = {(value.kind, value.name): value.residual for value in reference_values(problem, solution.x)}
     return tuple(replace(test, residual=residuals.get((test.kind, test.name), test.residual)) for test in tests)

@@ -18,12 +18,17 @@ from ltsim.adjustment.coordinate_uncertainty import (
     rms_displacements_by_shared_air_error,
 )
 from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.result import noise_rows
 from ltsim.calibration.schema import FitEntry, FittedEffectEntry, ReflectorEntry, StationPose
 from ltsim.calibration.uncertainty import HiddenError
 from ltsim.core.arrays import Floats
+from ltsim.core.notation import number_text
 from ltsim.core.probability import AGREEMENT_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.air import air_uncertainty_text
+from ltsim.recordings.pointings import declares_noise
+from ltsim.recordings.specification import has_assumed_noise
+from ltsim.recordings.summary import recording_noise_text
 
 FittedEntryT = TypeVar("FittedEntryT", FittedEffectEntry, ReflectorEntry)
 MIN_RELATIVE_HIDDEN_DISPLACEMENT = 0.2
@@ -60,6 +65,7 @@ def with_reported_uncertainty(calibration: Calibration) -> Calibration:
         ),
         effects=tuple(_scaled_fitted_entry(effect, factor) for effect in calibration.effects),
         reflectors=tuple(_scaled_fitted_entry(reflector, factor) for reflector in calibration.reflectors),
+        noise_text=_noise_text(adjustment),
         constants_included=bool(calibration.instrument_parameter_names) or adjustment.recording.is_corrected,
         uncertainty_factor=factor,
         air_text=_air_text(adjustment),
@@ -134,6 +140,25 @@ def _hidden_errors(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenEr
         for name, size in sorted(sizes.items(), key=lambda item: -item[1])
         if size > MIN_RELATIVE_HIDDEN_DISPLACEMENT * usual
     )
+
+
+def _noise_text(adjustment: Adjustment) -> str:
+    """Text on the noise of the readings in the fit: estimated, or as the recording, a data sheet or ltsim states it."""
+    recording, rows = adjustment.recording, noise_rows(adjustment)
+    source_text = "assumed" if has_assumed_noise(recording.notes) else "declared"
+    if rows:
+        texts = [
+            f"{row.observable}{f' of {row.instrument}' if row.instrument else ''} {number_text(row.typical_sigma, 3)} "
+            f"{row.unit} ("
+            + (f"{number_text(row.factor, 3)} times {source_text})" if row.factor_sigma else f"{source_text})")
+            for row in rows
+        ]
+        return f"{', '.join(texts)}; estimated from the readings"
+    if declares_noise(recording):
+        return "declared for each reading"
+    sheets = {recording.setup.instrument_named(name).sheet for name in recording.instruments} - {None}
+    origin = f"of the data sheet {', '.join(sorted(map(str, sheets)))}" if sheets else source_text
+    return f"{recording_noise_text(recording)}; {origin}"
 
 
 def _air_text(adjustment: Adjustment) -> str:

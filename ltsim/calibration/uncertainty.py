@@ -18,6 +18,8 @@ class HiddenError(Entry):
 class UncertaintyEntry(Entry):
     """Errors that the standard deviations of a result include or do not include."""
 
+    noise_text: str = ""
+    """Text on the standard deviations of the readings in the fit and where they are from."""
     constants_included: bool = True
     """True if the instrument's constants were estimated, or the set-up declares the instrument corrected."""
     uncertainty_factor: Positive = 1.0
@@ -34,6 +36,8 @@ class ReportedUncertainty(Protocol):
     """Interface of a result with the errors that its standard deviations include."""
 
     @property
+    def noise_text(self) -> str: ...  # noqa: D102
+    @property
     def uncertainty_factor(self) -> float: ...  # noqa: D102
     @property
     def air_text(self) -> str: ...  # noqa: D102
@@ -44,8 +48,8 @@ class ReportedUncertainty(Protocol):
 
 
 def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
-    """Sentences on the standard deviations of a result: factor, errors of the air, and errors that are not included."""
-    sentences = []
+    """Sentences on the standard deviations of a result: noise, factor, errors that they include or do not include."""
+    sentences = [f"Noise of the readings (one sigma): {result.noise_text}."] if result.noise_text else []
     if result.uncertainty_factor > 1.0:
         model = "the model" if result.constants_included else "the model without the instrument's constants"
         sentences.append(

@@ -145,10 +145,12 @@ class Recovery(ResultFile):
         if not more:
             return []
         names = ", ".join(p.parameter for p in self.parameters)
+        count = len(self.parameters)
         return [
-            f"The calibrator estimates {len(self.parameters)} parameters ({names}). In the comparison ltsim estimates "
-            f"{len(self.ltsim_parameters)}, also {listing(more, MAX_LISTED_PARAMETERS)}. Its errors contain the "
-            "uncertainty of these further parameters; the errors of the calibrator contain their neglected effects."
+            f"The calibrator estimates {count} parameter{'' if count == 1 else 's'} ({names}). In the comparison "
+            f"ltsim estimates {len(self.ltsim_parameters)}, also {listing(more, MAX_LISTED_PARAMETERS)}. Its errors "
+            "contain the uncertainty of these further parameters; the errors of the calibrator contain "
+            "their neglected effects."
         ]
 
     def verdict_text(self) -> str:

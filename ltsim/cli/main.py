@@ -4,12 +4,14 @@ import errno
 import gc
 import sys
 import traceback
+from collections import Counter
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from operator import itemgetter
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from ltsim.cli.options import typer_command
 from ltsim.cli.terminal import discard_output, flush_streams, prepare_streams, write_line
@@ -29,6 +31,8 @@ UNWRITABLE_OUTPUT_ERRNOS = (
 
 # Typer brings its own copy of click or the library's, by version; its errors are reached through a public one.
 UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+
+RepeatedOptionError: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "UsageError")
 
 # To add a command: a function of its name in one of these modules, and one line here.
 COMMANDS = {
@@ -71,6 +75,26 @@ def command_function(name: str) -> Callable[..., Any]:
     return function
 
 
+class SingleValueCommand(TyperCommand):
+    """Command that refuses a second value of an option that takes one: the last would replace it without a word."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Arguments that remain after the options; raises UsageError."""
+        given_arguments = list(args)
+        remaining = super().parse_args(ctx, args)
+        _, _, given_parameters = self.make_parser(ctx).parse_args(given_arguments)
+        counts = Counter(p.opts[-1] for p in given_parameters if p.param_type_name == "option" and has_single_value(p))
+        repeated_option, count = max(counts.items(), key=itemgetter(1), default=("", 0))
+        if count > 1:
+            raise RepeatedOptionError(f"{repeated_option} was given {count} times, and takes one value", ctx)
+        return remaining
+
+
+def has_single_value(option: Any) -> bool:
+    """True for an option with a value that may not be repeated."""
+    return not (option.multiple or option.is_flag or option.count)
+
+
 class CommandGroup(TyperGroup):
     """Group of commands that are imported on first use, so that help and simple commands start fast."""
 
@@ -87,7 +111,7 @@ class CommandGroup(TyperGroup):
         if cmd_name not in COMMANDS:
             return None
         command_app = typer.Typer(add_completion=False, **TYPER_SETTINGS)
-        command_app.command(cmd_name)(typer_command(cmd_name, command_function(cmd_name)))
+        command_app.command(cmd_name, cls=SingleValueCommand)(typer_command(cmd_name, command_function(cmd_name)))
         return typer.main.get_command(command_app)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

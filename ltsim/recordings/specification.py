@@ -31,14 +31,21 @@ TOTAL_STATION_NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.
 """Standard deviations of a first-class total station by ISO 17123, as in manufacturers' data sheets."""
 TOTAL_STATION = Instrument(noise=TOTAL_STATION_NOISE, corrected=True)
 """Instrument that is assumed for files of total stations; its readings are already corrected."""
+ASSUMED_NOISE_TEXT = "the file declares no noise"
+"""Beginning of the notes on an assumed noise."""
 NO_NOISE_NOTE = (
-    "the file declares no noise: that of the default laser tracker is used (3 um + 0.3 ppm, 0.37 arcsec); set it in "
+    f"{ASSUMED_NOISE_TEXT}: that of the default laser tracker is used (3 um + 0.3 ppm, 0.37 arcsec); set it in "
     "setup.toml, or estimate it from the readings (--noise-from-data)"
 )
 TOTAL_STATION_NOTE = (
-    "the file declares no noise: that of a total station is used ({distance:g} mm + {ppm:g} ppm, {angle:g} arcsec), "
+    ASSUMED_NOISE_TEXT + ": that of a total station is used ({distance:g} mm + {ppm:g} ppm, {angle:g} arcsec), "
     "because {reason}; set it in setup.toml, or estimate it from the readings (--noise-from-data)"
 )
+
+
+def has_assumed_noise(notes: Iterable[str]) -> bool:
+    """True if one of the notes of a recording says that its noise is assumed, because its file declares none."""
+    return any(note.startswith(ASSUMED_NOISE_TEXT) for note in notes)
 
 
 class Specification(TomlSection):

@@ -23,7 +23,7 @@ def recording_summary(recording: Recording) -> dict[str, str]:
         "readings": _readings_text(recording),
         "heights": _heights_text(recording),
         "time": _time_text(recording),
-        "noise": _noise_text(recording),
+        "noise": recording_noise_text(recording),
         "known": _reference_values_text(recording),
     }
     return {topic: words for topic, words in topics.items() if words}
@@ -96,7 +96,8 @@ def _time_text(recording: Recording) -> str:
     return f"{start_text}{hours} h {rest_s // 60:02d} min {rest_s % 60:02d} s"
 
 
-def _noise_text(recording: Recording) -> str:
+def recording_noise_text(recording: Recording) -> str:
+    """Standard deviations of the readings as text: those of each instrument, and whether rows declare their own."""
     instrument_by_noise = {recording.instrument_of(name).noise: name for name in reversed(recording.stations)}
     words = [noise_text(noise) for noise in instrument_by_noise]
     if len(words) > 1:

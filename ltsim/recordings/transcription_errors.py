@@ -12,9 +12,8 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
 
-from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints, batches
 from ltsim.core.units import DEGREE, MILLIMETRE, QUARTER_TURN, SI_PER_UNIT
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.files import SourceLocation
@@ -143,10 +142,13 @@ def station_clouds(
 
 def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
     """Numbers (S, S) of targets that pairs of S stations share, from the stations and targets (n,) of pointings."""
-    n_targets = int(target.max(initial=0)) + 1
-    is_sighted = csr_array((np.ones(len(station)), (station, target)), shape=(n_stations, n_targets))
-    is_sighted.data[:] = 1.0
-    counts: Ints = (is_sighted @ is_sighted.T).toarray().astype(np.int64)
+    pairs = np.unique(np.stack([target, station]), axis=1)
+    counts = np.zeros((n_stations, n_stations), dtype=np.int64)
+    for part in batches(int(target.max(initial=0)) + 1, n_stations):
+        first, last = np.searchsorted(pairs[0], [part.start, part.stop])
+        is_sighted = np.zeros((part.stop - part.start, n_stations), dtype=np.float32)
+        is_sighted[pairs[0, first:last] - part.start, pairs[1, first:last]] = 1.0
+        counts += (is_sighted.T @ is_sighted).astype(np.int64)
     return counts
 
 

@@ -63,6 +63,11 @@ def test_help_without_arguments(capsys) -> None:
         (["effects", "station-setling"], "did you mean station-settling"),
         (["recover", "paper-workshop", "--trials", "1"], "--trials"),
         (["recover", "nowhere.toml"], "there is no such file"),
+        (
+            ["plan", "paper-workshop", "--without", "S1", "--without", "S2"],
+            "plan: --without was given 2 times, and takes",
+        ),
+        (["simulate", "paper-workshop", "--seed", "1", "--seed=2", "--out", "x"], "--seed was given 2 times"),
     ],
 )
 def test_bad_usage_is_one_sentence_and_status_2(

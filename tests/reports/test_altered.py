@@ -246,7 +246,7 @@ def test_a_result_with_very_long_lists_is_refused_before_it_is_built(tmp_path: P
 
 
 @pytest.mark.parametrize(
-    "name, list_name",
+    ("name", "list_name"),
     [
         ("comparison.json", "displacements"),
         ("accept.json", "groups"),

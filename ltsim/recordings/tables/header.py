@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from ltsim.core.errors import RecordError
 from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SMALL_ANGLE_UNITS, UNITS_BY_SPELLING
 from ltsim.recordings.files import SourceLocation, quoted_text
 from ltsim.recordings.tables.title_words import (
@@ -69,8 +68,6 @@ FALLBACK_TITLES = {
 FALLBACK_TITLE_ROLES = {"target": "", "station": "instrument_setup"}
 """Role of a column with such a title if another column already has the usual role: beside a column of stations, a
 column of set-up numbers counts the occupations."""
-MAPPABLE_ROLES = tuple(dict.fromkeys((*TITLE_WORDS, *SIGMA_ROLES.values())))
-"""Roles that the option ``--columns`` accepts."""
 MAX_TITLE_LENGTH = 80
 """Number of characters above which a cell is not tested as a title."""
 _BRACKET_PATTERN = re.compile(r"(.*?)\s*[\[({（【]\s*([^\])}）】]*?)\s*[\])}）】]?\s*")
@@ -142,6 +139,8 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
     """
     candidates = _join_angle_parts([_column_from_title(place, title) for place, title in enumerate(fields)])
     roles = {c.role for c in candidates}
+    if roles & {*SIGMA_ROLES.values()} and sum(c.role == "distance" for c in candidates) > 1:
+        candidates = [_sigma_of_distance(c) for c in candidates]
     if _count_reading_kinds(candidates) == 2 and not roles & {
         *VERTICAL_ROLES,
         "x",
@@ -173,6 +172,12 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
     return distinct_titles(columns)
 
 
+def _sigma_of_distance(column: TableColumn) -> TableColumn:
+    """Column of the title sD as one of standard deviations; without other distances it has slope distances (SD)."""
+    is_sigma = column.role == "distance" and title_words_and_unit(column.title)[0] == "sd"
+    return replace(column, role=SIGMA_ROLES["distance"]) if is_sigma else column
+
+
 def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
     """Columns with a number added to each repeated title, because titles are the keys of additional columns."""
     counts: Counter[str] = Counter()
@@ -190,26 +195,55 @@ def _match_unit_ending(pattern: re.Pattern[str], title: str) -> re.Match[str] | 
 
 
 def _join_angle_parts(columns: list[TableColumn]) -> list[TableColumn]:
-    """Columns in which adjacent columns with degrees, minutes and possibly seconds of one angle are joined."""
+    """Columns in which those with degrees, minutes and possibly seconds of one angle are joined.
+
+    Minutes and seconds are in the next columns, or anywhere in columns with the title of the degrees.
+    """
     joined_columns = list(columns)
     for place, column in enumerate(columns):
-        stem = _match_unit_ending(_ANGLE_PART_PATTERNS[0], column.title)
-        names = [stem[1] if stem is not None else column.title]
-        has_letters = [c.title.casefold() for c in columns[place + 1 : place + 3]] == ["m", "s"]
-        for form, after in zip(_ANGLE_PART_PATTERNS[1:], columns[place + 1 : place + 3], strict=False):
-            part = _match_unit_ending(form, after.title)
-            letter = len(after.title) == 1 and after.title.isalpha() and not has_letters
-            whole_word = part is not None and not part[1] and not letter
-            if part is None or not (whole_word or normalised_title(part[1]) == normalised_title(names[0])):
-                break
-            names.append(part[1])
-        role = title_role(names[0])
-        if len(names) > 1 and role in (*HORIZONTAL_ROLES, *VERTICAL_ROLES):
-            places = tuple(range(place + 1, place + len(names)))
+        degrees_match = _match_unit_ending(_ANGLE_PART_PATTERNS[0], column.title)
+        stem = column.title if degrees_match is None else degrees_match[1]
+        role = title_role(stem)
+        if degrees_match is not None and role == "z":  # a coordinate has no degrees
+            role = "vertical"
+        if role not in (*HORIZONTAL_ROLES, *VERTICAL_ROLES):
+            continue
+        places = _adjacent_angle_parts(columns, place, stem)
+        if not places and degrees_match is not None:
+            places = _angle_parts_with_stem(columns, stem)
+        if places:
             joined_columns[place] = TableColumn(place, column.title, role, "deg", part_positions=places)
             for other in places:
                 joined_columns[other] = TableColumn(other, columns[other].title, ANGLE_PART_ROLE)
     return joined_columns
+
+
+def _adjacent_angle_parts(columns: Sequence[TableColumn], place: int, stem: str) -> tuple[int, ...]:
+    """Positions of the minutes and seconds directly after the degrees at `place`, whose title is `stem` and a unit."""
+    names, after = [stem], columns[place + 1 : place + 3]
+    has_letters = [c.title.casefold() for c in after] == ["m", "s"]
+    for form, column in zip(_ANGLE_PART_PATTERNS[1:], after, strict=False):
+        part = _match_unit_ending(form, column.title)
+        letter = len(column.title) == 1 and column.title.isalpha() and not has_letters
+        whole_word = part is not None and not part[1] and not letter
+        if part is None or not (whole_word or normalised_title(part[1]) == normalised_title(stem)):
+            break
+        names.append(part[1])
+    return tuple(range(place + 1, place + len(names)))
+
+
+def _angle_parts_with_stem(columns: Sequence[TableColumn], stem: str) -> tuple[int, ...]:
+    """Positions of the columns of minutes and seconds with the title `stem`; empty without a column of minutes."""
+    positions: list[int] = []
+    for form in _ANGLE_PART_PATTERNS[1:]:
+        matches = ((c.position, _match_unit_ending(form, c.title)) for c in columns)
+        matching_positions = [
+            place for place, m in matches if m is not None and normalised_title(m[1]) == normalised_title(stem)
+        ]
+        if not matching_positions:
+            break
+        positions.append(matching_positions[0])
+    return tuple(positions)
 
 
 def _count_reading_kinds(columns: Sequence[TableColumn]) -> int:
@@ -252,10 +286,10 @@ def unknown_unit_sentence(titles: Sequence[str]) -> str:
 
 def require_readable_units(columns: Sequence[TableColumn], location: SourceLocation) -> None:
     """Check that no kind of reading is missing because the unit of its column is unknown; raises RecordError."""
-    kinds = {_reading_kind(column.role) for column in columns}
+    kinds = {reading_kind(column.role) for column in columns}
     unknown_titles = [c.title for c in columns if not c.role]
     missing = [
-        title for title in unknown_titles if _reading_kind(title_role(title_words_and_unit(title)[0])) not in kinds
+        title for title in unknown_titles if reading_kind(title_role(title_words_and_unit(title)[0])) not in kinds
     ]
     if sentence := unknown_unit_sentence(missing):
         raise location.error(sentence)
@@ -271,7 +305,7 @@ def title_words_and_unit(title: str) -> tuple[str, str]:
     """Title without unit, in the form of `normalised_title`, and its unit ('' if it has none)."""
     if len(title) > MAX_TITLE_LENGTH:
         return "", ""
-    name, unit = _split_unit(title)
+    name, unit = split_unit(title)
     if not unit:
         parts = re.split(r"[\s_]+", title.strip())
         if len(parts) > 1 and parts[-1].lower() in UNITS_BY_SPELLING and title_role("".join(parts[:-1])):
@@ -307,6 +341,8 @@ def _column_from_title(position: int, title: str, *, has_face: bool = True) -> T
     if face_match is not None:
         role = title_role(face_match.group(1))
         face = {"1": 1, "i": 1, "2": 2, "ii": 2}[face_match.group(2).lower()] if role else 0
+    if role == "round" and unit in UNITS_BY_ROLE["time"]:  # an epoch in seconds is a moment
+        role = "time"
     if role in UNITS_BY_ROLE and unit and unit not in UNITS_BY_ROLE[role]:
         # surveyors' lists have heights in a column called elevation
         is_zenith = name == "z" and unit in ANGLE_UNITS
@@ -314,54 +350,7 @@ def _column_from_title(position: int, title: str, *, has_face: bool = True) -> T
     return TableColumn(position, title, role, unit, face)
 
 
-def mapped_columns(fields: Sequence[str], assignments: str, file: object) -> list[TableColumn] | None:
-    """Columns of a header with the roles in ``--columns``, ``role=Header[unit],...``; None if a title is missing.
-
-    A number in place of a title counts columns from 1; ``role=Degrees+Minutes+Seconds`` joins columns. Columns without
-    an assignment have the role of their title.
-
-    Raises RecordError for an unknown role or unit.
-    """
-    columns = header_columns(fields)
-    assigned_columns: dict[int, TableColumn] = {}
-    for role, face, title, unit in parse_assignments(assignments, file):
-        position, *parts = _title_positions(fields, title) or (None,)
-        if position is None:
-            return None
-        assigned_columns[position] = TableColumn(
-            position, fields[position], role, unit or columns[position].unit, face, tuple(parts)
-        )
-        assigned_columns |= {part: TableColumn(part, fields[part], ANGLE_PART_ROLE) for part in parts}
-    kinds = {_reading_kind(column.role) for column in assigned_columns.values()}
-    other_columns = [c if _reading_kind(c.role) not in kinds else replace(c, role="", face=0) for c in columns]
-    return [assigned_columns.get(c.position, c) for c in other_columns]
-
-
-def parse_assignments(assignments: str, file: object = None) -> list[tuple[str, int, str, str]]:
-    """Role, face (0 for both), title and unit ('' if not given) of each ``role=Header[unit]``; raises RecordError."""
-    assignments_of_roles = []
-    for part in filter(None, (p.strip() for p in assignments.split(","))):
-        role, equals, title = part.partition("=")
-        stem, face = role.strip().lower(), 0
-        if stem[-1:] in ("1", "2"):
-            stem, face = stem[:-1], int(stem[-1])
-        if not equals or stem not in MAPPABLE_ROLES or not title.strip():
-            message = (
-                f"--columns {quoted_text(part, 60)}: expected ROLE=HEADER[UNIT] with a role among "
-                f"{', '.join(MAPPABLE_ROLES)}"
-            )
-            raise RecordError(message, file=file)
-        name, unit = _split_unit(title.strip())
-        if unit and unit not in UNITS_BY_ROLE.get(stem, ()):
-            units = ", ".join(UNITS_BY_ROLE.get(stem, ("none",)))
-            raise RecordError(
-                f"--columns {quoted_text(part, 60)}: expected one of the units {units} for {stem}", file=file
-            )
-        assignments_of_roles.append((stem, face, name, unit))
-    return assignments_of_roles
-
-
-def _split_unit(text: str) -> tuple[str, str]:
+def split_unit(text: str) -> tuple[str, str]:
     """Title without the unit in brackets at its end, and this unit ('' if it has none)."""
     bracket_match = _BRACKET_PATTERN.fullmatch(text)
     if bracket_match is None or not bracket_match[1]:
@@ -369,29 +358,7 @@ def _split_unit(text: str) -> tuple[str, str]:
     return bracket_match[1], UNITS_BY_SPELLING.get(bracket_match[2].lower(), bracket_match[2])
 
 
-def _title_positions(fields: Sequence[str], title: str) -> tuple[int, ...] | None:
-    """Position of a title, or positions of the titles of degrees, minutes and seconds that `title` joins by plus signs.
-
-    None if a title is missing.
-    """
-    position = _title_position(fields, title)
-    if position is not None or "+" not in title:
-        return None if position is None else (position,)
-    positions = [_title_position(fields, part) for part in title.split("+")[: len(ANGLE_MARKS)]]
-    return None if None in positions else tuple(p for p in positions if p is not None)
-
-
-def _title_position(fields: Sequence[str], title: str) -> int | None:
-    """Position of a title, given with or without its unit or as a column number from 1; None if it is missing."""
-    for fold in (str.strip, lambda text: _split_unit(text)[0].casefold()):
-        folded_title = fold(title)
-        for position, field in enumerate(fields):
-            if fold(field) == folded_title:
-                return position
-    return int(title) - 1 if title.isdigit() and 0 < int(title) <= len(fields) else None
-
-
-def _reading_kind(role: str) -> str:
+def reading_kind(role: str) -> str:
     """Kind of the reading in a column: the first of the roles for this kind; any other role unchanged."""
     for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES):
         if role in kind:

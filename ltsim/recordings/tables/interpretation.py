@@ -16,7 +16,16 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
-from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, SI_PER_UNIT, unit_ratio
+from ltsim.core.units import (
+    ANGLE_UNITS,
+    ARCSECOND,
+    DEGREE,
+    LENGTH_UNITS,
+    MILLIMETRE,
+    SI_PER_UNIT,
+    UNITS_BY_SPELLING,
+    unit_ratio,
+)
 from ltsim.geometry.polar import from_polar, to_polar, unit_vectors
 from ltsim.recordings.conventions import (
     SENSE_UNKNOWN_NOTE,
@@ -31,7 +40,6 @@ from ltsim.recordings.conventions import (
     length_unit_from_size,
 )
 from ltsim.recordings.files import quoted_text
-from ltsim.recordings.pointings import index_names
 from ltsim.recordings.recording import SIGMA_COLUMNS
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
@@ -127,8 +135,7 @@ def interpret_readings(
     columns = {kind[0]: table.column(kind) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)}
     unit_by_kind = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
     pointings = table.pointings
-    _, station = index_names(pointings.station, "station", file)
-    _, target = index_names(pointings.target, "target", file)
+    station, target = pointings.name_indices("station"), pointings.name_indices("target")
     polar = PolarReadings(
         station,
         target,
@@ -138,8 +145,31 @@ def interpret_readings(
     length, length_notes = _length_convention(unit_by_kind["distance"], polar, table, hints, file)
     interpretation = ColumnInterpretation(*units, length, vertical, "counter-clockwise")
     azimuth, sense_notes = _azimuth_sense(table, interpretation, polar, poses, hints, file)
-    interpretation = replace(interpretation, azimuth=azimuth, notes=(*notes, *length_notes, *sense_notes))
+    all_notes = (*_missing_readings_notes(table), *notes, *length_notes, *sense_notes)
+    interpretation = replace(interpretation, azimuth=azimuth, notes=all_notes)
     return interpretation, interpretation.readings(pointings)
+
+
+def _missing_readings_notes(table: PointingTable) -> list[str]:
+    """Notes on vertical angles or distances without a column, if unrecognised columns have such a unit."""
+    notes = []
+    for kind, name, units in (
+        (VERTICAL_ROLES, "vertical angles", ANGLE_UNITS),
+        (DISTANCE_ROLES, "distances", LENGTH_UNITS),
+    ):
+        columns = [c for c in table.columns if c.is_additional and not c.role and _unit_in_title(c) in units]
+        if columns and table.column(kind) is None:
+            title, titles = columns[0].title, ", ".join(f"'{quoted_text(c.title)}'" for c in columns)
+            notes.append(
+                f"no column is recognised as {name}, and the recording has none; if {titles} contains them, give "
+                f'--columns "{kind[0]}={quoted_text(title)}"'
+            )
+    return notes
+
+
+def _unit_in_title(column: TableColumn) -> str:
+    """Unit in the title of a column, in brackets or after an underscore; '' for none."""
+    return column.unit or UNITS_BY_SPELLING.get(column.title.rpartition("_")[2].casefold(), "")
 
 
 def _angle_conventions(

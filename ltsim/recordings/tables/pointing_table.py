@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from decimal import MAX_PREC, Decimal, localcontext
 from itertools import chain
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,6 +122,17 @@ class UnconvertedPointings:
         """File and line of a pointing."""
         return SourceLocation(self.file[index], self.line[index])
 
+    def name_indices(self, kind: Literal["station", "target"]) -> Ints:
+        """Index (n,) of the station or target of each pointing, in order of appearance.
+
+        Raises RecordError for an invalid name, with its line.
+        """
+        names, indices = indices_by_value(self.station if kind == "station" else self.target)
+        _, first = np.unique(indices, return_index=True)
+        for name, row in zip(names, first.tolist(), strict=True):
+            self.source_location(row).name(name, kind, kind)
+        return indices
+
     def digits_of_roles(self, roles: Sequence[str]) -> Digits:
         """Digits (n,) of each row, from the first of the given kinds of column in which the row has a number."""
         digits: Digits = np.zeros(len(self), dtype="S1")
@@ -129,6 +140,12 @@ class UnconvertedPointings:
             if role in self.digits_by_role:
                 digits = np.where(digits == b"", self.digits_by_role[role], digits)
         return digits
+
+    @property
+    def has_single_pointing_rounds(self) -> bool:
+        """True if each of the rounds has one pointing, and the pointings are to several targets."""
+        rounds = {*zip(self.station, self.round_label, strict=True)}
+        return len(rounds) == len(self) and len({*self.target}) > 1
 
     def texts(self, title: str) -> list[str]:
         """Cells (n) of the additional column with this title; all '' if there is no such column."""

@@ -1,6 +1,5 @@
 """Reader of recordings from delimited text, a folder of such files, or a workbook."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,11 +25,12 @@ from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import Instrument, Setup
 from ltsim.recordings.specification import NO_NOISE_NOTE
 from ltsim.recordings.tables import cells
+from ltsim.recordings.tables.clock_columns import pointing_times, with_time_column
 from ltsim.recordings.tables.header import DISTANCE_ROLES, UNITS_BY_ROLE, TableColumn, has_named_coordinates
 from ltsim.recordings.tables.heights import with_heights_of_setups
 from ltsim.recordings.tables.interpretation import ColumnInterpretation, interpret_readings, sigmas_from_coordinates
 from ltsim.recordings.tables.packed_angles import with_unpacked_angles
-from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, decimal_places, indices_by_value
+from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, decimal_places
 from ltsim.recordings.tables.rows import parse_header, read_pointing_table
 from ltsim.recordings.tables.setups import (
     common_target_names,
@@ -43,78 +43,6 @@ from ltsim.recordings.tables.setups import (
 from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, ZIP_SIGNATURE, head_rows, is_table_folder, read_sheets
 from ltsim.recordings.tables.station_names import require_station_names, several_positions_notes
 from ltsim.recordings.tables.unnamed_targets import name_targets_by_position, name_unnamed_targets
-
-
-def with_time_column(table: PointingTable) -> PointingTable:
-    """Table with a time column: if no title is one of times, the first additional column with times of day is used."""
-    if table.column(("time",)) is not None:
-        return table
-    pointings = table.pointings
-    for column in table.columns:
-        texts = pointings.additional_cells.get(column.title, [])
-        filled = [text for text in texts if text]
-        if not column.is_additional or column.role or not filled or not all(map(cells.has_clock, filled)):
-            continue
-        title = column.title
-        pointings.date_and_time = [
-            " ".join(filter(None, both)) for both in zip(pointings.date_and_time, texts, strict=True)
-        ]
-        pointings.additional_cells = {
-            name: cells_of for name, cells_of in pointings.additional_cells.items() if name != title
-        }
-        table.columns = [replace(c, role="time", unit="") if c is column else c for c in table.columns]
-        table.notes.append(
-            f"'{quoted_text(title)}' is interpreted as the time of each pointing, because its cells are times of day"
-        )
-        break
-    return table
-
-
-def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str, list[str]]:
-    """Time [s] of each pointing, moment of time 0 in ISO format ('' if unknown), and notes; NaN if unreadable."""
-    column = table.column(("time",)) or table.column(("date",))
-    texts = table.pointings.date_and_time
-    missing = [float("nan")] * len(texts)
-    if column is None or not any(texts):
-        return missing, "", []
-    consequence = "the order of the rows replaces the time"
-    if not all(texts):
-        return missing, "", [f"column '{quoted_text(column.title)}' is empty in some rows: {consequence}"]
-    plain_times = cells.plain_numbers(texts)
-    if plain_times is not None and column.role == "date":
-        return (
-            missing,
-            "",
-            [f"column '{quoted_text(column.title)}' contains numbers of days without a time: {consequence}"],
-        )
-    if plain_times is not None:
-        return (plain_times * SI_PER_UNIT[column.unit or "s"]).tolist(), "", []
-    times = [cells.parse_number(text) for text in texts]
-    if all(number is not None for number in times):
-        factor = SI_PER_UNIT[column.unit or "s"]
-        return [float(number) * factor for number in times if number is not None], "", []
-    seconds, start = cells.parse_times(texts, hints.date)
-    if seconds is None and start:
-        message = (
-            f"'{quoted_text(texts[0])}' may be day and month or month and day; give --hint date=dmy or --hint date=mdy"
-        )
-        raise table.pointings.source_location(0).error(message, quoted_text(column.title))
-    if seconds is None:
-        reason = f"column '{quoted_text(column.title)}' contains no readable time ('{quoted_text(texts[0])}')"
-        return missing, "", [f"{reason}: {consequence}"]
-    if not any(map(cells.has_clock, texts)):
-        return missing, "", [f"column '{quoted_text(column.title)}' contains dates without a time: {consequence}"]
-    earliest = texts[int(np.argmin(seconds))]
-    if hints.date is None and len({cells.parse_times([earliest], order)[1] for order in ("dmy", "mdy")} - {""}) > 1:
-        day_order, other = (
-            ("day and month", "mdy") if cells.parse_times([earliest], "dmy")[1] == start else ("month and day", "dmy")
-        )
-        note = (
-            f"the date in '{quoted_text(earliest)}' is interpreted as {day_order} (otherwise give --hint date={other})"
-        )
-        return seconds, start, [note]
-    return seconds, start, []
-
 
 SETUP_FILE = "setup.toml"
 MAX_ROWS_IN_NOTE = 3
@@ -147,7 +75,7 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     Raises RecordError.
     """
     printed = read_pointing_table(read_sheets(path), hints, path, positional=positional)
-    table = name_unnamed_targets(with_unpacked_angles(with_time_column(printed), hints), path)
+    table = name_unnamed_targets(with_unpacked_angles(with_time_column(printed), hints), hints, path)
     table.pointings.target, renamed = common_target_names(table.pointings)
     table.notes += renamed
     table.marks = marks_with_other_spelling(table.pointings.station, table.pointings.target)
@@ -217,10 +145,6 @@ def assemble_recording(
         unapplied,
         _unread_lines_notes(table),
     ]
-    targets, target = indices_by_value(printed.target)
-    _, first = np.unique(target, return_index=True)
-    for name, row in zip(targets, first.tolist(), strict=True):
-        printed.source_location(row).name(name, "target")
     columns = PointingColumns(
         printed.station,
         printed.target,

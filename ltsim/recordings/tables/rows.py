@@ -12,6 +12,7 @@ from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import SourceLocation, is_number, quoted_text
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.blocks import TableBlock
+from ltsim.recordings.tables.column_assignments import mapped_columns, parse_assignments
 from ltsim.recordings.tables.column_suggestions import unrecognised_header_sentence
 from ltsim.recordings.tables.header import (
     READING_ROLES,
@@ -20,8 +21,6 @@ from ltsim.recordings.tables.header import (
     has_named_coordinates,
     header_columns,
     is_header,
-    mapped_columns,
-    parse_assignments,
     require_readable_units,
     title_role,
     title_words_and_unit,
@@ -34,6 +33,7 @@ from ltsim.recordings.tables.pointing_table import (
 )
 from ltsim.recordings.tables.row_batches import RowBatch, RowBatchReader, pad_cells
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
+from ltsim.recordings.tables.title_words import SUMMARY_WORDS
 
 POSITIONAL_ROLES = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of the columns of a table without header whose lines have names and three numbers."""
@@ -193,12 +193,22 @@ class _SheetReader:
         return self.table
 
     def _is_measured(self, row: SheetRow) -> bool:
-        """True if a cell in a column of readings has a value."""
+        """True if a cell in a column of readings has a value, and the row is no sum or mean of other rows."""
         fields = row.fields
+        if self._is_summary(fields):
+            return False
         for place in self.reading_positions:
             if place < len(fields) and (is_number(fields[place]) or cells.is_value(fields[place])):
                 return True
         return False
+
+    def _is_summary(self, fields: Sequence[str]) -> bool:
+        """True for a row that begins with a word for a sum or mean, and has no target or not every reading."""
+        first_text = next(filter(None, fields), "")
+        if first_text.rstrip(" :=").casefold() not in SUMMARY_WORDS.split():
+            return False
+        needed = [*self.reading_positions, *(c.position for c in self.columns if c.role == "target")]
+        return any(place >= len(fields) or not fields[place] for place in needed)
 
     def _process_other_line(self, row: SheetRow) -> None:
         """Processing of a line that is no pointing: it names a station or heights, or is not used."""
@@ -213,9 +223,11 @@ class _SheetReader:
         if len(self.row_batch.line) == ROWS_PER_BATCH:
             self._convert_rows()
         width = len(self.header)
-        if len(row.fields) > width and any(row.fields[width:]):
+        if any(row.fields[width:]) or (len(row.fields) < width and self.sheet.has_blanks_between_fields):
             self._convert_rows()
             message = f"{len(row.fields)} fields, expected {width} as in the header"
+            if self.sheet.has_blanks_between_fields:
+                message += "; titles and cells with blanks need another separator, such as ;"
             raise SourceLocation(self.sheet.file, row.line).error(message)
         if len(self.columns) > width:
             heights = [self.block.heights.get(c.role, "") for c in self.columns[width:]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 import warnings
 import zipfile
 from collections import Counter
@@ -42,6 +43,10 @@ MAX_SAMPLE_CHARACTERS = 100_000
 """Number of characters from which the separator is detected."""
 
 
+_BLANK_BEFORE_UNIT = re.compile(r"(?<=\S)[ \t]+(?=[(\[][^\s()\[\]]+[)\]](?:\s|$))")
+"""Blanks between a title and its unit in brackets."""
+
+
 class SheetRow(NamedTuple):
     """Line number and fields of one row; a line that begins with # is a comment."""
 
@@ -71,7 +76,7 @@ class TextRows(Sequence[SheetRow]):
     """Rows of a text file, which are split into fields on access to save four fifths of the memory."""
 
     def __init__(self, lines: Sequence[tuple[int, str]], separator: str) -> None:
-        self._lines, self._separator = lines, separator
+        self._lines, self.separator = lines, separator
 
     def __len__(self) -> int:
         return len(self._lines)
@@ -84,7 +89,7 @@ class TextRows(Sequence[SheetRow]):
 
     def __getitem__(self, place: int | slice) -> SheetRow | TextRows:
         if isinstance(place, slice):
-            return TextRows(self._lines[place], self._separator)
+            return TextRows(self._lines[place], self.separator)
         return self._row(*self._lines[place])
 
     def __iter__(self) -> Iterator[SheetRow]:
@@ -92,19 +97,19 @@ class TextRows(Sequence[SheetRow]):
 
     def _row(self, line_number: int, line: str) -> SheetRow:
         if "#" in line and line.lstrip().startswith("#"):
-            return SheetRow(line_number, _split_fields(line.lstrip().lstrip("#"), self._separator), is_comment=True)
-        return SheetRow(line_number, _split_fields(line, self._separator))
+            return SheetRow(line_number, _split_fields(line.lstrip().lstrip("#"), self.separator), is_comment=True)
+        return SheetRow(line_number, _split_fields(line, self.separator))
 
     @property
     def rows_with_comma_and_point(self) -> TextRows:
         """Rows that may contain a field with both a comma and a point."""
-        is_comma_separated = self._separator == ","  # fields then hold commas in quotes alone
+        is_comma_separated = self.separator == ","  # fields then hold commas in quotes alone
         mixed = [
             line
             for line in self._lines
             if "," in line[1] and "." in line[1] and ('"' in line[1] or not is_comma_separated)
         ]
-        return TextRows(mixed, self._separator)
+        return TextRows(mixed, self.separator)
 
 
 @dataclass(frozen=True)
@@ -118,6 +123,11 @@ class TableSheet:
     rows: Sequence[SheetRow]
     station: str = ""
     has_incomplete_end: bool = False
+
+    @property
+    def has_blanks_between_fields(self) -> bool:
+        """True if blanks separate the fields, so that a missing cell cannot be recognised."""
+        return isinstance(self.rows, TextRows) and self.rows.separator == " "
 
     @cached_property
     def thousands_separator(self) -> str:
@@ -238,7 +248,7 @@ def _count_values(lines: Sequence[str], separator: str, min_columns: int) -> int
 def _split_fields(line: str, separator: str) -> tuple[str, ...]:
     """Fields of one line, without the quotes of CSV."""
     if separator == " ":
-        return tuple(line.split())
+        return tuple(_BLANK_BEFORE_UNIT.sub("", line).split() if "[" in line or "(" in line else line.split())
     plain_fields = tuple(map(str.strip, line.split(separator)))
     if '"' in line and any('"' in text and text != '"' for text in plain_fields):  # a sign of seconds is no quote
         try:

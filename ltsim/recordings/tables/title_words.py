@@ -12,13 +12,14 @@ COMMON_SIGMA_ROLE = "sigma_mm"
 TITLE_WORDS = {
     "station": "station stn st setup standpunkt stp stand standort stationname stationid stationnr stationno "
     "stationnumber stationpoint stationpointid setuppoint setuppointid standpunktnr standpunktnummer "
-    "standpunktname atstation occupiedstation occpt occpoint "
+    "standpunktname atstation occupied occupiedpoint occupiedstation occpt occpoint "
     "from fromstn fromstation frompoint frompointid von instrument instrumentname "
     "tracker trackername device deviceid devicename stationsname setupname setupid setupno setupnr "
     "setupnumber occupation occupationid aufstellung aufstellungnr aufstellungsnr besetzung stationierung standpkt",
     "target": "target point pt name punkt pkt punktnummer punktname pnr pointname pointid pointnumber pointno "
     "pointnr ptid ptno ptnr ptname targetname targetid feature featurename id to tostn tostation "
-    "topoint topointid nach reflector smr zielpunkt zielpunktnr zielpunktnummer ziel nest nr nummer no",
+    "topoint topointid observed observedpoint sighted sightedpoint nach reflector smr "
+    "zielpunkt zielpunktnr zielpunktnummer ziel nest nr nummer no",
     "face": "face f lage kreislage circlelage visierlage",
     "repeat": "repeat repetition rep wiederholung",
     "round": "round runde obsset satz set setnumber setno setnr satznummer satznr vollsatz serie series "
@@ -26,7 +27,7 @@ TITLE_WORDS = {
     "horizontal": "hz ha hor horizontal horizontalangle hzangle horizontalrichtung hzrichtung richtung direction "
     "horizontalwinkel hzwinkel hcircle hzcircle horizontalcircle bearing",
     "azimuth": "azimuth az azimut azi azimuthangle azimutwinkel",
-    "vertical": "v va vertical verticalangle vertikalwinkel vwinkel vangle vcircle verticalcircle",
+    "vertical": "v va vz vertical verticalangle vertikalwinkel vwinkel vangle vzangle vcircle verticalcircle",
     "zenith": "zenith za zd zen zenithangle zenit zenitwinkel zenitdistanz zenithdistance",
     "elevation": "elevation el elev elevationangle hohenwinkel hoehenwinkel altitudeangle",
     "distance": "distance dist d sd slopedist slopedistance slope range r schragdistanz schraegdistanz "
@@ -51,6 +52,11 @@ TITLE_WORDS = {
     "relative_humidity_pct": "relativehumidity humidity luftfeuchte luftfeuchtigkeit",
 }
 """English and German titles by the meaning of the column, separated by blanks."""
+SUMMARY_WORDS = (
+    "sum total count mean average avg median min max minimum maximum std stddev rms summe gesamt anzahl mittel "
+    "mittelwert somme moyenne nombre suma media promedio somma totale numero"
+)
+"""Words at the beginning of a row with sums or means of the rows above, separated by blanks."""
 FOREIGN_TITLE_WORDS = {
     "French": {
         "station": "stationne pointstation pointstationne numerodestation stationinstrument stationdelinstrument "

@@ -9,7 +9,9 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.notation import listing
 from ltsim.geometry.polar import from_polar
+from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import quoted_text
+from ltsim.recordings.tables.cells import is_value
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, indices_by_value
 
 MAX_SAME_PLACE_RATIO = 3e-4
@@ -32,10 +34,11 @@ class UnnamedTargetsError(RecordError):
     """Error for a table of several set-ups whose rows name no targets."""
 
 
-def name_unnamed_targets(table: PointingTable, file: object) -> PointingTable:
+def name_unnamed_targets(table: PointingTable, hints: Hints, file: object) -> PointingTable:
     """Table in which rows without any names have one common name.
 
     Raises UnnamedTargetsError if several set-ups have no names: nothing then tells which of their targets are the same.
+    Raises it also if a column may contain the names, unless the hints name the station.
     """
     pointings = table.pointings
     if {*pointings.target} != {""}:
@@ -43,9 +46,28 @@ def name_unnamed_targets(table: PointingTable, file: object) -> PointingTable:
     if len({*pointings.station}) > 1:
         message = "names no points, so common targets of its set-ups are unknown; add a column target"
         raise UnnamedTargetsError(message, file=file)
+    titles = [] if hints.station is not None else _possible_name_titles(table)
+    if titles:
+        listed = listing([f"'{title}'" for title in titles], MAX_COINCIDENT_NAMES)
+        message = (
+            f'names no points, and {listed} may contain names; give --columns "target={titles[-1]}", or --hint '
+            "station=NAME if one target moved and one set-up measured it"
+        )
+        raise UnnamedTargetsError(message, file=file)
     pointings.target = [UNNAMED_TARGET] * len(pointings)
     table.has_unnamed_targets = True
     return table
+
+
+def _possible_name_titles(table: PointingTable) -> list[str]:
+    """Titles of the columns without a known meaning or unit whose cells are whole numbers or texts that occur again."""
+    titles = []
+    for column in table.columns:
+        distinct = {*table.pointings.texts(column.title)} if column.is_additional and not column.role else set()
+        are_names = all(text.isdigit() or not is_value(text) for text in distinct)
+        if are_names and not column.unit and "" not in distinct and 1 < len(distinct) < len(table.pointings):
+            titles.append(quoted_text(column.title))
+    return titles
 
 
 def name_targets_by_position(table: PointingTable, readings: Floats) -> PointingTable:

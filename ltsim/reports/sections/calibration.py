@@ -275,8 +275,8 @@ def _warning_blocks(content: Calibration, *, has_converged: bool, agrees: bool) 
 
 def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
     note = "Residual: declared minus adjusted value. Error: estimate from all other observations, +- one sigma."
-    if not content.constants_included and any(entry.kind == "length" for entry in content.reference_values):
-        note += " Known lengths, points and levels are tested in a fit that also estimates the instrument's constants."
+    if not content.constants_included and {"length", "point"} & {entry.kind for entry in content.reference_values}:
+        note += " Reference values are tested in a fit that also estimates the instrument's constants."
     sorted_values = sorted(content.reference_values, key=lambda entry: (not entry.excluded, -entry.w))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
     return entries_table_blocks(

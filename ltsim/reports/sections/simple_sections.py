@@ -133,9 +133,9 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
     moved_targets = [d.target for d in points if d.moved]
     caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
     note = (
-        "dx, dy, dz: with one standard deviation; a: largest semi-axis of the 95 % confidence ellipsoid; visible: the "
+        "dx, dy, dz: with one standard deviation; a: largest semi-axis of the 95 % confidence ellipsoid; detectable: "
+        "the smallest motion that is detected with a probability of 80 %."
     )
-    note += "smallest motion that is detected with probability 80 %."
     shown_table = DISPLACEMENTS_TABLE.with_rows(d.row for d in points).with_columns(
         "target moved dx_um dy_um dz_um a_um detectable_um p_value"
     )
