@@ -33,6 +33,8 @@ SESSION_PROVIDER = "this session"
 """Provider in the catalogue of effects that were registered in the running session."""
 PACKAGE_EFFECTS_HEADING = "installed"
 """Heading in the catalogue of the effects that installed packages provide."""
+NO_MEASUREMENT = "no measurement is needed"
+"""Beginning of the section `Separate by` of an effect that the readings themselves distinguish from all others."""
 EFFECT_NAME_PATTERN = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 """Permitted names of effects: lower-case words, joined by hyphens."""
 DOCSTRING_SECTIONS = ("Size", "Like", "Separate by", "Valid", "Source", "Status")
@@ -81,10 +83,10 @@ class CatalogueEntry:
 
     @property
     def confirming_measurement(self) -> str:
-        """First measurement of the section `Separate by`; empty if none is needed (`nothing`)."""
+        """First measurement of the section `Separate by`; empty if the section begins with `NO_MEASUREMENT`."""
         separating_text = dict(self.sections())["Separate by"]
         measurement = re.split("[;:]", separating_text, maxsplit=1)[0].rstrip(".")
-        return "" if measurement.startswith("nothing") else measurement
+        return "" if measurement.startswith(NO_MEASUREMENT) else measurement
 
     def sections(self) -> tuple[tuple[str, str], ...]:
         """Pairs (name, text) of the sections after the equation."""

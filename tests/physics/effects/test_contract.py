@@ -12,6 +12,7 @@ import pytest
 from ltsim import effects
 from ltsim.core.errors import ModelError
 from ltsim.physics.effects import CATALOGUE, NoiseEffect, catalogue_entry, find_effect
+from ltsim.physics.effects.catalogue import NO_MEASUREMENT
 from ltsim.physics.effects.effect import Blunder, Effect, LightPathStage, SlotEffect
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import OBSERVABLES
@@ -48,6 +49,14 @@ def test_the_card_has_all_parts(kind: type[Effect]) -> None:
     told = dict(card.sections())
     assert re.search(r"\d", told["Size"]) or issubclass(kind, Blunder)
     assert re.search(r"validated|empirical", told["Status"])
+
+
+@EVERY
+def test_what_confirms_an_effect_is_a_measurement(kind: type[Effect]) -> None:
+    """A page said that an effect is "confirmed by no measurement is needed"."""
+    card = catalogue_entry(kind)
+    assert not re.match(r"no\b|nothing|none", card.confirming_measurement, re.IGNORECASE)
+    assert bool(card.confirming_measurement) != dict(card.sections())["Separate by"].startswith(NO_MEASUREMENT)
 
 
 @EVERY
