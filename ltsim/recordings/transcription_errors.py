@@ -191,8 +191,9 @@ def position_disagreement(points: Floats, station: Ints, target: Ints) -> float:
     if not clouds:
         return float("nan")
     targets = np.concatenate([cloud.targets for cloud in clouds])
-    positions = np.concatenate([cloud.points for cloud in clouds])[np.argsort(targets, kind="stable")]
-    _, first_rows, counts = np.unique(np.sort(targets), return_index=True, return_counts=True)
+    order = np.argsort(targets, kind="stable")
+    positions = np.concatenate([cloud.points for cloud in clouds])[order]
+    _, first_rows, counts = np.unique(targets[order], return_index=True, return_counts=True)
     ranges = np.maximum.reduceat(positions, first_rows) - np.minimum.reduceat(positions, first_rows)
     distances = np.linalg.norm(ranges[counts > 1], axis=1)
     return float(np.median(distances)) + 1e-9 if len(distances) else float("nan")
