@@ -12,6 +12,7 @@ from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MAX_SINGLE_ERROR_FR
 from ltsim.adjustment.stochastic_model import noise_setting_texts
 from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
+from ltsim.recordings.specification import noise_origin
 
 
 class VerdictCase(Enum):
@@ -63,8 +64,9 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
     model.
     """
     dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
+    origin = noise_origin(adjustment.recording.notes)
     if dof <= 0:
-        sentence = "There is no redundancy: no test is possible, and the declared noise is used."
+        sentence = f"There is no redundancy: no test is possible, and the {origin} noise is used."
         return Verdict(VerdictCase.UNCHECKED, sentence, False)
     low, high = _sigma0_limits(dof, alpha)
     outliers, by_tau = adjustment.flagged_readings(), len(adjustment.flagged_readings(uses_estimated_noise=True))
@@ -80,13 +82,13 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
         return Verdict(VerdictCase.HIDDEN_ERRORS, sentence, False)
     if sigma0 < low and dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
-            f"Trust the declared noise. The readings scatter less: {phrase}. But so few degrees of freedom support no "
+            f"Trust the {origin} noise. The readings scatter less: {phrase}. But so few degrees of freedom support no "
             "other noise."
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence, False)
     if sigma0 < low:
         sentence = (
-            f"The declared noise is too large: {phrase}. {noise_declaration_advice(adjustment, alpha)} "
+            f"The {origin} noise is too large: {phrase}. {noise_declaration_advice(adjustment, alpha)} "
             f"Trust the estimated sigma0 and the tau-test. {_outlier_sentence(by_tau, ' in the tau-test')}"
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence.rstrip(), True)
@@ -109,7 +111,7 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
         trust = "" if adjustment.cause_sentences else "Trust the test of single readings. "
         sentence = (
             f"{outlier_sentence} {trust}The global test fails only because {because}: {phrase}. The other readings "
-            "agree with the declared noise."
+            f"agree with the {origin} noise."
         )
         return Verdict(VerdictCase.SINGLE_ERRORS, sentence, False)
     if dof < MIN_DOF_FOR_ESTIMATED_NOISE:
@@ -148,23 +150,24 @@ def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants:
     Errors of the instrument are a possible reason if they are neither corrected nor estimated. A fit that estimates
     them, `fit_with_constants` (chi-square and degrees of freedom), decides.
     """
+    origin = noise_origin(adjustment.recording.notes)
     if fit_with_constants is not None and fit_with_constants[1] > 0:
         chi2, dof = fit_with_constants
         low, high = _sigma0_limits(dof, alpha)
         sigma0 = float(np.sqrt(chi2 / dof))
         fit = f"With these constants estimated sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
         if sigma0 <= high:
-            smaller = "" if sigma0 >= low else ", so that the noise is smaller than declared"
+            smaller = "" if sigma0 >= low else f", so that the noise is smaller than {origin}"
             return f"The readings contain errors of the instrument's constants. {fit}{smaller}."
         return (
-            "The noise is larger than declared, or a systematic effect is missing from the model. Errors of the "
+            f"The noise is larger than {origin}, or a systematic effect is missing from the model. Errors of the "
             f"instrument's constants are not the only reason. {fit}."
         )
     if adjustment.construction.n_parameters or adjustment.recording.is_corrected:
-        return "The noise is larger than declared, or a systematic effect is missing from the model."
+        return f"The noise is larger than {origin}, or a systematic effect is missing from the model."
     return (
-        "The readings contain errors of the instrument's constants, the noise is larger than declared, or a systematic "
-        "effect is missing from the model."
+        f"The readings contain errors of the instrument's constants, the noise is larger than {origin}, or a "
+        "systematic effect is missing from the model."
     )
 
 
@@ -200,7 +203,10 @@ def _noisy_targets_sentence(adjustment: Adjustment) -> str:
     if not len(named):
         return ""
     names = ", ".join(adjustment.recording.targets[t] for t in named)
-    return f" Readings to {names} scatter {scatter:.2g} times the declared noise, the others {rest:.2g} times."
+    return (
+        f" Readings to {names} scatter {scatter:.2g} times the {noise_origin(adjustment.recording.notes)} noise, the "
+        f"others {rest:.2g} times."
+    )
 
 
 def _outlier_sentence(n_readings: int, condition: str = "") -> str:

@@ -27,7 +27,7 @@ from ltsim.core.probability import AGREEMENT_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.air import air_uncertainty_text
 from ltsim.recordings.pointings import declares_noise
-from ltsim.recordings.specification import has_assumed_noise
+from ltsim.recordings.specification import noise_origin
 from ltsim.recordings.summary import recording_noise_text
 
 FittedEntryT = TypeVar("FittedEntryT", FittedEffectEntry, ReflectorEntry)
@@ -145,7 +145,7 @@ def _hidden_errors(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenEr
 def _noise_text(adjustment: Adjustment) -> str:
     """Text on the noise of the readings in the fit: estimated, or as the recording, a data sheet or ltsim states it."""
     recording, rows = adjustment.recording, noise_rows(adjustment)
-    source_text = "assumed" if has_assumed_noise(recording.notes) else "declared"
+    source_text = noise_origin(recording.notes)
     if rows:
         texts = [
             f"{row.observable}{f' of {row.instrument}' if row.instrument else ''} {number_text(row.typical_sigma, 3)} "

@@ -81,7 +81,11 @@ class SingleValueCommand(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Arguments that remain after the options; raises UsageError."""
         given_arguments = list(args)
-        remaining = super().parse_args(ctx, args)
+        try:
+            remaining = super().parse_args(ctx, args)
+        except RepeatedOptionError as error:  # of an option without its value, which does not name the command
+            error.ctx = error.ctx or ctx
+            raise
         _, _, given_parameters = self.make_parser(ctx).parse_args(given_arguments)
         counts = Counter(p.opts[-1] for p in given_parameters if p.param_type_name == "option" and has_single_value(p))
         repeated_option, count = max(counts.items(), key=itemgetter(1), default=("", 0))

@@ -16,6 +16,7 @@ from ltsim.diagnosis.noise_findings import noise_finding
 from ltsim.diagnosis.schema import DetectableEntry, Finding, GlobalTest, Misfit, MisfitBeforeAfter
 from ltsim.diagnosis.sentences import MIN_PROBABLE, diagnosis_summary
 from ltsim.recordings.result_file import SourceEntry
+from ltsim.recordings.specification import noise_origin
 
 
 def assemble_diagnosis(
@@ -68,6 +69,7 @@ def assemble_diagnosis(
             global_test.p_value,
             before,
             after,
+            noise_origin=noise_origin(state.recording.notes),
             n_withheld=len(model_fit.withheld_effect_keys),
             is_contradicted=held_out_errors.log_odds_of_model < 0.0,
         ),

@@ -17,7 +17,7 @@ from ltsim.physics.effects import MISALIGNMENT_EFFECTS, parameter_text
 from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.recordings.recording import OBSERVABLES
 
-DECLARED_COORDINATES_TEXT = "declared coordinates"
+DECLARED_COORDINATES_TEXT = "reference coordinates"
 """Text for the erroneous quantity of a point whose declared coordinates define the axes."""
 
 

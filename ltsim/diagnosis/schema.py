@@ -138,6 +138,11 @@ class Finding(Entry):
     curve: ResponseCurve | None = None
     """Curve of the changed quantity; null if it does not depend on a single covariate."""
 
+    @property
+    def concerns_reference_value(self) -> bool:
+        """True for an error of a reference value, such as a declared coordinate or a known length."""
+        return self.carrier.startswith("reference")
+
 
 class GlobalTest(Entry):
     """Global test of the ordinary adjustment."""

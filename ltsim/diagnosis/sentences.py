@@ -38,6 +38,13 @@ def effect_text(name: str) -> str:
     return "an effect outside the catalogue" if name == "unknown" else effect_title(name)
 
 
+def finding_title(finding: Finding) -> str:
+    """Title of a finding within a sentence: its effect, or the reference value that is wrong."""
+    if finding.concerns_reference_value:
+        return f"an error of the {finding.carrier}"
+    return effect_text(finding.effect)
+
+
 def _estimate_text(parameter: ParameterEstimate) -> str:
     """Text of an estimate. For an added variance it is the factor on the declared standard deviation."""
     name, value, sigma = parameter.name, parameter.value, parameter.sigma
@@ -178,26 +185,27 @@ def diagnosis_summary(
     misfit_before: Misfit,
     misfit_after: Misfit,
     *,
+    noise_origin: str = "declared",
     n_withheld: int = 0,
     is_contradicted: bool = False,
 ) -> str:
     """Summary of a diagnosis in a few sentences.
 
-    `misfit_before` and `misfit_after` are those without and with the findings in the model, and `n_withheld` is the
-    number of effects in the model that are not reported. `is_contradicted` is true if held-out readings contradict the
-    effects in the model.
+    `misfit_before` and `misfit_after` are those without and with the findings in the model, `noise_origin` is
+    `declared` or `assumed`, and `n_withheld` is the number of effects in the model that are not reported.
+    `is_contradicted` is true if held-out readings contradict the effects in the model.
     """
     if verdict == "consistent" and not misfit_before.dof:
         return "The recording cannot be tested: there is no redundancy. Measure targets repeatedly."
     if verdict == "consistent":
         return (
-            f"The recording agrees with the model and the declared noise (chi-square {misfit_before.chi2:.0f} for "
-            f"{misfit_before.dof} degrees of freedom). In a recording without errors, a result like this has a "
-            f"probability of {100 * p_value:.0f} %."
+            f"The recording agrees with the model and the {noise_origin} noise "
+            f"(chi-square {misfit_before.chi2:.0f} for {misfit_before.dof} degrees of freedom). "
+            f"In a recording without errors, a result like this has a probability of {100 * p_value:.0f} %."
         )
     if not findings:
         return (
-            "The recording does not agree with the model and the declared noise "
+            f"The recording does not agree with the model and the {noise_origin} noise "
             f"(chi-square {misfit_before.chi2:.0f} for {misfit_before.dof} degrees of freedom), "
             "but no cause is probable."
         )
@@ -221,8 +229,9 @@ def _held_out_sentence(error_before: float | None, error_after: float | None) ->
     """Sentence on the prediction error of held-out readings without and with the findings; empty if both are equal."""
     if error_before is None or error_after is None or error_before == error_after:
         return ""
-    was, now = f"{error_before:.2f}", f"{error_after:.2f}"
-    course = (
-        f"{'falls' if error_after < error_before else 'rises'} from {was} to {now}" if was != now else f"stays at {now}"
+    before_text, after_text = f"{error_before:.2f}", f"{error_after:.2f}"
+    comparison = f", and within {before_text} times without them" if before_text != after_text else ", as without them"
+    return (
+        " Readings that the fit has not used are predicted within "
+        f"{after_text} times the noise (rms) with the findings{comparison}."
     )
-    return f" The prediction error of held-out readings {course} times the noise."

@@ -48,6 +48,11 @@ def has_assumed_noise(notes: Iterable[str]) -> bool:
     return any(note.startswith(ASSUMED_NOISE_TEXT) for note in notes)
 
 
+def noise_origin(notes: Iterable[str]) -> str:
+    """Origin of the noise of a recording with these notes, as an adjective: `assumed` or `declared`."""
+    return "assumed" if has_assumed_noise(notes) else "declared"
+
+
 class Specification(TomlSection):
     """Maximum permissible errors of an instrument, as in data sheets and in ISO 10360-10:2021, annex D."""
 

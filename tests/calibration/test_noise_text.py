@@ -25,6 +25,9 @@ def test_declared_assumed_and_estimated_noise(verb, tmp_path: Path) -> None:
     else:
         assert result.noise_text == assumed
         assert declared.noise_text == assumed.replace("assumed", "declared")
+    if verb is lt.adjust:  # the verdict and the diagnosis speak of the same noise
+        assert "smaller than assumed" in result.verdict.sentence
+        assert "smaller than declared" in declared.verdict.sentence
     sentence = f"Noise of the readings (one sigma): {result.noise_text}."
     assert sentence in str(result) and sentence in result_section(result).terminal_text()
 

@@ -57,6 +57,7 @@ def test_help_without_arguments(capsys) -> None:
         (["calibrate", "nowhere", "--method", "guess"], "--method is guess, expected network"),
         (["calibrate", "nowhere", "--hint", "angle=furlong"], "angle can be deg or gon or rad"),
         (["calibrate", "nowhere", "--hint", "colour=red"], "expected KEY=VALUE with a key among angle"),
+        (["check", "nowhere", "--control"], "ltsim check: Option '--control' requires an argument; see ltsim check"),
         (["correct", "nowhere", "--out", "x"], "Missing option '--calibration'"),
         (["simulate", "paper-workshp", "--out", "x"], "did you mean paper-workshop"),
         (["simulate", "paper-workshop"], "ltsim simulate needs --out REC"),

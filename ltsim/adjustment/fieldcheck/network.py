@@ -24,6 +24,7 @@ from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
+from ltsim.recordings.specification import noise_origin
 from ltsim.solve.design import robust_sigma
 
 N_NETWORK_TESTS = 2
@@ -93,7 +94,9 @@ def scale_target_noise(
         covariates={**recording.covariates, **dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))}
     )
     names = tuple(recording.targets[t] for t in noisy_targets)
-    scatter_words = f"scatter {ratio:.2g} times the declared noise, the others {ratio_elsewhere:.2g} times"
+    scatter_words = (
+        f"scatter {ratio:.2g} times the {noise_origin(recording.notes)} noise, the others {ratio_elsewhere:.2g} times"
+    )
     sentence = f"readings to {', '.join(names)} {scatter_words}"
     return scaled_recording, (
         CheckItem.from_test("", "closure", False, f"{sentence}: these targets are unstable", targets=names),

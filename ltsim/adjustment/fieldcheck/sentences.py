@@ -10,6 +10,7 @@ from ltsim.core.arrays import Ints
 from ltsim.core.notation import listing, with_sigma
 from ltsim.core.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE
 from ltsim.recordings.recording import OBSERVABLES, Recording
+from ltsim.recordings.specification import noise_origin
 
 ZERO_NAMES_AND_MAX_SIGMAS = (
     ("range", "um", MICROMETRE, 100 * MICROMETRE),
@@ -37,13 +38,14 @@ def estimated_noise_text(recording: Recording, declared_recording: Recording) ->
         return ""
     ratios = recording.sigma() / declared_recording.sigma()
     names_by_size: dict[str, list[str]] = {}
+    origin = noise_origin(declared_recording.notes)
     for name, low, high in zip(OBSERVABLES, np.nanmin(ratios, axis=0), np.nanmax(ratios, axis=0), strict=True):
         sizes = list(dict.fromkeys(number_text(ratio, 2) for ratio in (low, high)))
         if sizes != ["1"]:
             names_by_size.setdefault(" to ".join(sizes), []).append(name)
     if len(names_by_size) == 1 and set(*names_by_size.values()) == set(OBSERVABLES):
-        return f"the estimated noise is {next(iter(names_by_size))} times the declared noise"
-    parts = [f"{size} times the declared noise of {' and '.join(names)}" for size, names in names_by_size.items()]
+        return f"the estimated noise is {next(iter(names_by_size))} times the {origin} noise"
+    parts = [f"{size} times the {origin} noise of {' and '.join(names)}" for size, names in names_by_size.items()]
     return f"the estimated noise is {' and '.join(parts)}" if parts else ""
 
 

@@ -9,6 +9,7 @@ from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor
 from ltsim.adjustment.stochastic_model import noise_setting_texts
 from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
+from ltsim.recordings.specification import noise_origin
 
 READING_TEXTS = {"noise": "the readings", "angles": "the azimuths and elevations"}
 """Texts of the readings that a noise hypothesis acts on, if these are no single observable."""
@@ -28,7 +29,8 @@ def noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     place_phrase = f" {'from' if hypothesis.stations else 'to'} {place_text}" if place_text else ""
     cure = _noise_declaration(fit, hypothesis) if not place_text else "measure again, or correct the set-up"
     factor = estimated_noise_factor(fit, hypothesis)
-    return f"The standard deviation of {readings_text}{place_phrase} is {factor:.2g} times the declared one: {cure}."
+    origin = noise_origin(fit.network.recording.notes)
+    return f"The standard deviation of {readings_text}{place_phrase} is {factor:.2g} times the {origin} one: {cure}."
 
 
 def _noise_declaration(fit: NetworkFit, hypothesis: Hypothesis) -> str:

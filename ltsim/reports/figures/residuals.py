@@ -110,7 +110,7 @@ def finding_comparison_figure(
             is_at_finding = rows & residuals.is_at_places(scope.stations, scope.targets)
             if (rows & ~is_at_finding).any():
                 _draw_residuals(
-                    ax, residuals, rows & ~is_at_finding, covariate, color="#C3C8CC", label="elsewhere", ms=2.5
+                    ax, residuals, rows & ~is_at_finding, covariate, color=style.GREY, label="elsewhere", ms=2.0
                 )
             _draw_residuals(
                 ax, residuals, is_at_finding, covariate, color=style.COLOUR_AFTER, label="place of the finding", ms=4.0

@@ -23,7 +23,7 @@ from ltsim.diagnosis.schema import (
     FindingScope,
     Misfit,
 )
-from ltsim.diagnosis.sentences import effect_text, significant_constants_texts
+from ltsim.diagnosis.sentences import effect_text, finding_title, significant_constants_texts
 from ltsim.physics.effects import effect_title, find_effect, parameter_text
 from ltsim.physics.effects.catalogue import catalogue_entry
 from ltsim.recordings.result_file import require_same_recording
@@ -177,7 +177,7 @@ def _inspection_action(finding: Finding) -> str:
         return f"Exchange the names {names} at {listing(scope.stations)}."
     if finding.effect == "noise-level":
         return "Set the noise in setup.toml to the estimated values."
-    if finding.carrier.startswith("reference"):
+    if finding.concerns_reference_value:
         return f"Check the {finding.carrier} ({place or 'all of them'})."
     covariates_text = f" with {listing(scope.covariates)}" if scope.covariates else ""
     change = f"change of the {finding.carrier or 'readings'}{covariates_text}"
@@ -255,7 +255,7 @@ def _finding_blocks(
 
     The sentence is omitted if the summary `summary` contains it.
     """
-    name = effect_text(finding.effect)
+    name = finding_title(finding)
     sentence = finding.sentence or f"{name} {_place_text(finding.where)}"
     separation_sentence = (
         f" To separate it from the alternatives: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""

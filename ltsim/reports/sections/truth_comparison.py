@@ -13,7 +13,7 @@ from ltsim.core.results import Table, text_columns
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Finding
-from ltsim.diagnosis.sentences import effect_text
+from ltsim.diagnosis.sentences import finding_title
 from ltsim.physics.effects import effect_title, parameter_text
 from ltsim.physics.effects.verbs import make_effect
 from ltsim.recordings.recording import OBSERVABLES
@@ -74,7 +74,7 @@ def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding 
         [
             "effect",
             effect_title(injected.effect.name) if injected else MISSING_TEXT,
-            effect_text(finding.effect) if finding else "not detected",
+            finding_title(finding) if finding else "not detected",
         ],
         ["where", *place_texts],
     ]

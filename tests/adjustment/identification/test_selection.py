@@ -33,6 +33,8 @@ from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import ARCSECOND
+from ltsim.diagnosis.findings_from_tests import cause_test_finding
+from ltsim.diagnosis.sentences import finding_title
 from ltsim.geometry.rigid import align_robustly, rotation_about_z
 from ltsim.physics.effects.motions import exact_change_by_displacement, exact_change_by_station_motion
 from ltsim.physics.effects.station_bump import StationBump
@@ -174,6 +176,8 @@ def test_a_reference_point_that_is_off(size: float) -> None:
     wrong = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
     selection = identified(wrong)
     assert the_one(selection) == ("reference-value", (), ("T12",))
+    (test,) = [t for t in cause_tests(selection) if t.accepted]
+    assert finding_title(cause_test_finding(test)) == "an error of the reference point"
     assert np.allclose(selection.fit.state.target_points, truth.state.target_points, atol=2e-4)
 
 
