@@ -208,7 +208,7 @@ def test_an_option_is_called_what_its_reader_calls_it(recording, tmp_path: Path,
         (lambda rec, cal: lt.compare(rec, cal), "expected a recording or the path of one, found a Calibration"),
         (
             lambda rec, cal: lt.inject(rec, "index-drift", noncentrality=-4),
-            "noncentrality: found -4, expected more than 0",
+            "noncentrality is -4, expected a number, 0.001 or more",
         ),
         (lambda rec, cal: lt.Effect("index-drift", index_drft=3), "sizes, where drawn: index-drift"),
     ],

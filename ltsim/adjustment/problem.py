@@ -138,7 +138,7 @@ class NetworkProblem(NetworkRows):
         moved = replace(moved, sigma=theirs.sigma())
         vars(moved)["undetermined_unknowns"] = self.undetermined_unknowns
         if np.array_equal(mine.station, theirs.station) and np.array_equal(mine.target, theirs.target):
-            vars(moved)["_pattern"] = self._sparsity_pattern
+            vars(moved)["_sparsity_pattern"] = self._sparsity_pattern
         return moved
 
     def is_undetermined_difference(self, is_undetermined_target: Bools) -> Bools:

@@ -11,6 +11,7 @@ from ltsim.adjustment.evaluation.clouds import CalibrationErrors, cloud_error, m
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.correct import correct
 from ltsim.campaigns.spec import VALIDATION_STREAM_KEY, make_validation_scenario
+from ltsim.core.arguments import check_bounds
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.results import Result, Table, number_columns, text_columns
@@ -112,6 +113,7 @@ def compare_calibrations(
     >>> judged.to_dataframe()["calibration"].to_list()
     ['network', 'distance']
     """
+    check_bounds(seed=seed, trial=trial, required_argument="seed trial")
     base_scenario = scenario(source)
     place = Path() if isinstance(source, Scenario) else Path(source)
     made, truth = measure_trial(make_geometry(base_scenario, seed), seed, trial)

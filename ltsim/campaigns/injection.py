@@ -12,6 +12,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.verbs import parse_requested_effect
+from ltsim.core.arguments import check_bounds
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.randomness import random_stream
@@ -84,12 +85,11 @@ def inject(
     >>> round(truth.injected_effects[0].noncentrality)
     100
     """
+    check_bounds(seed=seed, noncentrality=noncentrality, required_argument="seed")
     if not causes:
         raise ModelError(
             "nothing to inject: name an effect (ltsim effects lists them) or a law such as 'azimuth ~ time'"
         )
-    if noncentrality is not None and not noncentrality > 0.0:
-        raise ModelError(f"noncentrality: found {noncentrality:g}, expected more than 0")
     for cause in causes:
         if isinstance(cause, (list, tuple)):
             raise ModelError("causes are separate arguments, not a list: inject(recording, first, second)")
@@ -142,10 +142,9 @@ def injection_curve(
     ModelError
         As of `inject`.
     """
-    if injections < 1 or not len(strengths) or any(not s > 0.0 for s in strengths):
-        raise ModelError(
-            "a detection curve needs at least one injection at each strength, and every strength must be above 0"
-        )
+    check_bounds(injections=injections, seed=seed, required_argument="injections seed")
+    if not len(strengths) or any(not s > 0.0 for s in strengths):
+        raise ModelError("a detection curve needs at least one strength, and every strength must be above 0")
     original = load_recording(recording)
     background = diagnose(original)
     curve_rows = []

@@ -13,7 +13,7 @@ MAX_JOBS = 256
 """Largest number of worker processes that `jobs` accepts."""
 ARGUMENT_BOUNDS: dict[str, tuple[float, float | None]] = {
     "seed": (0, None), "trial": (0, 10**12), "trials": (2, 10**9), "starts": (1, 10**4), "injections": (1, 10**5),
-    "jobs": (1, MAX_JOBS), "level": (1e-6, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),
+    "jobs": (1, MAX_JOBS), "level": (1e-3, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),
     "every": (1, 10**6),
 }  # fmt: skip
 """Smallest and largest permitted value of each argument by its name; None means no upper bound.

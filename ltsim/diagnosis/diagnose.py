@@ -8,10 +8,8 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.identification import identify_causes
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.adjustment.significance import SINGLE_TEST_LEVEL
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.calibration.prior_information import EarlierCalibrationPrior
-from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_DIAGNOSED_POINTINGS, MAX_DIAGNOSED_TARGETS
 from ltsim.diagnosis.assembly import assemble_diagnosis
 from ltsim.diagnosis.catalogue_designs import CatalogueDesigns
@@ -82,11 +80,8 @@ def diagnose(
     Raises
     ------
     RecordError
-        When the history is of other instruments or of another geometric error model, or `level` is not a false-alarm
-        rate.
+        When the history is of other instruments or of another geometric error model.
     """
-    if not SINGLE_TEST_LEVEL <= level < 1.0:
-        raise RecordError(f"the level is {level:g}; expected a false-alarm rate from {SINGLE_TEST_LEVEL:g} to 1")
     recording.require_at_most(MAX_DIAGNOSED_POINTINGS, MAX_DIAGNOSED_TARGETS, "a diagnosis")
     construction = declared_construction(recording)
     compare_with_reference = (

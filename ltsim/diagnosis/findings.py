@@ -1,9 +1,8 @@
 """Reported findings of a selected model, each with its place, size, probability and sentence."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.special import expit
@@ -179,27 +178,25 @@ class SelectedModelFit:
         projected_design = searcher.model_of([hypothesis]).projected_designs[0] @ coefficient_means
         scope = self._scope(effect, active_observables(space.is_used_reading, shift[:rows], projected_design[:rows]))
         estimates = self._estimates_of(member_index, hypothesis, others)
-        extra_fields: dict[str, Any] = {}
-        sentence = ""
+        sentence, further_values = "", dict[str, object]()
         if isinstance(effect, EmpiricalLaw):
-            extra_fields = {
-                "carrier": effect.response.name,
-                "driver": regressor_text(effect.regressor, has_clock=self.state.recording.has_clock),
-            }
-            extra_fields["curve"] = response_curve(effect, space.sightings, *searcher.law_coefficients(effect, others))
-            law = law_text(effect, extra_fields["driver"])
+            regressor = regressor_text(effect.regressor, has_clock=self.state.recording.has_clock)
+            law = law_text(effect, regressor)
             sentence = law_sentence(scope, estimates, p_located, law)
-            extra_fields["formula"] = "" if hypothesis.is_catalogued else law
+            further_values = {"carrier": effect.response.name, "driver": regressor}
+            further_values |= {} if hypothesis.is_catalogued else {"formula": law}
+            curve = response_curve(effect, space.sightings, *searcher.law_coefficients(effect, others))
+            further_values |= {} if curve is None else {"curve": curve}
         elif isinstance(effect, Effect):
             other_effects = [e for k, e in enumerate(self.refit.effects) if k != member_index]
-            names = [rival.effect for rival in rivals]
-            extra_fields["separate_by"] = separating_measurement_sentence(
-                self.state.baseline_adjustment, name, names, other_effects
+            measurement = separating_measurement_sentence(
+                self.state.baseline_adjustment, name, [rival.effect for rival in rivals], other_effects
             )
+            further_values = {"separate_by": measurement} if measurement else {}
         if hypothesis.is_catalogued:
             doubt = self._plausibility_sentence(effect, estimates)
             sentence = catalogue_effect_sentence(name, scope, estimates, probability, p_located=p_located) + doubt
-        extra_fields["moves_targets_um"] = distortion = target_distortion(space, shift)
+        distortion = target_distortion(space, shift)
         n_touched = max(int(np.count_nonzero(design_columns.any(axis=1))), 1)
         sigmas_text = number_text(np.sqrt(max(float(gain.sum()), 0.0) / n_touched), 2)
         sentence += f" If left uncorrected, it causes residuals of {sigmas_text} sigma (rms)"
@@ -219,9 +216,9 @@ class SelectedModelFit:
                 p_located=p_located,
             ),
             sentence=sentence,
+            target_shift_rms_um=distortion,
             equivalents=rivals,
-            **non_empty_entries(extra_fields),
-        )
+        ).with_values(**further_values)
 
     def _decisive_readings_sentence(self, chi2_decreases: Floats) -> str:
         """Sentence on the readings with most of the decrease of chi-square (m,) by row; empty for many readings."""
@@ -325,11 +322,6 @@ def law_text(law: EmpiricalLaw, regressor_phrase: str) -> str:
         if law.regressor.kind == "constant"
         else f"{phrase} follows {regressor_phrase}{suffix}"
     )
-
-
-def non_empty_entries(entry_values: Mapping[str, Any]) -> dict[str, Any]:
-    """Entries whose value is not empty."""
-    return {key: value for key, value in entry_values.items() if value}
 
 
 def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> bool:

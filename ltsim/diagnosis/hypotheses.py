@@ -70,7 +70,7 @@ class Model:
     def from_space(cls, members: Sequence[Hypothesis], space: ResidualSpace) -> Model:
         """Model with the given hypotheses in a residual space."""
         designs = [space.whitened_design(h.effect) for h in members]
-        norms = (np.linalg.norm(design, axis=0) for design in designs)
+        norms = map(space.norms_without_centring, designs)
         return cls(tuple(members), tuple(map(space.project, designs)), tuple(norms), space.residuals)
 
     @property

@@ -4,7 +4,6 @@ import numpy as np
 
 from ltsim.adjustment.significance import MIN_SIGNIFICANT_SIGMAS
 from ltsim.core.notation import number_text, with_sigma
-from ltsim.diagnosis.findings import non_empty_entries
 from ltsim.diagnosis.global_test import GlobalTestResult
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.schema import Finding, FindingEvidence, ParameterEstimate
@@ -27,10 +26,10 @@ def noise_finding(
     effect = hypothesis.effect
     scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
     size_estimates = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)
-    estimates = [ParameterEstimate.from_si(*names) for names in size_estimates if np.isfinite(names[2])]
-    more, sentence = {}, ""
+    estimates = [ParameterEstimate.from_si(*estimate) for estimate in size_estimates if np.isfinite(estimate[2])]
+    sentence, further_values = "", dict[str, object]()
     if isinstance(effect, VarianceFunction):
-        more = {"formula": effect.text, "carrier": effect.response_text, "driver": effect.regressor_text}
+        further_values = {"formula": effect.text, "carrier": effect.response_text, "driver": effect.regressor_text}
         most = ""
         if effect.group_kind:
             estimates = sorted(estimates, key=lambda e: -e.value)[:MAX_REPORTED_NOISE_SIZES]
@@ -63,8 +62,7 @@ def noise_finding(
         ),
         sentence=sentence or catalogue_effect_sentence(effect.name, scope, estimates, hypothesis.probability),
         equivalents=hypothesis.equivalents,
-        **non_empty_entries(more),
-    )
+    ).with_values(**{name: value for name, value in further_values.items() if value})
 
 
 def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:

@@ -283,7 +283,7 @@ class Searcher:
         key = hypothesis.key
         if key not in self._projected_designs:
             whole = self.evidence_calculator.whitened_design(hypothesis.effect)
-            self._projected_designs[key] = self.space.project(whole), np.linalg.norm(whole, axis=0)
+            self._projected_designs[key] = self.space.project(whole), self.space.norms_without_centring(whole)
         self._projected_designs.move_to_end(key)
         while sum(rows.size for rows, _ in self._projected_designs.values()) > MAX_TEMPORARY_ENTRIES:
             self._projected_designs.popitem(last=False)

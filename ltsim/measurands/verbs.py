@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ltsim.adjustment import Adjustment, adjust
+from ltsim.core.arguments import check_bounds
 from ltsim.core.errors import ModelError, option_text
 from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.epochs import compare_adjustments as compared, compare_coordinates
@@ -51,6 +52,7 @@ def uncertainty(
          task    result unit
     0  length  distance   mm
     """
+    check_bounds(seed=seed)
     given: Tasks
     if isinstance(tasks, Tasks):
         given = tasks
@@ -114,6 +116,7 @@ def compare(
     >>> lt.compare(january, january, same_instrument=True).moved_points
     ()
     """
+    check_bounds(level=level, required_argument="level")
     lists = [
         coordinates for coordinates in (_load_coordinates(first), _load_coordinates(second)) if coordinates is not None
     ]

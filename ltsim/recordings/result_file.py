@@ -93,7 +93,12 @@ class Entry(DescribedModel):
         return schema
 
     def with_values(self, **values: Any) -> Self:
-        """Validated copy of the entry with other values of some fields; numbers that are not finite become null."""
+        """Validated copy of the entry with other values of some fields; numbers that are not finite become null.
+
+        Raises TypeError for a name that is no field: validation would ignore it as a key of a later version.
+        """
+        if unknown := sorted(values.keys() - type(self).model_fields.keys()):
+            raise TypeError(f"{type(self).__name__} has no field {', '.join(unknown)}")
         return type(self).model_validate({name: getattr(self, name) for name in self.model_fields_set} | values)
 
 

@@ -50,6 +50,27 @@ def test_catalogue_names_each_effect_once() -> None:
     assert len(names) == len(set(names))
 
 
+def test_a_value_given_to_a_cached_property_has_its_name() -> None:
+    """A value under another name in the dictionary of an object would never be used."""
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in MODULES]
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    cached = {
+        n.name
+        for n in nodes
+        if isinstance(n, ast.FunctionDef) and any("cached_property" in ast.unparse(d) for d in n.decorator_list)
+    }
+    given = {
+        target.slice.value
+        for node in nodes
+        if isinstance(node, ast.Assign)
+        for target in node.targets
+        if isinstance(target, ast.Subscript)
+        and isinstance(target.slice, ast.Constant)
+        and ast.unparse(target.value).startswith("vars(")
+    }
+    assert given and given <= cached
+
+
 @pytest.mark.parametrize("path", MODULES, ids=named)
 def test_module_is_small_enough_to_read(path: Path) -> None:
     lines = len(path.read_text().splitlines())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -9,6 +10,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.cli.main import run
+from ltsim.core.arguments import ARGUMENT_BOUNDS
 from ltsim.core.errors import LtsimError
 
 SMALL = {"scenario": "paper-workshop", "trials": 2, "methods": [{"name": "network"}]}
@@ -60,6 +62,7 @@ WRONG: list[tuple[Callable[..., Any], dict[str, Any], list[str], str]] = [
     (lt.recover, {"source": "paper-workshop", "jobs": 0}, ["recover", "paper-workshop", "-j0"], "jobs is 0, expected"),
     (lt.view, {"source": ""}, ["view", "", "--png=a.png"], "the source is '', expected the name of a built-in one"),
     (lt.view, {"source": None}, [], "the source is None, expected the name of a built-in one"),
+    (lt.diagnose, {"recording": "ghost", "level": 1e-5}, ["diagnose", "ghost", "--level=1e-5"], "level is 1e-05, "),
     (lt.view, {"source": "ghost"}, ["view", "ghost", "--png=a.png"], "ghost: there is no such file"),
     (lt.view, {"source": "paper-workshop", "colour": None}, [], "colour is None, expected incidence or residual"),
     (lt.view, {"source": "paper-workshop", "cad": "no.stl"}, ["view", "paper-workshop", "--cad=no.stl", "--png=a.png"],
@@ -94,6 +97,27 @@ def test_the_same_sentence(
         assert run([*command, *(["--out=o"] if command[0] == "simulate" else [])]) == 2
         assert sentence in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+BOUNDED = [
+    (name, argument)
+    for name in dir(lt)
+    if inspect.isfunction(getattr(lt, name))
+    for argument in inspect.signature(getattr(lt, name)).parameters
+    if argument in ARGUMENT_BOUNDS
+]
+
+
+@pytest.mark.parametrize(("name", "argument"), BOUNDED)
+def test_every_function_checks_its_numbers_first(name: str, argument: str) -> None:
+    function = getattr(lt, name)
+    needed = [
+        p.name
+        for p in inspect.signature(function).parameters.values()
+        if p.default is inspect.Parameter.empty and p.kind is not inspect.Parameter.VAR_POSITIONAL
+    ]
+    with pytest.raises(LtsimError, match="is -1, expected a"):
+        function(**dict.fromkeys(needed, "ghost") | {argument: -1})
 
 
 def test_the_help_says_what_a_number_and_a_choice_may_be(capsys: pytest.CaptureFixture[str]) -> None:

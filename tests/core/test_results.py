@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 import ltsim as lt
 from ltsim.adjustment import Adjustment
+from ltsim.calibration.schema import VerdictEntry
 from ltsim.core.equality import ValueEquality, equal_values
 from ltsim.core.errors import ModelError, RecordError
 from ltsim.core.results import Column, Result, Table, flag_columns, number_columns, text_columns
@@ -269,3 +270,10 @@ def test_a_coordinate_that_rounds_to_zero_has_no_sign() -> None:
         "0.0000",
     ]
     assert column.displayed_text(-1e-9, 0.02) == "0.000"
+
+
+def test_a_copy_of_an_entry_refuses_a_name_that_is_no_field() -> None:
+    entry = VerdictEntry(case="clean", sentence="", scale_by_sigma0=False)
+    assert entry.with_values(sentence="x").sentence == "x"
+    with pytest.raises(TypeError, match="VerdictEntry has no field sentense"):
+        entry.with_values(sentense="x")

@@ -9,7 +9,6 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.errors import RecordError
 from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.files import write_diagnosis
@@ -236,6 +235,7 @@ def test_what_lags_or_goes_by_what_came_before_is_told_in_such_words(law, carrie
     found = diagnose(strengthened(recording, state, law(sightings_at_state(recording, state)))[0])
     assert [f.carrier for f in found.findings] == [carrier]
     assert told in found.findings[0].driver
+    assert 0.1 < found.findings[0].target_shift_rms_um < 1000.0
 
 
 @pytest.mark.long
@@ -261,11 +261,6 @@ def test_a_constant_beyond_its_prior_is_told_as_that_and_not_as_physics():
     (offset,) = first.parameters
     assert abs(offset.value - 60.0) < 3 * offset.sigma < 15.0
     assert "zero with a standard deviation of 10 um" in first.sentence
-
-
-def test_a_level_that_simulation_cannot_reach_is_refused():
-    with pytest.raises(RecordError, match="expected a false-alarm rate"):
-        diagnose(workshop(1)[0], level=1e-5)
 
 
 def test_a_noisy_station_is_noise_and_not_a_shift():

@@ -16,6 +16,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from ltsim.core.arguments import check_bounds
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.notation import with_sigma
@@ -274,6 +275,7 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
     >>> [round(row.error_um, 1) for row in lt.bench("reflector.csv").range_errors]
     [-3.0, -1.5, 0.0, 1.5, 3.0]
     """
+    check_bounds(length_sigma=length_sigma, required_argument="length_sigma")
     options = {"probe_direction": probe_direction * DEGREE, "length_sigma": length_sigma * MICROMETRE}
     record = read_reflector_bench(Path(source), **options)
     result = evaluate_reflector_bench(record)
