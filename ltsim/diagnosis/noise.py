@@ -40,6 +40,7 @@ from ltsim.diagnosis.noise_groups import (
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis, log_prior_of_noise_family
 from ltsim.diagnosis.noise_patterns import candidate_variance_functions
 from ltsim.diagnosis.noise_windows import NoiseWindows
+from ltsim.diagnosis.null_ensemble import basis_of_small_network
 from ltsim.diagnosis.repeats import normalised_sum_matrix_of_repeats, redundancy_of_means, relative_variance_of_means
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import NoiseEffect
@@ -49,7 +50,6 @@ from ltsim.physics.laws.places import instrument_places
 from ltsim.physics.laws.variance import REPETITION_KINDS, VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.projection import BasisResidualProjector
 
 MIN_COMPARABLE_EVIDENCE_FRACTION = 0.2
 """Fraction of the largest log evidence. Noise in windows of time with more evidence is also sought at single places."""
@@ -110,7 +110,7 @@ class NoiseHypothesisSet:
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
-        basis = space.projector.basis if isinstance(space.projector, BasisResidualProjector) else None
+        basis = basis_of_small_network(space)
         group_noise_changes = (
             RecordingNoiseLevel.from_space(space, allows_quieter=allows_quieter),
             *GroupNoiseMixture.candidates(space),

@@ -23,6 +23,7 @@ from ltsim.adjustment.identification.hypothesis import (
 from ltsim.adjustment.identification.noise_sentences import estimated_noise_factor, noise_sentence
 from ltsim.adjustment.identification.nominal_offsets import usual_offset_text, usual_smr_text
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
+from ltsim.adjustment.reference_tests import ERROR_UNITS
 from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
@@ -175,18 +176,9 @@ def _misclosure_and_unit(fit: NetworkFit, hypothesis: Hypothesis) -> tuple[float
     """Misclosure of an excluded reference value [SI], and the name and size of its unit of display."""
     assert isinstance(hypothesis.model_change, ReferenceOmission)
     misclosure = float(np.linalg.norm(fit.misclosure_of(hypothesis.model_change.reference_value)))
-    angular = hypothesis.model_change.reference_value.kind in ("level", "yaw")
-    return misclosure, *(
-        ("arcsec", ARCSECOND)
-        if angular
-        else ("ppm", PPM)
-        if hypothesis.model_change.reference_value.kind == "scale"
-        else ("mm", MILLIMETRE)
-    )
+    return misclosure, *ERROR_UNITS.get(hypothesis.model_change.reference_value.kind, ("mm", MILLIMETRE))
 
 
-UNITS_BY_REFERENCE_KIND = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", PPM)}
-"""Unit of the misclosure and its size [SI] by kind of reference value, for kinds that are no lengths."""
 REFERENCE_PHRASES = {
     "point": "The reference coordinates of",
     "difference": "The reference difference",
