@@ -13,10 +13,10 @@ from ltsim.adjustment.datum import InnerDatum
 from ltsim.adjustment.frame import are_collinear
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests_with_constants
+from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests_with_instrument_constants
 from ltsim.adjustment.reliability import (
+    detect_noisy_targets,
     iterative_snooping,
-    noisy_groups_and_scatter,
     p_value_of_tau,
     redundancy_numbers,
     standardised_residuals,
@@ -38,7 +38,8 @@ from ltsim.solve.gauss_newton import Solution, solution_for_plan, solve
 from ltsim.solve.threads import single_threaded
 
 MAX_SUCCESSIVELY_TESTED_READINGS = 300
-"""Number of suspected readings up to which outliers are removed one after another; of more, each is tested alone."""
+"""Largest number of suspected readings for which outliers are removed one after another; if more readings are
+suspected, each is tested without regard to the others."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +49,13 @@ class FlaggedReading:
     row: int
     """Index of the pointing in the recording, from 0."""
     observable_column: int
-    """Column of the reading: 0 range, 1 azimuth, 2 elevation."""
+    """Index of the observable: 0 range, 1 azimuth, 2 elevation."""
     estimated_error: float
     """Estimated gross error of the reading [m, rad]."""
     normalised_residual: float
     """Normalised residual, the statistic of the w-test."""
     p_value: float
-    """Probability that a recording without errors has a reading with as large a test statistic."""
+    """Probability that a recording without gross errors contains a test statistic at least as large as this one."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -70,17 +71,19 @@ class Adjustment(Result):
     variance_components: tuple[VarianceComponent, ...] = ()
     """Estimated noise of groups of readings; empty if not requested. `problem.sigma` contains these estimates."""
     unconnected_targets: tuple[str, ...] = ()
-    """Names of targets that the recording does not determine; their coordinates in `state` have no meaning."""
+    """Names of targets without start coordinates, which are not adjusted; their coordinates in `state` have no
+    meaning."""
     rejected_references: tuple[ReferenceTest, ...] = ()
     """Reference values that contradict the other observations and were removed; `recording` does not contain them."""
     axes_point_tests: tuple[ReferenceTest, ...] = ()
-    """Tests of the coordinates that only define the axes, including those removed from the datum."""
+    """Tests of the declared coordinates that only define the axes (datum), including coordinates removed from the
+    datum."""
     n_duplicate_rows: int = 0
-    """Number of rows that repeat others in every digit and are not used."""
+    """Number of pointings that repeat another pointing in every digit and are not used."""
     cause_sentences: tuple[str, ...] = ()
-    """Sentences on identified errors, with which the network is consistent."""
+    """Sentences on identified errors; with these errors in the model the network is consistent."""
     noise_sentences: tuple[str, ...] = ()
-    """Sentences on noise larger than declared and not in `problem.sigma`, with which the network is consistent."""
+    """Sentences on noise larger than declared (not part of `problem.sigma`), with which the network is consistent."""
     datum: InnerDatum | None = None
     """Inner datum of the covariances; None if the datum is the frame of the adjustment (pose of the first station)."""
 
@@ -104,16 +107,10 @@ class Adjustment(Result):
     ) -> Adjustment:
         """Adjustment of planned pointings, for the precision of a plan, which does not depend on readings.
 
-        Raises NetworkError if the pointings do not determine their poses and targets.
-
-        Parameters
-        ----------
-        recording : Recording
-            Planned pointings; their readings only state which observables are measured.
-        state : NetworkState
-            Planned stations and targets, and the instrument's parameters. construction, effects Geometric error model
-            and effects whose parameters are to be estimated; default an ideal tracker without parameters. prior :
-            ParameterPrior, optional Prior of the instrument parameters; default that of the set-up.
+        The readings of `recording` only state which observables are measured. `state` contains the planned poses and
+        targets, and the instrument parameters. The parameters of `construction` (default: an ideal tracker without
+        parameters) and of `effects` are unknowns; `prior` is the prior of the instrument parameters, by default that of
+        the set-up. Raises NetworkError if the pointings do not determine all poses and targets.
         """
         model = MeasurementModel(recording, construction or ideal_construction(), tuple(effects))
         if len(state.extra_parameters) != model.n_extra_parameters:
@@ -158,7 +155,7 @@ class Adjustment(Result):
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom."""
+        """Degrees of freedom: number of observations and priors minus number of unknowns."""
         return self.problem.dof
 
     @property
@@ -179,21 +176,21 @@ class Adjustment(Result):
         self.solution.require_success()
 
     def _missing_solution_sentence(self) -> str:
-        """Sentence on a missing scale or collinear common targets as cause of a missing solution, else empty."""
+        """Sentence on the cause of a missing solution (no scale, collinear common targets); empty for other causes."""
         recording, problem = self.recording, self.problem
         held = problem.control_rows.declared_components[:, :2].all(axis=1).sum() + len(problem.control_rows_of_marks)
         differences = problem.difference_rows.declared_components[:, :2].any()
         lengths = problem.is_used_reading[:, 0].any() or len(problem.gauge_rows) or differences
         if held < 2 and not lengths:
-            cure = "approximate coordinates of two targets of the datum would"
+            cure = "declare approximate coordinates of two targets of the datum"
             return f"no distance, no known length and no two known points give the network its scale; {cure}"
         shared = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
         shared[recording.station, recording.target] = True
-        shared[problem.level_rows.station_indices] = False  # to an upright station a line is as good as any targets
+        shared[problem.level_rows.station_indices] = False  # collinear targets determine an upright station
         for name, station_targets in zip(recording.stations, shared & (shared.sum(axis=0) > 1), strict=True):
             if station_targets.sum() > 2 and are_collinear(self.state.target_points[station_targets]):
-                which = f"the {station_targets.sum()} targets that it shares with others"
-                return f"station {name}: {which} lie on a line, or nearly so"
+                which = f"the {station_targets.sum()} targets that it shares with other stations"
+                return f"station {name}: {which} lie on or near one line; add a common target off this line"
         return ""
 
     @property
@@ -205,7 +202,7 @@ class Adjustment(Result):
 
     @cached_property
     def sightings(self) -> Sightings:
-        """Geometry of the pointings at the adjusted network."""
+        """Range, direction and regressors of each pointing, computed from the adjusted network."""
         return self.problem.model.sightings(self.state)
 
     @cached_property
@@ -215,7 +212,7 @@ class Adjustment(Result):
 
     @cached_property
     def redundancy(self) -> Floats:
-        """Redundancy numbers (n, 3), derivatives of residuals by errors of their readings; NaN for unused readings."""
+        """Redundancy numbers (n, 3): derivatives of residuals by errors of their readings; NaN for unused readings."""
         return redundancy_numbers(self.problem, self.factorised_normals)
 
     @cached_property
@@ -225,16 +222,16 @@ class Adjustment(Result):
 
     @cached_property
     def noisy_targets_and_scatter(self) -> tuple[Ints, float, float]:
-        """Indices (k,) of noisy targets, scatter of the readings to them, and scatter of all other readings.
+        """Indices (k,) of noisy targets, scatter of the readings to these targets, and scatter of all other readings.
 
         Both scatters are observed standard deviations divided by the declared ones.
         """
-        return noisy_groups_and_scatter(self.normalised_residuals, self.redundancy, self.recording.target)
+        return detect_noisy_targets(self.normalised_residuals, self.redundancy, self.recording.target)
 
     @cached_property
     def reference_tests(self) -> tuple[ReferenceTest, ...]:
         """Tests of the reference values, each against the other observations; removed values come first."""
-        tests = reference_tests_with_constants(self.problem, self.solution)
+        tests = reference_tests_with_instrument_constants(self.problem, self.solution)
         return (*self.rejected_references, *tests, *self.axes_point_tests)
 
     @property
@@ -253,7 +250,7 @@ class Adjustment(Result):
 
     @cached_property
     def is_rejected(self) -> Bools:
-        """Flags (n, 3) of the rejected readings, without those to targets that no usable reading determines."""
+        """Flags (n, 3) of rejected readings, without readings to targets that the usable readings do not determine."""
         problem = replace(self.problem, is_used_reading=self.recording.is_usable)
         return drop_undetermined_targets(problem, self.state).is_used_reading & ~self.problem.is_used_reading
 
@@ -262,10 +259,10 @@ class Adjustment(Result):
     ) -> list[FlaggedReading]:
         """Outliers among the readings, the most significant first.
 
-        `alpha` is the false-alarm rate for the whole recording. Outliers are detected one after another, so that the
-        effect of an outlier on other residuals does not count against these. Readings that no test distinguishes from
-        an outlier follow this outlier. The test uses the declared noise (w-test), or with `uses_estimated_noise` the
-        noise estimated from the residuals (tau-test), separately for each target if some targets are noisy.
+        `alpha` is the false-alarm rate for the whole recording. Outliers are detected one after another, because an
+        outlier also changes residuals of correct readings. Readings that no test distinguishes from an outlier follow
+        this outlier. The test uses the declared noise (w-test), or with `uses_estimated_noise` the noise estimated from
+        the residuals (tau-test), separately for each target if some targets are noisy.
         """
         use, target = self.problem.is_used_reading, self.recording.target
         count = int(use.sum())
@@ -278,7 +275,9 @@ class Adjustment(Result):
             for rows_of_group in (group == number for number in np.unique(group)):
                 dof[rows_of_group] = np.nansum(self.redundancy[rows_of_group])
                 scale[rows_of_group] = np.linalg.norm(whitened[rows_of_group]) / np.sqrt(dof[rows_of_group])
-        tau = np.nan_to_num(np.abs(self.normalised_residuals)) / np.where(scale > 0.0, scale, 1.0)  # 0 in an exact fit
+        tau = np.nan_to_num(np.abs(self.normalised_residuals)) / np.where(
+            scale > 0.0, scale, 1.0
+        )  # the scale is 0 in an exact fit
         flagged = use & (p_value_of_tau(tau, dof, count) < alpha)
         rows, columns = np.nonzero(flagged)
         unit, place = self.problem.sigma[flagged], list(zip(rows.tolist(), columns.tolist(), strict=True))
@@ -303,14 +302,14 @@ class Adjustment(Result):
     def covariance_of(self, columns: Ints) -> Floats:
         """Covariances (c, k, k) of c sets of k unknowns each; `columns` (c, k) are their columns in the design matrix.
 
-        Eliminated targets are not permitted.
+        Columns of targets that the factorisation eliminates are not permitted.
         """
         covariance = self.factorised_normals.inverses_of_sets(columns)
         return covariance if self.datum is None else self.datum.transform_covariance(covariance, columns)
 
     @cached_property
     def reduced_covariance(self) -> Floats:
-        """Covariance (K, K) of the K unknowns that are not eliminated: poses, some targets, parameters."""
+        """Covariance (K, K) of the K unknowns that the factorisation keeps: poses, some targets, parameters."""
         covariance = self.factorised_normals.reduced_covariance()
         if self.datum is None:
             return covariance
@@ -365,7 +364,7 @@ class Adjustment(Result):
         covariance[~is_reduced] = blocks[(unknowns.target_columns[~is_reduced][:, 0] - unknowns.n_reduced) // 3]
         if self.datum is not None:
             covariance = self.datum.transform_covariance(covariance, unknowns.target_columns)
-            diagonal = np.arange(3)  # a coordinate that the datum holds has variance 0, up to rounding of either sign
+            diagonal = np.arange(3)  # a coordinate fixed by the datum has variance 0, up to rounding
             covariance[:, diagonal, diagonal] = np.maximum(covariance[:, diagonal, diagonal], 0.0)
         covariance[self.problem.undetermined_unknowns.is_unmeasured_target] = np.nan
         covariance[self.is_height_undetermined, 2] = covariance[self.is_height_undetermined, :, 2] = np.nan
@@ -379,7 +378,7 @@ class Adjustment(Result):
 
     @single_threaded
     def with_effects(self, effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
-        """Adjustment of the same readings with the same weights, and with other additional effects."""
+        """Adjustment of the same readings with the same weights, but with `effects` as additional effects."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
         use = old.is_used_reading
         new_problem = NetworkProblem.from_model(model, sigma=old.sigma, reading_mask=use, prior=old.prior)

@@ -28,19 +28,19 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import MIN_SIGMA, Axes, Target
 
 MAX_RELATIVE_MISCLOSURE = 0.05
-"""Median misclosure of declared coordinates, relative to the size of the network, from which they are rejected; nominal
-coordinates of a drawing differ less. The same limit applies to the scale.
+"""Largest permitted median misclosure of declared coordinates, divided by the median distance between the points.
+Nominal coordinates of a drawing differ less. The same number limits the difference of their scale from 1.
 """
 NO_EXCLUDED_AXES: Mapping[str, Axes] = MappingProxyType({})
-"""Empty mapping from targets to axes: every declared coordinate is used."""
+"""Empty mapping from target names to axes: all three coordinates of every target define the datum."""
 
 
 def with_axes_from_points(recording: Recording, points_by_target: Mapping[str, Floats], source_text: str) -> Recording:
     """Recording whose datum is defined by declared coordinates [m] of targets.
 
-    `adjust` excludes coordinates that do not fit. `source_text` is the name of their file. Raises RecordError unless
-    three targets that are not collinear have coordinates, for a shape that differs from the network (mirrored, other
-    scale), and if known points already define the frame.
+    `adjust` excludes coordinates that contradict the others. `source_text` is the name of their file. Raises
+    RecordError unless three targets that are not collinear have coordinates, if their shape differs from that of the
+    network (mirrored, other scale), and if known points already define the frame.
     """
     common_names = [
         name for name in recording.targets if name in points_by_target and np.isfinite(points_by_target[name]).all()
@@ -63,8 +63,8 @@ def with_axes_from_points(recording: Recording, points_by_target: Mapping[str, F
 def scale_error_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] | None:
     """Scale error of the coordinates that define the axes of the hall, and its standard deviation.
 
-    The scale error is relative to the measured ranges. Both numbers follow from the residuals of the coordinates. None
-    if the scale error is not significant.
+    The scale error is the relative difference from the scale of the measured ranges, estimated from the residuals of
+    the coordinates. The result is None if the scale error is not significant.
     """
     used_tests = [test for test in adjustment.axes_point_tests if not test.is_excluded and len(test.residual) == 3]
     if len(used_tests) < MIN_RIGID_POINTS:
@@ -137,10 +137,10 @@ def with_axes_from_three_targets(
 
 
 def with_control_points(recording: Recording, path: Path) -> Recording:
-    """Recording with the coordinates in the file `path` as control points, each with its standard deviation.
+    """Recording with the coordinates in the file `path` as control points, weighted by their standard deviations.
 
     The file is read by `read_points` and must contain standard deviations; a point may lack some of its coordinates.
-    Raises RecordError for a malformed file, for missing standard deviations, and for a list without measured targets.
+    Raises RecordError for a malformed file, for missing standard deviations, and for a file without measured targets.
     """
     listed, targets, count = read_points(path, requires_all_axes=False), dict(recording.setup.targets), 0
     for name, place, covariance, line in zip(
@@ -170,6 +170,7 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
 
 
 def _require_free_frame(recording: Recording, source: str | None = None) -> None:
+    """Check that no known points define the axes already; raises RecordError with the file name `source`."""
     if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
         message = f"the recording's known points define the axes already: leave {option_text('frame')} out"
         raise RecordError(message, file=source)
@@ -179,6 +180,7 @@ def _require_same_shape(network_points: Floats, declared_points: Floats, source:
     """Check that declared points (k, 3) [m] have the shape of the network; raises RecordError.
 
     Points are rejected if they are collinear, mirrored, in another scale, or far from the network points (k, 3).
+    `source` is the file name in the error.
     """
     mirror = network_points * [1.0, 1.0, -1.0]
     try:
@@ -200,7 +202,7 @@ def _require_same_shape(network_points: Floats, declared_points: Floats, source:
         message = f"the distances between its targets are {scale:.4g} times the measured ones"
         message += "; give its coordinates in millimetres"
         raise RecordError(message, file=source)
-    reason = "they are left-handed" if is_mirrored else "check the hall and the names"
+    reason = "its axes are left-handed" if is_mirrored else "check the hall and the names of the targets"
     message = f"its coordinates differ from the network by {typical / MILLIMETRE:.3g} mm in the median: {reason}"
     raise RecordError(message, file=source)
 

@@ -28,9 +28,9 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS, shared_target_counts
 
 MAX_COMPARED_STATIONS = 30
-"""Number of stations with which a station is compared, those that share most targets with it, and largest number of
-stations whose units are corrected. Each comparison takes a millisecond. If more stations differ, the whole file is
-wrong.
+"""Largest number of stations with which a station is compared (those that share most targets with it), because each
+comparison takes a millisecond. Also the largest number of stations whose units are corrected: if more stations differ,
+the whole file is wrong.
 """
 MIN_CLOUD_MISFIT = 5e-3
 """Median misfit [m] between the points of two stations from which another unit or convention is suspected; neither
@@ -47,11 +47,15 @@ class IdentifiedBlunder:
     rows: Ints
     """Indices of the pointings, (k,)."""
     stations: tuple[str, ...]
+    """Names of the stations of the pointings; empty if the station does not matter."""
     targets: tuple[str, ...]
+    """Names of the targets concerned; empty for a blunder in all pointings of a station."""
     observables: tuple[str, ...]
+    """Names of the wrong observables; empty for all three."""
     size: float
     """Displacement [m] of the measured point by the blunder."""
     sentence: str
+    """Sentence for the user on the blunder."""
     sigma: float = 0.0
     """Standard deviation of the size [m]; 0 if the network does not determine it."""
 
@@ -61,7 +65,7 @@ BlunderWithCorrection = tuple[IdentifiedBlunder, Floats, Ints]
 
 
 def apply_corrections(recording: Recording, blunders: Sequence[BlunderWithCorrection]) -> Recording:
-    """Recording in which the readings and targets of blunders are corrected."""
+    """Recording in which the readings and targets of the pointings with blunders are corrected."""
     if not blunders:
         return recording
     readings, target = recording.readings.copy(), recording.target.copy()
@@ -71,7 +75,7 @@ def apply_corrections(recording: Recording, blunders: Sequence[BlunderWithCorrec
 
 
 def detect_blunders(adjustment: Adjustment) -> list[BlunderWithCorrection]:
-    """Blunders that explain pointings with gross errors; after the correction the pointings agree with targets."""
+    """Blunders that explain pointings with gross errors, with corrections after which the pointings hit a target."""
     remaining, corrections = adjustment.is_gross_pointing.copy(), []
     for kind in (_swapped_targets, _wrong_heights, _unit_and_face_errors):
         for mend in kind(adjustment, remaining) if remaining.any() else ():
@@ -99,9 +103,9 @@ def _target_distances(adjustment: Adjustment, readings: Floats, rows: Ints) -> F
 
 
 def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderWithCorrection]:
-    """Blunders of exchanged targets: two that were exchanged at a station, or one that was mistaken for another.
+    """Blunders of exchanged targets: two targets exchanged at a station, or one target mistaken for another.
 
-    `is_gross` (n,) flags the pointings with gross errors; the same holds for the other kinds of blunders.
+    `is_gross` (n,) flags the pointings with gross errors.
     """
     recording, points = adjustment.recording, adjustment.state.target_points
     indices = np.flatnonzero(is_gross & recording.is_measured.all(axis=1))
@@ -129,14 +133,15 @@ def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[Blunde
             booked_name, meant = names if booked[0] == a else names[::-1]
             numbers = ", ".join(str(indices[i] + 1) for i in members[:MAX_LISTED_ITEMS])
             sentence = (
-                f"At station {station} the pointing to {booked_name} (row {numbers}) was to {meant}, {gap:.2f} m away."
+                f"At station {station} the pointing recorded for {booked_name} (row {numbers}) was made to {meant}, "
+                f"{gap:.2f} m away."
             )
         finding = IdentifiedBlunder("target-swap", indices[members], (station,), names, (), gap, sentence)
         yield finding, recording.readings[indices[members]], nearest_targets[members]
 
 
 def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderWithCorrection]:
-    """Blunders of heights: pointings directly above or below their target."""
+    """Blunders of heights: pointings directly above or below their target. `is_gross` (n,) flags gross errors."""
     recording = adjustment.recording
     indices = np.flatnonzero(is_gross & recording.is_measured.all(axis=1))
     if not len(indices):
@@ -177,7 +182,10 @@ def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderW
 
 
 def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderWithCorrection]:
-    """Blunders of unit and face: pointings that agree with their target once the unit or face is corrected."""
+    """Blunders of unit and face among the pointings with gross errors, `is_gross` (n,).
+
+    These pointings agree with their target after a correction of the unit or face.
+    """
     recording = adjustment.recording
     kinds = (WrongUnit.name, UNIT_ERRORS), (FaceConfusion.name, FACE_ERRORS)
     for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
@@ -196,15 +204,15 @@ def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[B
 
 
 def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlunder]]:
-    """Recording in which stations in another unit or convention are corrected, and the blunders.
+    """Recording in which stations with readings in another unit or convention are corrected, and the blunders.
 
     Returns
     -------
     recording : Recording
         Recording with converted readings.
     findings : list of IdentifiedBlunder
-        Blunders, one for each corrected station; empty if all shapes agree, if no blunder explains the difference, or
-        if more than `MAX_COMPARED_STATIONS` stations differ.
+        Blunders, one for each corrected station. The list is empty if the points of all stations have the same shape,
+        if no blunder explains the difference, or if more than `MAX_COMPARED_STATIONS` stations differ.
     """
     findings: list[IdentifiedBlunder] = []
     suspects = np.flatnonzero(_cloud_misfits(recording) > MIN_CLOUD_MISFIT)
@@ -239,14 +247,14 @@ def _mirror_image_blunders(recording: Recording) -> list[IdentifiedBlunder]:
     if not _cloud_misfits(recording.with_readings(readings))[1] < MIN_CLOUD_MISFIT:
         return []
     a, b = recording.stations
-    sentence = f"Stations {a} and {b} saw mirror images: the azimuths of one of them are clockwise."
+    sentence = f"Stations {a} and {b} measured mirror images: the azimuths of one of them are clockwise."
     return [IdentifiedBlunder(WrongUnit.name, second_station_rows, (a, b), (), ("azimuth",), 0.0, sentence)]
 
 
 def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlunder]]:
     """Recording with faces corrected according to the raw elevations, and the blunders.
 
-    If most pointings of face 2 have elevations of face 1, this is a convention of the file and no blunder.
+    If most pointings of one face have elevations of the other face, this is a convention of the file and no blunder.
 
     Returns
     -------
@@ -275,11 +283,11 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
 
 
 def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None) -> Floats:
-    """Misfit (S,) [m] of the points of each of S stations to those of the other stations; 0 without common targets.
+    """Misfit (S,) [m] of each station's points to the points of the other stations; 0 without common targets.
 
-    The misfit of two stations is the median distance of their common points after a rigid alignment, that of a station
-    the median over the stations that share most targets with it. With `stations` only pairs that contain one of these
-    are compared.
+    The misfit of two stations is the median distance of their common points after a rigid alignment. The misfit of one
+    station is the median of its misfits to the stations that share most targets with it. `stations` restricts the
+    comparison to pairs of stations that contain one of these station indices.
     """
     pairs, count = StationTargetPairs.from_recording(recording), len(recording.stations)
     n_shared = shared_target_counts(pairs.station_indices, pairs.target_indices, count)
@@ -290,7 +298,7 @@ def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None
     for a, b in np.argwhere(np.triu(is_pair | is_pair.T)).tolist():
         if not (stations is None or a in stations or b in stations):
             continue
-        of_a, of_b = pairs.slice_of_station(a), pairs.slice_of_station(b)
+        of_a, of_b = pairs.pair_slice_of_station(a), pairs.pair_slice_of_station(b)
         _, in_a, in_b = np.intersect1d(pairs.target_indices[of_a], pairs.target_indices[of_b], return_indices=True)
         there, here = pairs.local_points[of_a][in_a], pairs.local_points[of_b][in_b]
         try:

@@ -1,8 +1,9 @@
 """Centring errors of an instrument or target that was set up again over a mark, on another day, at a displaced point.
 
 All set-ups over a mark, and all targets on it, count as one point. An occupation is the use of a mark by an instrument
-or by a target on one day. One after the other, a separate shift is estimated for the occupation that it explains best,
-as long as the reduction of chi-square is significant. Readings of noisy targets are weighted by their estimated noise.
+or by a target on one day. The shift of one occupation after another is added to the model: each time that of the
+occupation with the largest reduction of chi-square, as long as this reduction is significant. Readings of noisy targets
+are weighted by their estimated noise.
 """
 
 from dataclasses import dataclass, replace
@@ -38,7 +39,8 @@ class MarkOccupation:
     day: str
     """Day of the occupation."""
     shift_sign: Floats
-    """Sign (n,) with which a shift of the equipment acts on each of n pointings: +1 to it, -1 from it, 0 for others."""
+    """Sign (n,) with which a shift of the equipment acts on each of n pointings: +1 if the pointing is to it, -1 if it
+    is from it, 0 for other pointings."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +52,8 @@ class CentringErrors:
     occupations: tuple[MarkOccupation, ...]
     """Occupations with a centring error."""
     shifts: Floats
-    """Shift of each occupation [m], (k, 3). It is in plan only, (k, 2), if heights of tracker heads are observations.
-    """
+    """Shift of each occupation [m], (k, 3); in plan only, (k, 2), if the model contains errors of instrument
+    heights."""
     covariance: Floats
     """Covariance of the components of each shift [m^2], (k, 3, 3) or (k, 2, 2)."""
     chi2: float
@@ -70,7 +72,7 @@ class CentringErrors:
 
     @property
     def descriptions(self) -> list[str]:
-        """Descriptions of the centring errors: mark, role, day, size and components."""
+        """Texts, one for each centring error, of its mark, role, day, size and components."""
         names = []
         for occupation, value, (size, sigma) in zip(
             self.occupations, self.shifts, self.shift_lengths_and_sigmas, strict=True
@@ -121,7 +123,7 @@ def repeated_occupations(recording: Recording, station_mark_names: tuple[str, ..
 
 
 def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
-    """Centring errors of a network; None if there are none, or if the global test passes without them."""
+    """Centring errors of a network; None if no shift is significant, or if the global test passes without shifts."""
     if not adjustment.solution.has_converged or adjustment.dof < 1 or adjustment.p_value > GLOBAL_TEST_LEVEL:
         return None
     candidates = repeated_occupations(adjustment.recording, adjustment.problem.marks.mark_names)
@@ -132,7 +134,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
     chi2, dof = adjustment.chi2, adjustment.dof
     space = whole = ResidualSpace.from_adjustment(adjustment)
     model = adjustment.problem.model
-    axes = 2 if model.height_errors else 3  # heights that the network corrects anyway tell of no tripod
+    axes = 2 if model.height_errors else 3  # with estimated instrument heights, heights show no centring error
     height_sigma = max((heads.sigma for heads in model.height_errors), default=0.0)
     axis_derivatives = model.linearise(adjustment.state).target_derivatives[:, :, :axes]
     shifts = {
@@ -174,7 +176,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
 
 
 def correct_centring(adjustment: Adjustment) -> tuple[Recording, list[IdentifiedBlunder]]:
-    """Recording with readings corrected for centring errors, and a blunder for each error."""
+    """Recording with readings corrected for the centring errors, and one blunder for each centring error."""
     centring_errors, recording = estimate_centring_errors(adjustment), adjustment.recording
     if centring_errors is None:
         return recording, []

@@ -1,4 +1,6 @@
-"""Uncertainty of adjusted coordinates: joint covariance, and errors outside the stochastic model, those of the air.
+"""Uncertainty of adjusted coordinates: joint covariance, and displacements by errors of the air.
+
+The stochastic model of the adjustment does not contain the errors of the air.
 
 To first order the unknowns depend on the whitened observations by P = N^-1 A', with the normal matrix N and the
 whitened design matrix A. An error that shifts the whitened observations by s displaces the unknowns by P s, and its
@@ -21,8 +23,8 @@ from ltsim.solve.design import ROWS_PER_PIECE, DesignMatrix, to_dense, weight_ro
 COVARIANCE_FILE_NAME = "targets.covariance.csv"
 """Name of the file with the joint covariance of the coordinates in `targets.csv`."""
 MAX_TARGETS_IN_FILE = 400
-"""Largest number of targets with a joint covariance in a file. The file grows with the square of the number and has 20
-MB at this limit."""
+"""Largest number of targets for which the joint covariance is written to a file. The size of the file grows with the
+square of this number and is 20 MB at the limit."""
 
 
 def joint_covariance(adjustment: Adjustment) -> Floats:
@@ -47,9 +49,10 @@ def covariance_csv_text(
 ) -> str | None:
     """Content of `targets.covariance.csv`; None for more than `MAX_TARGETS_IN_FILE` targets.
 
-    `shared_displacements` (k, T, 3) [m] contains the displacements of T targets by one standard deviation of each of k
-    errors that the targets share. `sigma_factor` multiplies the standard deviations due to the readings.
-    `added_covariance` (3 T, 3 T) [m^2] is added.
+    The covariance of the adjustment is multiplied by the square of `sigma_factor`. Two parts are added:
+    `added_covariance` (3 T, 3 T) [m^2], and the covariance of k errors that the T targets share.
+    `shared_displacements` (k, T, 3) [m] contains the displacements of the targets by one standard deviation of each of
+    these errors.
     """
     names = adjustment.recording.targets
     if len(names) > MAX_TARGETS_IN_FILE:
@@ -70,11 +73,11 @@ def covariance_csv_text(
 
 
 TEMPERATURE_ERROR_NAME = "temperature of the air"
-"""Name of the error of the air's temperature in a budget."""
+"""Name, in an uncertainty budget, of the error of the air temperature at each station."""
 GRADIENT_ERROR_NAME = "gradient of the air"
-"""Name of the error of the air's vertical gradient in a budget."""
+"""Name, in an uncertainty budget, of the error of the vertical temperature gradient at each station."""
 TURBULENCE_ERROR_NAME = "turbulence"
-"""Name of the error by turbulence in a budget."""
+"""Name, in an uncertainty budget, of the error of each reading by turbulence."""
 
 
 def displacement_per_observation(adjustment: Adjustment, columns: Ints) -> Floats:
@@ -98,7 +101,7 @@ def _covariance_columns(adjustment: Adjustment, columns: Ints) -> Floats:
 def relevant_air_uncertainty(
     adjustment: Adjustment, air_uncertainty: AirUncertainty | None = None
 ) -> AirUncertainty | None:
-    """Uncertainty of the air, by default that of the set-up; None if the ranges are too short for an influence."""
+    """Uncertainty of the air, by default that of the set-up; None if all ranges are too short for an effect."""
     declared_air = air_uncertainty or adjustment.recording.setup.air or AirUncertainty()
     is_used = adjustment.problem.is_used_reading.any(axis=1)
     return declared_air if declared_air.is_relevant(longest_range(adjustment)) and is_used.any() else None
@@ -112,11 +115,11 @@ def longest_range(adjustment: Adjustment) -> float:
 def displacements_by_air_error(
     adjustment: Adjustment, displacement_per_observation: Floats, air: AirUncertainty
 ) -> dict[str, Floats]:
-    """Displacements (k, q) of k unknowns by one standard deviation of each of q independent air errors, by cause.
+    """Displacements (k, q) of k unknowns by one standard deviation of each of q independent air errors, by error name.
 
-    The independent errors are a temperature and a gradient of each station, and a turbulence of each reading.
-    `displacement_per_observation` (m, k) contains the displacements of these unknowns by each of m whitened
-    observations.
+    The independent errors are one temperature and one gradient per station, and one turbulence error per reading.
+    `displacement_per_observation` (m, k) contains the displacements of these unknowns by a unit change of each of m
+    whitened observations.
     """
     readings = displacement_per_observation[: int(adjustment.problem.is_used_reading.sum())].T
     common, station = _reading_shifts_by_shared_air_errors(adjustment, air)
@@ -153,7 +156,7 @@ def shared_air_error_names(air: AirUncertainty) -> tuple[str, str]:
     """
     scale = air.temperature_k * relative_index_decrease_per_kelvin() / PPM
     return (
-        f"air {air.temperature_k:g} K warmer at all stations than its thermometer (scale {scale:.2g} ppm)",
+        f"air {air.temperature_k:g} K warmer than measured at all stations (scale {scale:.2g} ppm)",
         f"vertical gradient of {air.gradient_k_per_m:g} K/m at all stations",
     )
 
@@ -161,13 +164,17 @@ def shared_air_error_names(air: AirUncertainty) -> tuple[str, str]:
 def displacements_by_shared_air_error(
     adjustment: Adjustment, displacement_per_observation: Floats, air: AirUncertainty
 ) -> dict[str, Floats]:
-    """Displacements (k,) of k unknowns by one standard deviation of each of the `shared_air_error_names`, by name."""
+    """Displacements (k,) of k unknowns by one standard deviation of each air error that all stations share.
+
+    The keys are the `shared_air_error_names`; `displacement_per_observation` (m, k) contains the displacements of
+    the unknowns by a unit change of each of m whitened observations.
+    """
     shifts, _ = _reading_shifts_by_shared_air_errors(adjustment, air)
     return dict(zip(shared_air_error_names(air), shifts @ displacement_per_observation[: shifts.shape[1]], strict=True))
 
 
 def air_covariance(adjustment: Adjustment, columns: Ints, air: AirUncertainty | None = None) -> Floats:
-    """Covariances (c, k, k) of c sets of k unknowns due to the air; zero for short ranges.
+    """Covariances (c, k, k) of c sets of k unknowns due to errors of the air; zero for short ranges.
 
     `columns` (c, k) are the columns of the unknowns in the design matrix A. With the covariance C of the unknowns and
     the covariance S of the whitened observations due to the air, the result is C A' S A C.
@@ -185,7 +192,7 @@ def air_covariance(adjustment: Adjustment, columns: Ints, air: AirUncertainty | 
         scattered = (turbulent @ spread).T.reshape(sets.shape)
         added_covariance[part] = by_station @ np.swapaxes(by_station, 1, 2) + sets @ np.swapaxes(scattered, 1, 2)
     variance = np.einsum("cii->ci", added_covariance)
-    np.maximum(variance, 0.0, out=variance)  # rounding of what the datum holds
+    np.maximum(variance, 0.0, out=variance)  # coordinates that the datum fixes have variance 0, up to rounding
     return added_covariance
 
 
@@ -209,7 +216,7 @@ def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[
 
 
 def joint_covariance_due_to_air(adjustment: Adjustment, air: AirUncertainty | None = None) -> Floats:
-    """Joint covariance (3 T, 3 T) [m^2] of the T targets due to the air; zero for short ranges."""
+    """Joint covariance (3 T, 3 T) [m^2] of the T targets due to errors of the air; zero for short ranges."""
     columns = adjustment.problem.unknowns.target_columns.reshape(1, -1)
     return air_covariance(adjustment, columns, air)[0]
 
@@ -217,10 +224,10 @@ def joint_covariance_due_to_air(adjustment: Adjustment, air: AirUncertainty | No
 def rms_displacements_by_shared_air_error(
     adjustment: Adjustment, air: AirUncertainty | None = None
 ) -> dict[str, float]:
-    """Rms displacements [m] of the targets by one standard deviation of each of the `shared_air_error_names`, by name.
+    """Rms displacements [m] of the targets by one standard deviation of each air error that all stations share.
 
-    A best rigid motion of the targets is removed. Residuals do not show these errors, so that no adjustment reports
-    them.
+    The keys are the `shared_air_error_names`. The best-fitting rigid motion of the targets is removed. These errors do
+    not appear in residuals, so that no adjustment reports them.
     """
     chosen = air or adjustment.recording.setup.air or AirUncertainty()
     targets = np.flatnonzero(

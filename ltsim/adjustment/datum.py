@@ -1,8 +1,8 @@
 """Datum by inner constraints over selected points.
 
-The free rigid motions, which no observation determines, are fixed by the mean of the selected points. If approximate
-coordinates of these points are declared, the network is moved to them. With this datum the covariance of the selected
-points has the smallest trace.
+The selected points fix the free rigid motions, which no observation determines: on average these points do not move.
+If approximate coordinates of these points are declared, the network is moved to them. With this datum the covariance of
+the selected points has the smallest trace.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class DatumPoints:
     """The k points that define a datum."""
 
     columns: Ints
-    """Columns (k, 3) of their coordinates in the vector of unknowns."""
+    """Indices (k, 3) of the coordinates of the points in the vector of unknowns."""
     points: Floats
     """Coordinates (k, 3) [m] of the points."""
     approximate_points: Floats
@@ -38,7 +38,7 @@ class DatumPoints:
 
     @classmethod
     def from_names(cls, problem: NetworkProblem, state: NetworkState, names: Sequence[str]) -> DatumPoints:
-        """Datum points by name: targets, or marks under set-ups."""
+        """Datum points with the given names: targets, or marks under set-ups; raises ModelError for an unknown name."""
         recording, unknowns, marks = problem.model.recording, problem.unknowns, problem.marks
         targets = {name: i for i, name in enumerate(recording.targets)}
         stations = {name: i for i, name in reversed(list(enumerate(marks.mark_names))) if name and name not in targets}
@@ -68,10 +68,10 @@ def selected_datum_names(problem: NetworkProblem) -> tuple[str, ...]:
 
 
 def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[str]) -> tuple[NetworkState, float]:
-    """State moved rigidly to the declared coordinates of the datum points, and the size of the applied rotation.
+    """State moved rigidly to the declared coordinates of the datum points, and the angle [rad] of the applied rotation.
 
-    The size is the sum of the rotation angles [rad] of all steps; if the scale is free, it includes the change of
-    scale.
+    `names` are the datum points. The angle is the sum over all iterations; if no observation determines the scale, it
+    includes the relative change of scale.
     """
     rotation_angle = 0.0
     for _ in range(MAX_ITERATIONS):
@@ -131,11 +131,11 @@ class InnerDatum:
     def from_columns(
         cls, free_motions: Floats, columns: Ints, multiply_covariance: Callable[[Floats], Floats]
     ) -> InnerDatum:
-        """Datum in which the unknowns `columns` fix the free motions.
+        """Datum in which some unknowns, with the indices `columns`, fix the free motions.
 
-        `free_motions` (u, f) contains the changes of all u unknowns by the f motions. `multiply_covariance` multiplies
-        a matrix from the left by the covariance (u, u) of the unknowns. Raises ModelError if these unknowns do not fix
-        the motions.
+        `free_motions` (u, f) contains the changes of all u unknowns by the f free motions. `multiply_covariance`
+        multiplies a matrix from the left by the covariance (u, u) of the unknowns. Raises ModelError if the selected
+        unknowns do not fix the motions.
         """
         constraints = np.zeros_like(free_motions)
         constraints[columns.ravel()] = free_motions[columns.ravel()]
@@ -150,7 +150,7 @@ class InnerDatum:
     def from_points(
         cls, problem: NetworkProblem, state: NetworkState, normal_equations: BlockFactor, names: Sequence[str]
     ) -> InnerDatum | None:
-        """Datum of some points; None if no motion is free.
+        """Datum defined by the points `names`; None if the observations determine all rigid motions.
 
         Raises ModelError if these points do not fix the free motions.
         """
@@ -178,13 +178,13 @@ class InnerDatum:
         cross_covariance = motion @ np.swapaxes(carried, 1, 2)
         transformed = np.asarray(covariance - cross_covariance)
         transformed -= np.swapaxes(cross_covariance, 1, 2)
-        del cross_covariance  # as large as the covariance
+        del cross_covariance  # this matrix is as large as the covariance
         transformed += motion @ self.motion_covariance @ np.swapaxes(motion, 1, 2)
         return transformed
 
 
 def _scale_displacement_function(problem: NetworkProblem) -> Callable[[Floats], Floats]:
-    """Function for the displacements of k places by a unit change of scale, from their vectors (k, 3) from the centre.
+    """Function for the displacements of k points by a unit change of scale, from their vectors (k, 3) from the centre.
 
     The displacements have shape (3 k, 1), or (3 k, 0) if the observations determine the scale. Heights of a network in
     plan do not change.

@@ -16,7 +16,7 @@ from ltsim.adjustment.reference_tests import (
     TESTED_REFERENCE_KINDS,
     ReferenceTest,
     passes_global_test,
-    requires_constants_for_points,
+    requires_instrument_constants_for_points,
 )
 from ltsim.adjustment.reference_values import ReferenceKind
 from ltsim.adjustment.reliability import noise_factor
@@ -24,7 +24,7 @@ from ltsim.adjustment.significance import (
     FAMILY_WISE_LEVEL,
     MAX_TRACKER_ERROR,
     MIN_CLEAR_SIGMAS,
-    MIN_FAULTY_FRACTION_OF_PLACE,
+    MIN_FAULTY_FRACTION_OF_GROUP,
     MIN_MISFIT_RATIO,
 )
 from ltsim.adjustment.snooping import (
@@ -74,7 +74,7 @@ def adjust(
     construction : GeometricErrorModel, optional
         Default: an ideal tracker without parameters.
     effects : sequence of LinearEffect
-        Additional effects to estimate, free except for `effect_prior_sigma`.
+        Additional effects whose parameters are estimated, with the weak prior of `effect_prior_sigma`.
     sigma : (n, 3) float, optional, [m, rad, rad]
         Standard deviations of the readings; default the declared noise.
     reading_mask : (n, 3) bool, optional
@@ -85,9 +85,10 @@ def adjust(
     datum_names : sequence of str, optional
         Targets that define the datum by inner constraints; default those that the set-up selects.
     robust : bool
-        Reject outliers by reweighting and data snooping. Each rejected reading is tested again at the end.
+        Rejection of outliers by reweighting and data snooping. Each rejected reading is tested again at the end.
     noise_grouping : str, optional
-        Estimate the noise of each ``observable``, or of each observable of each ``instrument``, and of the levels.
+        Groups of readings whose noise is estimated: each ``observable``, or each observable of each ``instrument``; the
+        noise of the levels is estimated too. Default: no noise is estimated.
     effect_prior_sigma : float
         Standard deviation of a prior on each parameter of `effects`, in units of its plausible size. It limits
         parameters that the readings hardly determine.
@@ -111,7 +112,7 @@ def adjust(
         have several radii and no observation fixes the frame of the normals of their nests, or when there are more than
         `MAX_ADJUSTED_POINTINGS` pointings.
     ModelError
-        When `datum_names` contains an unknown target or too few targets.
+        When `datum_names` contains an unknown or undetermined target, or targets that do not fix the free motions.
     """
     recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "an adjustment")
     built = construction or ideal_construction()
@@ -146,7 +147,7 @@ def adjust(
         )
         tested, tested_state = sound.with_instrument_constants(start_state)
         problem, solution, wrong = snoop_references(tested, solve(tested, tested_state), tested_reference_kinds)
-        if tested is sound and requires_constants_for_points(problem, solution):
+        if tested is sound and requires_instrument_constants_for_points(problem, solution):
             with_constants, state = sound.with_instrument_constants(start_state, requires_length=False)
             snooped = snoop_references(with_constants, solve(with_constants, state), tested_reference_kinds)
             if passes_global_test(*snooped[:2]):
@@ -174,11 +175,14 @@ def adjust(
 
 
 def _is_over_wrong_mark(recording: Recording, is_gross: Bools) -> Bools:
-    """Flags (n,) of pointings from set-ups over a mark that may be wrong: most of their pointings have gross errors."""
+    """Flags (n,) of the pointings from set-ups whose declared mark may be wrong.
+
+    Most pointings of such a set-up have gross errors, which `is_gross` (n,) flags.
+    """
     n_stations = len(recording.stations)
     has_mark = np.array([recording.station_setup(name).over is not None for name in recording.stations])
     share = np.bincount(recording.station, is_gross, n_stations) / np.bincount(recording.station, minlength=n_stations)
-    return np.asarray((has_mark & (share > MIN_FAULTY_FRACTION_OF_PLACE))[recording.station])
+    return np.asarray((has_mark & (share > MIN_FAULTY_FRACTION_OF_GROUP))[recording.station])
 
 
 def _require_fixed_smr_offsets(problem: NetworkProblem) -> None:
@@ -193,20 +197,21 @@ def _require_fixed_smr_offsets(problem: NetworkProblem) -> None:
     if np.any(np.abs(rotated) > MAX_SOLUTION_ROUNDING_ERROR * np.abs(offsets).max()):
         raise NetworkError(
             "the centres of SMRs with different radii lie at different heights over their nests, along the normals of "
-            "the nests, but the network has no frame in which these normals are known: declare three known points "
-            "(known_mm); levels suffice if all these normals are vertical"
+            "the nests; no observation fixes the rotation of the network, so the directions of the normals are "
+            "unknown; declare three known points (known_mm), or levels if all normals are vertical"
         )
 
 
 def _solve(problem: NetworkProblem, start_state: NetworkState) -> tuple[NetworkProblem, Solution[NetworkState]]:
+    """Unchanged problem, and its least-squares solution without outlier tests."""
     return problem, solve(problem, start_state)
 
 
 def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | None) -> Adjustment:
     """Adjustment with state and covariances in the datum of selected targets.
 
-    The targets are `datum_names`, by default the determined ones of those that the set-up selects. Targets that only
-    define axes are tested first, and contradicting ones are excluded.
+    The targets are `datum_names`, by default all determined targets that the set-up selects for the datum. Targets that
+    only define the axes are tested first, and contradicting targets are excluded.
     """
     problem, solution, lost = adjustment.problem, adjustment.solution, adjustment.undetermined_targets
     names = (
@@ -220,7 +225,7 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
     if not names or solution.factor is None or not problem.free_motions.shape[1]:
         return adjustment
     if adjustment.recording.setup.axes and datum_names is None and len(names) >= MIN_RIGID_POINTS:
-        fitted, tests = select_axes_points(adjustment, names)
+        fitted, tests = exclude_contradicting_axes_points(adjustment, names)
         problem = replace(problem, model=replace(problem.model, recording=fitted))
         adjustment, names = (
             replace(adjustment, problem=problem, axes_point_tests=tests),
@@ -228,20 +233,22 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
         )
     state, turned = move_to_datum(problem, solution.x, names)
     solution = replace(solution, x=state)
-    if turned > MAX_ROUNDING_ERROR:  # The factor belongs to the frame it was computed in.
+    if turned > MAX_ROUNDING_ERROR:  # the factorisation belongs to the frame before the rotation
         again = solve(problem, state)
         solution = replace(again, n_iterations=solution.n_iterations, status=solution.status)
     datum = None if solution.factor is None else InnerDatum.from_points(problem, state, solution.factor, names)
     return replace(adjustment, solution=solution, datum=datum)
 
 
-def select_axes_points(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, tuple[ReferenceTest, ...]]:
-    """Recording whose datum consists of the points that agree about the axes, and the test of each point.
+def exclude_contradicting_axes_points(
+    adjustment: Adjustment, names: Sequence[str]
+) -> tuple[Recording, tuple[ReferenceTest, ...]]:
+    """Recording whose datum consists of the points with consistent declared coordinates, and the test of each point.
 
-    Each point is tested against the other points: its misclosure in their axes is compared with the uncertainty of the
-    network at this point, multiplied by the `noise_factor` of the fit, and with the scatter of the other points. A
-    contradicting point is excluded. If the other points alone do not determine the axes, the point remains, with its
-    coordinates corrected by the estimated error.
+    `names` are the points that define the axes. Each point is tested against the other points: its misclosure in their
+    axes is compared with the uncertainty of the network at this point, multiplied by the `noise_factor` of the fit, and
+    with the scatter of the other points. A contradicting point is excluded. If the other points alone do not determine
+    the axes, the point remains, with its coordinates corrected by the estimated error.
     """
     recording = adjustment.recording
     declared_points = (
@@ -312,10 +319,11 @@ def _axes_point_test(
 ) -> ReferenceTest:
     """Test of one of the points that define the axes.
 
-    `misclosure` (3,) [m] is declared minus adjusted coordinates, `covariance` (3, 3) that of the adjusted point.
-    `hat_block` (3, 3) is the block of the hat matrix of the alignment for this point. The residual of a point in use is
-    R = 1 - `hat_block` times its error; that of another point is its full error. `scatter_dof_and_level` contains the
-    sum of squared misclosures of the points in use, its degrees of freedom, and the significance level of this test.
+    `misclosure` (3,) [m] is declared minus adjusted coordinates, `covariance` (3, 3) [m^2] that of the adjusted point.
+    `hat_block` (3, 3) is the block of the hat matrix of the alignment for this point. The misclosure of a point in use
+    is (1 - `hat_block`) times its error; that of an excluded point is its full error. `scatter_dof_and_level` contains
+    the sum of squared misclosures of the points in use, its degrees of freedom, and the significance level of this
+    test.
     """
     share, turned = np.linalg.eigh(np.eye(3) - hat_block if is_used else np.eye(3) + hat_block)
     is_checked = share > MAX_SOLUTION_ROUNDING_ERROR

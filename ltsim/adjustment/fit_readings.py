@@ -12,12 +12,10 @@ from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap_angle
 from ltsim.physics.model.measurement import reduce_to_horizontal, sight_vector_offsets
 from ltsim.recordings.recording import Recording
 
-MAX_FIT_ROWS = 12
-"""Largest number of rows in a fit, selected evenly."""
+MAX_POINTINGS_IN_FIT = 12
+"""Largest number of pointings in a fit; of more pointings, evenly spaced ones are selected."""
 APPROXIMATE_SIGMA = 1e-4
-"""Standard deviation of all readings in fits of approximate coordinates: of ranges relative to the range, of angles
-[rad].
-"""
+"""Standard deviation of all readings in fits of approximate coordinates: relative for ranges, [rad] for angles."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,8 @@ class FitReadings:
     is_horizontal: Bools
     """Flags (k,) of the pointings whose distance is horizontal."""
     sight_vector_offsets: Floats
-    """Offsets (k, 3) [m] of the sight vectors, network frame: of the reflector minus that of the instrument."""
+    """Offsets (k, 3) [m] of the sight vectors in the network frame: offset of the reflector from its point minus offset
+    of the instrument from its point."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> Self:
@@ -45,11 +44,11 @@ class FitReadings:
 
     @property
     def azimuths_only(self) -> FitReadings:
-        """Readings of the azimuths alone."""
+        """Readings in which only the azimuths are measured."""
         return replace(self, readings=np.where([False, True, False], self.readings, np.nan))
 
     def without_observable(self, observable: int) -> FitReadings:
-        """Readings without the distances (`observable` 0), azimuths (1) or elevations (2)."""
+        """Readings without one observable: distances (`observable` 0), azimuths (1) or elevations (2)."""
         return replace(self, readings=np.where(np.arange(3) == observable, np.nan, self.readings))
 
     def select_rows(self, rows: Ints) -> Self:
@@ -61,16 +60,19 @@ class FitReadings:
             sight_vector_offsets=self.sight_vector_offsets[rows],
         )
 
-    def thin_rows(self) -> tuple[Ints, FitReadings]:
-        """Indices of at most `MAX_FIT_ROWS` evenly selected pointings, and the readings of these."""
+    def select_evenly(self) -> tuple[Ints, FitReadings]:
+        """Indices of at most `MAX_POINTINGS_IN_FIT` evenly spaced pointings, and their readings."""
         k = len(self.readings)
-        thinned_rows = np.arange(k) if k <= MAX_FIT_ROWS else np.linspace(0, k - 1, MAX_FIT_ROWS).astype(np.int64)
+        thinned_rows = (
+            np.arange(k) if k <= MAX_POINTINGS_IN_FIT else np.linspace(0, k - 1, MAX_POINTINGS_IN_FIT).astype(np.int64)
+        )
         return thinned_rows, self.select_rows(thinned_rows)
 
     def residuals(self, local_points: Floats) -> tuple[Floats, Floats]:
         """Whitened residuals (b, 3 k) of b trial solutions, and their derivatives (b, 3 k, 3) by the local points.
 
-        `local_points` (b, k, 3) [m] are the reflectors in the frame of the station, for each trial solution.
+        `local_points` (b, k, 3) [m] are the positions of the reflectors in the instrument frame, for each trial
+        solution.
         """
         size, rows = local_points.shape[:2]
         polar = to_polar(local_points.reshape(-1, 3))

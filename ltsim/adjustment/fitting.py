@@ -20,21 +20,21 @@ from ltsim.geometry.rigid import cross_matrix, matrix_from_rotation_vector, rota
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MAX_SOLUTION_DISTANCE = 1e-3
-"""Relative distance of positions plus distance of rotation matrices, up to which two solutions are equal."""
+"""Largest relative distance of positions plus distance of rotation matrices of two solutions that count as the same."""
 MIN_SUM_OF_SQUARES_RATIO = 4.0
-"""Ratio of the sums of squared residuals of the two best solutions, from which the best one counts as unique."""
-MAX_RMS_MISFIT = 300.0
-"""Rms misfit of approximate coordinates, in standard deviations of the readings, from which a solution is rejected."""
+"""Smallest ratio of the second smallest to the smallest sum of squared residuals at which a solution is unique."""
+MAX_RMS_MISFIT_SIGMAS = 300.0
+"""Largest rms residual of a solution, in standard deviations of the readings."""
 N_ITERATED_STARTS = 150
-"""Number of start values that are iterated: those with the smallest sums of squares."""
+"""Number of start values that are iterated: those with the smallest sums of squared residuals."""
 MAX_STARTS = 400
-"""Largest number of start values of a point (computing time)."""
+"""Largest number of start values of a point, limited because of the computing time."""
 EIGHT_AZIMUTHS = np.arange(8) * np.pi / 4
 """Azimuths [rad] of eight directions, evenly spaced."""
 START_COORDINATE_GRIDS = np.geomspace(0.3, 300.0, 12), EIGHT_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
-"""Grids of start values for unmeasured coordinates of a point: range [m], azimuth, elevation [rad]."""
+"""Grids of start values for the unmeasured polar coordinates of a point: range [m], azimuth [rad], elevation [rad]."""
 MIN_TARGETS_OF_RANGE_NETWORK = 10
-"""Smallest number of targets for a network of ranges only: their differences determine nine coefficients of a frame."""
+"""Smallest number of targets of a network of ranges only: their differences determine nine affine coefficients."""
 
 ResidualFunction = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Function that evaluates b trial solutions at once, from positions (b, 3) [m] and rotations (b, 3, 3). It returns the
@@ -45,7 +45,7 @@ residuals (b, m) of m readings and their derivatives (b, m, q) with respect to t
 def fit_pose(
     fit_readings: FitReadings, points: Floats, *, is_levelled: bool = False, position: Floats | None = None
 ) -> tuple[Floats, Floats] | None:
-    """Position (3,) [m] and rotation (3, 3) of a station that measured known points; None if they are not unique.
+    """Position (3,) [m] and rotation (3, 3) of a station that measured known points; None if several solutions fit.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def fit_pose(
     position : (3,) float, optional, [m]
         Position of the station, if known.
     """
-    rows, fit_readings = fit_readings.thin_rows()
+    rows, fit_readings = fit_readings.select_evenly()
     points = points[rows] + fit_readings.sight_vector_offsets
     azimuth, elevation = (bool(np.isfinite(fit_readings.readings[:, i]).any()) for i in (1, 2))
     is_tilted = not is_levelled and (azimuth or elevation)
@@ -81,11 +81,11 @@ def fit_pose(
 
 
 def fit_point(fit_readings: FitReadings, position: Floats, rotation: Floats) -> Floats | None:
-    """Point (3,) [m] measured by k pointings from known stations; None if it is not unique.
+    """Point (3,) [m] measured by k pointings from known stations; None if several solutions fit.
 
     `position` (k, 3) [m] and `rotation` (k, 3, 3) are the pose of the station of each pointing.
     """
-    rows, fit_readings = fit_readings.thin_rows()
+    rows, fit_readings = fit_readings.select_evenly()
     rotation, lifted = rotation[rows], position[rows] - fit_readings.sight_vector_offsets
     if fit_readings.n_readings < 3:
         return None
@@ -109,9 +109,12 @@ def fit_point(fit_readings: FitReadings, position: Floats, rotation: Floats) -> 
 def _unique_solution(
     n_readings: int, points: Floats, solutions: tuple[Floats, Floats, Floats]
 ) -> tuple[Floats, Floats] | None:
-    """Position (3,) and rotation (3, 3) of the best of several solutions; None if it fits poorly or is not unique."""
+    """Position (3,) and rotation (3, 3) of the first of the `solutions`; None if it fits poorly or is not unique.
+
+    `solutions` are the sums of squares (b,) in ascending order, positions (b, 3) [m] and rotations (b, 3, 3).
+    """
     cost, x, rotation = solutions
-    if not cost[0] < MAX_RMS_MISFIT**2 * n_readings:
+    if not cost[0] < MAX_RMS_MISFIT_SIGMAS**2 * n_readings:
         return None
     distance = np.linalg.norm(x - x[0], axis=1) / (1 + np.abs(points - x[0]).max())
     other_costs = cost[distance + np.linalg.norm(rotation - rotation[0], axis=(1, 2)) > MAX_SOLUTION_DISTANCE]
@@ -166,7 +169,7 @@ def _replace_where_better(is_better: Bools, new_values: Floats, old_values: Floa
 
 
 def _candidate_positions(points: Floats) -> Floats:
-    """Start positions (c, 3) [m] of a station: among the points (k, 3) and around them."""
+    """Start positions (c, 3) [m] of a station, between and around the points (k, 3) that it measured."""
     centre = points.mean(axis=0)
     radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1.0)
     circle = radius * np.stack([np.cos(EIGHT_AZIMUTHS), np.sin(EIGHT_AZIMUTHS), np.zeros(len(EIGHT_AZIMUTHS))], axis=1)
@@ -175,6 +178,7 @@ def _candidate_positions(points: Floats) -> Floats:
 
 
 def _candidate_rotations(is_levelled: bool) -> Floats:
+    """Start rotations (c, 3, 3) of a station: eight yaws, combined with six tilts unless the station is levelled."""
     yaws = np.stack([rotation_about_z(a) for a in EIGHT_AZIMUTHS])
     if is_levelled:
         return yaws
@@ -196,9 +200,9 @@ def _start_points(readings: Floats, position: Floats, rotation: Floats) -> Float
 
 
 def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
-    """Coordinates (S, 3) of S stations and (T, 3) of T targets from all ranges (S, T) [m] between them, or None.
+    """Coordinates (S, 3) [m] of S stations and (T, 3) of T targets from all ranges (S, T) [m] between them, or None.
 
-    At least four stations that are not coplanar and ten targets are needed. The result may be the mirror image.
+    At least four stations that are not coplanar and ten targets are needed. The network may be mirrored.
 
     Notes
     -----
@@ -241,7 +245,7 @@ def beam_intersection(origin: Floats, beam_directions: Floats) -> Floats | None:
 
 @dataclass(frozen=True)
 class HorizontalLengths:
-    """Measured horizontal lengths (k,) [m] of k lines, and the places (k,) at the start and the end of each line."""
+    """Horizontal `lengths` (k,) [m] of k lines, and the point indices (k,) of the start and end of each line."""
 
     start_indices: Ints
     end_indices: Ints
@@ -250,35 +254,34 @@ class HorizontalLengths:
 
 def fit_plan(
     setup_indices: Ints,
-    start_places: Ints,
-    end_places: Ints,
+    start_indices: Ints,
+    end_indices: Ints,
     azimuths: Floats,
     control_coordinates: Floats,
     lengths: HorizontalLengths,
 ) -> tuple[Floats, Floats, bool] | None:
-    """Plan of P places from horizontal directions and lengths: coordinates (P, 2) [m], yaws (S,) [rad] of S set-ups.
+    """Plan of P points from horizontal directions and lengths: coordinates (P, 2) [m], yaws (S,) [rad] of S set-ups.
 
-    The third element is True if the plan is aligned to two or more known places; otherwise its x axis is azimuth zero
-    of the first set-up. The result is None if the shape is undetermined, or if directions alone have fewer than two
-    known places and thus no scale.
+    The points are those of set-ups and targets. The third element is True if the plan is aligned to two or more known
+    points; otherwise its x axis is azimuth zero of the first set-up. None if shape or scale are undetermined.
 
     Parameters
     ----------
-    setup_indices, start_places, end_places : (n,) int
-        Upright set-up of each direction, its place, and the place of its target.
+    setup_indices, start_indices, end_indices : (n,) int
+        Upright set-up of each direction, index of its point, and index of the point of the target.
     azimuths : (n,) float, [rad]
         Reading of the horizontal circle in each direction.
     control_coordinates : (P, 2) float, [m]
-        Known coordinates of the places; NaN for other places.
+        Known coordinates of the points; NaN for other points.
     lengths : HorizontalLengths
-        Measured lengths. A length is used if the direction of its line was measured from one end.
+        Measured lengths. A length is used if the direction of its line was measured from at least one end.
     """
-    yaw = _setup_yaws(setup_indices, start_places, end_places, azimuths)
+    yaw = _setup_yaws(setup_indices, start_indices, end_indices, azimuths)
     is_oriented = np.isfinite(yaw[setup_indices])
     bearing = (yaw[setup_indices] + azimuths)[is_oriented]
-    used, at = np.unique(np.concatenate([start_places[is_oriented], end_places[is_oriented]]), return_inverse=True)
+    used, at = np.unique(np.concatenate([start_indices[is_oriented], end_indices[is_oriented]]), return_inverse=True)
     first, second = at.reshape(2, -1)
-    along, length = _measured_lengths_of_directions(lengths, start_places[is_oriented], end_places[is_oriented])
+    along, length = _measured_lengths_of_directions(lengths, start_indices[is_oriented], end_indices[is_oriented])
     has_control = np.isfinite(control_coordinates[used]).all(axis=1)
     if has_control.sum() < 2 and not len(along):
         return None
@@ -309,18 +312,18 @@ def _measured_lengths_of_directions(lines: HorizontalLengths, starts: Ints, ends
 
 
 def lines_of_undetermined_length(
-    setup: Ints, starts: Ints, end_places: Ints, azimuths: Floats, lines: HorizontalLengths
+    setup: Ints, starts: Ints, end_indices: Ints, azimuths: Floats, lines: HorizontalLengths
 ) -> list[tuple[int, int]]:
-    """Lines (pairs of places) whose lengths a plan leaves undetermined, although all its set-ups are oriented.
+    """Lines (pairs of point indices) of undetermined length in a plan, although all its set-ups are oriented.
 
-    The list is empty for a determined plan, and for a plan with more than one degree of freedom. Parameters as of
-    `fit_plan`.
+    The list is empty for a determined plan, and for a plan in which more than one length is free. The parameters are
+    those of `fit_plan`.
     """
-    yaw = _setup_yaws(setup, starts, end_places, azimuths)
+    yaw = _setup_yaws(setup, starts, end_indices, azimuths)
     is_oriented = np.isfinite(yaw[setup])
-    used, at = np.unique(np.concatenate([starts[is_oriented], end_places[is_oriented]]), return_inverse=True)
+    used, at = np.unique(np.concatenate([starts[is_oriented], end_indices[is_oriented]]), return_inverse=True)
     first, second = at.reshape(2, -1)
-    along, _ = _measured_lengths_of_directions(lines, starts[is_oriented], end_places[is_oriented])
+    along, _ = _measured_lengths_of_directions(lines, starts[is_oriented], end_indices[is_oriented])
     _, size, right = np.linalg.svd(_plan_design(first, second, (yaw[setup] + azimuths)[is_oriented], along, len(used)))
     if (
         not len(along)
@@ -339,35 +342,33 @@ def lines_of_undetermined_length(
     return sorted(ends)
 
 
-def _plan_design(start_places: Ints, end_places: Ints, bearings: Floats, length_rows: Ints, n_places: int) -> Floats:
-    """Design matrix of the equations for x and y of all places except the first.
+def _plan_design(start_indices: Ints, end_indices: Ints, bearings: Floats, length_rows: Ints, n_points: int) -> Floats:
+    """Design matrix of the equations for x and y of all points in plan except the first.
 
-    Each direction gives an equation perpendicular to its bearing. The directions `length_rows` give a second equation
-    along it. Zero rows are added so that the matrix has at least as many rows as columns.
+    Each direction gives an equation perpendicular to its bearing, and a second one along its bearing if its length is
+    measured (indices `length_rows`). Zero rows are added so that the matrix has at least as many rows as columns.
     """
-    design = np.zeros((len(bearings) + len(length_rows), n_places, 2))
+    design = np.zeros((len(bearings) + len(length_rows), n_points, 2))
     transverse = np.stack([-np.sin(bearings), np.cos(bearings)], axis=1)
     radial = np.stack([np.cos(bearings), np.sin(bearings)], axis=1)[length_rows]
     every, behind = np.arange(len(bearings)), len(bearings) + np.arange(len(length_rows))
-    np.add.at(design, (every, end_places), transverse)
-    np.add.at(design, (every, start_places), -transverse)
-    np.add.at(design, (behind, end_places[length_rows]), radial)
-    np.add.at(design, (behind, start_places[length_rows]), -radial)
-    n_coordinates = 2 * (n_places - 1)
-    return np.concatenate(
-        [design[:, 1:].reshape(-1, n_coordinates), np.zeros((n_coordinates, n_coordinates))]
-    )  # a row for each column at least
+    np.add.at(design, (every, end_indices), transverse)
+    np.add.at(design, (every, start_indices), -transverse)
+    np.add.at(design, (behind, end_indices[length_rows]), radial)
+    np.add.at(design, (behind, start_indices[length_rows]), -radial)
+    n_coordinates = 2 * (n_points - 1)
+    return np.concatenate([design[:, 1:].reshape(-1, n_coordinates), np.zeros((n_coordinates, n_coordinates))])
 
 
 def _plan_shape(
-    start_places: Ints, end_places: Ints, bearings: Floats, length_rows: Ints, lengths: Floats, n_places: int
+    start_indices: Ints, end_indices: Ints, bearings: Floats, length_rows: Ints, lengths: Floats, n_points: int
 ) -> np.ndarray[tuple[int], np.dtype[np.complex128]] | None:
-    """Coordinates of places in plan as complex numbers x + iy, the first at 0; None if the shape is undetermined.
+    """Coordinates of points in plan as complex numbers x + iy, the first at 0; None if the shape is undetermined.
 
     `length_rows` are the indices of the directions along lines with a measured length, `lengths` these lengths [m].
     Without lengths the scale is arbitrary.
     """
-    design = _plan_design(start_places, end_places, bearings, length_rows, n_places)
+    design = _plan_design(start_indices, end_indices, bearings, length_rows, n_points)
     right_side = np.zeros(len(design))
     right_side[len(bearings) : len(bearings) + len(length_rows)] = lengths
     u, size, rows = np.linalg.svd(design, full_matrices=False)
@@ -375,12 +376,12 @@ def _plan_shape(
         return None
     plan = rows.T @ ((u.T @ right_side) / size) if len(length_rows) else rows[-1]
     shape = np.concatenate([[0.0], plan.reshape(-1, 2) @ [1.0, 1j]])
-    forward = np.real((shape[end_places] - shape[start_places]) * np.exp(-1j * bearings))
+    forward = np.real((shape[end_indices] - shape[start_indices]) * np.exp(-1j * bearings))
     return np.asarray(shape if np.sum(np.sign(forward)) > 0.0 else -shape)
 
 
 def _setup_yaws(setup: Ints, starts: Ints, ends: Ints, azimuths: Floats) -> Floats:
-    """Yaws (S,) [rad] of set-ups that are connected to the first one; NaN for other set-ups.
+    """Yaws (S,) [rad] of the set-ups that are connected to the first set-up; NaN for other set-ups.
 
     Two set-ups are connected if they measured the direction of the same line, from the same end or from both ends.
     """

@@ -1,7 +1,7 @@
 """Frame of a network from levels and known points, and list of the completely measured points of each station.
 
-The list has one entry per pair of a station and a target that it measured completely. A tunnel of 2,000 set-ups that
-see 50 targets each has 100,000 pairs; a full table of stations and targets would have 100 million entries.
+The list has one entry per pair of a station and a target that it measured completely. 2,000 set-ups in a tunnel that
+measure 50 targets each have 100,000 entries; an array of all stations and all targets would have 100 million.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
 
 MAX_FLOOR_PLAN_ERROR = 0.5
-"""Distance [m] of a station from its position on a floor plan, from which the plan is ignored."""
+"""Distance [m] of an adjusted station from its position on the floor plan, from which the floor plan is ignored."""
 UNKNOWN_POINT = (np.nan, np.nan, np.nan)
 """Coordinates of a point without declared coordinates."""
 
@@ -33,26 +33,28 @@ class DeclaredFrame:
     """
 
     declared_points: Floats
-    """Coordinates (T, 3) [m] of targets that define the frame: known ones, and approximate ones of the datum."""
+    """Coordinates (T, 3) [m] of the targets that define the frame: known, or approximate for targets of the datum."""
     declared_station_positions: Floats
-    """Positions (S, 3) [m] of instruments over marks that are no targets, from known or approximate coordinates."""
+    """Positions (S, 3) [m] of the instruments over marks that are no targets, from declared coordinates of the
+    marks."""
     is_levelled: Bools
     """Flags of the levelled stations, (S,)."""
     marks: StationMarks
+    """Marks under the stations."""
     plan_positions: Floats
     """Approximate positions of the stations on a floor plan, (S, 3) [m]."""
     plan_yaws: Floats
-    """Direction of azimuth zero of each station on the floor plan, (S,) [rad]."""
+    """Direction of azimuth zero of each station in the floor plan, (S,) [rad]."""
     has_declared_yaw: Bools
     """Flags of the stations whose yaw is known and not only approximate, (S,)."""
     approximate_points: Floats
     """Known or approximate coordinates of the targets, (T, 3) [m]."""
     plan_points: Floats
-    """Coordinates (T, 3) [m] of targets that are known along x and y, with height 0."""
+    """Coordinates (T, 3) [m] of the targets with known x and y, with height 0."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> DeclaredFrame:
-        """Declared frame of a recording."""
+        """Frame that the set-up of a recording declares."""
         marks = StationMarks.from_recording(recording)
         setups = [recording.station_setup(name) for name in recording.stations]
         alone, by_name = (
@@ -78,7 +80,7 @@ class DeclaredFrame:
 
     @property
     def has_approximate_positions(self) -> bool:
-        """True if approximate coordinates of a station or target are given."""
+        """True if a target or station has declared coordinates that define the frame."""
         return any(
             bool(np.isfinite(places).any())
             for places in (self.declared_points, self.declared_station_positions, self.plan_points)
@@ -87,7 +89,8 @@ class DeclaredFrame:
     def network_and_declared_points(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
         """Coordinates (k, 3) [m] of k stations and targets in a network, and their declared coordinates (k, 3).
 
-        `position` (S, 3) and `points` (T, 3) are those of the network; those without declared coordinates are left out.
+        `position` (S, 3) [m] are the stations and `points` (T, 3) [m] the targets of the network. Stations and targets
+        without declared coordinates are left out.
         """
         here, there = (
             np.concatenate([position, points]),
@@ -125,8 +128,8 @@ class DeclaredFrame:
     def motion_to_floor_plan(self, position: Floats, rotation: Floats) -> tuple[Floats, Floats] | None:
         """Rotation about the vertical (3, 3) and translation (3,) [m] of a free network to the floor plan.
 
-        They follow from the approximate positions of two or more stations, or from position and yaw of one station. The
-        result is None without such positions, and if one differs by `MAX_FLOOR_PLAN_ERROR` or more.
+        They follow from the planned positions of two or more stations, or from position and yaw of one station. The
+        result is None without such positions, and if a station misses its position by `MAX_FLOOR_PLAN_ERROR` or more.
         """
         planned_indices = np.flatnonzero(
             np.isfinite(self.plan_positions).all(axis=1) & np.isfinite(position).all(axis=1)
@@ -151,8 +154,8 @@ class DeclaredFrame:
     def mirror_factors(self, network_points: Floats, declared_points: Floats) -> Floats | None:
         """Factors (3,) on the coordinates of a network of ranges alone: (1, 1, -1) mirrors it, (1, 1, 1) does not.
 
-        Ranges do not determine the handedness of the network points (k, 3). Declared points (k, 3), NaN if not
-        declared, determine it if they are not coplanar; otherwise the result is None.
+        Ranges do not determine the handedness of the network points (k, 3) [m]. Declared points (k, 3) [m], NaN if not
+        declared, determine the handedness unless they are coplanar; then the result is None.
         """
         has_place = np.isfinite(declared_points).all(axis=1)
         network_points, declared_points = network_points[has_place], declared_points[has_place]
@@ -186,8 +189,8 @@ class DeclaredFrame:
     ) -> tuple[Floats, bool]:
         """Targets (t, 3) [m] of a network of ranges, with the handedness and frame of the approximate coordinates.
 
-        The flag is True if the targets are in this frame, which requires three approximate points that are not
-        collinear. `stations` and `targets` are the indices of the network's stations and targets.
+        The second element is True if the targets are in this frame, which requires three approximate points that are
+        not collinear. `stations` and `targets` are indices; `position` (s, 3), `points` (t, 3) [m] their coordinates.
         """
         here, there = (
             np.concatenate([position, points]),
@@ -203,9 +206,9 @@ class DeclaredFrame:
         return points @ rotation.T + shift, True
 
     def agrees_with_floor_plan(self, position: Floats, rotation: Floats) -> bool:
-        """True if a network agrees with the floor plan as well as the approximate coordinates permit.
+        """True if a network lies on the floor plan: its motion to the floor plan is less than `MAX_FLOOR_PLAN_ERROR`.
 
-        Its stations have the poses `position` (S, 3) [m] and `rotation` (S, 3, 3).
+        `position` (S, 3) [m] and `rotation` (S, 3, 3) are the poses of the stations.
         """
         motion = self.motion_to_floor_plan(position, rotation)
         return motion is not None and bool(alignment_distances(position, position, motion).max() < MAX_FLOOR_PLAN_ERROR)
@@ -231,7 +234,7 @@ class DeclaredFrame:
 
 
 def _coordinates_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
-    """Coordinates [mm] by name: of known marks, and of marks that known differences connect to these."""
+    """Coordinates [mm] by name, of known marks and of marks that known differences connect to known marks."""
     targets = recording.setup.targets
     places: dict[str, tuple[float, ...]] = {
         name: target.known_mm
@@ -266,13 +269,14 @@ def _declared_coordinates(recording: Recording, name: str, *, datum_targets_only
 
 
 def _declared_plan_coordinates(target: Target) -> tuple[float, ...]:
-    """Known coordinates [mm] of a target in plan, at height 0."""
+    """Coordinates [mm] of a target with known x and y, with height 0; NaN for other targets."""
     if target.known_mm is None or not target.known_axes.startswith("xy"):
         return UNKNOWN_POINT
     return *target.known_mm[:2], 0.0
 
 
 def _points_in_metres(coordinates_mm: list[tuple[float, ...]]) -> Floats:
+    """Points (k, 3) [m] from coordinates in millimetres."""
     return np.array(coordinates_mm, dtype=np.float64).reshape(-1, 3) * MILLIMETRE
 
 
@@ -282,7 +286,7 @@ def _rms_distance_from_plane(points: Floats) -> float:
 
 
 def are_collinear(points: Floats) -> bool:
-    """True if points (k, 3) are collinear: their extent across the best-fit line is at most 0.001 of that along it."""
+    """True if points (k, 3) are collinear: their extent across the best-fit line is at most 0.1 % of that along it."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[1] <= 1e-3 * spread[0])
 
@@ -295,7 +299,7 @@ def alignment_distances(points: Floats, goal_points: Floats, motion: tuple[Float
 def upright_alignment(source: Floats, goal_points: Floats) -> tuple[Floats, Floats]:
     """Rotation about the vertical (3, 3) and translation (3,) that align `source` (k, 3) to goal points (k, 3).
 
-    Raises NetworkError for points on one vertical.
+    Raises NetworkError if all points lie on one vertical line.
     """
     a, b = (source - source.mean(axis=0))[:, :2], (goal_points - goal_points.mean(axis=0))[:, :2]
     if not np.sum(a * a) > 1e-9 * np.sum((source - source.mean(axis=0)) ** 2):
@@ -324,9 +328,10 @@ class StationTargetPairs:
 
     @classmethod
     def from_recording(cls, recording: Recording, points: Floats | None = None) -> StationTargetPairs:
-        """Pairs of a recording; the median combines faces and repeats, so that a single blunder has no effect.
+        """Pairs of a recording; the point of a pair is the median over faces and repeats, which resists a blunder.
 
-        `points` (n, 3) [m] are the points measured in the n pointings, by default with an ideal tracker.
+        `points` (n, 3) [m] are the points measured by the n pointings in the instrument frame, by default those of an
+        ideal tracker.
         """
         stations, targets = len(recording.stations), len(recording.targets)
         measured = from_polar(recording.readings) if points is None else points
@@ -348,12 +353,12 @@ class StationTargetPairs:
     def __len__(self) -> int:
         return len(self.station_indices)
 
-    def slice_of_station(self, station: int) -> slice:
-        """Slice of the pairs of a station."""
+    def pair_slice_of_station(self, station: int) -> slice:
+        """Slice of the pairs of the station with this index."""
         return slice(int(self.first_pair_of_station[station]), int(self.first_pair_of_station[station + 1]))
 
     def values_by_pair(self, recording: Recording, pointing_values: Floats) -> Floats:
-        """Values (m, 3) of the pairs from values (n, 3) of the pointings; a pair has the value of its last pointing."""
+        """Values (m, 3) of the m pairs: for each pair the value of its last pointing in `pointing_values` (n, 3)."""
         by_pair = np.zeros((len(self), 3))
         keys = self.station_indices * len(recording.targets) + self.target_indices
         pair_keys = recording.station * len(recording.targets) + recording.target
@@ -362,7 +367,7 @@ class StationTargetPairs:
         return by_pair
 
     def medians_by_target(self, pair_values: Floats, targets: Ints) -> Floats:
-        """Medians (k, 3) over the stations of values (m, 3) of the pairs, for k targets; NaN if all values are NaN."""
+        """Medians (k, 3), for k targets, of the values (m, 3) of their pairs; NaN if all values of a target are NaN."""
         medians = np.full((len(targets), 3), np.nan)
         for part in batches(len(targets), 3 * int(np.diff(self.first_pair_of_target).max(initial=1))):
             first, end = self.first_pair_of_target[targets[part]], self.first_pair_of_target[targets[part] + 1]
@@ -383,7 +388,7 @@ def _nan_median(values: Floats) -> Floats:
 
 
 def points_with_slope_distances(recording: Recording) -> Floats | None:
-    """Measured points (n, 3) [m] after conversion of horizontal to slope distances; None without horizontal ones."""
+    """Measured points (n, 3) [m], with horizontal converted to slope distances; None without horizontal distances."""
     is_horizontal = recording.is_horizontal
     if not is_horizontal.any():
         return None

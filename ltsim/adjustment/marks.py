@@ -18,21 +18,20 @@ class StationMarks:
     """Marks under the S set-ups of a recording."""
 
     target_indices: Ints
-    """Index of the target whose mark is under each set-up, -1 for none, (S,)."""
+    """Index of the target under each set-up, -1 for none, (S,)."""
     first_setup_on_mark: Ints
-    """Index of the first set-up over the same mark, (S,), for marks that are no targets; otherwise of the set-up
-    itself.
-    """
+    """Index of the first set-up over the same mark, (S,); index of the set-up itself if its mark is a target or if it
+    is not over a mark."""
     mark_names: tuple[str, ...]
     """Name of the mark under each set-up, '' for none."""
     plumb_directions: Floats
-    """Unit vector of the plumb line, (S, 3)."""
+    """Unit vector of the plumb line at each set-up, upward, (S, 3)."""
     instrument_offsets: Floats
     """Vector from the mark to the instrument, (S, 3) [m]."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> StationMarks:
-        """Marks of a recording; raises NetworkError for a set-up in the place of a target that it measures."""
+        """Marks of a recording; raises NetworkError for a set-up that measures the target at its own position."""
         places = {name: i for i, name in enumerate(recording.targets)}
         setups = [recording.station_setup(name) for name in recording.stations]
         names = tuple(s.over or "" for s in setups)
@@ -45,10 +44,10 @@ class StationMarks:
         return cls(target, np.array(first, dtype=np.int64), names, vertical, vertical * height[:, None])
 
     def position_from_mark(self, station: int, position: Floats, points: Floats) -> Floats:
-        """Position (3,) [m] of a set-up, derived from that of its mark; NaN if the mark has no coordinates.
+        """Position (3,) [m] of a set-up, derived from the position of its mark; NaN if the mark has no coordinates.
 
-        The mark has coordinates as a target (`points` (T, 3) [m]), or from another set-up over it (`position` (S, 3)
-        [m]). Both are NaN for undetermined places.
+        The coordinates of the mark are those of a target, `points` (T, 3) [m], or follow from another set-up over the
+        same mark, `position` (S, 3) [m]. Undetermined targets and set-ups are NaN.
         """
         if self.target_indices[station] >= 0:
             return np.asarray(points[self.target_indices[station]] + self.instrument_offsets[station])
@@ -60,7 +59,8 @@ class StationMarks:
     def positions_on_marks(self, position: Floats, points: Floats) -> Floats:
         """Positions (S, 3) [m] of set-ups that are consistent with their marks.
 
-        A set-up over a target follows `points` (T, 3); other set-ups follow the first one over the same mark.
+        The position of a set-up over a target follows from `points` (T, 3) [m], that of another set-up over a mark from
+        `position` (S, 3) [m] of the first set-up over the same mark.
         """
         mark_positions = (
             position[self.first_setup_on_mark]
@@ -75,7 +75,10 @@ class StationMarks:
 
 
 def _require_sights_above_marks(recording: Recording, mark_targets: Ints) -> None:
-    """Check that no set-up, at the height of the target under it (S,), measures this target; raises NetworkError."""
+    """Check that no set-up measures the target under it from the same height; raises NetworkError.
+
+    `mark_targets` (S,) are the indices of the targets under the set-ups, -1 for none.
+    """
     is_at_mark = (recording.target == mark_targets[recording.station]) & recording.is_measured.any(axis=1)
     for row in np.flatnonzero(is_at_mark).tolist():
         station, target = recording.stations[recording.station[row]], recording.targets[recording.target[row]]

@@ -1,4 +1,4 @@
-"""Prior distribution of the instrument parameters: normal distributions, or fixed values."""
+"""Prior distribution of the instrument parameters, normal or fixed at a value."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 
 CORRECTED_INSTRUMENT_SIGMA_FRACTION = 0.3
-"""Prior standard deviation of a constant of a corrected instrument, divided by that of its specification, unless it is
-declared. The value is a compromise: after an ordinary calibration the ratio is 0.1 (a beam tilt of 10 urad is
-determined to about 1 urad); in real halls constants of corrected instruments scatter by half of the specification and
-more."""
+"""Standard deviation of an instrument parameter of a corrected instrument, divided by that of its specification, for
+parameters without a declared prior. The value is a compromise: after an ordinary calibration the ratio is 0.1 (a beam
+tilt of 10 urad is determined to about 1 urad); in real halls parameters of corrected instruments scatter by half of the
+specification and more."""
 WIDENED_SIGMA_FACTOR = 100.0
 """Factor on the prior standard deviation of a parameter whose prior the readings contradict."""
 
@@ -25,9 +25,9 @@ class ParameterPrior:
     """Normal prior of the p parameters of each of I instruments; instruments are independent."""
 
     mean: Floats
-    """Mean of each parameter, (I, p) [SI]."""
+    """Prior mean of each parameter, (I, p) [SI]."""
     covariance: Floats
-    """Covariance of the parameters of each instrument, (I, p, p) [SI]."""
+    """Prior covariance of the parameters of each instrument, (I, p, p) [SI]."""
     is_fixed: Bools
     """Flags of the parameters that are fixed at their mean, (I, p)."""
 
@@ -44,12 +44,12 @@ class ParameterPrior:
 
     @property
     def sigma(self) -> Floats:
-        """Standard deviations (I, p) [SI]."""
+        """Prior standard deviations (I, p) [SI] of the parameters; infinite without a prior."""
         return np.sqrt(np.einsum("ipp->ip", self.covariance))
 
     @cached_property
     def has_correlations(self) -> bool:
-        """True if any two parameters are correlated."""
+        """True if at least two parameters of an instrument are correlated."""
         return bool(np.any(self.covariance[:, ~np.eye(self.mean.shape[1], dtype=bool)]))
 
     @cached_property
@@ -79,8 +79,8 @@ def prior_sigmas(recording: Recording, construction: GeometricErrorModel) -> Flo
 def expected_error_sigmas(recording: Recording, construction: GeometricErrorModel) -> Floats:
     """Expected standard deviations (I, p) [SI] of the instrument errors that are present in the readings.
 
-    They are those of `prior_sigmas`, and for a corrected instrument `CORRECTED_INSTRUMENT_SIGMA_FRACTION` of these
-    unless the prior of a parameter is declared.
+    They are equal to `prior_sigmas`. For a corrected instrument those of parameters without a declared prior are
+    multiplied by `CORRECTED_INSTRUMENT_SIGMA_FRACTION`.
     """
     sigma, names = prior_sigmas(recording, construction), construction.parameter_names
     instruments = map(recording.setup.instrument_named, recording.instruments)

@@ -30,8 +30,9 @@ from ltsim.solve.design import ROWS_PER_PIECE, DesignMatrix, SparsityPattern, to
 from ltsim.solve.elimination import BlockSystem
 
 DATUM_SIGMA = np.full(6, 1e-8)
-"""Standard deviations [m, rad] of the constraints that define the datum. They do not influence the adjusted shape. They
-must be far below the standard deviations of the network for correct covariances, and large enough for the numerics.
+"""Standard deviations [m, rad] of the constraints that define the datum. They do not influence the adjusted shape. For
+correct covariances they must be far below the standard deviations of the network; smaller values would cause rounding
+errors.
 """
 WEAK_PRIOR_FACTOR = 300.0
 """Standard deviation of the weak prior of a parameter of additional effects, divided by the plausible size of the
@@ -48,13 +49,13 @@ class NetworkProblem(NetworkRows):
     """
 
     sigma: Floats
-    """Standard deviations of the readings, (n, 3)."""
+    """Standard deviations of the readings, (n, 3) [m, rad, rad]."""
     prior: ParameterPrior
     """Prior of the instrument parameters."""
     effect_sigma: Floats
     """Standard deviations (q,) [SI] of the weak priors of the q parameters of additional effects; infinite for none."""
     free_motions: Floats
-    """The f rigid motions that only the datum fixes, as columns (6, f) of translation and rotation."""
+    """Rigid motions that only the datum fixes, (6, f): translation [m] and rotation [rad] of each of f motions."""
 
     @classmethod
     def from_model(
@@ -66,12 +67,12 @@ class NetworkProblem(NetworkRows):
         effect_prior_sigma: float = WEAK_PRIOR_FACTOR,
         prior: ParameterPrior | None = None,
     ) -> NetworkProblem:
-        """Problem of a measurement model.
+        """Problem of a measurement model, with the reference values of its recording.
 
         `sigma` (n, 3) [m, rad, rad] are the standard deviations of the readings, by default the declared ones, and
-        `reading_mask` (n, 3) selects readings. `effect_prior_sigma` is the standard deviation of the weak priors of
-        additional effects, in plausible sizes. `prior` is that of the instrument parameters, by default that of the
-        set-up.
+        `reading_mask` (n, 3) selects readings. `effect_prior_sigma` is the standard deviation of the weak prior of each
+        parameter of additional effects, divided by its plausible size. `prior` is the prior of the instrument
+        parameters, by default that of the set-up.
         """
         recording = model.recording
         marks = StationMarks.from_recording(recording)
@@ -103,7 +104,7 @@ class NetworkProblem(NetworkRows):
         )
 
     def with_model(self, model: MeasurementModel) -> NetworkProblem:
-        """Problem with another model for the same pointings; reference values and weights are unchanged."""
+        """Problem with another measurement model of the same pointings; reference values and weights are unchanged."""
         new_problem = NetworkProblem.from_model(
             model, sigma=self.sigma, reading_mask=self.is_used_reading, prior=self.prior
         )
@@ -115,17 +116,18 @@ class NetworkProblem(NetworkRows):
     def with_instrument_constants(
         self, state: NetworkState, *, requires_length: bool = True
     ) -> tuple[NetworkProblem, NetworkState]:
-        """Problem and state for tests of reference values: with the constants of the instruments and their priors.
+        """Problem and state with the instrument parameters and their priors as unknowns, for tests of reference values.
 
-        The scale of the distances and their zero make the error of a length uncertain also if the network is adjusted
-        without them. Problem and state are unchanged if they contain constants, or with `requires_length` no length.
+        The unknown zero and scale of the distances make the error of a reference length uncertain, also if the network
+        is adjusted without instrument parameters. Problem and state are unchanged if they contain such parameters, or
+        with `requires_length` if there is no reference length.
         """
         recording = self.model.recording
         if (requires_length and not len(self.gauge_rows)) or self.model.construction.n_parameters:
             return self, state
         try:
             construction = declared_construction(recording)
-        except NetworkError:  # instruments of two designs have no common constants
+        except NetworkError:  # instruments of two designs have no common parameters
             return self, state
         prior = ParameterPrior.independent(prior_sigmas(recording, construction))
         parameters = np.zeros((len(recording.instruments), construction.n_parameters))
@@ -142,9 +144,10 @@ class NetworkProblem(NetworkRows):
         return moved
 
     def is_undetermined_difference(self, is_undetermined_target: Bools) -> Bools:
-        """Flags (k,) of the known differences that have an undetermined end, and thus give no information.
+        """Flags (k,) of the known differences with an undetermined end, which give no information.
 
-        An end is undetermined as a target, as a station without readings, or by its height.
+        An end is undetermined if it is an undetermined target or a station without readings, or if its height is
+        undetermined and part of the difference. `is_undetermined_target` (T,) flags targets.
         """
         structure, stations = self.undetermined_unknowns, len(self.unknowns.pose_columns)
         stands, heights = np.zeros((2, stations + 1), dtype=bool)
@@ -154,7 +157,7 @@ class NetworkProblem(NetworkRows):
         return np.asarray(is_undetermined | (open_ & self.difference_rows.declared_components[:, 2]))
 
     def reading_residuals(self, readings: Floats) -> Floats:
-        """Observed minus predicted readings (n, 3), angles wrapped; NaN if not measured."""
+        """Observed minus predicted `readings` (n, 3) [m, rad, rad], angles in +-180 deg; NaN if not measured."""
         gap = self.model.recording.readings - readings
         gap[:, 1:] = wrap_angle(gap[:, 1:])
         return gap
@@ -164,6 +167,7 @@ class NetworkProblem(NetworkRows):
         return self._whitened_residuals_of(state, self.model.predict(state))
 
     def _whitened_residuals_of(self, state: NetworkState, readings: Floats) -> Floats:
+        """Whitened residuals (m,) of all m equations at a state with the predicted readings (n, 3)."""
         pointings = (self.reading_residuals(readings) / self.sigma)[self.is_used_reading]
         gauge = self.gauge_rows.decorrelate(self.length_residuals(state))
         control = self.control_rows.whitened_residuals(state.target_points[self.control_rows.place_indices])
@@ -183,7 +187,7 @@ class NetworkProblem(NetworkRows):
         return np.concatenate([*references, fixed_residuals, prior, effect_residuals, datum])
 
     def length_residuals(self, state: NetworkState) -> Floats:
-        """Declared minus adjusted lengths (g,) [m]."""
+        """Declared minus adjusted reference lengths (g,) [m] at a state."""
         return (
             self.gauge_rows.lengths
             - self.gauge_rows.predict(state.target_points)
@@ -210,14 +214,14 @@ class NetworkProblem(NetworkRows):
             self._whitened_residuals_of(state, prediction.readings),
             self._whitened_derivatives(state, prediction),
         )
-        del prediction  # which takes as much memory as the design
+        del prediction  # the prediction takes as much memory as the design matrix
         design = self._sparsity_pattern.fill(values)
         if self.gauge_rows.correlation_root is not None:
             design = self._decorrelate_lengths(design)
         return BlockSystem(design, residual, self.unknowns.n_reduced)
 
     def _decorrelate_lengths(self, design: DesignMatrix) -> DesignMatrix:
-        """Design matrix in which the rows of lengths with shared errors are decorrelated."""
+        """Design matrix in which the rows of reference lengths with shared errors are decorrelated."""
         first_length_row = int(self.is_used_reading.sum())
         end_row = first_length_row + len(self.gauge_rows)
         lengths = self.gauge_rows.decorrelate_scaled(to_dense(design[first_length_row:end_row]))
@@ -231,7 +235,7 @@ class NetworkProblem(NetworkRows):
         return SparsityPattern(self._columns_by_row_kind(), self.unknowns.n_columns)
 
     def _columns_by_row_kind(self) -> list[Ints]:
-        """Columns of the nonzero elements of each kind of equation, (number of rows, elements per row)."""
+        """Column indices of the nonzero elements of the design matrix: one array (rows, elements) per kind of row."""
         recording, at, gauge = self.model.recording, self.unknowns, self.gauge_rows
         blocks = (
             at.pose_columns[recording.station],
@@ -259,7 +263,7 @@ class NetworkProblem(NetworkRows):
                 axis=0,
             ),
             np.repeat(
-                at.place_columns[self.difference_rows.ends.T].reshape(-1, 6),
+                at.position_columns[self.difference_rows.ends.T].reshape(-1, 6),
                 self.difference_rows.declared_components.sum(axis=1),
                 axis=0,
             ),
@@ -272,7 +276,7 @@ class NetworkProblem(NetworkRows):
         ]
 
     def _whitened_derivatives(self, state: NetworkState, prediction: Prediction) -> Iterator[Floats]:
-        """Nonzero elements of the design matrix for each kind of equation, in the order of `_columns_by_row_kind`."""
+        """Nonzero elements of the whitened design matrix by kind of row, in the order of `_columns_by_row_kind`."""
         yield from self._reading_derivatives(prediction)
         direction = self.gauge_rows.unit_vectors(state.target_points)
         gauge = np.concatenate([direction, -direction, self._reference_length_design(state)], axis=1)
@@ -304,13 +308,13 @@ class NetworkProblem(NetworkRows):
         for first in range(0, len(self.is_used_reading), step):
             piece = slice(first, first + step)
             parts = [part[piece] for part in derivatives]
-            if held.any():  # a held parameter meets its own prior alone, which leaves it at its mean
+            if held.any():  # only its prior determines a fixed parameter, which therefore stays at its mean
                 parts[2] = np.where(held[piece], 0.0, parts[2])
             use = self.is_used_reading[piece]
             yield np.concatenate(parts, axis=2)[use] / self.sigma[piece][use][:, None]
 
     def _prior_row_columns(self) -> Ints:
-        """Columns (m, 1) of the m equations of the prior, or (m, p) if the prior correlates the p parameters."""
+        """Column indices (m, 1) of the m equations of the prior, or (m, p) if the p parameters are correlated."""
         columns = self.unknowns.instrument_columns
         if self.prior.has_correlations:
             return np.repeat(columns, columns.shape[1], axis=0)
@@ -340,7 +344,7 @@ class NetworkProblem(NetworkRows):
 
     @cached_property
     def level_row_slice(self) -> slice:
-        """Slice of the equations that are levels, two per station."""
+        """Slice of the equations of the levels, two per level."""
         first_level_row = (
             int(self.is_used_reading.sum())
             + len(self.gauge_rows)

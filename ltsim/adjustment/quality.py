@@ -1,4 +1,4 @@
-"""Quality of an adjusted network: conditions under which it is refused, and warnings that precede all results."""
+"""Quality of an adjusted network: checks that refuse an unusable adjustment, and warnings that precede all results."""
 
 from collections.abc import Iterator
 
@@ -15,7 +15,7 @@ from ltsim.adjustment.reference_values import without_reference_coordinates
 from ltsim.adjustment.significance import (
     MAX_SINGLE_ERROR_FRACTION,
     MAX_TRACKER_ERROR,
-    MIN_FAULTY_FRACTION_OF_PLACE,
+    MIN_FAULTY_FRACTION_OF_GROUP,
     MIN_MISFIT_RATIO,
 )
 from ltsim.adjustment.station_motions import motion_sentences
@@ -28,39 +28,39 @@ from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_rigidly
 from ltsim.recordings.transcription_errors import GON_PER_DEGREE, UNIT_ERRORS, TranscriptionError
 
 MAX_CONSISTENT_SIGMA0 = 100.0
-"""Value of sigma0 above which the observations contradict each other. Other units are then tried, and standard
+"""Largest sigma0 at which the observations count as consistent. Above it other units are tried, and the standard
 deviations are reported as not valid."""
 MIN_COS_MEDIAN_TILT = 0.9
-"""Cosine of the median tilt of the stations, from which the network is compared with approximate positions."""
+"""Smallest cosine of the median tilt of the stations at which the network is compared with approximate positions."""
 MAX_CURVATURE = 0.3
-"""Curvature of a pose (Bates and Watts), in standard deviations of a reading, above which the linearised standard
-deviations of the pose are reported as too small.
+"""Largest curvature of a pose (Bates and Watts), in standard deviations of a reading, at which its linearised standard
+deviations are valid. For a larger curvature they are reported as too small.
 """
-TRIED_UNIT_ERRORS = (
+TESTED_UNIT_ERRORS = (
     *(slip for slip in UNIT_ERRORS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
     TranscriptionError("degree", "degrees", "gon", ((1, 1.0 / GON_PER_DEGREE, 0.0), (2, 1.0 / GON_PER_DEGREE, 0.0))),
 )
-"""Errors of unit or convention that are tested for a whole file. Errors that shrink lengths are excluded, because any
-network then seems to fit."""
+"""Errors of unit or convention that are tested for a whole file. Corrections that shrink lengths are not among them,
+because any shrunk network seems to fit."""
 
 
 def require_usable(adjustment: Adjustment) -> None:
     """Check that an adjustment is usable: units and known points are consistent, and most pointings are in use.
 
-    Raises NetworkError for inconsistent observations, and ConvergenceError if there is no solution.
+    Raises NetworkError for inconsistent observations, and ConvergenceError if the adjustment has no solution.
     """
     _require_consistent_units(adjustment)
     adjustment.require_solution()
     _require_consistent_control(adjustment)
     is_unused = _is_unused(adjustment)
-    is_mostly_unused = is_unused.sum() > MIN_FAULTY_FRACTION_OF_PLACE * len(is_unused)
+    is_mostly_unused = is_unused.sum() > MIN_FAULTY_FRACTION_OF_GROUP * len(is_unused)
     unit_text = (
         _consistent_unit_text(adjustment) if is_mostly_unused or adjustment.sigma0 > MAX_CONSISTENT_SIGMA0 else ""
     )
     if is_mostly_unused or unit_text:
         out = f"{is_unused.sum()} of {len(is_unused)} pointings would be left out"
         what = out if is_mostly_unused else f"sigma0 is {adjustment.sigma0:.3g}"
-        cure = f"they fit as {unit_text}" if unit_text else "check units, sense of the angles and names"
+        cure = f"they fit as {unit_text}" if unit_text else "check their units, the sense of the angles and the names"
         raise NetworkError(f"the readings contradict each other ({what}): {cure}")
 
 
@@ -97,7 +97,10 @@ def _require_consistent_control(adjustment: Adjustment) -> None:
 
 
 def _control_difference_text(network_points: Floats, control_points: Floats) -> str:
-    """Text on the difference of control points (k, 3) [m] from network points (k, 3): scale, mirror image, points."""
+    """Text on the usual cause of differences of control points (k, 3) [m] from network points (k, 3) [m].
+
+    The cause is another scale, a mirror image, equal coordinates, or single wrong points.
+    """
     spread = [float(np.sqrt(np.sum((x - x.mean(axis=0)) ** 2))) for x in (network_points, control_points)]
     if len(network_points) < 3 or not spread[0] > 0.0:
         return "check their coordinates"
@@ -119,7 +122,7 @@ def _control_difference_text(network_points: Floats, control_points: Floats) -> 
 
 
 def _rigid_fit_misfit(points: Floats, goal_points: Floats) -> float:
-    """Square root of summed squared distances [m] of points (k, 3) from goal points (k, 3) after rigid alignment."""
+    """Root of the sum of squared distances [m] of points (k, 3) from goal points (k, 3) after a rigid alignment."""
     try:
         return float(np.linalg.norm(alignment_distances(points, goal_points, align_rigidly(points, goal_points))))
     except NetworkError:
@@ -127,7 +130,7 @@ def _rigid_fit_misfit(points: Floats, goal_points: Floats) -> float:
 
 
 def _is_unused(adjustment: Adjustment) -> Bools:
-    """Flags (m,) of the measured pointings without a used reading."""
+    """Flags (m,) of those m measured pointings of which no reading is in use."""
     measured, used = (
         np.asarray(adjustment.recording.is_measured.any(axis=1)),
         adjustment.problem.is_used_reading.any(axis=1),
@@ -136,11 +139,11 @@ def _is_unused(adjustment: Adjustment) -> Bools:
 
 
 def _consistent_unit_text(adjustment: Adjustment) -> str:
-    """Unit that makes the readings consistent, as `gon, not degrees`; empty if there is none."""
+    """Unit that makes the readings consistent, as text such as `gon, not degrees`; empty if no unit does."""
     recording, most = adjustment.recording, MAX_CONSISTENT_SIGMA0
     if adjustment.sigma0 > MAX_CONSISTENT_SIGMA0:
         most = adjustment.sigma0 / MIN_MISFIT_RATIO
-    for slip in TRIED_UNIT_ERRORS:
+    for slip in TESTED_UNIT_ERRORS:
         try:
             adjusted = adjust(recording.with_readings(slip.without_error(recording.readings)))
         except LtsimError:
@@ -154,7 +157,7 @@ def _consistent_unit_text(adjustment: Adjustment) -> str:
     return ""
 
 
-# --- in doubt -----------------------------------------------------------------------------------------------------
+# --- warnings -----------------------------------------------------------------------------------------------------
 
 
 def adjustment_warnings(adjustment: Adjustment) -> tuple[str, ...]:
@@ -174,7 +177,7 @@ def adjustment_warnings(adjustment: Adjustment) -> tuple[str, ...]:
 
 
 def network_warnings(adjustment: Adjustment) -> tuple[str, ...]:
-    """Warnings on the network as a whole, not on single reference values or blunders."""
+    """Warnings on the network as a whole, without warnings on single reference values or blunders."""
     kinds = _plan_sentences, _undecided_target_sentences, _sparse_station_sentences, _unreliable_sigma_sentences
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
@@ -191,7 +194,7 @@ def _reference_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _cause_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on the identified errors in the model."""
+    """Sentences on the identified errors that are part of the model."""
     yield from (sentence.rstrip(".") for sentence in adjustment.cause_sentences)
 
 
@@ -201,7 +204,7 @@ def _motion_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _plan_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on approximate positions of upright stations that do not fit the network, or only its mirror image."""
+    """Sentences on declared positions of upright stations that do not fit the network, or fit its mirror image."""
     frame, state = DeclaredFrame.from_recording(adjustment.recording), adjustment.state
     planned_indices = np.flatnonzero(np.isfinite(frame.plan_positions).all(axis=1))
     if len(planned_indices) < MIN_RIGID_POINTS or np.median(state.station_rotations[:, 2, 2]) < MIN_COS_MEDIAN_TILT:
@@ -226,22 +229,25 @@ def _plan_sentences(adjustment: Adjustment) -> Iterator[str]:
             f"and the network itself within {as_is:.2g} m: the azimuths may be clockwise, and all coordinates mirrored"
         )
     else:
-        yield f"the declared positions of stations {names} differ from the network by up to {as_is:.2g} m: not used"
+        yield (
+            f"the declared positions of stations {names} differ from the network by up to {as_is:.2g} m and are not "
+            "used: check them"
+        )
 
 
 def _undecided_target_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on targets that two stations measured and of which the pointings of one or both were rejected."""
+    """Sentences on targets of two stations whose positions differ, so that pointings of one or both were rejected."""
     recording = adjustment.recording
     measured_pairs, used_pairs = np.zeros((2, len(recording.stations), len(recording.targets)), dtype=bool)
     for table, readings in ((measured_pairs, recording.is_measured), (used_pairs, adjustment.problem.is_used_reading)):
         rows = readings.any(axis=1)
         table[recording.station[rows], recording.target[rows]] = True
     is_paired = measured_pairs.sum(axis=0) == 2
-    ends = {1: "its coordinates are those of one of them", 0: "the target has no coordinates"}
+    ends = {1: "the coordinates follow from one station only", 0: "the target has no coordinates"}
     for stations, end in ends.items():
         names = [recording.targets[t] for t in np.flatnonzero(is_paired & (used_pairs.sum(axis=0) == stations))]
         if names:
-            contradiction = "the positions from two stations differ and the data do not show which one is right"
+            contradiction = "the positions from two stations differ, and the readings do not show which one is right"
             yield f"{listing(names)}: {contradiction}; {end}"
 
 
@@ -250,16 +256,17 @@ def _blunder_sentences(adjustment: Adjustment) -> Iterator[str]:
     sentences = [finding.sentence.rstrip(".") for finding, *_ in detect_blunders(adjustment)]
     if sentences:
         more = (
-            f"; {len(sentences) - MAX_LISTED_SENTENCES} more such mistakes"
-            if len(sentences) > MAX_LISTED_SENTENCES
-            else ""
+            f"; {len(sentences) - MAX_LISTED_SENTENCES} more blunders" if len(sentences) > MAX_LISTED_SENTENCES else ""
         )
         shown_ones = "; ".join(sentences[:MAX_LISTED_SENTENCES])
         yield f"{shown_ones}{more}: these pointings are not used; ltsim diagnose corrects them"
 
 
 def _duplicate_target_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on two targets at one position that no set-up measures both, possibly one target under two names."""
+    """Sentences on pairs of targets that may be one target under two names.
+
+    Both targets of a pair have the same position, and no set-up measures both.
+    """
     recording, points = adjustment.recording, adjustment.state.target_points
     is_sighted = np.zeros((len(recording.targets), len(recording.stations)), dtype=bool)
     placed = adjustment.problem.is_used_reading.all(axis=1)
@@ -270,22 +277,23 @@ def _duplicate_target_sentences(adjustment: Adjustment) -> Iterator[str]:
         if not (is_sighted[first] & is_sighted[second]).any():
             gap = float(np.linalg.norm(points[first] - points[second])) / MILLIMETRE
             names = f"{recording.targets[first]} and {recording.targets[second]}"
-            yield f"{names} lie within {gap:.2g} mm and no set-up sees both: they may be one target under two names"
+            yield f"{names} are {gap:.2g} mm apart and no set-up measures both: they may be one target under two names"
 
 
 def _centring_sentences(adjustment: Adjustment) -> Iterator[str]:
+    """Sentence on centring errors of repeatedly occupied marks, if there are any."""
     centring_errors = estimate_centring_errors(adjustment)
     if centring_errors is not None:
         yield centring_errors.sentence
 
 
 def _sparse_station_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on stations that lost most of their pointings."""
+    """Sentences on stations of which most pointings are not in use."""
     recording, measured = adjustment.recording, adjustment.recording.is_measured.any(axis=1)
     n_stations = len(recording.stations)
     n_complete = np.bincount(recording.station[measured], minlength=n_stations)
     n_used = np.bincount(recording.station[adjustment.problem.is_used_reading.any(axis=1)], minlength=n_stations)
-    for s in np.flatnonzero((n_used > 0) & (n_used < MIN_FAULTY_FRACTION_OF_PLACE * n_complete)):
+    for s in np.flatnonzero((n_used > 0) & (n_used < MIN_FAULTY_FRACTION_OF_GROUP * n_complete)):
         yield (
             f"station {recording.stations[s]} has {n_used[s]} of its {n_complete[s]} pointings in use: its position is "
             "uncertain; check the names of its targets, its units and the direction in which its azimuths increase"
@@ -316,6 +324,7 @@ def _unreliable_sigma_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _duplicate_row_sentences(adjustment: Adjustment) -> Iterator[str]:
+    """Sentence on rows that are exact copies of other rows, if there are any."""
     if adjustment.n_duplicate_rows:
         yield f"{adjustment.n_duplicate_rows} rows are exact copies of other rows: the copies are not used"
 
@@ -323,15 +332,15 @@ def _duplicate_row_sentences(adjustment: Adjustment) -> Iterator[str]:
 def pose_curvatures(adjustment: Adjustment) -> Floats:
     """Curvatures (S,) of the readings along the least determined direction of the pose of each of S stations.
 
-    A covariance is valid if readings are linear over one standard deviation of the unknowns. The pose of a station
-    whose targets are nearly collinear, or close together and far away, may be too uncertain for that. With f the
-    whitened readings and v a change of the network by one standard deviation in that direction, the curvature is |f(x +
-    v) - 2 f(x) + f(x - v)| / 2. It is zero for a well-determined pose and NaN for a fixed one.
+    A covariance is valid if the readings are linear over one standard deviation of the unknowns. The pose of a station
+    whose targets are nearly collinear, or close together and far away, may be too uncertain for this. With f the
+    whitened readings, x the state and v a change of the state by one standard deviation in this direction, the
+    curvature is |f(x + v) - 2 f(x) + f(x - v)| / 2. It is zero for a well-determined pose and NaN for a fixed pose.
 
     References
     ----------
-    Bates and Watts, Nonlinear Regression Analysis and Its Applications (1988), 7.1: relative curvature, here of the
-    parameters as they are and of the expectation surface together.
+    Bates and Watts, Nonlinear Regression Analysis and Its Applications (1988), 7.1: relative curvature, here the sum of
+    intrinsic and parameter-effects curvature.
     """
     problem, state, spread = adjustment.problem, adjustment.state, adjustment.pose_covariance
     range_, station = adjustment.sightings.range_, adjustment.recording.station

@@ -1,7 +1,8 @@
 """Data snooping of reference values: contradicting coordinates, lengths, levels and azimuths are excluded.
 
 A wrong reference value biases the residuals of all readings that it constrains. Reference values are therefore tested
-before single readings. Of all hypotheses that one value is wrong, that with the smallest p-value is accepted first.
+before single readings. Of all hypotheses that one reference value is wrong, the hypothesis with the smallest p-value is
+accepted first.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -22,7 +23,7 @@ from ltsim.adjustment.reference_values import (
     common_scale_reference,
     drop_reference,
     reference_values,
-    relax_exact_references,
+    with_nonzero_reference_sigmas,
 )
 from ltsim.adjustment.reliability import (
     critical_w,
@@ -45,14 +46,17 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.gauss_newton import Solution, solve
 
 MIN_TESTED_RESIDUAL = MIN_CLEAR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUNDANCY))
-"""Whitened residual below which a reference value is not tested: an error of `MIN_CLEAR_SIGMAS` causes a larger one."""
+"""Smallest whitened residual of a tested reference value. An error of `MIN_CLEAR_SIGMAS` standard deviations causes a
+larger residual."""
 MIN_VALUES_FOR_TYPICAL_ERROR = 3
-"""Number of other reference values of the same kind that are needed to identify a wrong one if a second value
-contradicts as well."""
+"""Smallest number of other reference values of the same kind with which a wrong reference value can be identified if a
+second reference value contradicts too."""
 MAX_CHI2_FRACTION_AFTER_EXCLUSION = 1e-6
-"""Ratio of chi-square after and before the exclusion of reference values, below which they are certainly wrong."""
+"""Ratio of chi-square after to chi-square before the exclusion of reference values, below which the excluded values are
+certainly wrong."""
 MAX_EXCLUDED_FRACTION = 1 / 3
-"""Fraction of wrong reference values of one kind above which all of that kind are inconsistent and none is excluded."""
+"""Largest fraction of excluded reference values of one kind. If more are wrong, all values of this kind are
+inconsistent and none is excluded."""
 
 
 def snoop_references(
@@ -61,13 +65,13 @@ def snoop_references(
     reference_kinds: Collection[ReferenceKind] = TESTED_REFERENCE_KINDS,
     exempt_values: frozenset[tuple[ReferenceKind, str]] = frozenset(),
 ) -> tuple[NetworkProblem, Solution[NetworkState], tuple[ReferenceTest, ...]]:
-    """Problem without contradicting reference values, its solution, and the tests of these values.
+    """Problem without contradicting reference values, its solution, and the tests of the contradicting values.
 
-    The values are excluded one at a time, that with the smallest p-value first. A single reading that explains the
-    misfit better is left out during the tests. `reference_kinds` restricts the exclusion; `exempt_values` (kind and
-    name) stay in use.
+    The values are excluded one at a time, each time the value with the smallest p-value. A single reading that explains
+    the misfit better is left out during the tests. Only values of `reference_kinds` are excluded; `exempt_values` (kind
+    and name) are never excluded.
     """
-    given, aside = (problem, solution), relax_exact_references(problem, solution.x)
+    given, aside = (problem, solution), with_nonzero_reference_sigmas(problem, solution.x)
     out: list[ReferenceTest] = []
     by_far: tuple[NetworkProblem, Solution[NetworkState], int] | None = None
     if solution.factor is not None and aside is not problem:
@@ -81,15 +85,15 @@ def snoop_references(
             if not suspect.is_excluded:
                 break
             model = replace(aside.model, recording=drop_reference(aside.model.recording, suspect))
-            aside = relax_exact_references(aside.with_model(model), solution.x)
+            aside = with_nonzero_reference_sigmas(aside.with_model(model), solution.x)
         else:
             aside = replace(aside, is_used_reading=aside.is_used_reading & ~suspect)
         solution = solve(aside, solution.x)
         enough = solution.sum_of_squares < MAX_CHI2_FRACTION_AFTER_EXCLUSION * given[1].sum_of_squares
-        if by_far is None and out and enough and not _exclude_inconsistent_kind(*given, out):
+        if by_far is None and out and enough and not _is_any_kind_inconsistent(*given, out):
             by_far = problem.with_model(aside.model), solution, len(out)
     gone = [test for test in out if test.is_excluded]
-    too_many = solution.factor is None or _exclude_inconsistent_kind(*given, gone)
+    too_many = solution.factor is None or _is_any_kind_inconsistent(*given, gone)
     if too_many and by_far is not None:
         reduced, near, count = by_far
         reduced, ended, more = snoop_references(reduced, solve(reduced, near.x), reference_kinds, exempt_values)
@@ -118,7 +122,7 @@ def _tests_with_final_errors(
     problem: NetworkProblem,
     final_problem_and_solution: tuple[NetworkProblem, Solution[NetworkState]],
 ) -> Iterator[ReferenceTest]:
-    """Tests of values of `problem`, in which errors of excluded values and noise are those of the final solution."""
+    """Tests of reference values of `problem`, with the errors and the noise of the final solution."""
     state, factor = final_problem_and_solution[1].x, noise_factor(*final_problem_and_solution)
     names, marks = problem.model.recording.stations, problem.marks
     off = {
@@ -142,7 +146,10 @@ def _tests_with_final_errors(
 def _contradicting_group(
     wrong_values: Sequence[ReferenceTest], all_tests: Sequence[ReferenceTest]
 ) -> tuple[ReferenceTest, ...]:
-    """Test of a value that contradicts others of its kind, if the data do not show which one is wrong; else empty."""
+    """Test, as a tuple, of a reference value that contradicts others of its kind; empty if one value is clearly wrong.
+
+    The test names the other values among which the data do not identify the wrong value.
+    """
     for test in wrong_values:
         others = [other for other in all_tests if other.kind == test.kind and other.name != test.name]
         rivals = tuple(other.name for other in others if other.normalised_error > MIN_CLEAR_SIGMAS)
@@ -152,7 +159,7 @@ def _contradicting_group(
 
 
 def _typical_error(tests: Sequence[ReferenceTest]) -> float:
-    """Root-mean-square normalised error of the reference values of one kind, at least 1."""
+    """Root-mean-square normalised error of tested reference values of one kind, at least 1."""
     return float(np.sqrt(max(1.0, sum(t.chi2_drop for t in tests) / max(sum(t.rank for t in tests), 1))))
 
 
@@ -161,8 +168,8 @@ def _penalised_chi2(
 ) -> float:
     """Chi-square without outliers, plus a penalty for each outlier and for each excluded reference value.
 
-    A few outliers may explain a misfit as well as one wrong reference value. The penalty is the critical value of the
-    test of the outlier or reference value.
+    A few outliers may explain a misfit as well as one wrong reference value. The penalty is the critical value of
+    chi-square in the test of the outlier or reference value.
     """
     accepted, ended = snoop_readings(problem, solution.x)
     readings = int(problem.is_used_reading.sum())
@@ -179,7 +186,10 @@ def _most_contradicting_observation(
     kinds: Collection[ReferenceKind],
     exempt_values: Collection[tuple[ReferenceKind, str]],
 ) -> ReferenceTest | Bools | None:
-    """Test of the most contradicting reference value, or flag (n, 3) of a reading that contradicts more; else None."""
+    """Test of the most contradicting reference value, or flag (n, 3) of a reading that contradicts more.
+
+    The result is None if no reference value contradicts significantly.
+    """
     tests = [test for test in reference_tests(problem, solution, MIN_TESTED_RESIDUAL) if test.rank]
     tests = [test for test in tests if test.kind in {*kinds, "scale"} and (test.kind, test.name) not in exempt_values]
     if not tests or problem.dof < 2:
@@ -204,7 +214,7 @@ def _most_contradicting_observation(
     if scaled < max(MIN_CLEAR_SIGMAS, critical_w(count)) ** 2 or chance < -np.log(FAMILY_WISE_LEVEL):
         return None
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
-    reading = float(np.nan_to_num(w).flat[worst]) / scatter  # two causes are weighed by one noise
+    reading = float(np.nan_to_num(w).flat[worst]) / scatter  # both causes are tested with the same noise
     if neg_log_corrected_p(reading**2, 1, int(problem.is_used_reading.sum())) <= chance:
         second = _second_setup_over_mark(problem, tests[best])
         likely = [
@@ -215,10 +225,10 @@ def _most_contradicting_observation(
             or other >= chance + np.log(MIN_REPORTED_PROBABILITY)
         ]
         if len(likely) > 1 and tests[best].kind == "level":
-            return None  # A few levels against each other: nothing that others would not tell better.
+            return None  # a few levels contradict each other: the tests of other values identify the cause better
         if tests[best].kind == "scale":
             return replace(tests[best], is_excluded="scale" in kinds)
-        marks = all(tests[k].kind == "mark" for k in likely)  # Either way they are distinct points: the later one goes.
+        marks = all(tests[k].kind == "mark" for k in likely)  # distinct points in each case: the later one is excluded
         chosen = likely[-1] if marks else best
         rivals = tuple(tests[k].name for k in likely if k != chosen)
         return replace(tests[chosen], is_excluded=marks or not rivals, indistinguishable_from=rivals)
@@ -228,9 +238,10 @@ def _most_contradicting_observation(
 
 
 def _second_setup_over_mark(problem: NetworkProblem, test: ReferenceTest) -> str:
-    """Name of the other set-up over a mark that two set-ups and nothing else determine; otherwise empty.
+    """Name of the other set-up over a mark that is determined by two set-ups alone; otherwise empty.
 
-    The exclusion of either set-up from the mark is then the same. Tests of a large error differ only by linearisation.
+    Both exclusions, of one set-up or of the other, are then equivalent. Their tests of a large error differ only by
+    errors of linearisation.
     """
     stations, names = problem.model.recording.stations, problem.marks.mark_names
     if test.kind != "mark" or problem.marks.target_indices[stations.index(test.name)] >= 0:
@@ -240,9 +251,10 @@ def _second_setup_over_mark(problem: NetworkProblem, test: ReferenceTest) -> str
     return others[0] if len(others) == 1 else ""
 
 
-def _exclude_inconsistent_kind(
+def _is_any_kind_inconsistent(
     problem: NetworkProblem, solution: Solution[NetworkState], excluded_tests: Sequence[ReferenceTest]
 ) -> bool:
+    """True if the fraction of excluded values exceeds `MAX_EXCLUDED_FRACTION` for a kind of reference value."""
     every = [value.kind for value in reference_values(problem, solution.x)]
     gone = [test.kind for test in excluded_tests]
     return any(

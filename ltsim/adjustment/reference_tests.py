@@ -1,4 +1,4 @@
-"""Tests of reference values: coordinates, heights, lengths, levels and azimuths are observations like readings."""
+"""Tests of reference values (coordinates, heights, lengths, levels, azimuths), which are observations like readings."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -13,7 +13,7 @@ from ltsim.adjustment.reference_values import (
     ReferenceValueRows,
     common_scale_reference,
     reference_values,
-    relax_exact_references,
+    with_nonzero_reference_sigmas,
 )
 from ltsim.adjustment.reliability import noise_factor, noncentrality
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_CLEAR_SIGMAS
@@ -35,17 +35,18 @@ REFERENCE_KIND_PHRASES: dict[ReferenceKind, str] = {
     "axes": "the declared coordinates of",
     "scale": "the scale of",
 }
-"""Subject of a sentence by kind of reference value; the name of the value follows."""
+"""First words of a sentence on a reference value, by its kind; the name of the value follows them."""
 ERROR_UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
 """Unit of an error and its size in SI units, by kind of reference value; millimetres for all other kinds."""
 TESTED_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "level", "yaw", "mark", "scale")
 """Kinds of reference values that are tested."""
 SCALE_DEPENDENT_KINDS: tuple[ReferenceKind, ...] = TESTED_REFERENCE_KINDS[:-1]
-"""Kinds of values that may be excluded if lengths determine the scale; a common scale error is then only reported."""
+"""Kinds of reference values that may be excluded if reference lengths determine the scale of the network. A common
+scale error of the lengths is then only reported."""
 MIN_TESTED_REDUNDANCY = 1e-3
-"""Redundancy up to which the other observations do not test a component of a reference value."""
+"""Redundancy above which the other observations test a component of a reference value."""
 MAX_HORIZONTAL_TO_VERTICAL_RATIO = 0.01
-"""Ratio of horizontal to vertical error up to which an error of a point counts as a height error."""
+"""Largest ratio of horizontal to vertical error of a point whose error counts as a height error."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,8 @@ class ReferenceTest(ReferenceValue):
     """Test of a reference value against the other observations of a network."""
 
     error: Floats
-    """Estimated error of each of q components, (q,): declared value minus the estimate by the other observations."""
+    """Estimated error of each of q components, (q,) [m, rad or 1]: declared value minus estimate by other
+    observations."""
     sigma_error: Floats
     """Standard deviations of the errors, (q,); infinite for components that the other observations do not test."""
     chi2_drop: float
@@ -65,8 +67,8 @@ class ReferenceTest(ReferenceValue):
     critical_value: float = MIN_CLEAR_SIGMAS
     """Value of `normalised_error` above which the reference value is excluded."""
     indistinguishable_from: tuple[str, ...] = ()
-    """Names of other reference values whose errors would explain the misfit equally well; then neither this value nor
-    they are excluded."""
+    """Names of other reference values whose errors would explain the misfit equally well. Neither this value nor the
+    named values are excluded, unless all are set-ups over marks."""
 
     @property
     def normalised_error(self) -> float:
@@ -75,7 +77,7 @@ class ReferenceTest(ReferenceValue):
 
     @property
     def is_height_error(self) -> bool:
-        """True if the error is significant in the height and not in the horizontal coordinates."""
+        """True if the error is significant in the height but not in the horizontal coordinates."""
         *plan, height = np.abs(self.error).tolist()
         small = [
             max(MIN_CLEAR_SIGMAS * sigma, MAX_HORIZONTAL_TO_VERTICAL_RATIO * height) for sigma in self.sigma_error[:-1]
@@ -85,7 +87,7 @@ class ReferenceTest(ReferenceValue):
 
     @property
     def error_text(self) -> str:
-        """Text of the length of the error with its standard deviation and unit."""
+        """Size of the error (length of its vector) with standard deviation and unit, as text."""
         error_size = float(np.linalg.norm(self.error))
         along = self.error / error_size if error_size else np.zeros(len(self.error))
         sigma = float(np.linalg.norm(along * np.where(np.isfinite(self.sigma_error), self.sigma_error, 0.0)))
@@ -108,20 +110,22 @@ class ReferenceTest(ReferenceValue):
         if self.kind == "scale":
             more, less = ("long", "short") if self.error[0] > 0 else ("short", "long")
             causes = "check the temperature, the expansion coefficient and the scale of the ranges"
-            remark = "; the ranges define the scale and the lengths only their ratios" if self.is_excluded else ""
+            remark = "; the ranges now define the scale, the lengths only their ratios" if self.is_excluded else ""
             size = f"{self.name} are {self.error_text} too {more} (w = {self.normalised_error:.3g})"
             return f"{size}, or all ranges are too {less}: {causes}{remark}"
         if self.indistinguishable_from:
             both = f"{', '.join((self.name, *self.indistinguishable_from))} are inconsistent"
             return f"{both} ({what} by {self.error_text}); the data do not show which one is wrong"
-        note = "by the other points: excluded from the datum" if self.kind == "axes" else "not its readings: excluded"
+        note = "but its readings are not: excluded"
+        if self.kind == "axes":
+            note = "as the other points show: excluded from the datum"
         if self.occupied_by and self.is_height_error:
-            note = f"or the height of set-up {self.occupied_by} over it: excluded"
+            note = f"or the height of set-up {self.occupied_by} over it is wrong: excluded"
         verb = "are" if self.kind in ("point", "axes") else "is"
         return f"{what} {verb} off by {self.error_text} (w = {self.normalised_error:.3g}), {note}"
 
     def with_noise_factor(self, factor: float) -> Self:
-        """Test with all standard deviations of the fit multiplied by a factor."""
+        """Test for noise that is larger than declared: all standard deviations are multiplied by `factor`."""
         chi2_drop, sigma_error = self.chi2_drop / factor**2, factor * self.sigma_error
         return replace(self, sigma=factor * self.sigma, sigma_error=sigma_error, chi2_drop=chi2_drop)
 
@@ -139,12 +143,13 @@ class ReferenceTest(ReferenceValue):
 def reference_tests(
     problem: NetworkProblem, solution: Solution[NetworkState], min_residual: float = 0.0
 ) -> list[ReferenceTest]:
-    """Tests of the reference values of an adjustment with whitened residuals of at least `min_residual`.
+    """Tests of the reference values of an adjustment whose whitened residuals are at least `min_residual`.
 
-    With a positive limit the common scale of all lengths is tested too; with 0 exact values get a small sigma first.
+    With a positive `min_residual` the common scale of all reference lengths is tested too. With `min_residual` 0 exact
+    reference values get a small standard deviation, so that a test of them is possible.
     """
     if not min_residual and solution.factor is not None:
-        problem, given = relax_exact_references(problem, solution.x), problem
+        problem, given = with_nonzero_reference_sigmas(problem, solution.x), problem
         solution = solution if problem is given else solve(problem, solution.x)
     if solution.factor is None:
         return []
@@ -165,7 +170,7 @@ def reference_tests(
 def scaled_reference_tests(
     problem: NetworkProblem, solution: Solution[NetworkState], min_residual: float = 0.0
 ) -> list[ReferenceTest]:
-    """Tests of `reference_tests` with all standard deviations multiplied by the `noise_factor` of the fit."""
+    """Tests as by `reference_tests`, but with all standard deviations multiplied by the `noise_factor` of the fit."""
     tests = reference_tests(problem, solution, min_residual)
     factor = noise_factor(problem, solution) if tests else 1.0
     return [test.with_noise_factor(factor) for test in tests]
@@ -176,24 +181,27 @@ def passes_global_test(problem: NetworkProblem, solution: Solution[NetworkState]
     return bool(special.chdtrc(max(problem.dof, 1), solution.sum_of_squares) >= FAMILY_WISE_LEVEL)
 
 
-def requires_constants_for_points(problem: NetworkProblem, solution: Solution[NetworkState]) -> bool:
-    """True if constants may hide the error of a known point: the fit without constants fails the global test."""
+def requires_instrument_constants_for_points(problem: NetworkProblem, solution: Solution[NetworkState]) -> bool:
+    """True if instrument constants may hide the error of a known point.
+
+    This is possible if the network has known points, and if a fit without these constants fails the global test.
+    """
     has_constants = problem.model.construction.n_parameters > 0
     return bool(len(problem.control_rows)) and not has_constants and not passes_global_test(problem, solution)
 
 
-def reference_tests_with_constants(
+def reference_tests_with_instrument_constants(
     problem: NetworkProblem, solution: Solution[NetworkState]
 ) -> tuple[ReferenceTest, ...]:
-    """Tests of the reference values of an adjustment, whose errors are uncertain by the constants of the instruments.
+    """Tests of the reference values of an adjustment, with instrument constants as a source of uncertainty.
 
-    Known points without known lengths are tested with the constants if only the fit with them passes the global test.
-    Standard deviations are those of the tested fit, multiplied by its `noise_factor`. The residuals are those of the
-    adjustment itself.
+    In a network without reference lengths the constants are unknowns of the tests only if the fit with them passes the
+    global test and the fit without them does not. Standard deviations are those of the tested fit, multiplied by its
+    `noise_factor`. The residuals are those of the adjustment itself.
     """
     tested, state = problem.with_instrument_constants(solution.x)
     tested_solution = solution if tested is problem else solve(tested, state)
-    if tested is problem and requires_constants_for_points(problem, solution):
+    if tested is problem and requires_instrument_constants_for_points(problem, solution):
         with_constants, state = problem.with_instrument_constants(solution.x, requires_length=False)
         other_solution = solve(with_constants, state)
         if passes_global_test(with_constants, other_solution):
@@ -204,7 +212,11 @@ def reference_tests_with_constants(
 
 
 def _reference_test(value: ReferenceValueRows, gram_matrix: Floats, residual_inner_products: Floats) -> ReferenceTest:
-    """Test of a value with q components, from inner products of the changes of residuals by unit errors of each."""
+    """Test of a reference value with q components.
+
+    `gram_matrix` (q, q) contains the inner products of the changes of the adjusted residuals by unit errors of the
+    components, `residual_inner_products` (q,) the inner products of these changes with the residuals.
+    """
     norms = np.linalg.norm(value.design_columns, axis=0)
     is_active = norms > MAX_ROUNDING_ERROR * norms.max()  # readings in plan do not depend on heights
     norms = np.where(is_active, norms, np.inf)

@@ -1,4 +1,4 @@
-"""Reference values in an adjustment: declared value, misclosure, and effect of an error of the value."""
+"""Reference values in an adjustment: declared value, misclosure, and effect of an error of the value on residuals."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,13 +16,13 @@ from ltsim.recordings.references import MIN_UNKNOWN_SCALE_PPM
 ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
 """Kind of reference value."""
 MIN_RELATIVE_SIGMA = 0.3
-"""Smallest standard deviation with which a reference value is tested, relative to the median one of the readings."""
-REMOVING_SETTINGS_BY_KIND: dict[str, dict[str, object]] = {
+"""Smallest standard deviation of a tested reference value, divided by the median standard deviation of the readings."""
+REMOVING_UPDATES_BY_KIND: dict[str, dict[str, object]] = {
     "level": {"levelled": False, "yaw_sigma_arcsec": None},
     "yaw": {"yaw_sigma_arcsec": None},
     "mark": {"over": None},
 }
-"""New values of the settings of a station that remove a reference value, by kind of the reference value."""
+"""Updates of a station's entries in the set-up that remove a reference value, by kind of reference value."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +30,17 @@ class ReferenceValue:
     """Reference value with q components: point, difference, length, level, yaw, scale, or position over a mark."""
 
     kind: ReferenceKind
+    """Kind of the reference value."""
     name: str
-    """Name of the target or station, or of both ends of a length or difference."""
+    """Name of the target or station, or names of both ends of a length or difference, such as `A-B`."""
     declared_components: str
-    """Declared coordinates of a point or difference, for example `xy`; empty for other kinds."""
+    """Axes of the declared coordinates of a point or difference, for example `xy`; empty for other kinds."""
     sigma: Floats
     """Declared standard deviations of the components, (q,) [m, rad or 1]."""
     residual: Floats
     """Declared minus adjusted value of each component, (q,) [m, rad or 1]."""
     occupied_by: str = field(default="", kw_only=True)
-    """Name of the set-up over a known point that is not measured as a target; else empty."""
+    """Name of the set-up over the known point, if the point is not measured as a target; else empty."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +48,13 @@ class ReferenceValueRows(ReferenceValue):
     """Reference value with its equations in an adjustment."""
 
     rows: Ints
-    """Indices of the equations that depend on an error of the value, (r,)."""
+    """Indices (r,) of the equations whose residuals an error of the value changes."""
     design_columns: Floats
-    """Derivatives of the whitened residuals of these equations with respect to an error of each component, (r, q)."""
+    """Derivatives (r, q) of the whitened residuals of these equations with respect to errors of the q components."""
 
 
 def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
-    """Reference values of a problem, in the order of its rows."""
+    """Reference values of a problem at a state, in the order of their equations, then the set-ups over marks."""
     recording, first, gauge = problem.model.recording, int(problem.is_used_reading.sum()), problem.gauge_rows
     shown, gap = gauge.decorrelate(np.eye(len(gauge))), problem.length_residuals(state)
     for i in np.flatnonzero(np.isfinite(gauge.sigma)).tolist():
@@ -102,7 +103,7 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
 def common_scale_reference(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
     """Common scale of all reference lengths as a reference value; empty for a single length.
 
-    An error of their temperature or of their calibration standard changes all lengths in proportion.
+    A wrong temperature of the lengths, or an error of their calibration, changes all lengths in proportion.
     """
     gauge, felt = problem.gauge_rows, np.isfinite(problem.gauge_rows.sigma)
     if felt.sum() > 1:
@@ -115,7 +116,7 @@ def common_scale_reference(problem: NetworkProblem, state: NetworkState) -> Iter
 def _centring_declarations(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:
     """Declarations that a set-up is exactly over its mark, as reference values.
 
-    Only marks that are also a target, or under another set-up, test the declaration.
+    A declaration can be tested only if the mark is also a target or lies under another set-up.
     """
     marks, recording = problem.marks, problem.model.recording
     shared = (marks.target_indices >= 0) | (
@@ -145,8 +146,8 @@ def drop_reference(recording: Recording, reference_value: ReferenceValue) -> Rec
         change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=cleared)}
     elif reference_value.kind == "difference":
         change = {"differences": tuple(difference for difference in setup.differences if difference.label != name)}
-    elif reference_value.kind in REMOVING_SETTINGS_BY_KIND:
-        cleared = REMOVING_SETTINGS_BY_KIND[reference_value.kind]
+    elif reference_value.kind in REMOVING_UPDATES_BY_KIND:
+        cleared = REMOVING_UPDATES_BY_KIND[reference_value.kind]
         change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=cleared)}}
     else:
         cleared = {"known_mm": None, "approximate_mm": setup.targets[name].known_mm}
@@ -155,7 +156,7 @@ def drop_reference(recording: Recording, reference_value: ReferenceValue) -> Rec
 
 
 REFERENCE_COORDINATE_KEYS = ("known_mm", "known_sigma_mm", "known_covariance_mm2", "known_axes")
-"""Keys of the reference coordinates of a target."""
+"""Keys of a target's reference coordinates in the set-up."""
 
 
 def without_reference_coordinates(recording: Recording) -> Recording:
@@ -173,14 +174,14 @@ def exchange_coordinates(recording: Recording, first_name: str, second_name: str
     return recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
 
 
-def relax_exact_references(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
+def with_nonzero_reference_sigmas(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
     """Problem in which exact reference values have a small standard deviation, so that a test of them is possible."""
     if not problem.is_used_reading.any():
         return problem
     range_ = problem.model.sightings_without_covariates(state).range_
     sigma_lengths = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
     floor = MIN_RELATIVE_SIGMA * float(np.median(sigma_lengths[problem.is_used_reading]))
-    if not floor > 0.0:  # angles alone, to a target in the place of the station
+    if not floor > 0.0:  # angles alone, to a target at the position of the station
         return problem
     turn = floor / max(float(np.median(range_[problem.is_used_reading.any(axis=1)])), floor)
     floors = {

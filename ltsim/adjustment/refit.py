@@ -1,4 +1,7 @@
-"""Nonlinear adjustment of a network with effects whose shape constants (for example periods) are estimated."""
+"""Nonlinear adjustment of a network with effects whose shape constants are estimated.
+
+A shape constant is a parameter on which the effect depends nonlinearly, such as a period or a time constant.
+"""
 
 from __future__ import annotations
 
@@ -18,36 +21,38 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
 
 SHAPE_CHANGE_TOLERANCE = 1e-5
-"""Relative change of a shape constant that is used for numerical derivatives, and below which the iteration ends.
-Readings are linear over it: a range of 20 m contains a thousand short waves.
+"""Relative change of a shape constant for numerical derivatives, and the change below which the iteration ends. The
+readings are linear over this change, also for a range of 20 m that contains a thousand periods of a range error.
 """
 MAX_HALVINGS = 4
-"""Largest number of halvings of a step that increases chi-square, for constants with poor start values."""
+"""Largest number of halvings of a step that increases chi-square, for shape constants with poor start values."""
 MIN_SHAPE_INFLUENCE = 1e-3
-"""Largest change of a reading per relative change of a shape constant, relative to the largest change by the effect,
-above which the constant is estimated.
+"""Smallest influence of an estimated shape constant: largest change of a reading per relative change of the constant,
+divided by the largest change of a reading by the whole effect.
 """
 
 
 @dataclass(frozen=True)
 class ShapeDirection(LinearEffect):
-    """Linearised effect of a change of one shape constant of an effect, with which the constant is estimated.
+    """Linearised effect of a change of one shape constant of an effect, for the estimation of this constant.
 
-    Its parameter is the relative change of the constant.
+    The parameter is the relative change of the shape constant.
     """
 
     effect: CandidateEffect
-    """Effect whose constant changes."""
+    """Effect whose shape constant changes."""
     parameter_values: tuple[float, ...]
     """Values of the parameters of the effect [SI]."""
     shape_parameter: ShapeParameter
-    """Constant that changes."""
+    """Shape constant that changes."""
 
     name = "shape"
+    """Name of the linearised effect."""
     parameters = (Parameter("relative-change", "", "relative change of a shape constant", 1.0),)
+    """Parameter of the linearised effect."""
 
     def design(self, sightings: Sightings) -> Floats:
-        """Derivatives (n, 3, 1) of the three readings of n pointings by the relative change of the constant."""
+        """Derivatives (n, 3, 1) of the readings of n pointings by the relative change of the shape constant."""
         now, values = self.present_value, np.array(self.parameter_values)
         up, down = (
             self.effect.with_constants(**{self.shape_parameter.name: now * (1 + s)}).design(sightings) @ values
@@ -58,11 +63,11 @@ class ShapeDirection(LinearEffect):
 
     @property
     def present_value(self) -> float:
-        """Present value of the constant [SI]."""
+        """Present value of the shape constant [SI]."""
         return float(getattr(self.effect, self.shape_parameter.name))
 
     def changed_value(self, relative_change: float) -> float:
-        """Value of the constant [SI] after a relative change, within its bounds and at most halved or doubled."""
+        """Shape constant [SI] after a relative change, within its bounds and at most halved or doubled."""
         new_value = self.present_value * (1 + np.clip(relative_change, -0.5, 1.0))
         return float(np.clip(new_value, self.shape_parameter.lower_bound, self.shape_parameter.upper_bound))
 
@@ -75,18 +80,25 @@ class FirstOrderEffect(CandidateEffect):
     """
 
     exact_effect: CandidateEffect
+    """Effect that is linearised; the fields below are copied from it."""
     design_at_state: Floats = field(compare=False, repr=False)
-    """Change (n, 3, p) of the readings per unit of each of the p parameters, at that state."""
+    """Change (n, 3, p) of the readings per unit of each of the p parameters, at the state of the linearisation."""
     name: str = ""
+    """Name of the effect."""
     parameters: tuple[Parameter, ...] = ()
+    """Parameters of the effect."""
     stations: tuple[str, ...] = ()
+    """Names of the stations where the effect acts; empty for all."""
     targets: tuple[str, ...] = ()
+    """Names of the targets where the effect acts; empty for all."""
     observables: tuple[str, ...] = ()
+    """Observables that the effect changes."""
     covariates: tuple[str, ...] = ()
+    """Covariates on which the effect depends."""
 
     @classmethod
     def from_effect(cls, effect: CandidateEffect, sightings: Sightings) -> FirstOrderEffect:
-        """Effect linearised at the state of the network that the sightings describe."""
+        """Effect linearised at the state of the network at which `sightings` were computed."""
         identity = (
             effect.name,
             effect.parameters,
@@ -109,7 +121,7 @@ class FirstOrderEffect(CandidateEffect):
 def _shape_directions(
     effect: CandidateEffect, parameter_values: Floats, sightings: Sightings, fixed_constants: Collection[str]
 ) -> list[ShapeDirection]:
-    """Linearised changes of those shape constants of an effect that influence the readings, except fixed ones."""
+    """Linearised effects of those shape constants of an effect that influence readings and are not fixed."""
     directions = []
     largest_change = float(np.abs(effect.design(sightings) @ parameter_values).max())
     for shape in type(effect).shape_parameters:
@@ -123,7 +135,7 @@ def _shape_directions(
 
 
 class ParameterEstimate(NamedTuple):
-    """Estimate of a parameter or shape constant of an effect [SI]."""
+    """Estimate of a parameter or shape constant of an effect, with its standard deviation."""
 
     parameter: Parameter | ShapeParameter
     """Parameter or shape constant."""
@@ -138,16 +150,17 @@ class Refit:
     """Network adjusted with some effects, and the estimates of their parameters and shape constants."""
 
     adjustment: Adjustment
+    """Adjusted network with the effects."""
     effects: tuple[CandidateEffect, ...]
     """Effects with their estimated shape constants."""
     estimates: tuple[tuple[ParameterEstimate, ...], ...]
-    """Estimates for each effect: its parameters, then those shape constants that influence the readings. They are empty
-    if the adjustment did not converge.
+    """Estimates for each effect: first its parameters, then the estimated shape constants. They are empty if the
+    adjustment did not converge.
     """
 
 
 def refit_with_effects(
-    adjustment: Callable[..., Adjustment],
+    adjust_function: Callable[..., Adjustment],
     effects: Sequence[CandidateEffect],
     *,
     start_state: NetworkState,
@@ -157,22 +170,22 @@ def refit_with_effects(
 
     Parameters
     ----------
-    adjustment : callable
+    adjust_function : callable
         Function that adjusts the network; its keyword arguments are `effects` and `start_state`.
     effects : sequence of CandidateEffect
         Effects in the model, with start values of their shape constants.
     start_state : NetworkState
         Start state of the network.
     fixed_constants : sequence of collections of str, optional
-        Names of those shape constants of each effect that are neither estimated nor reported.
+        Names, for each effect, of the shape constants that are neither estimated nor reported.
     """
     fixed_names = fixed_constants or [()] * len(effects)
     current = list(effects)
-    fitted = joint = adjustment(effects=current, start_state=start_state)
+    fitted = joint = adjust_function(effects=current, start_state=start_state)
     if not fitted.solution.has_converged:
         sightings = fitted.problem.model.sightings(start_state)
         current = [FirstOrderEffect.from_effect(effect, sightings) for effect in current]
-        fitted = joint = adjustment(effects=current, start_state=start_state)
+        fitted = joint = adjust_function(effects=current, start_state=start_state)
     directions: list[list[ShapeDirection]] = [[] for _ in current]
     for _ in range(MAX_ALTERNATIONS if any(type(e).shape_parameters for e in current) else 0):
         values = _values_by_effect(current, fitted.state.extra_parameters)
@@ -181,14 +194,14 @@ def refit_with_effects(
         flat = [d for group in directions for d in group]
         if not flat:
             break
-        joint = adjustment(effects=[*current, *flat], start_state=fitted.state)
+        joint = adjust_function(effects=[*current, *flat], start_state=fitted.state)
         if not joint.solution.has_converged:
             break
         first = sum(len(effect.parameters) for effect in current)
         changes = joint.state.extra_parameters[first : first + len(flat)]
         if np.all(np.abs(changes) < SHAPE_CHANGE_TOLERANCE):
             break
-        step = _damped_step(adjustment, current, directions, changes, fitted)
+        step = _damped_step(adjust_function, current, directions, changes, fitted)
         if step is None:
             break
         current, fitted = step
@@ -197,20 +210,20 @@ def refit_with_effects(
 
 
 def _damped_step(
-    adjustment: Callable[..., Adjustment],
+    adjust_function: Callable[..., Adjustment],
     effects: list[CandidateEffect],
     directions: list[list[ShapeDirection]],
     changes: Floats,
     last_adjustment: Adjustment,
 ) -> tuple[list[CandidateEffect], Adjustment] | None:
-    """Effects with changed shape constants, and the adjustment with them; None if chi-square increases.
+    """Effects with changed shape constants, and the adjustment with these effects; None if chi-square increases.
 
-    `changes` are the relative changes of all constants. They are halved until chi-square does not increase, at most
-    `MAX_HALVINGS` times.
+    `changes` are the relative changes of all shape constants, in the order of the `directions`. They are halved, at
+    most `MAX_HALVINGS` times, until chi-square is not larger than in `last_adjustment`.
     """
     for share in 0.5 ** np.arange(1 + MAX_HALVINGS):
         moved = _effects_with_changed_shapes(effects, directions, share * changes)
-        tried = adjustment(effects=moved, start_state=last_adjustment.state)
+        tried = adjust_function(effects=moved, start_state=last_adjustment.state)
         if tried.solution.has_converged and tried.chi2 <= last_adjustment.chi2 * (1.0 + MAX_SOLUTION_ROUNDING_ERROR):
             return moved, tried
     return None
@@ -239,8 +252,8 @@ def _estimates_with_uncertainty(
 ) -> tuple[tuple[ParameterEstimate, ...], ...]:
     """Estimates of the parameters and shape constants of each effect, with standard deviations.
 
-    `joint_adjustment` has the shape constants as unknowns, so that its standard deviations include their uncertainty.
-    It is used only if it converged.
+    `joint_adjustment` has the shape constants as unknowns, so that its standard deviations include the uncertainty of
+    these constants. If it did not converge, the standard deviations are those of `adjustment`.
     """
     has_shape_estimates = joint_adjustment.solution.has_converged and len(joint_adjustment.effects) > len(effects)
     source = joint_adjustment if has_shape_estimates else adjustment

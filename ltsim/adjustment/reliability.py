@@ -23,9 +23,9 @@ from ltsim.solve.elimination import BlockFactor
 from ltsim.solve.gauss_newton import Solution
 
 MAX_SIGMA0_DECLARED_NOISE = 1.25
-"""Robust sigma0 up to which residuals are tested with the declared noise; above it the estimated noise is used."""
+"""Largest robust sigma0 at which residuals are tested with the declared noise instead of the estimated noise."""
 MIN_NOISY_SCATTER_RATIO = 2.0
-"""Ratio of a target's scatter to that of the others above which the target counts as noisy."""
+"""Ratio of the scatter at a target to the scatter at the other targets, above which the target counts as noisy."""
 
 
 def redundancy_numbers(problem: NetworkProblem, normal_equations: BlockFactor) -> Floats:
@@ -41,8 +41,8 @@ def redundancy_numbers(problem: NetworkProblem, normal_equations: BlockFactor) -
 def standardised_residuals(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
     """Normalised residuals (n, 3): residuals divided by their standard deviations.
 
-    These are the standard deviations of the readings times the square roots of the redundancy numbers `redundancy` (n,
-    3). The result is 0 for readings that no other observation checks, and NaN for unused readings.
+    The standard deviation of a residual is that of its reading times the square root of its redundancy number
+    (`redundancy` (n, 3)). The result is 0 for readings that no other observation checks, and NaN for unused readings.
     """
     is_checked = problem.is_used_reading & (redundancy > MAX_SOLUTION_ROUNDING_ERROR)
     w = np.where(problem.is_used_reading, 0.0, np.nan)
@@ -51,19 +51,19 @@ def standardised_residuals(problem: NetworkProblem, residuals: Floats, redundanc
 
 
 def noise_factor_from_residuals(normalised_residuals: Floats, redundancy: Floats) -> float:
-    """Factor on the declared noise, estimated from the normalised residuals (n, 3); 1 if it is at most 1.25.
+    """Factor on the declared noise, estimated from the normalised residuals (n, 3); 1 if the estimate is at most 1.25.
 
-    The noise is never reduced, so that a reading that the declared noise permits is no outlier.
+    The noise is never reduced, so that a reading that is consistent with the declared noise is no outlier.
     """
     scale = robust_sigma(normalised_residuals[np.nan_to_num(redundancy) > MIN_CHECKED_REDUNDANCY])
     return scale if scale > MAX_SIGMA0_DECLARED_NOISE else 1.0
 
 
 def noise_factor(problem: NetworkProblem, solution: Solution[NetworkState]) -> float:
-    """Factor on the declared noise with which all tests of a fit are made, at least 1.
+    """Factor, at least 1, by which the declared noise is multiplied in all tests of a fit.
 
-    It is 1 if the global test accepts the fit, or if only single readings contradict the declared noise. Otherwise it
-    is the smaller of sigma0 and `noise_factor_from_residuals`, which single errors do not enlarge.
+    The factor is 1 if the global test accepts the fit, or if only single readings contradict the declared noise.
+    Otherwise it is the smaller of sigma0 and the robust `noise_factor_from_residuals`.
     """
     dof, chi2 = problem.dof, solution.sum_of_squares
     if solution.factor is None or dof <= 0 or special.chdtrc(dof, chi2) >= AGREEMENT_LEVEL / 2:
@@ -74,13 +74,11 @@ def noise_factor(problem: NetworkProblem, solution: Solution[NetworkState]) -> f
     return max(1.0, min(scale, float(np.sqrt(chi2 / dof))))
 
 
-def noisy_groups_and_scatter(
-    normalised_residuals: Floats, redundancy: Floats, target: Ints
-) -> tuple[Ints, float, float]:
-    """Indices (k,) of noisy targets, the scatter of their readings, and that of all other readings.
+def detect_noisy_targets(normalised_residuals: Floats, redundancy: Floats, target: Ints) -> tuple[Ints, float, float]:
+    """Indices (k,) of noisy targets, scatter of the readings to these targets, and scatter of all other readings.
 
-    A target is noisy if its readings scatter `MIN_NOISY_SCATTER_RATIO` times more than those of the other targets.
-    Scatters are robust standard deviations of normalised residuals (n, 3). `target` (n,) is that of each pointing.
+    A target is noisy if its readings scatter `MIN_NOISY_SCATTER_RATIO` times more than those of the other targets. A
+    scatter is a robust standard deviation of normalised residuals (n, 3). `target` (n,) is the target of each pointing.
     """
     testable = np.where(np.nan_to_num(redundancy) > MIN_CHECKED_REDUNDANCY, normalised_residuals, np.nan)
 
@@ -99,14 +97,17 @@ def noisy_groups_and_scatter(
 
 
 def critical_w(n_readings: int, alpha: float = FAMILY_WISE_LEVEL) -> float:
-    """Critical value of the absolute normalised residual |w|, if `n_readings` readings are tested together (Sidak)."""
+    """Critical value of the absolute normalised residual |w| in a joint test of `n_readings` readings (Sidak).
+
+    `alpha` is the false-alarm rate of the joint test.
+    """
     return float(-special.ndtri(0.5 * level_of_single_test(n_readings, alpha)))
 
 
 def p_value_of_tau(tau: Floats, dof: Floats, n_readings: int) -> Floats:
-    """Probability that the largest |w| / sigma0 of `n_readings` error-free readings is at least as large as `tau`.
+    """Probability that the largest |w| / sigma0 of `n_readings` readings without gross errors is at least `tau`.
 
-    `dof` are the degrees of freedom of the estimated sigma0; infinite ones mean the declared noise (sigma0 = 1).
+    `dof` are the degrees of freedom of the estimated sigma0; they are infinite for the declared noise (sigma0 = 1).
 
     References
     ----------
@@ -126,10 +127,10 @@ def iterative_snooping(
     """Outliers among k readings, the most significant first: index, estimated error, normalised residual w, p-value.
 
     `residuals` (k,) and the estimated errors are in standard deviations of the readings. Element (i, j) of
-    `redundancy_matrix` (k, k) is the change of residual i by an error of reading j. Outliers are removed one after
-    another; readings that cannot be distinguished from an outlier follow it in the list. `noise_factors` and `dof` (k,)
-    are the noise factors and their degrees of freedom, `n_readings` is the number of tested readings, `alpha` their
-    joint level.
+    `redundancy_matrix` (k, k) is the change of residual i by a unit error of reading j. Outliers are removed one after
+    another; readings that cannot be distinguished from an outlier follow it in the list. `noise_factors` (k,) multiply
+    the declared noise, and `dof` (k,) are the degrees of freedom of their estimates. `n_readings` is the number of
+    tested readings, `alpha` the false-alarm rate of all tests together.
     """
     outliers, redundancy = list[tuple[int, float, float, float]](), np.diag(redundancy_matrix).copy()
     while (redundancy > MAX_SOLUTION_ROUNDING_ERROR).any():
@@ -169,12 +170,12 @@ def level_of_single_test(n_tests: int, joint_alpha: float) -> float:
 def noncentrality(dof: int = 1, *, alpha: float = SINGLE_TEST_LEVEL, n_tests: int = 1) -> float:
     """Noncentrality of chi-square at which a test detects an error with the probability `TEST_POWER`.
 
-    It is the squared length of the whitened residuals that the error causes.
+    The noncentrality is the squared length of the whitened residuals that the error causes.
 
     Parameters
     ----------
     dof : int
-        Degrees of freedom of the test; one is the two-sided test of a normal variable.
+        Degrees of freedom of the test; 1 for a two-sided test of a normal variable.
     alpha : float
         False-alarm rate of all hypotheses together.
     n_tests : int

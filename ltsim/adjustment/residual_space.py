@@ -1,7 +1,7 @@
 """Residual space of an adjustment: projection of errors of observations onto the residuals.
 
-An effect that changes the observations by g per unit changes the residuals by P g, where P is the projector onto
-the residual space. Tests of a diagnosis and the detectability in a plan use P, in whitened units.
+An effect that changes the whitened observations by g per unit changes the whitened residuals by P g, where P is the
+projector onto the residual space. The tests of a diagnosis and the detectability of effects in a plan use P.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import ResidualProjector, make_residual_projector
 
 MAX_SCREENED_ENTRIES = 3_000_000
-"""Largest number of entries of all design columns that a screening projects (processor time); only the most
-promising hypotheses are projected beyond it.
+"""Largest number of entries of all design columns that a screening projects, limited because of the processor time.
+Beyond it only the most promising hypotheses are projected.
 """
 
 
@@ -31,14 +31,16 @@ class ResidualSpace:
     """Residual space of an adjustment with m equations: projector and residuals."""
 
     projector: ResidualProjector
-    """Projector onto the complement of the whitened design matrix, with columns of additional effects in the model."""
+    """Projector onto the orthogonal complement of the whitened design matrix, including columns of additional
+    effects."""
     residuals: Floats
     """Whitened residuals of the m equations, (m,)."""
     adjustment: Adjustment
+    """Adjustment to which the residuals belong."""
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Self:
-        """Residual space at the solution of an adjustment, which does not keep the projector: a basis takes 32 MB."""
+        """Residual space at the solution of an adjustment; it is not cached, because its basis takes up to 32 MB."""
         solution = adjustment.solution
         projector = make_residual_projector(solution.system, solution.factor)
         residual = projector.project(solution.system.whitened_residuals[:, None])[:, 0]
@@ -46,7 +48,7 @@ class ResidualSpace:
 
     @property
     def sightings(self) -> Sightings:
-        """Geometry of the pointings in the adjusted network."""
+        """Range, direction and regressors of each pointing, computed from the adjusted network."""
         return self.adjustment.sightings
 
     @property
@@ -66,7 +68,7 @@ class ResidualSpace:
 
     @cached_property
     def redundancy(self) -> Floats:
-        """Redundancy numbers (m,): derivative of each residual with respect to the error of its observation."""
+        """Redundancy numbers (m,): derivative of each residual by an error of its observation."""
         return 1.0 - self.projector.leverage()
 
     @cached_property
@@ -78,7 +80,7 @@ class ResidualSpace:
     def whiten(self, design: Floats, gauge_changes: Floats | None = None) -> Floats:
         """Whitened design columns (m, q) from the changes of readings (n, 3, q) and of reference lengths (g, q).
 
-        Each of the q columns is the change by one parameter; equations other than readings and lengths are 0.
+        Each of the q columns is the change per unit of one parameter, 0 for equations of other observations.
         """
         whitened_rows = np.zeros((self.n_rows, design.shape[2]))
         place, weight = self._used_reading_weights
@@ -101,30 +103,31 @@ class ResidualSpace:
         return readings
 
     def whitened_design(self, effect: LinearEffect) -> Floats:
-        """Whitened design matrix (m, q) of an effect or empirical law with q parameters, before projection."""
+        """Whitened design matrix (m, q) of an effect (or empirical law) with q parameters, before the projection."""
         gauge = self.adjustment.problem.gauge_rows
         lengths = effect.gauge_design(gauge.first_targets, gauge.second_targets, self.adjustment.state.target_points)
         return self.whiten(effect.design(self.sightings), lengths)
 
     def project(self, design_columns: Floats) -> Floats:
-        """Part of whitened design columns (m, q), or of one vector (m,), that remains in the residuals."""
+        """Projection of whitened design columns (m, q), or of one vector (m,), onto the residual space."""
         return self.projector.project(design_columns if design_columns.ndim > 1 else design_columns[:, None]).reshape(
             design_columns.shape
         )
 
     def chi2_drop(self, design_columns: Floats) -> tuple[float, int]:
-        """Decrease of chi-square by parameters with the design columns (m, q), and its degrees of freedom."""
+        """Decrease of chi-square, and its rank, if parameters with whitened design columns (m, q) are estimated too."""
         scores = self._projected_basis(design_columns).T @ self.residuals
         return float(scores @ scores), len(scores)
 
     def _projected_basis(self, design_columns: Floats) -> Floats:
+        """Orthonormal basis (m, r) of the space that the projections of design columns (m, q) span."""
         return orthonormal_columns(self.project(design_columns), self.norms_without_centring(design_columns))
 
     def norms_without_centring(self, design_columns: Floats) -> Floats:
         """Lengths (q,) of design columns (m, q) without the part that centring errors in the model absorb.
 
-        Centring errors with a large standard deviation absorb nearly all of an effect. The remaining part of the effect
-        is visible if it is large relative to these lengths; the lengths of the whole columns are no measure for it.
+        Centring errors with a large standard deviation absorb nearly all of an effect. The projected effect counts as
+        visible if it is large compared with these lengths, which replace the lengths of the original columns.
         """
         squares = lowest = np.sum(design_columns**2, axis=0)
         if not self._centring_normals:
@@ -140,7 +143,7 @@ class ResidualSpace:
 
     @cached_property
     def _centring_normals(self) -> list[tuple[Ints, Ints, Floats, Floats]]:
-        """Rows (r,) with each of the centring errors in the model, their occupations (r,), slopes and normal matrices.
+        """Pointings (r,), occupations (r,), slopes and normal matrices of each of the centring errors in the model.
 
         The slopes (r, 3, 3) are the whitened changes of the readings per unit of the displacement. The normal matrices
         (k, 3, 3) of k occupations include the prior of the displacements.
@@ -156,13 +159,13 @@ class ResidualSpace:
         return entries
 
     def with_design_columns(self, design_columns: Floats) -> ResidualSpace:
-        """Residual space of the adjustment in which parameters with these design columns (m, q) are estimated too."""
+        """Residual space of the adjustment if q parameters with whitened design columns (m, q) are estimated too."""
         basis = self._projected_basis(design_columns)
         residual = self.residuals - basis @ (basis.T @ self.residuals)
         return ResidualSpace(self.projector.with_removed_columns(basis), residual, self.adjustment)
 
     def with_effects(self, effects: Sequence[LinearEffect]) -> ResidualSpace:
-        """Residual space of the adjustment in which the parameters of effects or laws are estimated too."""
+        """Residual space of the adjustment if the parameters of effects or empirical laws are estimated too."""
         return self.with_design_columns(np.hstack([self.whitened_design(law) for law in effects])) if effects else self
 
     def target_shifts(self, design_columns: Floats) -> Floats:
@@ -178,8 +181,8 @@ class ResidualSpace:
 def orthonormal_columns(projected_columns: Floats, norms: Floats) -> Floats:
     """Orthonormal basis (m, r) of the space that projected design columns (m, q) span.
 
-    `norms` (q,) are the lengths of the columns before projection. Directions with a negligible part of these lengths
-    are dropped.
+    `norms` (q,) are the lengths of the columns before the projection. Directions with a length that is negligible
+    relative to `norms` are omitted.
     """
     unit = projected_columns / np.where(norms > 0, norms, 1.0)
     strength, turn = np.linalg.eigh(unit.T @ unit)

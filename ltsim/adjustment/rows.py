@@ -1,4 +1,4 @@
-"""Observation equations (rows) other than readings: lengths, known points and differences, levels, yaws, datum."""
+"""Observation equations (rows) of reference values: lengths, known points and differences, levels, yaws."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ from ltsim.recordings.setup import ReferenceDifference, Target, symmetric_matrix
 
 @dataclass(frozen=True)
 class GaugeRows(ReferenceLengths):
-    """Observation equations of g reference lengths, which refer to the temperature of the hall."""
+    """Observation equations of g reference lengths, converted to the temperature of the hall."""
 
     is_unweighted: Bools | bool = False
-    """Flags (g,) of lengths without weight, because an end is undetermined; their equations remain."""
+    """Flags (g,) of lengths that have no weight, because an end is undetermined; their equations remain in the
+    system."""
 
     @cached_property
     def sigma(self) -> Floats:
@@ -53,7 +54,7 @@ class GaugeRows(ReferenceLengths):
         return self.decorrelate_scaled(scaled_values)
 
     def decorrelate_scaled(self, scaled_changes: Floats) -> Floats:
-        """Changes (g,) or (g, q), in standard deviations of the lengths, transformed to independent errors."""
+        """Changes (g,) or (g, q), in standard deviations of the lengths, transformed to independent unit errors."""
         return (
             scaled_changes
             if self.correlation_root is None
@@ -68,9 +69,9 @@ class GaugeRows(ReferenceLengths):
         return np.linalg.norm(points[self.first_targets] - points[self.second_targets], axis=1)
 
     def unit_vectors(self, points: Floats) -> Floats:
-        """Unit vectors (g, 3) from the second to the first target of each length; zero if these coincide.
+        """Unit vectors (g, 3) from the second to the first target of each length; zero if both targets coincide.
 
-        They are the derivatives of the lengths with respect to the first target.
+        These vectors are the derivatives of the lengths with respect to the first target.
         """
         gap = points[self.first_targets] - points[self.second_targets]
         gap_lengths = np.linalg.norm(gap, axis=1, keepdims=True)
@@ -79,14 +80,14 @@ class GaugeRows(ReferenceLengths):
 
 @dataclass(frozen=True)
 class ControlRows:
-    """Observation equations of k places with known coordinates: targets, or stations over marks that are no targets."""
+    """Observation equations of k known points: targets, or instruments over known marks that are no targets."""
 
     place_indices: Ints
-    """Index of the target, or of the station, (k,)."""
+    """Index of the target, or of the station, of each known point, (k,)."""
     declared_points: Floats
-    """Known coordinates, (k, 3) [m]."""
+    """Known coordinates, (k, 3) [m]; values of unknown coordinates have no meaning."""
     declared_components: Bools
-    """Flags of the known coordinates, (k, 3)."""
+    """Flags of the coordinates that are known, (k, 3)."""
     whitening_matrices: Floats
     """Matrices R that whiten the misclosures, (k, 3, 3) [1 / m]: R' R is the inverse covariance of the known
     coordinates. Rows and columns of unknown coordinates are 0.
@@ -99,10 +100,7 @@ class ControlRows:
 
     @classmethod
     def from_stations(cls, recording: Recording, marks: StationMarks) -> ControlRows:
-        """Equations of known marks under stations, for marks that are no targets.
-
-        `declared_points` are then the positions of the instruments over these marks.
-        """
+        """Equations of the instrument positions over known marks, for marks that are no targets."""
         places = [
             (i, n)
             for i, n in enumerate(marks.mark_names)
@@ -116,6 +114,7 @@ class ControlRows:
 
     @classmethod
     def _from_places(cls, recording: Recording, indices_and_names: list[tuple[int, str]]) -> ControlRows:
+        """Equations of those points, given by index and name, whose coordinates are known."""
         setups = [(i, recording.target_setup(name)) for i, name in indices_and_names]
         control_setups = [(i, t) for i, t in setups if t.known_mm is not None]
         return cls(
@@ -128,11 +127,11 @@ class ControlRows:
 
     @property
     def n_coordinates(self) -> int:
-        """Number of known coordinates."""
+        """Number c of known coordinates of all points, one equation each."""
         return int(self.declared_components.sum())
 
     def with_min_sigma(self, min_sigma: float) -> ControlRows:
-        """Copy of the rows, with standard deviations below `min_sigma` [m] raised to it."""
+        """Copy of the equations, in which standard deviations below `min_sigma` [m] are increased to this value."""
         roots = self.whitening_matrices.copy()
         for i, axes in enumerate(self.declared_components):
             at = np.ix_(axes, axes)
@@ -143,17 +142,17 @@ class ControlRows:
         return self if np.array_equal(roots, self.whitening_matrices) else replace(self, whitening_matrices=roots)
 
     def whitened_residuals(self, places: Floats) -> Floats:
-        """Whitened residuals (c,) of the c known coordinates, for adjusted places (k, 3) [m]."""
+        """Whitened residuals (c,) of the c known coordinates, for adjusted points `places` (k, 3) [m]."""
         gap = np.where(self.declared_components, self.declared_points - places, 0.0)
         return np.einsum("kij,kj->ki", self.whitening_matrices, gap)[self.declared_components]
 
     def derivatives(self) -> Floats:
-        """Derivatives (c, 3) of the c whitened predicted coordinates with respect to their places."""
+        """Derivatives (c, 3) of the c whitened coordinates with respect to the adjusted coordinates of their points."""
         return self.whitening_matrices[self.declared_components]
 
 
 def _declared_coordinates(places: Sequence[Target | ReferenceDifference]) -> tuple[Floats, Bools, Floats]:
-    """Known coordinates (k, 3) [m], flags (k, 3) of the known ones, and whitening matrices (k, 3, 3) [1 / m]."""
+    """Coordinates (k, 3) [m] of points or differences, flags (k, 3) if known, whitening matrices (k, 3, 3) [1 / m]."""
     axes = np.array([[axis in entry.known_axes for axis in "xyz"] for entry in places], dtype=bool).reshape(-1, 3)
     roots = np.array(
         [_whitening_matrix(entry, given_axes) for entry, given_axes in zip(places, axes, strict=True)]
@@ -162,7 +161,7 @@ def _declared_coordinates(places: Sequence[Target | ReferenceDifference]) -> tup
 
 
 def _whitening_matrix(target: Target | ReferenceDifference, declared_components: Bools) -> Floats:
-    """Whitening matrix (3, 3) [1 / m] of known coordinates: a root of their inverse covariance."""
+    """Whitening matrix (3, 3) [1 / m] of known coordinates, a root of their inverse covariance; 0 if not known."""
     if target.known_covariance_mm2 is None:
         return np.diag(declared_components / (target.known_sigma_mm * MILLIMETRE))
     at, root = np.ix_(declared_components, declared_components), np.zeros((3, 3))
@@ -173,16 +172,17 @@ def _whitening_matrix(target: Target | ReferenceDifference, declared_components:
 
 @dataclass(frozen=True)
 class DifferenceRows(ControlRows):
-    """Observation equations of k known differences: coordinates of an end mark minus those of a start mark.
+    """Observation equations of k known differences: coordinates of the end mark minus coordinates of the start mark.
 
-    Places are T targets, then S instruments, then the origin. The origin represents unmeasured marks with known
-    coordinates. These coordinates, and the heights of instruments over their marks, are included in `declared_points`.
+    The ends are indexed in the list of T targets, S instruments and the origin. The origin represents unmeasured marks
+    with known coordinates. These coordinates, and the heights of instruments over their marks, are included in
+    `declared_points`.
     """
 
-    start_places: Ints
-    """Index of the place at the start of each difference, (k,); `place_indices` is that at its end."""
+    start_indices: Ints
+    """Index (k,) of the start of each difference in the list; `place_indices` (k,) is the index of its end."""
     origin_index: int
-    """Index of the origin among the places: T + S."""
+    """Index of the origin in the list: T + S."""
     names: tuple[str, ...]
     """Name of each difference, from the names of both ends."""
 
@@ -216,8 +216,8 @@ class DifferenceRows(ControlRows):
 
     @property
     def ends(self) -> Ints:
-        """Indices of the places at the start and the end of each difference, (2, k)."""
-        return np.stack([self.start_places, self.place_indices])
+        """Indices (2, k) of the start and the end of each difference in the list of targets, instruments and origin."""
+        return np.stack([self.start_indices, self.place_indices])
 
     def subset(self, mask: Bools) -> DifferenceRows:
         """Equations of those differences that `mask` (k,) flags."""
@@ -226,7 +226,7 @@ class DifferenceRows(ControlRows):
             self.declared_points[mask],
             self.declared_components[mask],
             self.whitening_matrices[mask],
-            self.start_places[mask],
+            self.start_indices[mask],
             self.origin_index,
             tuple(name for name, is_chosen in zip(self.names, mask, strict=True) if is_chosen),
         )
@@ -234,17 +234,17 @@ class DifferenceRows(ControlRows):
     def predict(self, points: Floats, position: Floats) -> Floats:
         """Differences (k, 3) [m] for targets at `points` (T, 3) [m] and instruments at `position` (S, 3) [m]."""
         places = np.concatenate([points, position, np.zeros((1, 3))])
-        return places[self.place_indices] - places[self.start_places]
+        return places[self.place_indices] - places[self.start_indices]
 
     def derivatives(self) -> Floats:
-        """Derivatives (c, 6) of the c whitened differences with respect to both places; 0 for the origin."""
+        """Derivatives (c, 6) of the c whitened differences with respect to start and end point; 0 for the origin."""
         signs = np.where(self.ends == self.origin_index, 0.0, [[-1.0], [1.0]])[:, :, None, None]
         return np.concatenate([*(signs * self.whitening_matrices)], axis=2)[self.declared_components]
 
     def is_height_undetermined(self, is_undetermined: Bools) -> Bools:
-        """Flags (T + S + 1,) of the places whose heights remain undetermined with the known differences.
+        """Flags (T + S + 1,) of targets, instruments and origin whose heights are undetermined with the differences.
 
-        `is_undetermined` (T + S + 1,) flags those that are undetermined without differences.
+        `is_undetermined` (T + S + 1,) flags the heights that are undetermined without the known differences.
         """
         is_undetermined, ends = is_undetermined.copy(), self.ends[:, self.declared_components[:, 2]]
         while (half := is_undetermined[ends[0]] != is_undetermined[ends[1]]).any():
@@ -255,13 +255,13 @@ class DifferenceRows(ControlRows):
         """Derivatives (c, 6) of the c known differences by translation and rotation of the network.
 
         Rotations are about `centre` (3,) [m], and lengths are in the unit `length_unit` [m]. A difference to the origin
-        is a known place. A difference of two unknown places depends on the rotation alone.
+        is a known point. A difference between two unknown points depends on the rotation alone.
         """
         tied, size = (
             (self.ends == self.origin_index).any(axis=0),
             np.linalg.norm(self.declared_points, axis=1, keepdims=True),
         )
-        place = np.where(self.start_places == self.origin_index, 1.0, -1.0)[:, None] * self.declared_points
+        place = np.where(self.start_indices == self.origin_index, 1.0, -1.0)[:, None] * self.declared_points
         arm = self.declared_points / np.where(size > 0.0, size, 1.0)
         derivatives = rigid_motion_design(np.where(tied[:, None], (place - centre) / length_unit, arm)).reshape(
             -1, 3, 6
@@ -272,7 +272,7 @@ class DifferenceRows(ControlRows):
 
 @dataclass(frozen=True)
 class LevelRows:
-    """Observation equations of l levelled stations: two tilts of each, relative to the plumb line, are zero."""
+    """Observation equations of l levelled stations: both tilts of the standing axis from the plumb line are zero."""
 
     station_indices: Ints
     """Index of each levelled station, (l,)."""
@@ -299,7 +299,7 @@ class LevelRows:
         return len(self.station_indices)
 
     def with_min_sigma(self, min_sigma: float) -> LevelRows:
-        """Copy of the rows, with standard deviations below `min_sigma` [rad] raised to it."""
+        """Copy of the equations, in which standard deviations below `min_sigma` [rad] are increased to this value."""
         return self if np.all(self.sigma >= min_sigma) else replace(self, sigma=np.maximum(self.sigma, min_sigma))
 
     def axis_tilts(self, rotation: Floats) -> Floats:
@@ -314,10 +314,10 @@ class LevelRows:
 
 @dataclass(frozen=True)
 class YawRows:
-    """Observation equations of y levelled stations with a known yaw (direction of azimuth zero, as by a gyroscope)."""
+    """Observation equations of y stations with known yaws (directions of azimuth zero, as measured by a gyroscope)."""
 
     station_indices: Ints
-    """Index of each oriented station, (y,)."""
+    """Index of each station with a known yaw, (y,)."""
     sigma: Floats
     """Standard deviation of each yaw, (y,) [rad]."""
     yaws: Floats
@@ -336,7 +336,7 @@ class YawRows:
         return len(self.station_indices)
 
     def with_min_sigma(self, min_sigma: float) -> YawRows:
-        """Copy of the rows, with standard deviations below `min_sigma` [rad] raised to it."""
+        """Copy of the equations, in which standard deviations below `min_sigma` [rad] are increased to this value."""
         return self if np.all(self.sigma >= min_sigma) else replace(self, sigma=np.maximum(self.sigma, min_sigma))
 
     def yaw_residuals(self, rotation: Floats) -> Floats:
@@ -352,7 +352,8 @@ class YawRows:
 
 
 MAX_PARALLEL_PLUMB_ANGLE = 1e-2
-"""Angle between plumb lines [rad] up to which they do not determine the yaw of the network (64 km on the earth)."""
+"""Largest angle [rad] between plumb lines that count as parallel, so that they do not determine the yaw of the network;
+it corresponds to 64 km on the earth."""
 
 
 def free_motions(
@@ -360,8 +361,8 @@ def free_motions(
 ) -> Floats:
     """Rigid motions (6, f) that no known point, difference, level or yaw fixes, as columns of translation and rotation.
 
-    Their number follows from the kinds of constraints: none with three control points that are not collinear, four with
-    levels alone, six without constraints.
+    The number f depends on the constraints: 0 with three known points that are not collinear, 4 with levels alone, 6
+    without constraints.
     """
     controls = [group for group in (control, marks) if len(group)]
     points = np.concatenate([group.declared_points for group in controls]) if controls else np.zeros((1, 3))

@@ -1,6 +1,6 @@
-"""Data snooping: duplicate rows, undetermined targets, gross errors before the adjustment, outliers within it.
+"""Data snooping: duplicate rows, undetermined targets, gross errors before the adjustment, outliers in the adjustment.
 
-Rejected readings are tested again after each solution, and accepted if they fit.
+Rejected readings are tested again after each solution, and are used again if they agree with it.
 """
 
 from dataclasses import replace
@@ -18,7 +18,7 @@ from ltsim.adjustment.reliability import (
 from ltsim.adjustment.significance import (
     MAX_TRACKER_ERROR,
     MAX_WORKSHOP_RANGE,
-    MIN_FAULTY_FRACTION_OF_PLACE,
+    MIN_FAULTY_FRACTION_OF_GROUP,
     MIN_GROSS_SIGMAS,
 )
 from ltsim.adjustment.start import initial_network
@@ -36,14 +36,13 @@ from ltsim.solve.elimination import BlockFactor, SingularSystemError
 from ltsim.solve.gauss_newton import MAX_CONVERGENCE_RATIO, MAX_ITERATIONS, Solution, solve
 
 MIN_COPIED_ROWS = 10
-"""Number of equal rows in a recording without a clock, from which they count as copies. All repeated pointings must
-then be equal.
-"""
+"""Smallest number of equal rows that count as copies in a recording without a clock; all repeated pointings must then
+be equal. """
 MAX_REWEIGHTINGS = 8
-"""Number of iterations of reweighted least squares before data snooping."""
+"""Largest number of iterations of reweighted least squares before data snooping."""
 MAX_SNOOPING_PASSES = 20
-"""Largest number of solutions until the set of rejected readings is stable; readings that still alternate remain
-rejected.
+"""Largest number of solutions until the set of rejected readings is stable. Readings that still change between rejected
+and accepted remain rejected.
 """
 MAX_INTERMEDIATE_STEPS = 10
 """Largest number of Gauss-Newton steps of each solution during data snooping, except the last."""
@@ -54,7 +53,7 @@ readings to its target, or of its set-up, are rejected.
 
 
 def without_copied_rows(recording: Recording) -> tuple[Recording, int]:
-    """Recording in which the readings of copied rows are missing, and the number of these rows."""
+    """Recording in which the readings of copied rows are deleted, and the number of these rows."""
     is_copied = _is_copied_row(recording)
     if not is_copied.any():
         return recording, 0
@@ -64,7 +63,8 @@ def without_copied_rows(recording: Recording) -> tuple[Recording, int]:
 def _is_copied_row(recording: Recording) -> Bools:
     """Flags (n,) of the rows that are exact copies of an earlier row with equal time, set-up, target and face.
 
-    Two pointings may be equal by chance. Without times rows count as copies only if all repeated pointings are equal.
+    Two pointings may be equal by chance. Without a clock, rows count as copies only if all repeated pointings are
+    equal.
     """
     sorted_readings = np.sort(recording.readings, axis=None)
     if not np.any(sorted_readings[1:] == sorted_readings[:-1]):
@@ -86,7 +86,7 @@ def _equals_earlier_row(array_rows: np.ndarray) -> Bools:
     return is_later
 
 
-# --- what the readings in use do not place ------------------------------------------------------------------------
+# --- undetermined targets and poses -------------------------------------------------------------------------------
 
 
 def drop_undetermined_targets(problem: NetworkProblem, state: NetworkState) -> NetworkProblem:
@@ -142,7 +142,7 @@ def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bool
     normal[problem.undetermined_unknowns.is_height_free_target, 2, 2] += np.trace(
         normal[problem.undetermined_unknowns.is_height_free_target], axis1=1, axis2=2
     )
-    # In each axis' own unit: a coordinate that is known to a micrometre leaves one that is read to a metre known.
+    # Scaled to unit diagonal: a coordinate determined to 1 um does not hide another that is determined to 1 m.
     scaled, _ = scale_to_unit_diagonal(normal, np.diagonal(normal, axis1=1, axis2=2))
     return is_doubtful & (np.linalg.eigvalsh(scaled)[:, 0] <= POINT_RANK_TOLERANCE)
 
@@ -164,33 +164,34 @@ def pose_defect_sentence(problem: NetworkProblem, state: NetworkState) -> str:
         return ""
     levelled = deficient_names[0] in problem.level_rows.station_indices
     phrase = "two targets that are not above one another" if levelled else "three targets that are not on one line"
-    return f"station {recording.stations[deficient_names[0]]} sees fewer than {phrase}, which a pose needs"
+    name = recording.stations[deficient_names[0]]
+    return f"station {name} sees fewer than {phrase}: its pose is undetermined; measure more targets from it"
 
 
-# --- before the adjustment ----------------------------------------------------------------------------------------
+# --- gross errors before the adjustment ---------------------------------------------------------------------------
 
 
 class ScreenedNetwork(NamedTuple):
-    """Start values of a network, and its pointings with gross errors and unconnected targets."""
+    """Start values of a network, and flags of pointings with gross errors and of unconnected targets."""
 
     recording: Recording
     """Recording without the readings to unconnected targets."""
     start_poses_and_points: tuple[Floats, Floats, Floats]
     """Positions (S, 3) [m] and rotations (S, 3, 3) of S stations, and positions (T, 3) [m] of T targets."""
     is_gross_pointing: Bools
-    """Flags (n,) of the pointings with errors beyond any tracker error."""
+    """Flags (n,) of the pointings with gross errors, larger than any error of a tracker."""
     is_unconnected_target: Bools
     """Flags (T,) of the targets that are not connected to the network."""
 
 
 @raise_for_singular_network
 def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
-    """Start values of a network, and its pointings with gross errors; raises NetworkError.
+    """Start values of a network, and its pointings with gross errors; raises NetworkError for unconnected stations.
 
     Gross pointings have far larger misclosures than other pointings, for example because of an exchanged reflector or a
     wrong unit in one row. A long chain of stations that are joined one by one has large misclosures too. If any
-    pointing seems gross, the network is therefore adjusted with reduced weights of such pointings until the set is
-    stable.
+    misclosure is large, the network is therefore adjusted with reduced weights of such pointings until the set of gross
+    pointings is stable.
     """
     reached, lost = initial_network(recording)
     recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
@@ -209,7 +210,7 @@ def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
 
 
 def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats:
-    """Misclosures (n,) of n pointings as displacements, divided by the limit above which a pointing is gross."""
+    """Misclosures (n,) of n pointings as displacements of the point, divided by the limit for a gross error."""
     readings, predicted = model.recording.readings, model.predict(state)
     gap = readings - predicted
     gap[:, 1:] = wrap_angle(gap[:, 1:])
@@ -239,7 +240,7 @@ def _relaxed_step(
     return problem.retract(state, step), float(np.sum((system.design @ step) ** 2))
 
 
-# --- within the adjustment ----------------------------------------------------------------------------------------
+# --- outliers in the adjustment -----------------------------------------------------------------------------------
 
 
 def snoop_readings(
@@ -247,8 +248,8 @@ def snoop_readings(
 ) -> tuple[NetworkProblem, Solution[NetworkState]]:
     """Problem without outliers, and its solution; `state` is an approximate solution.
 
-    Reweighted least squares gives a network that many outliers do not distort. Readings that contradict this network
-    are rejected. Data snooping follows, in which rejected readings are tested again against the network without them.
+    Reweighted least squares gives a network that many outliers do not distort. Readings that contradict it are
+    rejected. Data snooping follows: in up to `max_passes` solutions all used and rejected readings are tested again.
     """
     limit = critical_w(int(problem.is_used_reading.sum()))
     state, _ = iterate_reweighted(
@@ -266,14 +267,14 @@ def snoop_readings(
         )
         solution = solve(reduced_problem, state, max_iterations=MAX_INTERMEDIATE_STEPS)
         tried_sets.add(rejected.tobytes())
-        if solution.factor is None:  # Too much at once: what is left does not hold the network.
+        if solution.factor is None:  # too many readings are rejected: the others do not determine the network
             if not rejected.any():
                 return reduced_problem, solution
             whole = rejected | (
                 _is_mostly_rejected_setup(rejected, problem)[problem.model.recording.station][:, None]
                 & problem.is_used_reading
             )
-            if not np.array_equal(whole, rejected):  # a set-up of which little is left holds its pose by nothing
+            if not np.array_equal(whole, rejected):  # few readings of a set-up do not determine its pose
                 rejected = whole
                 continue
             size = np.where(rejected, absolute_whitened_residuals(problem, state), -1.0)
@@ -286,7 +287,7 @@ def snoop_readings(
             return reduced_problem, solution if solution.has_converged else solve(reduced_problem, state)
         if (
             new.tobytes() in tried_sets or len(tried_sets) >= max_passes
-        ):  # On the edge: what is out in either stays out.
+        ):  # no convergence: readings that were rejected in either pass remain rejected
             last = drop_undetermined_targets(
                 replace(problem, is_used_reading=problem.is_used_reading & ~(new | rejected)), state
             )
@@ -296,11 +297,11 @@ def snoop_readings(
         held = np.bincount(target, (problem.is_used_reading & ~rejected).any(axis=1), len(placed)) > 0
         state = replace(
             state, target_points=np.where(held[:, None], state.target_points, placed)
-        )  # misses are told from there
+        )  # target without used readings: at its robust position
 
 
 def _is_newly_rejected(problem: NetworkProblem, state: NetworkState, limit: float) -> Bools:
-    """Flags (n, 3) of readings in use whose normalised residual exceeds `limit` times the noise factor.
+    """Flags (n, 3) of the readings in use whose normalised residual exceeds `limit` times the noise factor.
 
     Raises SingularSystemError if unknowns are undetermined.
     """
@@ -312,13 +313,13 @@ def _is_newly_rejected(problem: NetworkProblem, state: NetworkState, limit: floa
 
 
 def _is_mostly_rejected_setup(is_rejected: Bools, problem: NetworkProblem) -> Bools:
-    """Flags (S,) of the set-ups with more than half of their readings (n, 3) rejected."""
+    """Flags (S,) of the set-ups of which more than half of the readings in use are rejected, `is_rejected` (n, 3)."""
     recording = problem.model.recording
     out, used = (
         np.bincount(recording.station, rows.sum(axis=1), len(recording.stations))
         for rows in (is_rejected, problem.is_used_reading)
     )
-    return np.asarray(out > MIN_FAULTY_FRACTION_OF_PLACE * used)
+    return np.asarray(out > MIN_FAULTY_FRACTION_OF_GROUP * used)
 
 
 def absolute_whitened_residuals(problem: NetworkProblem, state: NetworkState) -> Floats:
@@ -327,7 +328,7 @@ def absolute_whitened_residuals(problem: NetworkProblem, state: NetworkState) ->
 
 
 def _absolute_whitened_residuals(problem: NetworkProblem, readings: Floats) -> Floats:
-    """Absolute residuals (n, 3) of given predicted readings (n, 3), in standard deviations."""
+    """Absolute residuals (n, 3), in standard deviations, from the predicted readings (n, 3); 0 if not measured."""
     return np.nan_to_num(np.abs(problem.reading_residuals(readings) / problem.sigma))
 
 
@@ -336,8 +337,8 @@ def prediction_sigmas(
 ) -> Floats:
     """Standard deviations (k,) of k rejected readings minus their predictions, divided by the declared ones.
 
-    `is_omitted` (n, 3) flags the rejected readings. `prediction` is that at the state of the solution; it is computed
-    by default.
+    `is_omitted` (n, 3) flags the rejected readings. `prediction` contains the predicted readings at the solution and
+    their derivatives; it is computed by default.
     """
     assert solution.factor is not None
     system = problem.linear_system(solution.x, prediction or problem.model.linearise(solution.x))
@@ -386,10 +387,10 @@ def _test_rejected_again(
         unpredicted = np.argwhere(out)[spread > MAX_PREDICTION_SIGMA, 0]
         is_open = _is_mostly_rejected_setup(out, problem)[
             stations[unpredicted]
-        ]  # what is left of such a set-up holds no pose
+        ]  # the used readings of such a set-up do not determine its pose
         alone[targets[unpredicted[~is_open]]] = True
         lost[stations[unpredicted[is_open]]] = True
-        # A target that is left out by now cannot speak for its readings, nor can one that is as good as that.
+        # Readings to a target remain rejected if the used readings do not determine it, or hardly determine it.
         new |= (
             still
             | (is_rejected & reduced_problem.undetermined_unknowns.is_unmeasured_target[targets][:, None])

@@ -24,7 +24,7 @@ from ltsim.geometry.rigid import VERTICAL, align_robustly, rotation_about_z, sma
 from ltsim.recordings.recording import Recording
 
 INITIALISATION_METHODS = ("frame", "cloud", "ranges", "places", "bearings")
-"""Methods for first coordinates: known points, points of a station, ranges alone, approximate positions, directions."""
+"""Methods for first coordinates: known points, points of one station, ranges alone, declared positions, directions."""
 
 
 def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats], Bools]:
@@ -48,11 +48,11 @@ def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
         grown[-1].run(beginning)
         if grown[-1].is_complete:
             break
-    return max(grown, key=lambda growth: growth.n_with_coordinates).result(grown[-1].undetermined_lines_text)
+    return max(grown, key=lambda growth: growth.n_located_points).result(grown[-1].undetermined_lines_text)
 
 
 class NetworkInitialiser:
-    """Computation of approximate coordinates, by joining stations one by one, at first in a local frame.
+    """Computation of approximate coordinates: stations are joined one by one, at first in a local frame.
 
     Parameters
     ----------
@@ -99,14 +99,14 @@ class NetworkInitialiser:
         return bool(self._is_joined.all() and self._has_coordinates.all())
 
     @property
-    def n_with_coordinates(self) -> int:
+    def n_located_points(self) -> int:
         """Number of stations and targets with coordinates."""
         return int(self._is_joined.sum() + self._has_coordinates.sum())
 
-    # --- what is known ---------------------------------------------------------------------------------------------
+    # --- present coordinates ---------------------------------------------------------------------------------------
 
     def _target_points(self) -> Floats:
-        """Present approximate targets (T, 3): median of their positions from the stations, or located positions."""
+        """Present target positions (T, 3) [m]: median of the positions from joined stations, or located positions."""
         places = self._located_targets.copy()
         complete_rows = np.flatnonzero(self._is_covered)
         places[complete_rows] = self._pairs.medians_by_target(self._pair_points, complete_rows)
@@ -129,7 +129,7 @@ class NetworkInitialiser:
     def _join_station(self, station: int, position: Floats, rotation: Floats) -> None:
         self._positions[station], self._rotations[station] = position, rotation
         self._is_joined[station] = True
-        pairs = self._pairs.slice_of_station(station)
+        pairs = self._pairs.pair_slice_of_station(station)
         self._pair_points[pairs] = self._pairs.local_points[pairs] @ rotation.T + position - self._pair_offsets[pairs]
         self._is_covered[self._pairs.target_indices[pairs]] = True
         mark = self._frame.marks.target_indices[station]
@@ -137,7 +137,7 @@ class NetworkInitialiser:
             self._located_targets[mark] = position - self._frame.marks.instrument_offsets[station]
 
     def _join_by_cloud(self) -> bool:
-        """True if a station was joined: that with most known targets, at least three, or two for a levelled station."""
+        """True if a station was joined, that with most known targets: at least three, or two if it is levelled."""
         have = self._has_coordinates
         shared = np.where(self._is_joined, -1, self._shared_target_counts())
         for station in np.argsort(-shared, kind="stable").tolist():
@@ -146,7 +146,7 @@ class NetworkInitialiser:
                 return False
             if shared[station] < 3 and not level:
                 continue
-            pairs = np.arange(len(self._pairs))[self._pairs.slice_of_station(station)]
+            pairs = np.arange(len(self._pairs))[self._pairs.pair_slice_of_station(station)]
             pairs = pairs[have[self._pairs.target_indices[pairs]]]
             goal = self._target_coordinates(self._pairs.target_indices[pairs]) + self._pair_offsets[pairs]
             fit = align_robustly if shared[station] >= 3 else upright_alignment
@@ -159,7 +159,7 @@ class NetworkInitialiser:
         return False
 
     def _join_by_yaw(self) -> bool:
-        """True if a station was joined that is over a known mark and has a known yaw; requires the declared frame."""
+        """True if a station with a known yaw over a known mark was joined, which requires the declared frame."""
         oriented_indices = np.flatnonzero(self._frame.has_declared_yaw & ~self._is_joined).tolist()
         for station in oriented_indices if self._is_in_frame else ():
             stand = self._position_from_mark(station)
@@ -174,7 +174,7 @@ class NetworkInitialiser:
         return np.where(np.isnan(placed), self._located_targets[targets], placed)
 
     def _locate_targets_and_marks(self) -> bool:
-        """Location of targets and marks by incomplete readings of joined stations; True if a target got coordinates."""
+        """True if a target or mark got coordinates from incomplete readings of joined stations."""
         recording, has_new = self._recording, False
         usable = self._is_joined[recording.station] & ~self._has_coordinates[recording.target]
         for target, rows in group_rows(recording.target, np.flatnonzero(usable)):
@@ -185,7 +185,7 @@ class NetworkInitialiser:
         return has_new
 
     def _is_worth_trying(self, key: int, n_neighbours: int) -> bool:
-        """True unless a fit failed with as many neighbours; `key` is a station, or -1 minus the index of a target."""
+        """True unless a fit failed with as many neighbours; `key` is a station index, or -1 minus a target index."""
         tried, self._failed_attempts[key] = self._failed_attempts.get(key), n_neighbours
         return tried != n_neighbours
 
@@ -196,7 +196,7 @@ class NetworkInitialiser:
         front = sight.readings
         no_heights = np.isnan(front[:, 2]) & (np.isnan(front[:, 0]) | sight.is_horizontal)
         if self._is_levelled and self._frame.is_levelled[station].all() and no_heights.all():
-            front = np.where([False, False, True], 0.0, front)  # where directions and horizontal distances meet in plan
+            front = np.where([False, False, True], 0.0, front)  # directions and horizontal distances intersect in plan
         beams = np.isfinite(front[:, 1:]).all(axis=1)
         if beams.sum() >= 2:
             rays = from_polar(np.column_stack([np.ones(beams.sum()), front[beams, 1:]]))
@@ -218,7 +218,7 @@ class NetworkInitialiser:
             level = self._is_levelled and bool(self._frame.is_levelled[station])
             sight = self._readings.select_rows(rows)
             pose = fit_pose(sight, places[recording.target[rows]], is_levelled=level, position=stand)
-            if pose is None and level and stand is not None:  # a wrong range or elevation leaves the heading
+            if pose is None and level and stand is not None:  # the azimuths alone determine the heading
                 pose = fit_pose(sight.azimuths_only, places[recording.target[rows]], is_levelled=True, position=stand)
             if pose is not None:
                 self._join_station(station, *pose)
@@ -226,7 +226,7 @@ class NetworkInitialiser:
         return False
 
     def _resect_in_plan(self) -> bool:
-        """True if a levelled station was joined by intersection in plan of beams to and from other stations."""
+        """True if a levelled station was joined by directions in plan to and from other stations."""
         recording, over = self._recording, self._frame.marks.target_indices
         places, ahead, turn = self._target_points(), self._rotations[:, :, 0], self._front_readings[:, 1]
         usable = self._is_joined[recording.station] & ~self._has_coordinates[recording.target]
@@ -258,7 +258,7 @@ class NetworkInitialiser:
         self._positions, self._pair_points, self._located_targets = moved_points
 
     def _to_declared_frame(self) -> bool:
-        """True if the network was transformed to the declared frame, for which it needs enough declared points."""
+        """True if the network was transformed to the declared frame, which requires enough declared points."""
         if self._is_in_frame or not self._frame.has_approximate_positions:
             return False
         turn = self._frame.levelling_rotation(self._rotations, self._is_joined)
@@ -273,7 +273,7 @@ class NetworkInitialiser:
         return True
 
     def _to_final_frame(self) -> None:
-        """Transformation of the network to its frame: the declared one, the floor plan, or the first station's."""
+        """Transformation of the network to the declared frame, the floor plan, or the frame of the first station."""
         self._level_stations()
         if self._is_in_frame or not self._is_joined.any() or self._to_declared_frame():
             return
@@ -294,7 +294,7 @@ class NetworkInitialiser:
             self._transform(*motion)
 
     def _level_stations(self) -> None:
-        """Rotations of stations without angles: upright, along the axes of the other stations or of the floor plan."""
+        """Assignment of upright rotations to stations without angles, with axes as other stations or the floor plan."""
         is_measured = np.isfinite(self._front_readings[:, 1:]).any(axis=1)
         reads_angles = np.bincount(self._recording.station, is_measured, len(self._is_joined)) > 0
         if reads_angles.any():
@@ -308,16 +308,16 @@ class NetworkInitialiser:
             for station in np.flatnonzero(~reads_angles & self._is_joined):
                 self._rotations[station] = turn @ rotation_about_z(float(np.nan_to_num(self._frame.plan_yaws[station])))
 
-    # --- beginnings ------------------------------------------------------------------------------------------------
+    # --- initialisation methods ------------------------------------------------------------------------------------
 
     def _begin_with_frame(self) -> None:
-        """Start with the known points."""
+        """Start with the declared coordinates of targets and marks."""
         self._located_targets = self._frame.declared_points.copy()
         self._positions = self._frame.declared_station_positions.copy()
         self._is_in_frame = self._is_levelled = self._frame.has_approximate_positions
 
     def _begin_with_cloud(self) -> None:
-        """Start with a station that measured targets completely."""
+        """Start with one station and the targets that it measured completely."""
         counts = np.diff(self._pairs.first_pair_of_station)
         if not counts.any():
             return
@@ -329,7 +329,7 @@ class NetworkInitialiser:
         self._join_station(first_station, np.zeros(3), rotation)
 
     def _begin_with_ranges(self) -> None:
-        """Start with all stations that measured ranges to the same targets."""
+        """Start with a network of ranges between stations and common targets."""
         ranges = np.full((len(self._is_joined), len(self._located_targets)), np.nan)
         ranges[self._recording.station, self._recording.target] = self._front_readings[:, 0]
         stations = np.flatnonzero(np.isfinite(ranges).sum(axis=1) >= 3)
@@ -340,7 +340,7 @@ class NetworkInitialiser:
             self._located_targets[targets], self._is_from_plan = placed
 
     def _begin_with_places(self) -> None:
-        """Start with all declared positions, known or approximate, and rotations averaged from azimuths."""
+        """Start with all declared positions, known or approximate, and mean rotations from azimuths."""
         self._begin_with_frame()
         self._located_targets, marks = self._frame.approximate_points.copy(), self._frame.marks
         on_marks = self._located_targets[marks.target_indices] + marks.instrument_offsets
@@ -353,7 +353,7 @@ class NetworkInitialiser:
             self._join_station(station, declared[station], rotation_about_z(float(np.angle(np.nansum(turns)))))
 
     def _begin_with_bearings(self) -> None:
-        """Start with the plan from directions of upright stations and from horizontal lengths."""
+        """Start with a plan from horizontal directions of upright stations and horizontal lengths."""
         recording, frame, marks = self._recording, self._frame, self._frame.marks
         bearing_rows = np.flatnonzero(frame.is_levelled[recording.station] & np.isfinite(self._front_readings[:, 1]))
         if not len(bearing_rows) or np.isfinite(self._front_readings[:, 2]).any():
@@ -382,16 +382,16 @@ class NetworkInitialiser:
 
     @property
     def undetermined_lines_text(self) -> str:
-        """Text of the lines of the plan without a determined length."""
+        """Text on the lines whose horizontal length no reading determines; empty if there are none."""
         ends = [*self._recording.targets, *self._recording.stations]
         lines = listing([f"{ends[a]}-{ends[b]}" for a, b in self._open_lines])
         return f"; no reading determines the horizontal length of the lines {lines}" if lines else ""
 
     def result(self, undetermined_lines_text: str = "") -> tuple[tuple[Floats, Floats, Floats], Bools]:
-        """Result of `initial_network`: positions, rotations and targets, flags of unconnected targets."""
+        """Result of `initial_network`: (positions, rotations, targets), and flags of unconnected targets."""
         points = self._target_points()
         nearest = int(np.argmax(np.where(self._is_joined, -1, self._shared_target_counts())))
-        targets = self._pairs.target_indices[self._pairs.slice_of_station(nearest)]
+        targets = self._pairs.target_indices[self._pairs.pair_slice_of_station(nearest)]
         shared = points[targets[self._has_coordinates[targets]]]
         require_connected_stations(self._recording, self._is_joined, shared, undetermined_lines_text)
         require_located_target(self._recording, self._has_coordinates)

@@ -1,4 +1,4 @@
-"""Errors for networks without approximate coordinates of every station."""
+"""Errors for networks in which a station or all targets have no approximate coordinates."""
 
 import numpy as np
 
@@ -10,37 +10,42 @@ from ltsim.recordings.recording import Recording
 
 
 def require_connected_stations(recording: Recording, is_joined: Bools, points: Floats, undetermined_lines: str) -> None:
-    """Check that all stations have coordinates; raises NetworkError with the names of those without.
+    """Check that all stations have approximate coordinates; raises NetworkError with the names of the others.
 
     Parameters
     ----------
     recording : Recording
     is_joined : array of bool (S,)
-        Stations with coordinates.
+        Flags of the stations with coordinates.
     points : array (k, 3)
-        Positions [m] of the targets that the best connected station without coordinates shares with the network.
+        Positions [m] of the targets that one of the other stations, the best connected one, shares with the network.
     undetermined_lines : str
-        Text on the lines of the plan whose length no reading determines; it ends the message.
+        Text on lines whose length no reading determines, for the end of the message; may be empty.
     """
     if is_joined.all():
         return
     lost = listing([recording.stations[s] for s in np.flatnonzero(~is_joined)])
     n_targets = len(points)
     if n_targets >= 3 and are_collinear(points):
-        what = f"the {n_targets} targets that it shares with the network lie on one line; three that do not"
+        what = f"the {n_targets} targets that it shares with the network lie on one line"
+        need = "three common targets that are not on one line"
     else:
-        what = f"shares only {n_targets} target{'s' * (n_targets != 1)} with the network; at least three"
+        what = f"shares only {n_targets} target{'s' * (n_targets != 1)} with the network"
+        need = "at least three common targets"
     raise NetworkError(
-        f"station {lost}: {what} are needed (two between levelled stations, more where ranges or angles are missing), "
-        'or approximate coordinates of all stations and targets; for a station over a target, set over = "TARGET"'
-        f"{undetermined_lines}"
+        f"station {lost}: {what}; its pose needs {need} (two between levelled stations, more if ranges or angles are "
+        "missing), or approximate coordinates of all stations and targets; for a station over a target, set over = "
+        f'"TARGET"{undetermined_lines}'
     )
 
 
 def require_located_target(recording: Recording, has_coordinates: Bools) -> None:
-    """Check that at least one target has coordinates (T,); raises NetworkError."""
+    """Check that at least one target has approximate coordinates, flagged by `has_coordinates` (T,).
+
+    Raises NetworkError if no target has.
+    """
     if not has_coordinates.any():
         raise NetworkError(
             f"target {', '.join(recording.targets[:10])}: no station measured range and both angles, and "
-            "the lines of sight from different stations do not meet in one point"
+            "the lines of sight from different stations do not meet in one point; measure range and both angles"
         )

@@ -1,7 +1,7 @@
 """Motions of stations during their measurement, as effects that an adjustment estimates, and sentences on them.
 
-A tripod that sinks, or that somebody touched, distorts all readings from it. `identification` decides which station
-moved.
+A tripod that sinks or was touched distorts all readings from it. The package `identification` identifies the stations
+that moved.
 """
 
 from collections.abc import Iterator
@@ -22,21 +22,27 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class UniformMotion(StationMotion):
-    """Motion of a station at a constant rate during its occupation; the parameters are the final displacement.
+    """Motion of a station at a constant rate during its occupation.
 
-    It is not in the catalogue of effects, because many causes produce it. Consecutive pointings to one target get the
-    same time: a change between them may be a motion of the target, and only later repeats show a motion of the station.
+    The parameters are the translation and rotation at the end of the occupation. The effect is not in the catalogue,
+    because many causes produce such a motion. Consecutive pointings to one target get the same time: a change between
+    them may be a motion of the target, and only later repeats show a motion of the station.
     """
 
     name = "station-motion"
+    """Name of the effect."""
     stage = LightPathStage.STATION
+    """Part of the light path on which the effect acts."""
     covariates = ("time",)
+    """Covariates on which the effect depends."""
     scope = "station"
+    """Kind of object that moves."""
     parameters = StationBump.parameters
+    """Components of the final translation and rotation, as of a sudden motion."""
 
     def motion(self, sightings: Sightings) -> Floats:
-        """Derivatives (n, 6, 6) of the motion at each pointing by the six components of the final displacement."""
-        share = with_equal_times_per_run(sightings).elapsed_visit_fraction
+        """Derivatives (n, 6, 6) of the motion at each of n pointings by the six components of the final motion."""
+        share = with_mean_times_of_consecutive_pointings(sightings).elapsed_visit_fraction
         return (self.row_weights(sightings) * share)[:, None, None] * np.eye(6)
 
 
@@ -45,20 +51,21 @@ class SuddenMotion(StationBump):
     """Sudden motion of a station, of any cause, between two of its pointings."""
 
     name = UniformMotion.name
+    """Name of the effect, common to both kinds of motion."""
 
 
 FittedMotion = UniformMotion | SuddenMotion
-"""Motion of a station that an adjustment estimates: uniform, or sudden."""
+"""Motion of a station that an adjustment estimates: at a constant rate, or sudden."""
 
 
-def with_equal_times_per_run(sightings: Sightings) -> Sightings:
-    """Sightings in which consecutive pointings to one target have the mean of their times."""
+def with_mean_times_of_consecutive_pointings(sightings: Sightings) -> Sightings:
+    """Sightings in which consecutive pointings from a station to one target all have the mean of their times."""
     _, run = np.unique(np.stack([sightings.station, sightings.seating_numbers]), axis=1, return_inverse=True)
     return replace(sightings, time=(np.bincount(run, sightings.time) / np.bincount(run))[run])
 
 
 def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str]]:
-    """Motions of stations in an adjustment that no identified cause explains, and a sentence on each."""
+    """Station motions that an adjustment estimates, each with a sentence on its size."""
     first_column = 0
     for effect in adjustment.effects:
         columns = slice(first_column, first_column := first_column + len(effect.parameters))
@@ -81,6 +88,6 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str
 
 
 def _length_text(vector: Floats, covariance: Floats, unit: str) -> str:
-    """Text of the length of a vector (3,) with its standard deviation."""
+    """Length of a vector (3,) with its standard deviation and unit, as text."""
     vector_length = float(np.linalg.norm(vector))
     return with_sigma(vector_length, float(np.sqrt(vector @ covariance @ vector)) / max(vector_length, 1e-30), unit)

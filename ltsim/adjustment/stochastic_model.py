@@ -19,43 +19,46 @@ from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemErro
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, MAX_CONVERGENCE_RATIO, MAX_ITERATIONS, Solution, solve
 
 HUBER_LIMIT = 2.0
-"""Residual, in robust standard deviations, above which Huber's weights decrease; the efficiency for normal residuals is
-97 %."""
+"""Residual, in robust standard deviations, above which Huber's weights decrease. The statistical efficiency for normal
+residuals is 97 %."""
 CAUCHY_LIMIT = 2.385
-"""Residual, in robust standard deviations, at which Cauchy's weights are one half; the efficiency for normal residuals
-is 95 %."""
+"""Residual, in robust standard deviations, at which Cauchy's weights are one half. The statistical efficiency for
+normal residuals is 95 %."""
 MAX_FRACTION_BEYOND_NOISE = 0.02
-"""Fraction of residuals above `MIN_RESIDUAL_BEYOND_NOISE` declared standard deviations, above which Cauchy's weights
-are tried too: more than single errors explain.
+"""Largest fraction of residuals above `MIN_RESIDUAL_BEYOND_NOISE` declared standard deviations that single errors
+explain. If the fraction is larger, Cauchy's weights are tried too.
 """
 MAX_ROBUST_STEPS = 25
-"""Largest number of reweighted steps. It limits how far many large errors of one target distort the network: with 60
-steps, a target that is displaced at random at every set-up was identified as three motions, not as one."""
+"""Largest number of reweighted steps. It limits how far many large errors of one target distort the network. With 60
+steps, a target that was displaced at random at every set-up was identified as three motions instead of one."""
 NOISE_KEYS = {
     "distance": ("distance_mm", "distance_ppm"),
     "azimuth": ("azimuth_arcsec",),
     "elevation": ("elevation_arcsec",),
 }
-"""Keys of `[instrument.noise]` by observable."""
+"""Keys of the declared noise in `[instrument.noise]` of `setup.toml`, by observable."""
 ROBUST_TOLERANCE = 1e-2
 """Squared length of a step, in standard deviations, below which the reweighting ends."""
 
 
-def noise_setting_texts(recording: Recording, observable: str, factor: float) -> list[str]:
-    """Texts of the settings that declare the noise of an observable of the only instrument times a factor."""
+def noise_declaration_texts(recording: Recording, observable: str, factor: float) -> list[str]:
+    """Texts of the keys and values that declare the noise of an observable, multiplied by `factor`.
+
+    They are for `[instrument.noise]` of the first instrument, such as "distance_mm to 0.02".
+    """
     noise = recording.setup.instrument_named(recording.instruments[0]).noise
     return [f"{key} to {factor * getattr(noise, key):.2g}" for key in NOISE_KEYS[observable] if getattr(noise, key)]
 
 
 def n_observation_rows(problem: NetworkProblem) -> int:
-    """Number of rows that are observations (readings, then reference values); later rows are constraints and priors."""
+    """Number of equations that are observations: readings and reference values, without constraints and priors."""
     return problem.level_row_slice.stop + len(problem.yaw_rows)
 
 
 def fit_robust_state(problem: NetworkProblem, state: NetworkState) -> tuple[NetworkState, Floats]:
-    """State with robust weights of all observations, and the m whitened residuals (m,) at this state.
+    """State of a fit with robust weights of all observations, and whitened residuals (m,) of all m equations.
 
-    The method is that of `iterate_reweighted`.
+    The method is that of `iterate_reweighted`; `state` is the start state.
     """
     return iterate_reweighted(problem, state, n_observation_rows(problem), min_scale=1.0, max_steps=MAX_ROBUST_STEPS)
 
@@ -63,17 +66,19 @@ def fit_robust_state(problem: NetworkProblem, state: NetworkState) -> tuple[Netw
 def iterate_reweighted(
     problem: NetworkProblem, state: NetworkState, n_observations: int, *, min_scale: float, max_steps: int
 ) -> tuple[NetworkState, Floats]:
-    """State by iteratively reweighted least squares, and the m whitened residuals (m,) at this state.
+    """State by iteratively reweighted least squares, and whitened residuals (m,) of all m equations at this state.
 
-    Huber's weights permit a poor start. If many residuals are then large, Cauchy's weights are tried too: they retain a
-    good start although many readings of one place contradict it. The better result is returned.
+    Huber's weights permit a poor start state. If many residuals are large with these weights, Cauchy's weights are
+    tried too: they keep a good start state although many readings of one station or target contradict it. The result
+    with the smaller Cauchy objective is returned.
 
     Parameters
     ----------
     problem : NetworkProblem
     state : NetworkState
+        Start state.
     n_observations : int
-        Number of rows (the first ones) that are reweighted.
+        Number of equations that are reweighted, the first ones.
     min_scale : float
         Lower bound of the robust standard deviation of the whitened residuals.
     max_steps : int
@@ -84,19 +89,19 @@ def iterate_reweighted(
         int(problem.is_used_reading.sum()),
     )
     solutions = [search(huber_weights)]
-    if are_many_beyond_noise(solutions[0][1][:reading]):
+    if has_many_residuals_beyond_noise(solutions[0][1][:reading]):
         solutions.append(search(cauchy_weights))
     return solutions[best_solution_index([residual[:reading] for _, residual in solutions])]
 
 
-def are_many_beyond_noise(whitened_residuals: Floats) -> bool:
-    """True if so many whitened residuals (m,) exceed `MIN_RESIDUAL_BEYOND_NOISE` that Cauchy's weights are tried."""
+def has_many_residuals_beyond_noise(whitened_residuals: Floats) -> bool:
+    """True if the fraction of residuals above `MIN_RESIDUAL_BEYOND_NOISE` exceeds `MAX_FRACTION_BEYOND_NOISE`."""
     n_beyond = np.count_nonzero(np.abs(whitened_residuals) > MIN_RESIDUAL_BEYOND_NOISE)
     return bool(n_beyond > MAX_FRACTION_BEYOND_NOISE * len(whitened_residuals))
 
 
 def best_solution_index(residuals_of_solutions: Sequence[Floats]) -> int:
-    """Index of the solution with the smallest Cauchy objective at a common scale, from the residuals (m,) of each."""
+    """Index of the solution with the smallest Cauchy objective at a common scale, from whitened residuals of each."""
     scale = max(min(robust_sigma(whitened) for whitened in residuals_of_solutions), 1.0)
     return int(
         np.argmin([np.sum(np.log1p((whitened / (CAUCHY_LIMIT * scale)) ** 2)) for whitened in residuals_of_solutions])
@@ -104,12 +109,12 @@ def best_solution_index(residuals_of_solutions: Sequence[Floats]) -> int:
 
 
 def huber_weights(normalised_residuals: Floats) -> Floats:
-    """Huber's weights (1964) of `normalised_residuals`, residuals divided by their robust standard deviation."""
+    """Huber's weights (1964) of absolute residuals divided by their robust standard deviation."""
     return 1.0 / np.maximum(normalised_residuals / HUBER_LIMIT, 1.0)
 
 
 def cauchy_weights(normalised_residuals: Floats) -> Floats:
-    """Cauchy's weights (Holland and Welsch 1977) of `normalised_residuals`, residuals divided by their robust sigma."""
+    """Cauchy's weights (Holland and Welsch 1977) of residuals divided by their robust standard deviation."""
     return 1.0 / (1.0 + (normalised_residuals / CAUCHY_LIMIT) ** 2)
 
 
@@ -121,10 +126,11 @@ def _iterate_weights(
     max_steps: int,
     weight_function: Callable[[Floats], Floats],
 ) -> tuple[NetworkState, Floats]:
-    """State by reweighted least squares with one weight function, and the m whitened residuals (m,) at this state.
+    """State by reweighted least squares with one weight function, and whitened residuals (m,) of all m equations.
 
-    The scale of the residuals never increases: otherwise a large error would gain weight by distorting the network
-    (Huber 1981, Robust statistics, section 7.8: with a fixed scale each step lowers the objective).
+    The robust scale of the residuals never increases. Otherwise a large error that distorts the network would increase
+    the scale and thus its weight (Huber 1981, Robust statistics, section 7.8: with a fixed scale each step decreases
+    the objective).
     """
     reading, scale = int(problem.is_used_reading.sum()), np.inf
     for _ in range(max_steps):
@@ -138,7 +144,7 @@ def _iterate_weights(
         except SingularSystemError:
             break
         state, length = problem.retract(state, step), float(np.sum((design @ step) ** 2))
-        del system, design  # before the next ones take as much memory
+        del system, design  # free the memory before the next step
         if length < ROBUST_TOLERANCE:
             break
     return state, problem.whitened_residuals(state)
@@ -147,11 +153,11 @@ def _iterate_weights(
 NoiseGrouping = Literal["observable", "instrument"]
 """Groups of readings with separate noise: by observable, or by observable and instrument."""
 VARIANCE_FACTOR_TOLERANCE = 2e-3
-"""Relative change of the noise factors below which their estimation ends: a tenth of the standard deviation of a factor
-from 1,250 readings.
+"""Relative change of the noise factors below which their iteration ends: a tenth of the standard deviation of a factor
+that is estimated from 1,250 readings.
 """
 MIN_GROUP_REDUNDANCY = 3.0
-"""Redundancy below which a group keeps its declared noise."""
+"""Redundancy above which the noise of a group is estimated; other groups keep their declared noise."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +169,7 @@ class VarianceComponent:
     instrument: str
     """Name of the instrument; '' if all instruments are one group."""
     factor: float
-    """Factor on the declared standard deviations."""
+    """Estimated factor on the declared standard deviations."""
     factor_sigma: float
     """Standard deviation of `factor`; infinite if it could not be estimated."""
     redundancy: float
@@ -177,16 +183,16 @@ def estimate_variance_components(
     reject_outliers: Callable[[NetworkProblem, NetworkState], tuple[NetworkProblem, Solution[NetworkState]]],
     reading_mask: Bools | None = None,
 ) -> tuple[NetworkProblem, Solution[NetworkState], tuple[VarianceComponent, ...]]:
-    """Problem with standard deviations scaled by group to agree with the residuals, and its solution.
+    """Problem with standard deviations scaled by group to agree with the residuals, its solution, and the estimates.
 
-    `reject_outliers` solves a problem and may reject readings; it gets all readings of `reading_mask` (n, 3) again with
-    the new noise, until the rejected ones do not change.
+    `reject_outliers` is a function that solves a problem and may reject readings. It is called with all readings of
+    `reading_mask` (n, 3) and the new noise, until the set of rejected readings does not change.
 
     References
     ----------
-    Foerstner, Ein Verfahren zur Schaetzung von Varianz- und Kovarianzkomponenten, AVN 86 (1979) 446: the variance of
-    a group is its weighted sum of squares over its redundancy, iterated to one. Where it converges it is the
-    maximum likelihood of the residuals (Helmert's estimate).
+    Foerstner, Ein Verfahren zur Schaetzung von Varianz- und Kovarianzkomponenten, AVN 86 (1979) 446: the variance
+    factor of a group is its weighted sum of squares divided by its redundancy, iterated until it is one. The limit is
+    the restricted maximum likelihood estimate (Helmert's estimate).
     """
     recording, several = problem.model.recording, grouping == "instrument"
     group = np.arange(3) + 3 * several * recording.instrument[:, None]
@@ -222,17 +228,21 @@ def estimate_variance_components(
 
 
 def _secant_step(change: Floats, last_change: Floats, last_step: Floats) -> Floats:
-    """Step (g,) of g fixed-point iterations to their limits, by the secant through the present and the last change.
+    """Steps (g,) of g fixed-point iterations towards their limits, by the secant method.
 
-    `change` (g,) is the change of each value by the fixed-point function, `last_change` (g,) the one before it, and
-    `last_step` (g,) the step between the two; a step of 0 means that there is none, and the change is the step.
+    `change` (g,) is the change of each value by the fixed-point function at the present values, `last_change` (g,) the
+    change at the previous values, and `last_step` (g,) the step from previous to present values. If `last_step` is 0,
+    the step is `change`.
     """
     slope = np.divide(change - last_change, last_step, out=np.full_like(change, -1.0), where=last_step != 0.0)
     return change / (1.0 - np.clip(1.0 + slope, 0.0, MAX_CONVERGENCE_RATIO))
 
 
 def _scale_sigmas(problem: NetworkProblem, factor: Floats, group_indices: Ints, reading_mask: Bools) -> NetworkProblem:
-    """Problem whose standard deviations are multiplied by the factor of each group; the last group are the levels."""
+    """Problem with the readings of `reading_mask` (n, 3), and with standard deviations multiplied by group factors.
+
+    `group_indices` (n, 3) is the group of each reading. The last factor is that of the levels.
+    """
     levels = replace(problem.level_rows, sigma=problem.level_rows.sigma * factor[-1])
     return replace(
         problem, sigma=problem.sigma * factor[group_indices], level_rows=levels, is_used_reading=reading_mask
@@ -242,7 +252,7 @@ def _scale_sigmas(problem: NetworkProblem, factor: Floats, group_indices: Ints, 
 def _sums_by_group(
     problem: NetworkProblem, solution: Solution[NetworkState], group_indices: Ints, n_groups: int
 ) -> tuple[Floats, Floats]:
-    """Weighted sums of squared residuals (g,) and redundancies (g,) of g groups; the last group are the levels."""
+    """Weighted sums of squared residuals (g,) and redundancies (g,) of g groups; the levels are the last group."""
     assert solution.factor is not None
     share = 1.0 - solution.factor.leverage()
     residual = problem.whitened_residuals(solution.x)

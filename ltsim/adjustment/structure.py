@@ -1,4 +1,4 @@
-"""Structure of a network: columns of the unknowns, undetermined unknowns, errors for singular networks."""
+"""Structure of a network: columns of the unknowns in the design matrix, undetermined unknowns, singular networks."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class UnknownColumns:
     """Columns of the unknowns in the design matrix.
 
     The order is: poses, targets that are not eliminated, instrument parameters, parameters of additional effects,
-    eliminated targets. Set-ups over one mark share the columns of their position, also with the target at that mark.
+    eliminated targets. Set-ups over the same mark share the columns of their position, also with a target at this mark.
     """
 
     pose_columns: Ints
     """Columns of translation and rotation of each of S stations, (S, 6)."""
     target_columns: Ints
-    """Columns of each of T targets, (T, 3). Targets of reference lengths and differences, and targets under a set-up,
-    remain in the reduced normal equations; all other targets are eliminated one by one.
+    """Columns of the coordinates of each of T targets, (T, 3). All targets are eliminated from the normal equations one
+    by one, except targets of reference lengths and differences, and targets under a set-up.
     """
     instrument_columns: Ints
     """Columns of the p parameters of each of I instruments, (I, p)."""
@@ -39,13 +39,13 @@ class UnknownColumns:
     n_reduced: int
     """Number K of columns of the unknowns that are not eliminated."""
     n_columns: int
-    """Number of all columns."""
+    """Number of columns of all unknowns."""
 
     @property
-    def place_columns(self) -> Ints:
-        """Columns of the positions of targets, set-ups and the origin, (T + S + 1, 3).
+    def position_columns(self) -> Ints:
+        """Columns of the positions of T targets, S set-ups and the origin, (T + S + 1, 3).
 
-        The origin is fixed, so that its columns have no meaning.
+        The origin is fixed, and its columns have no meaning.
         """
         return np.concatenate([self.target_columns, self.pose_columns[:, :3], self.pose_columns[:1, :3]])
 
@@ -53,7 +53,7 @@ class UnknownColumns:
     def from_model(
         cls, model: MeasurementModel, gauge: GaugeRows, marks: StationMarks, differences: DifferenceRows
     ) -> UnknownColumns:
-        """Columns of the unknowns of a model."""
+        """Columns of the unknowns of a measurement model with its reference lengths, marks and known differences."""
         recording, over = model.recording, marks.target_indices >= 0
         stations, targets = len(recording.stations), len(recording.targets)
         size = 0
@@ -85,8 +85,8 @@ class UnknownColumns:
 
 
 MIN_COS_PLUMB_INCLINATION = 1.0 - 1e-8
-"""Cosine of the angle between a plumb line and the z axis of the network, above which the line counts as vertical (0.14
-mrad, 900 m on the earth).
+"""Cosine of the angle between a plumb line and the z axis of the network, above which the plumb line counts as parallel
+to the z axis (0.14 mrad, 900 m on the earth).
 """
 
 
@@ -95,34 +95,34 @@ class NetworkRows:
     """Observations of a network (readings in use, reference values) and the columns of its unknowns."""
 
     model: MeasurementModel
-    """Forward model of the readings."""
+    """Measurement model that predicts the readings."""
     is_used_reading: Bools
     """Flags of the readings in use, (n, 3)."""
     gauge_rows: GaugeRows
-    """Rows of the reference lengths."""
+    """Equations of the reference lengths."""
     control_rows: ControlRows
-    """Rows of the targets with known coordinates."""
+    """Equations of the targets with known coordinates."""
     level_rows: LevelRows
-    """Rows of the levelled stations."""
+    """Equations of the levelled stations."""
     yaw_rows: YawRows
-    """Rows of the stations with known azimuth zero."""
+    """Equations of the stations with known yaw (direction of azimuth zero)."""
     marks: StationMarks
     """Marks under the set-ups."""
     control_rows_of_marks: ControlRows
-    """Rows of the known marks under stations."""
+    """Equations of the known marks under stations."""
     difference_rows: DifferenceRows
-    """Rows of the known differences."""
+    """Equations of the known differences."""
     unknowns: UnknownColumns
-    """Columns of the unknowns."""
+    """Columns of the unknowns in the design matrix."""
 
     @cached_property
     def undetermined_unknowns(self) -> UndeterminedUnknowns:
-        """Unknowns that the observations leave undetermined, whatever the geometry."""
+        """Unknowns that the kinds of observations leave undetermined, for any geometry of the network."""
         return UndeterminedUnknowns.from_rows(self)
 
     @property
     def has_no_references(self) -> bool:
-        """True if the network contains no reference length, point, difference, level or known azimuth zero."""
+        """True if the network contains no reference length, known point, known difference, level or known yaw."""
         references = (
             self.gauge_rows,
             self.control_rows,
@@ -136,18 +136,19 @@ class NetworkRows:
 
 @dataclass(frozen=True)
 class UndeterminedUnknowns:
-    """Unknowns that the observations in use do not determine for any geometry; they are fixed at their present values.
+    """Unknowns that the kinds of observations in use do not determine for any geometry of the network.
 
-    Stations and targets are given by their indices.
+    They are fixed at their present values. Stations and targets are given by their indices.
     """
 
     unknowns: UnknownColumns
+    """Columns of all unknowns in the design matrix."""
     yaw_free_stations: Ints
     """Stations without azimuths, whose rotation about the standing axis is undetermined."""
     tilt_free_stations: Ints
     """Stations without angles and level, whose tilts are undetermined."""
     height_free_stations: Ints
-    """Stations with undetermined height: levelled ones with only azimuths and horizontal distances."""
+    """Stations with undetermined height: levelled stations with only azimuths and horizontal distances."""
     unread_stations: Ints
     """Stations without any reading."""
     is_unmeasured_target: Bools
@@ -159,10 +160,10 @@ class UndeterminedUnknowns:
     oriented_stations: Ints
     """Stations with azimuths, whose yaw is determined."""
     n_coordinates_of_unmeasured_targets: int
-    """Number of known coordinates of unmeasured targets; they do not count as observations."""
+    """Number of known coordinates of unmeasured targets, which do not count as observations."""
     scale_target: Ints
-    """Index of a target whose distance from the first station is fixed, as an array with one element or none. The
-    distance is fixed if directions alone leave the scale undetermined and only approximate coordinates define it."""
+    """Index of a target whose distance from the first oriented station is fixed, as an array with one element or none.
+    The distance is fixed if the readings are directions alone and only approximate coordinates define the scale."""
     fixes_heights: bool
     """True if all heights are undetermined and therefore fixed, so that no vertical translation remains for the datum.
     """
@@ -237,7 +238,7 @@ class UndeterminedUnknowns:
         return np.concatenate([*column_groups, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
 
     def fixed_directions(self, state: NetworkState) -> Floats:
-        """Coefficients (h, 3) of the h equations that fix undetermined unknowns, in `fixed_columns`."""
+        """Coefficients (h, 3) of the unknowns `fixed_columns` in the h equations that fix undetermined unknowns."""
         yaw = state.station_rotations[self.yaw_free_stations] @ VERTICAL
         tilt = np.swapaxes(state.station_rotations[self.tilt_free_stations], 1, 2)[:, :2].reshape(-1, 3)
         arm = (
@@ -253,7 +254,7 @@ class UndeterminedUnknowns:
     def fixed_pose_components(self) -> Bools:
         """Flags (S, 6) of the fixed components of poses.
 
-        All three rotations are flagged if the rotation about the standing axis is undetermined.
+        All three rotations of a station are flagged if its rotation about the standing axis is undetermined.
         """
         is_fixed = np.zeros(self.unknowns.pose_columns.shape, dtype=bool)
         is_fixed[self.yaw_free_stations, 3:] = True
@@ -276,12 +277,12 @@ class UndeterminedUnknowns:
 
     @property
     def datum_stations(self) -> Ints:
-        """Stations that define the datum: the first one with determined yaw, or all if there are only distances."""
+        """Indices of the stations that define the datum: the first with a determined yaw, or all without azimuths."""
         return self.oriented_stations[:1] if self.fixes_datum_rotations else np.arange(len(self.unknowns.pose_columns))
 
     @property
     def fixes_datum_rotations(self) -> bool:
-        """True if the datum also fixes the rotation of its station."""
+        """True if the datum fixes the rotation of its station and not only translations."""
         return len(self.oriented_stations) > 0
 
 
@@ -307,7 +308,7 @@ def _has_approximate_scale(network: NetworkRows) -> bool:
 
 
 def _scale_target(network: NetworkRows) -> Ints:
-    """Index (1,) of a target with an azimuth from the first station that has azimuths."""
+    """Index (1,) of a target whose azimuth was measured from the first station with azimuths."""
     recording, rows = network.model.recording, np.flatnonzero(network.is_used_reading[:, 1])
     first_row = rows[np.argsort(recording.station[rows], kind="stable")][:1]
     return recording.target[first_row]
@@ -320,7 +321,7 @@ DecoratedReturn = TypeVar("DecoratedReturn")
 def raise_for_singular_network(
     function: Callable[Concatenate[Recording, DecoratedParameters], DecoratedReturn],
 ) -> Callable[Concatenate[Recording, DecoratedParameters], DecoratedReturn]:
-    """Decorator for functions of a recording: raises NetworkError in place of numpy's error for singular matrices."""
+    """Function of a recording that raises NetworkError instead of numpy's error for singular matrices (decorator)."""
 
     @wraps(function)
     def wrapper(
@@ -335,7 +336,7 @@ def raise_for_singular_network(
 
 
 def _sparsest_measurement_sentence(recording: Recording) -> str:
-    """Sentence on the station and target of a network with the fewest readings."""
+    """Sentence on a singular network, with its station and its target with the fewest readings."""
     n_measured = recording.is_measured.sum(axis=1)
     stations = np.bincount(recording.station, n_measured, len(recording.stations))
     targets = np.bincount(recording.target, n_measured, len(recording.targets))

@@ -9,7 +9,7 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MAX_SINGLE_ERROR_FRACTION, MIN_DOF_FOR_ESTIMATED_NOISE
-from ltsim.adjustment.stochastic_model import noise_setting_texts
+from ltsim.adjustment.stochastic_model import noise_declaration_texts
 from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 from ltsim.recordings.specification import noise_origin
@@ -19,18 +19,26 @@ class VerdictCase(Enum):
     """Conclusion from the tests of an adjustment."""
 
     CLEAN = "clean"
+    """Passed global test without outliers."""
     SINGLE_ERRORS = "single errors"
+    """Failed global test that passes without the outliers."""
     HIDDEN_ERRORS = "single errors hidden in the sum"
+    """Passed global test with outliers among the readings."""
     LARGER_NOISE = "larger noise"
+    """Noise larger than declared, which was identified as the cause of the misfit."""
     UNEXPLAINED_MISFIT = "larger noise or a systematic effect"
+    """Failed global test without an identified cause."""
     SMALLER_NOISE = "smaller noise"
+    """Residuals smaller than the declared noise permits."""
     UNCHECKED = "nothing to test"
+    """Network without redundancy."""
     IN_DOUBT = "in doubt"
+    """Passed tests, but warnings on the network."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on an adjustment: conclusion from the tests, its reason, and the noise to use."""
+    """Verdict on an adjustment: conclusion from the tests, its reasons, and the noise to use."""
 
     case: VerdictCase
     """Conclusion from the tests."""
@@ -45,8 +53,8 @@ def verdict_on(
 ) -> Verdict:
     """Verdict on an adjustment, with `alpha` as the two-sided significance level of the global test.
 
-    `fit_with_constants` contains chi-square and degrees of freedom of a fit that also estimates the constants of the
-    instrument; None if there is no such fit.
+    `fit_with_constants` contains chi-square and degrees of freedom of a fit that also estimates the instrument
+    constants; None if there is no such fit.
     """
     judged = _verdict_from_tests(adjustment, alpha, fit_with_constants)
     open_ = adjustment_warnings(adjustment)
@@ -58,10 +66,10 @@ def verdict_on(
 
 
 def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> Verdict:
-    """Verdict without the warnings on the network.
+    """Verdict from the tests, without the warnings on the network.
 
-    A failed global test means single errors if it passes without the outliers, otherwise other noise or an error of the
-    model.
+    If the global test fails but passes without the outliers, the cause is single errors; otherwise the cause is other
+    noise or an error of the model.
     """
     dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
     origin = noise_origin(adjustment.recording.notes)
@@ -76,14 +84,14 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
         return Verdict(VerdictCase.CLEAN, f"Noise and model agree with the readings: {phrase}, no outlier.", False)
     if low <= sigma0 <= high:
         sentence = (
-            f"{outlier_sentence} Trust the test of single readings, although the global test passes: {phrase}. A sum "
-            "over many readings hardly changes by a few outliers."
+            f"{outlier_sentence} Trust the test of single readings, although the global test passes: {phrase}. A few "
+            "outliers hardly change a sum over many readings."
         )
         return Verdict(VerdictCase.HIDDEN_ERRORS, sentence, False)
     if sigma0 < low and dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
-            f"Trust the {origin} noise. The readings scatter less: {phrase}. But so few degrees of freedom support no "
-            "other noise."
+            f"Trust the {origin} noise. The readings scatter less: {phrase}. But so few degrees of freedom do not "
+            "determine another noise."
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence, False)
     if sigma0 < low:
@@ -117,7 +125,7 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
     if dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
             f"The noise or the model is wrong. Trust the global test, which fails: {phrase}. With so few degrees of "
-            "freedom neither the estimated sigma0 nor a test of single readings identifies the size or the place."
+            "freedom neither the estimated sigma0 nor a test of single readings identifies the error."
         )
         return Verdict(VerdictCase.UNEXPLAINED_MISFIT, sentence, True)
     reasons = _rejection_reasons(adjustment, alpha, fit_with_constants)
@@ -135,7 +143,7 @@ def _sigma0_limits(dof: int, alpha: float) -> tuple[float, float]:
 
 
 def _sigma0_with_constants_sentence(fit_with_constants: tuple[float, int] | None, alpha: float) -> str:
-    """Sentence on sigma0 with the instrument's constants estimated, and a space; empty without such a fit."""
+    """Sentence, with a space at its end, on sigma0 of a fit with instrument constants; empty without such a fit."""
     if fit_with_constants is None or fit_with_constants[1] <= 0:
         return ""
     chi2, dof = fit_with_constants
@@ -147,8 +155,8 @@ def _sigma0_with_constants_sentence(fit_with_constants: tuple[float, int] | None
 def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> str:
     """Sentences on the possible reasons for a failed global test.
 
-    Errors of the instrument are a possible reason if they are neither corrected nor estimated. A fit that estimates
-    them, `fit_with_constants` (chi-square and degrees of freedom), decides.
+    Errors of the instrument are a possible reason if they are neither corrected nor estimated. The fit that estimates
+    them, `fit_with_constants` (chi-square and degrees of freedom), shows if they are the reason.
     """
     origin = noise_origin(adjustment.recording.notes)
     if fit_with_constants is not None and fit_with_constants[1] > 0:
@@ -172,10 +180,10 @@ def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants:
 
 
 def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_TEST_LEVEL) -> str:
-    """Sentence on the noise to declare if readings scatter less than declared; empty otherwise.
+    """Sentence on the noise to declare if readings scatter less than declared; otherwise empty.
 
-    Observables are tested separately, by the sum of their squared residuals (chi-square with their redundancy as
-    degrees of freedom) at the one-sided level `alpha` / 2.
+    Each observable is tested separately, by the sum of its squared residuals (chi-square with its redundancy as degrees
+    of freedom) at the one-sided significance level `alpha` / 2.
     """
     problem, recording = adjustment.problem, adjustment.recording
     scaled, advice, by_row = adjustment.residuals / problem.sigma, [], []
@@ -189,7 +197,7 @@ def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_TEST_
         if np.isfinite(recording.covariates.get(SIGMA_COLUMNS[k], np.full(len(recording), np.nan))[use]).all():
             by_row.append(f"the sigmas of {observable} by {factor:.2g}")
         elif len(recording.instruments) == 1:
-            advice += noise_setting_texts(recording, observable, float(factor))
+            advice += noise_declaration_texts(recording, observable, float(factor))
         else:
             by_row.append(f"the noise of {observable} by {factor:.2g}")
     sentences = [f"Set {listing(advice, len(advice))} in [instrument.noise]." if advice else ""]
@@ -198,19 +206,19 @@ def noise_declaration_advice(adjustment: Adjustment, alpha: float = GLOBAL_TEST_
 
 
 def _noisy_targets_sentence(adjustment: Adjustment) -> str:
-    """Space and sentence on targets whose readings scatter far more than the others; empty if there are none."""
+    """Sentence, after a space, on targets whose readings scatter far more than others; empty without such targets."""
     named, scatter, rest = adjustment.noisy_targets_and_scatter
     if not len(named):
         return ""
     names = ", ".join(adjustment.recording.targets[t] for t in named)
     return (
-        f" Readings to {names} scatter {scatter:.2g} times the {noise_origin(adjustment.recording.notes)} noise, the "
-        f"others {rest:.2g} times."
+        f" Readings to {names} scatter {scatter:.2g} times the {noise_origin(adjustment.recording.notes)} noise, other "
+        f"readings {rest:.2g} times."
     )
 
 
 def _outlier_sentence(n_readings: int, condition: str = "") -> str:
-    """Sentence on the number of outliers, with the condition under which they are outliers."""
+    """Sentence on the number of outliers; `condition` is a text on the test, such as " in the tau-test"."""
     if not n_readings:
         return f"No reading is an outlier{condition}."
     count = "One reading is an outlier" if n_readings == 1 else f"{n_readings} readings are outliers"
@@ -218,7 +226,7 @@ def _outlier_sentence(n_readings: int, condition: str = "") -> str:
 
 
 def _flagged_sentence(n_flagged: int, n_outliers: int) -> str:
-    """Sentence on the `n_flagged` readings flagged by the w-test, and on the `n_outliers` at the observed noise."""
+    """Sentence on the number of readings flagged by the w-test, and of outliers in a test with the observed noise."""
     if not n_flagged:
         return "The w-test flags no reading."
     flagged = "one reading" if n_flagged == 1 else f"{n_flagged} readings"

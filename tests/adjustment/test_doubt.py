@@ -222,7 +222,7 @@ def test_a_set_up_that_is_the_mirror_image_of_the_others_is_no_solution(stations
     recording, _ = network(seed=9, stations=stations)
     readings = recording.readings.copy()
     readings[recording.station == 1, 1] *= -1.0
-    who = "Stations S1 and S2 saw mirror images" if stations == 2 else "Station S2 was recorded with"
+    who = "Stations S1 and S2 measured mirror images" if stations == 2 else "Station S2 was recorded with"
     with pytest.raises(NetworkError, match=f"{who}.*clockwise"):
         lt.adjust(recording.with_readings(readings))
 

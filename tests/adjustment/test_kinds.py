@@ -96,7 +96,7 @@ def test_beams_alone_take_scale_and_frame_from_known_points():
     found = adjust(known(recording, truth.state.target_points, [0, 9, 14, 22]))
     assert found.problem.free_motions.shape[1] == 0
     np.testing.assert_allclose(found.state.target_points, truth.state.target_points, atol=1e-7)
-    with pytest.raises(NetworkError, match="where ranges or angles are missing"):
+    with pytest.raises(NetworkError, match="if ranges or angles are missing"):
         adjust(recording)
 
 

@@ -71,7 +71,7 @@ def test_a_height_over_a_known_mark_that_nothing_else_shows_may_be_either(height
     found = adjust(recording.replace(setup=setup))
     (wrong,) = found.rejected_references
     assert (wrong.kind, wrong.name) == ("point", "M2")
-    assert wrong.sentence.endswith("or the height of set-up S3 over it: excluded")
+    assert wrong.sentence.endswith("or the height of set-up S3 over it is wrong: excluded")
 
 
 @pytest.mark.parametrize("height", [1.02, -0.1, 0.004])
@@ -95,14 +95,14 @@ def test_a_point_under_another_name_is_no_exchange() -> None:
     booked, meant = (recording.targets[t] for t in ((target[12] + 5) % 28, target[12]))
     target[12] = (target[12] + 5) % 28
     (said,) = adjustment_warnings(adjust(recording.replace(target=target)))
-    assert said.startswith(f"At station S1 the pointing to {booked} (row 13) was to {meant}")
+    assert said.startswith(f"At station S1 the pointing recorded for {booked} (row 13) was made to {meant}")
 
 
 def test_a_target_that_one_set_up_calls_otherwise_is_told_and_neighbours_are_not() -> None:
     recording, _ = network(seed=3, stations=3)
     other = np.where((recording.station == 1) & (recording.target == 5), len(recording.targets), recording.target)
     (said,) = adjustment_warnings(adjust(recording.replace(targets=(*recording.targets, "P-77"), target=other)))
-    assert said.startswith(f"{recording.targets[5]} and P-77 lie within 0.0")
+    assert said.startswith(f"{recording.targets[5]} and P-77 are 0.0")
     beside = recording.readings + [[0.002, 0.0, 0.0]] * (other == len(recording.targets))[:, None]
     assert (
         adjustment_warnings(

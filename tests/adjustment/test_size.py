@@ -103,12 +103,12 @@ def test_the_list_of_pairs_is_what_a_table_would_be():
     pairs = StationTargetPairs.from_recording(twice)
     points = from_polar(twice.readings)
     for s in range(5):
-        own = pairs.slice_of_station(s)
+        own = pairs.pair_slice_of_station(s)
         for target, point in zip(pairs.target_indices[own], pairs.local_points[own], strict=True):
             rows = (twice.station == s) & (twice.target == target)
             np.testing.assert_array_equal(point, np.median(points[rows], axis=0))
     values = pairs.local_points.copy()
-    values[pairs.slice_of_station(2)] = np.nan
+    values[pairs.pair_slice_of_station(2)] = np.nan
     table = np.full((5, len(recording.targets), 3), np.nan)
     table[pairs.station_indices, pairs.target_indices] = values
     which = np.array([3, 11, 25, 30, 59])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.adjustment.evaluation.clouds import removed_share
+from ltsim.adjustment.evaluation.clouds import removed_error_fraction
 from ltsim.campaigns.results import _matching_level
 from ltsim.campaigns.rows import ShardTask, make_shard_rows
 from ltsim.campaigns.schema import RESULT_COLUMNS, find_column
@@ -155,7 +155,9 @@ def test_paired_differences_on_common_draws(tmp_path: Path) -> None:
     assert [e.settings for e in faces.entries] == [{"method": "network"}, {"method": "distance"}]
     frame = results.to_dataframe("rows").query("method == 'network'")
     shares = [
-        removed_share(*(own[f"error_{what}_um"].to_numpy() for what in ("raw", "calibrated", "true_parameters")))
+        removed_error_fraction(
+            *(own[f"error_{what}_um"].to_numpy() for what in ("raw", "calibrated", "true_parameters"))
+        )
         for _, own in frame.groupby("faces")
     ]
     assert faces.entries[0].difference == pytest.approx(shares[1] - shares[0], rel=1e-5)

@@ -1,9 +1,9 @@
 """Evaluation of a reflector's bench test: range error as a function of the incidence angle.
 
-The reflector is rotated on a table, an interferometer measures the length to it, and a probe measures the eccentricity
-of the sphere. A rotation by alpha of a sphere with the eccentricity c changes the length by -(c_x cos alpha - c_y sin
-alpha), which is removed. An interferometer records changes only: the error is determined relative to its value at 0
-deg, a constant that belongs to the range offset of a tracker.
+The reflector is rotated on a roundness table (rotary table), an interferometer measures the length to the reflector,
+and a probe measures the eccentricity of its sphere. A rotation by alpha of a sphere with the eccentricity c changes the
+length by -(c_x cos alpha - c_y sin alpha). This change is removed. An interferometer only records changes: the range
+error is determined relative to its value at 0 deg. The range offset of a tracker contains this value.
 
 Source: Sensors 2021, 21, 7479, sections 2.2 and 3.1.
 """
@@ -33,11 +33,11 @@ MIN_PROBE_READINGS = 4
 
 BENCH_TABLE = Table(
     "bench.csv",
-    "a reflector on the roundness table, which `bench` evaluates; empty where a length or the probe was not read",
+    "readings of a reflector on the roundness table, for `bench`; empty where a length or the probe was not read",
     number_columns(
         ".4f",
-        angle_deg="angle of the table, 0 if the reflector faces the interferometer",
-        length_um="length by the interferometer, from an arbitrary zero",
+        angle_deg="angle of the roundness table, 0 if the reflector faces the interferometer",
+        length_um="length measured by the interferometer, from an arbitrary zero",
         probe_um="displacement of the sphere's surface at the probe, outward",
     ),
 )
@@ -47,30 +47,30 @@ class EstimateEntry(Entry):
     """Estimate and its standard deviation [um]."""
 
     value_um: Finite
-    """Estimate."""
+    """Estimated value."""
     sigma_um: Finite
-    """Standard deviation."""
+    """Standard deviation of the estimated value."""
 
     def __str__(self) -> str:
         return with_sigma(self.value_um, self.sigma_um, "um")
 
 
 class BenchRow(Entry):
-    """Range error of the reflector at one angle of incidence, relative to the angle nearest 0 deg."""
+    """Range error of the reflector at one angle of incidence, relative to its error at the angle nearest 0 deg."""
 
     angle_deg: Finite
-    """Rotation of the table."""
+    """Angle of the roundness table, equal to the angle of incidence."""
     as_read_um: Finite
-    """Length [um] of the interferometer before the effect of the eccentricity of the rotary table is removed."""
+    """Length measured by the interferometer, before the effect of the eccentricity of the sphere is removed."""
     error_um: Finite
-    """Range error of the reflector, reading minus truth."""
+    """Range error of the reflector: measured minus true range."""
     sigma_um: Finite
-    """Standard deviation of the error."""
+    """Standard deviation of the range error."""
 
 
 ANGLES_TABLE = Table(
     "angles.csv",
-    "the reflector's range error against incidence",
+    "range error of the reflector as a function of the incidence angle",
     columns_of(
         BenchRow,
         angle_deg={"title": "incidence", "display_format": "+.1f"},
@@ -95,12 +95,13 @@ class BenchFile(ResultFile):
     range_errors: tuple[BenchRow, ...] = Field(alias="table")
     """Range error at each angle of incidence."""
     vertex_axial: EstimateEntry
-    """Offset of the mirrors' vertex from the sphere's centre that would explain the errors, component out of the open
-    face."""
+    """Offset of the mirrors' vertex from the sphere's centre that would explain the range errors, component out of the
+    open face."""
     vertex_side: EstimateEntry
-    """Offset of the mirrors' vertex from the sphere's centre that would explain the errors, component to the side."""
+    """Offset of the mirrors' vertex from the sphere's centre that would explain the range errors, component to the
+    side."""
     remainder_um: Finite
-    """Rms range error that no offset of the vertex explains; its cause is in the optics."""
+    """Rms range error that no offset of the vertex explains, caused by the optics."""
 
     def _lines(self) -> list[str]:
         worst_angle = max(self.range_errors, key=lambda row: abs(row.error_um))
@@ -110,7 +111,7 @@ class BenchFile(ResultFile):
             f"Bench: {len(self.range_errors)} angles, range error at most {worst_error_text} "
             f"at {worst_angle.angle_deg:+.1f} deg",
             f"eccentricity of the sphere on the table: {phrase}; run-out {self.run_out_um:.1f} um",
-            f"offset of the vertex from the centre (smr-centring): {self.vertex_axial} axial, "
+            f"offset of the mirrors' vertex from the sphere's centre (smr-centring): {self.vertex_axial} axial, "
             f"{self.vertex_side} to the side",
             f"remaining error, which no offset explains (smr-incidence): {self.remainder_um:.2f} um rms",
         ]
@@ -131,13 +132,13 @@ class ReflectorBenchReadings:
     """Readings of a bench test in SI units."""
 
     table_angles_of_lengths: Floats
-    """Angle of the table for each length [rad]."""
+    """Angle of the roundness table for each length [rad]."""
     lengths: Floats
     """Lengths by the interferometer [m], from an arbitrary zero."""
     table_angles_of_probe: Floats
-    """Angle of the table for each probe reading [rad]."""
+    """Angle of the roundness table for each probe reading [rad]."""
     probe_direction: float
-    """Direction of the probe from the interferometer [rad]."""
+    """Angle [rad] from the interferometer to the probe, seen from the axis of the roundness table."""
     displacements: Floats
     """Displacement of the sphere's surface at the probe, outward [m]."""
     length_sigma: float
@@ -146,24 +147,24 @@ class ReflectorBenchReadings:
 
 @dataclass(frozen=True)
 class ReflectorBenchEstimates:
-    """Estimates from a bench test in SI units."""
+    """Estimates from a bench test in SI units, with range errors at a angles."""
 
     eccentricity: Floats
-    """Eccentricity, (2,) [m]."""
+    """Eccentricity of the sphere at 0 deg, components forward and to the side, (2,) [m]."""
     eccentricity_covariance: Floats
     """Covariance of the eccentricity, (2, 2) [m^2]."""
     run_out: float
     """Difference of the largest and the smallest probe reading [m]."""
     uncorrected_lengths: Floats
-    """Lengths relative to the one nearest 0 deg, before removal of the eccentricity, (a,) [m]."""
+    """Lengths minus the length at the angle nearest 0 deg, before removal of the eccentricity, (a,) [m]."""
     range_errors: Floats
-    """Range error of the reflector, relative to the angle nearest 0 deg, (a,) [m]."""
+    """Range error of the reflector, relative to its error at the angle nearest 0 deg, (a,) [m]."""
     range_error_sigmas: Floats
     """Standard deviation of `range_errors`, (a,) [m]."""
 
 
 class VertexOffset(NamedTuple):
-    """Offset of the mirrors' vertex from the sphere's centre that explains a bench table [m]."""
+    """Offset [m] of the mirrors' vertex from the sphere's centre that explains the range errors of a bench test."""
 
     axial_offset: float
     """Component [m] of the offset along the axis of symmetry of the mirrors, positive out of the reflector."""
@@ -174,19 +175,22 @@ class VertexOffset(NamedTuple):
     side_sigma: float
     """Standard deviation of `side_offset` [m]."""
     remaining_rms: float
-    """Root mean square error that no offset explains, caused by optics."""
+    """Rms range error [m] that no offset of the vertex explains, caused by the optics."""
 
 
 def eccentricity_design(angles: Floats) -> Floats:
-    """Change of each length per unit of the eccentricity's two components, shape (angles, 2)."""
+    """Changes (a, 2) of the lengths at `angles` (a,) [rad] per unit of the two components of the eccentricity.
+
+    The components are forward (towards the interferometer) and to the side.
+    """
     return np.stack([-np.cos(angles), np.sin(angles)], axis=1)
 
 
 def read_reflector_bench(path: Path, *, probe_direction: float, length_sigma: float) -> ReflectorBenchReadings:
-    """Bench readings from a table ``angle_deg,length_um,probe_um``; raises RecordError for too few rows.
+    """Bench readings from a CSV file with the columns ``angle_deg,length_um,probe_um``; RecordError for too few rows.
 
-    The probe is at the angle `probe_direction` [rad] from the interferometer, opposite to the rotation of the table;
-    `length_sigma` [m] is one standard deviation of the interferometer.
+    `probe_direction` [rad] is the angle from the interferometer to the probe, counted against the rotation of the
+    roundness table; `length_sigma` [m] is the standard deviation of a length.
     """
     angle, length, probe = BENCH_TABLE.parse_csv(read_text(path), path).float_array(*BENCH_TABLE.header).T
     lost = np.flatnonzero(~np.isfinite(angle))
@@ -210,8 +214,8 @@ def read_reflector_bench(path: Path, *, probe_direction: float, length_sigma: fl
 def evaluate_reflector_bench(readings: ReflectorBenchReadings) -> ReflectorBenchEstimates:
     """Estimates from the readings of a bench test: eccentricity of the sphere, and range errors (a,) [m] at a angles.
 
-    The eccentricity is that of the first harmonic of the probe readings. Its effect on the lengths is removed, so that
-    the range errors do not contain it. The scatter of the probe about this harmonic gives its uncertainty.
+    The first harmonic of the probe readings is the eccentricity, and the scatter of the readings about this harmonic
+    gives its uncertainty. The effect of the eccentricity on the lengths is removed.
     """
     angles = readings.table_angles_of_probe - readings.probe_direction
     design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
@@ -254,16 +258,16 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
     Parameters
     ----------
     source : str or Path
-        Table ``angle_deg,length_um,probe_um``; an empty cell means that the value was not read.
+        CSV file with the columns ``angle_deg,length_um,probe_um``; an empty cell means that the value was not read.
     probe_direction : float, [deg]
-        Direction of the probe, counted from the interferometer.
+        Angle from the interferometer to the probe, counted against the rotation of the roundness table.
     length_sigma : float, [um]
-        Standard deviation of the interferometer.
+        Standard deviation of a length measured by the interferometer.
 
     Raises
     ------
     RecordError
-        When the table is malformed, or holds too few angles.
+        When the file is malformed, or contains too few angles.
 
     Examples
     --------

@@ -1,10 +1,10 @@
-"""Points of each station in its instrument frame, alignment of stations to one frame, and errors relative to the truth.
+"""Points of each station in its instrument frame, alignment of stations to one frame, and errors of simulated points.
 
-Errors are known in simulations only. An error has two parts: one remains even with the true parameters of the
-instrument (noise, unmodelled effects), the other one a correction with the true parameters removes. Let R, C and P be
-the mean squared errors over all trials of raw readings, of calibrated readings, and of readings corrected with the true
-parameters. The share that a calibration removes of the correctable error is (R - C) / (R - P). It is 1 for a
-calibration with the true parameters, 0 for one without effect, and negative for one that increases errors.
+Errors are known in simulations only. A correction with the true instrument parameters removes one part of an error, the
+correctable part; the other part remains (noise, unmodelled effects). Let R, C and P be the mean squared errors over all
+trials of raw readings, of calibrated readings, and of readings corrected with the true parameters. A calibration
+removes the fraction (R - C) / (R - P) of the correctable error. The fraction is 1 for a calibration with the true
+parameters, 0 for a calibration without effect, and negative for a calibration that increases errors.
 """
 
 from dataclasses import dataclass
@@ -24,8 +24,8 @@ def measured_points(
 ) -> Floats:
     """Measured points in instrument frames, shape (pointings, 3) [m]; NaN for incomplete pointings.
 
-    They are corrected by the parameters `parameter_values` of an instrument model, (parameters,) or (pointings,
-    parameters) [SI]; by default they are not corrected.
+    The points are corrected by the parameters `parameter_values` of the error model `construction`, (parameters,) or
+    (pointings, parameters) [SI]; by default they are not corrected.
     """
     is_complete = recording.is_measured.all(axis=1)
     points = np.full((len(recording), 3), np.nan)
@@ -66,10 +66,10 @@ def align_to_points(cloud: Floats, target_points: Floats) -> Floats:
 
 
 def align_to_first_station(clouds: Floats, names: tuple[str, ...]) -> Floats:
-    """Points `clouds` (stations, targets, 3) of all stations after a rigid fit to the frame of the first station.
+    """Points `clouds` (stations, targets, 3) [m] of all stations after a rigid fit to the frame of the first station.
 
-    A station with fewer than three targets in common with the first is fitted to the mean of the stations fitted
-    before. In the paper all stations see all targets. NetworkError names a station that cannot be fitted.
+    A station with fewer than three targets in common with the first station is fitted to the mean points of the
+    stations fitted before. `names` are the stations. Raises NetworkError for a station that cannot be fitted.
     """
     placed_points = np.full_like(clouds, np.nan)
     placed_points[0] = clouds[0]
@@ -98,28 +98,29 @@ def align_to_first_station(clouds: Floats, names: tuple[str, ...]) -> Floats:
 
 @dataclass(frozen=True)
 class CalibrationErrors:
-    """Rms errors of points relative to the truth [m]: uncorrected, calibrated, and with the true parameters."""
+    """Rms distances [m] of points from the true points: uncorrected, calibrated, corrected with the true parameters."""
 
     raw_rms: float
     """Rms error [m] of the uncorrected points."""
     calibrated_rms: float
-    """Rms error [m] of the points with the estimated parameters."""
+    """Rms error [m] of the points corrected with the estimated parameters."""
     true_parameters_rms: float
-    """Rms error [m] of the points with the true parameters."""
+    """Rms error [m] of the points corrected with the true parameters."""
 
     @property
     def share_removed(self) -> float:
         """Fraction of the correctable mean square error that the calibration removed."""
-        return removed_share(self.raw_rms, self.calibrated_rms, self.true_parameters_rms)
+        return removed_error_fraction(self.raw_rms, self.calibrated_rms, self.true_parameters_rms)
 
 
-def removed_share(
+def removed_error_fraction(
     raw_errors: Floats | float, calibrated_errors: Floats | float, true_parameter_errors: Floats | float
 ) -> float:
     """Fraction of the correctable mean squared error that a calibration removed, over all trials together.
 
-    The correctable error is the difference between raw readings and readings corrected with the true parameters. The
-    arguments are the rms errors of each trial [m]. The result is NaN if nothing is correctable.
+    The arguments are the rms errors [m] of each trial: of raw readings, of calibrated readings, and of readings
+    corrected with the true parameters. The correctable error is the first mean square minus the third. The result is
+    NaN if this difference is not positive.
     """
     squares = (float(np.nanmean(np.square(error))) for error in (raw_errors, calibrated_errors, true_parameter_errors))
     before, after, perfect = squares
@@ -129,8 +130,8 @@ def removed_share(
 def cloud_error(recording: Recording, points: Floats, true_points: Floats) -> float:
     """Rms distance [m] of points from the true points over stations and targets, after a rigid fit of each station.
 
-    `points` (pointings, 3) [m] are in instrument frames. Users do not know the poses: an error that the pose absorbs
-    completely (azimuth index, height of the station) is not counted.
+    `points` (pointings, 3) [m] are in instrument frames, `true_points` (targets, 3) [m] in the network frame. The fit
+    removes errors that a pose absorbs completely (azimuth index, height of the station).
     """
     clouds = station_point_clouds(recording, points)
     gap = np.stack([align_to_points(cloud, true_points) - true_points for cloud in clouds])

@@ -1,13 +1,14 @@
 """Criteria of Sensors 2021, 21, 7479: disagreement of stations, and deviations from nominal points.
 
-Stations disagree in the distances between targets and in the coordinates of targets (sections 2.3.4 and 3.2.1): eq. 11
-has no absolute value and compares with station 1, whereas section 3.2.1 compares with the mean over the stations. Both
-are computed: `distance` compares with the mean, as the paper's Table 3, and `distance_to_first` with station 1.
+Stations disagree in the distances between targets and in the coordinates of targets (sections 2.3.4 and 3.2.1). Eq. 11
+compares distances with those of station 1 (the absolute value, which it omits, is taken), whereas section 3.2.1
+compares them with their mean over the stations. Both are computed: `distance` compares with the mean, as the paper's
+Table 3, and `distance_to_first` with station 1.
 
-The verification compares a calibrated tracker with nominal points from a measuring machine, by eq. 13 and 14 as they
-are meant. Eq. 13 compares the distance between two targets, measured from one station, with the distance of the nominal
-points. Eq. 14 compares coordinates after a rigid fit of each station to the nominal points. The values before
-calibration are those of an ideal tracker.
+The verification compares a calibrated tracker with nominal points from a coordinate measuring machine. Eq. 13 compares
+the distance between two targets, measured from one station, with the distance of the nominal points. Eq. 14 compares
+coordinates after a rigid fit of each station to the nominal points. Before calibration the readings are those of an
+ideal tracker.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -59,11 +60,11 @@ CRITERIA_TABLE = Table(
     "disagreement of the stations, before and after a calibration",
     (
         Column("criterion", "distance (between targets) or coordinate (of targets)", "text"),
-        Column("mean_um", "over pairs of targets, or targets", display_format=".1f"),
-        Column("max_um", "the largest", display_format=".1f"),
-        Column("mean_after_um", "readings corrected", display_format=".1f"),
-        Column("max_after_um", "as mean_after_um", display_format=".1f"),
-        Column("improvement_percent", "of the mean", display_format=".1f"),
+        Column("mean_um", "mean over the pairs of targets, or over the targets", display_format=".1f"),
+        Column("max_um", "maximum over the pairs of targets, or over the targets", display_format=".1f"),
+        Column("mean_after_um", "mean after correction of the readings", display_format=".1f"),
+        Column("max_after_um", "maximum after correction of the readings", display_format=".1f"),
+        Column("improvement_percent", "decrease of the mean by the correction", display_format=".1f"),
     ),
 )
 
@@ -78,12 +79,12 @@ class DisagreementEntry(Entry):
 
     @classmethod
     def from_differences(cls, differences: StationDisagreement) -> Self:
-        """Mean and maximum of the disagreement."""
+        """Entry with the mean and maximum of the disagreement values `differences`."""
         return cls(mean_um=differences.mean / MICROMETRE, max_um=differences.maximum / MICROMETRE)
 
 
 class CriterionEntry(Entry):
-    """Criterion before and after a calibration."""
+    """Disagreement by one criterion (distances or coordinates) before and after a calibration."""
 
     before: DisagreementEntry = DisagreementEntry()
     """Disagreement of the uncorrected readings."""
@@ -106,7 +107,7 @@ class CriterionEntry(Entry):
 
     @property
     def text(self) -> str:
-        """Text of the mean before and after in um, in one line."""
+        """Mean disagreement [um] before and after the calibration, as text in one line."""
         if self.before.mean_um is None:
             return MISSING_TEXT
         before = f"{self.before.mean_um:.1f} um"
@@ -126,7 +127,7 @@ class CriteriaEntry(Entry):
     """Deviations of distances from those of the first station (eq. 11); null in a verification."""
 
     def criteria_table(self) -> Table:
-        """Table of the criteria."""
+        """Data table with the disagreement by each criterion in one row."""
         criterion_by_name = {
             "distance": self.distance,
             "distance, to the first station (eq. 11)": self.distance_to_first,
@@ -161,7 +162,7 @@ class Criteria(ResultFile, CriteriaEntry):
 
 
 def iterate_distances_by_target(clouds: Floats, min_observers: int = 1) -> Iterator[tuple[Ints, Floats]]:
-    """Iterator over targets: indices of the stations that measured each, and its distances to later targets [m].
+    """Iterator over targets: indices of the stations that measured the target, and its distances [m] to later targets.
 
     `clouds` (stations, targets, 3) [m] are the points of each station, NaN if not measured. The distances have the
     shape (stations that measured the target, later targets). Pairs measured from fewer than `min_observers` stations
@@ -178,7 +179,7 @@ def distance_differences(clouds: Floats) -> StationDisagreement:
     """Mean absolute deviation of each distance between two targets from its mean over the stations (section 3.2.1).
 
     `clouds` (stations, targets, 3) [m] are the points of each station in its instrument frame, NaN if not measured.
-    Pairs measured from one station are left out.
+    Pairs of targets measured from only one station are left out.
     """
     lengths = (length for _, length in iterate_distances_by_target(clouds, 2))
     means = [np.nanmean(np.abs(length - np.nanmean(length, axis=0)), axis=0) for length in lengths if length.size]
@@ -186,7 +187,7 @@ def distance_differences(clouds: Floats) -> StationDisagreement:
 
 
 def distance_differences_to_first(clouds: Floats) -> StationDisagreement:
-    """Mean absolute difference of each distance between two targets from that of station 1 (eq. 11).
+    """Mean absolute difference of each distance between two targets from the distance measured by station 1 (eq. 11).
 
     `clouds` (stations, targets, 3) [m] are the points of each station in its instrument frame, NaN if not measured.
     """
@@ -196,7 +197,7 @@ def distance_differences_to_first(clouds: Floats) -> StationDisagreement:
 
 
 def coordinate_differences(aligned_clouds: Floats) -> StationDisagreement:
-    """Distance between the positions of each target from two stations, mean over all pairs of stations (eq. 12).
+    """Distance between two stations' positions of the same target, mean over all pairs of stations (eq. 12).
 
     `aligned_clouds` (stations, targets, 3) [m] are the points of all stations in one frame, NaN if not measured.
     """
@@ -218,17 +219,16 @@ def evaluate_criteria(
 ) -> CriteriaEntry:
     """Disagreement of the stations of a recording in distances and coordinates, before and after correction.
 
-    `parameter_values` (p,) or (n, p) [SI] are the parameters of the correction.
-    `reading_changes` (n, 3) [m, rad, rad] is the change of the readings by estimated effects, which "after" subtracts.
-    Faces and repeats of the pointings in use (n,) are averaged by station and target. Raises NetworkError if fewer than
-    two stations have common targets, if the network is too large for a comparison of all clouds, and if SMRs of several
-    radii were at different positions.
+    The correction uses `parameter_values` (p,) or (n, p) [SI] of the error model `construction`, and subtracts
+    `reading_changes` (n, 3) [m, rad, rad], the changes of the readings by estimated effects. `row_mask` (n,) selects
+    pointings; faces and repeats are averaged by station and target. Raises NetworkError if fewer than two stations have
+    common targets, if the network is too large for a comparison of all stations, and if SMRs have several radii.
     """
     require_equal_radii(recording, "the comparison of stations")
     stations, targets = len(recording.stations), len(recording.targets)
     if 3 * stations * targets > MAX_MATRIX_ENTRIES:
         raise NetworkError(
-            f"the criteria are not computed for {stations} stations with {targets} targets: "
+            f"the criteria are not computed for as many as {stations} stations with {targets} targets: "
             "evaluate parts of the network"
         )
     raw_clouds = station_point_clouds(recording, measured_points(recording), row_mask)
@@ -240,7 +240,7 @@ def evaluate_criteria(
             row_mask,
         )
     if len(recording.stations) < 2:
-        raise NetworkError("the criteria compare stations; this recording has one station only")
+        raise NetworkError("the criteria compare stations, but this recording has only one; measure from a second one")
 
     def compare(criterion_function: Callable[[Floats], StationDisagreement], *, is_aligned: bool) -> CriterionEntry:
         def disagreement_of(clouds: Floats) -> StationDisagreement:
@@ -261,14 +261,14 @@ def evaluate_criteria(
 
 
 def _subtract_change(recording: Recording, reading_changes: Floats | None) -> Recording:
-    """Recording whose readings are reduced by a change of shape (pointings, 3)."""
+    """Recording from whose readings the changes `reading_changes` (pointings, 3) [m, rad, rad] are subtracted."""
     return recording if reading_changes is None else recording.with_readings(recording.readings - reading_changes)
 
 
 def _distance_to_first_criterion(uncalibrated: Floats, calibrated: Floats | None) -> dict[str, CriterionEntry]:
-    """Criterion of eq. 11 by the name of its field.
+    """Criterion of eq. 11 by its field of `CriteriaEntry`; empty if no station shares two targets with the first.
 
-    It is empty if no other station shares a pair of targets with the first.
+    `uncalibrated` and `calibrated` (stations, targets, 3) [m] are the points of each station.
     """
     differences = distance_differences_to_first(uncalibrated)
     if not len(differences.values):
@@ -279,13 +279,13 @@ def _distance_to_first_criterion(uncalibrated: Floats, calibrated: Floats | None
 
 NOMINAL_TABLE = Table(
     "nominal.csv",
-    "points of a measuring machine, which `verify_against_nominal` compares with",
+    "nominal points from a coordinate measuring machine, for `verify_against_nominal`",
     (*text_columns(target="name"), *number_columns(".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
 )
 
 
 def read_nominal(path: Path) -> dict[str, Floats]:
-    """Nominal coordinates (3,) [m] of each target, from a list such as ``target,x_mm,y_mm,z_mm``."""
+    """Nominal coordinates (3,) [m] by target, from a CSV file with columns such as ``target,x_mm,y_mm,z_mm``."""
     points = read_points(path)
     for line, place in zip(points.line_numbers, points.points, strict=True):
         if not np.isfinite(place).all():
@@ -303,7 +303,7 @@ def distance_errors(clouds: Floats, nominal_points: Floats) -> StationDisagreeme
 
 
 def coordinate_errors(clouds: Floats, nominal_points: Floats) -> StationDisagreement:
-    """Mean distance of each target from its nominal point after a rigid fit of each station, over stations (eq. 14).
+    """Distance of each target from its nominal point after a rigid fit of each station, mean over stations (eq. 14).
 
     `clouds` (stations, targets, 3) [m] are the points of each station, NaN if not measured, `nominal_points` (targets,
     3) [m] those of the measuring machine.
@@ -320,10 +320,11 @@ def verify_against_nominal(
     *,
     reading_changes: Floats | None = None,
 ) -> CriteriaEntry:
-    """Errors of a laboratory recording relative to nominal points (3,) [m], before and after calibration.
+    """Errors of a laboratory recording relative to nominal points, before and after calibration.
 
-    "After" applies parameters (p,) or (n, p) [SI] and subtracts `reading_changes` (n, 3) from the readings. Raises
-    NetworkError if a station measured fewer than three nominal targets.
+    `nominal_points` maps target names to coordinates (3,) [m]. The calibration uses `parameter_values` (p,) or (n, p)
+    [SI] of the error model `construction`, and subtracts `reading_changes` (n, 3) [m, rad, rad] from the readings.
+    Raises NetworkError if a station measured fewer than three targets with nominal points.
     """
     nan_vector = np.full(3, np.nan)
     goal = np.stack([nominal_points.get(name, nan_vector) for name in recording.targets])

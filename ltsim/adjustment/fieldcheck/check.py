@@ -1,8 +1,8 @@
 """Field check: tests of every set-up by repeated measurements, with corrected p-values.
 
 All tests of a recording share one false-alarm probability, `level`. Half of it belongs to the tests of single set-ups
-and half to the tests of the network. Each half is divided equally among the tests, and the part of a test equally
-among the targets, time gaps or pointings that it tests (Bonferroni).
+and half to the tests of the network. Each half is divided equally among its tests, and the probability of each test
+equally among the targets, time gaps or pointings that it examines (Bonferroni).
 """
 
 from collections.abc import Callable, Mapping
@@ -14,7 +14,12 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.blunders import apply_corrections, detect_blunders
-from ltsim.adjustment.fieldcheck.network import adjust_for_check, n_network_tests, network_items, scale_target_noise
+from ltsim.adjustment.fieldcheck.network import (
+    adjust_for_check,
+    n_network_tests,
+    network_items,
+    with_increased_noise_at_noisy_targets,
+)
 from ltsim.adjustment.fieldcheck.occupation import ColumnsFit, StationOccupation, TwoFaceDifferences
 from ltsim.adjustment.fieldcheck.result import (
     TWO_FACE_TABLE,
@@ -37,7 +42,7 @@ from ltsim.adjustment.fieldcheck.sentences import (
 from ltsim.adjustment.identification import cause_tests, identify_causes
 from ltsim.adjustment.reliability import neg_log_p_chi2
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MAX_SINGLE_ERROR_FRACTION
-from ltsim.adjustment.station_motions import UniformMotion, with_equal_times_per_run
+from ltsim.adjustment.station_motions import UniformMotion, with_mean_times_of_consecutive_pointings
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.core.arguments import check_bounds
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -59,7 +64,7 @@ N_SETUP_TESTS = 6
 
 
 SentenceWriter = Callable[[Recording, ColumnsFit, bool], str]
-"""Function that writes the sentence of a test from the recording, the fit, and a flag that the test passed."""
+"""Function for the sentence on a test, from the recording, the fit of the tested columns, and a flag (test passed)."""
 
 
 def check(
@@ -73,13 +78,13 @@ def check(
     level : float
         Probability of any false alarm in the whole recording, if noise and specification are correct.
     mpe : pair of float, optional
-        Limit of two-face differences as lengths, [um] and [um/m] of the range: ``(20, 6)``; default from the noise and
-        the specification of the instrument.
+        Maximum permissible two-face difference, as a length: constant part [um] and part proportional to the range
+        [um/m], such as ``(20, 6)``; default from the noise and the specification of the instrument.
 
     Raises
     ------
     NetworkError
-        When nothing was measured twice: there is nothing to check yet. When the recording has more than
+        When no station measured a target twice, so that no test is possible, or when the recording has more than
         `MAX_ADJUSTED_POINTINGS` pointings.
 
     Examples
@@ -116,9 +121,9 @@ def check(
         adjustment_or_error = adjust_for_check(corrected, motions)
         recording_to_test, noise_scaled_recording, scattering = corrected, corrected, tuple[CheckItem, ...]()
         if isinstance(adjustment_or_error, Adjustment):
-            noise_scaled_recording, scattering = scale_target_noise(corrected, adjustment_or_error)
+            noise_scaled_recording, scattering = with_increased_noise_at_noisy_targets(corrected, adjustment_or_error)
             recording_to_test = apply_corrections(noise_scaled_recording, detect_blunders(adjustment_or_error))
-        if recording_to_test is not corrected:  # a set-up is not blamed for what has a name
+        if recording_to_test is not corrected:  # errors with an identified cause are no errors of a set-up
             setups = tuple(
                 _test_setup(recording_to_test, recording_to_test, full_recording, s, family, mpe) for s in all_indices
             )
@@ -141,7 +146,7 @@ def check(
 
 
 def write_check(check: Check, folder: Path, extra_files: Mapping[str, str]) -> Check:
-    """Writing of `check.json`, `two_face.csv` and `extra_files` to a folder; returns the check with their digests.
+    """Check with the digests of its files, after they are written to `folder`: `check.json`, `two_face.csv` and others.
 
     `extra_files` are the texts of further files by file name, for example of a figure.
 
@@ -162,10 +167,11 @@ def _test_setup(
     test_family: HypothesisFamily,
     mpe: tuple[float, float] | None,
 ) -> SetupCheck:
-    """Tests of a set-up.
+    """Results of the tests of the set-up with index `station`.
 
-    The two-face differences are those of `paired_recording`, which contains outliers; the other tests use
-    `setup_recording`. `recording_with_declared_noise` has the declared noise.
+    The three recordings are the same except for corrections. The two-face differences are those of `paired_recording`,
+    which contains outliers; the other tests use `setup_recording`; `recording_with_declared_noise` has no estimated
+    noise.
     """
     indices = np.flatnonzero(setup_recording.station == station)
     recording, row_numbers, name = setup_recording.select(indices), indices + 1, setup_recording.stations[station]
@@ -213,6 +219,7 @@ class SetupTests:
     """Results of the tests of one occupation for gross errors, motions of the station and drifts of the instrument."""
 
     items: tuple[CheckItem, ...]
+    """Results of the tests."""
     corrected_occupation: StationOccupation
     """Occupation without the pointings with gross errors, and with the detected motions and drifts fitted."""
     motions: tuple[StationMotion, ...]
@@ -256,12 +263,12 @@ def _gross_pointings_and_bump(
 ) -> tuple[dict[int, float], StationBump | None, StationOccupation]:
     """p-values of pointings with gross errors by index, the bump or None, and the occupation without these pointings.
 
-    Pointings are removed one by one, until a bump explains more than the next one.
+    Pointings are removed one by one, until a bump explains the readings better than the next gross error does.
     """
     gross: dict[int, float] = {}
     most = max(1, MAX_SINGLE_ERROR_FRACTION * len(occupation.row_mask))
     while True:
-        drop, rank = occupation.pointing_removal_tests()
+        drop, rank = occupation.removal_chi2_drops_and_dof()
         alone = neg_log_p_chi2(drop, rank) - np.log(len(occupation.row_mask))
         worst = int(np.argmax(alone))
         bump, explained, gaps = best_bump(occupation)
@@ -306,13 +313,14 @@ def _n_targets_across_bump(occupation: StationOccupation, bump: StationBump) -> 
 
 
 def _neg_log_p(fit: ColumnsFit) -> float:
-    """Negative log p-value of the chi-square decrease under the declared noise."""
+    """Negative log p-value of the chi-square decrease by a fit, under the declared noise."""
     return float(neg_log_p_chi2(fit.chi2_drop, fit.rank))
 
 
 def _gross_item(
     occupation: StationOccupation, p_values: Mapping[int, float], row_numbers: Ints, test_family: HypothesisFamily
 ) -> CheckItem:
+    """Result of the test for gross errors, from the p-values of the rejected pointings by index."""
     recording, name = occupation.recording, occupation.recording.stations[0]
     targets = tuple(dict.fromkeys(recording.targets[recording.target[i]] for i in p_values))
     sentence, numbers = (
@@ -326,6 +334,7 @@ def _gross_item(
 def _bump_item(
     occupation: StationOccupation, bump: StationBump | None, row_numbers: Ints, test_family: HypothesisFamily
 ) -> CheckItem:
+    """Result of the test for a sudden motion of the station; passed if `bump` is None."""
     recording, name = occupation.recording, occupation.recording.stations[0]
     if bump is None:
         return CheckItem.from_test(name, "bump", True, f"{name}: no sudden motion")
@@ -342,11 +351,14 @@ def _bump_item(
 
 
 def _zero_drift_design(occupation: StationOccupation) -> Floats:
-    """Changes (n, 3, 2) of the three readings of n pointings by unit drift rates [1/s] of two zeros of the instrument.
+    """Changes (n, 3, 2) of the three readings of n pointings by unit drift rates of two zeros of the instrument.
 
-    The first is that of the range, the second the vertical index.
+    The first is the zero of the range [m/s], the second the vertical index [rad/s].
     """
-    laws, sightings = [RangeDrift(law="visit"), IndexDrift(law="visit")], with_equal_times_per_run(occupation.sightings)
+    laws, sightings = (
+        [RangeDrift(law="visit"), IndexDrift(law="visit")],
+        with_mean_times_of_consecutive_pointings(occupation.sightings),
+    )
     return np.concatenate([law.design(sightings) for law in laws], axis=2)
 
 
@@ -357,6 +369,7 @@ def _drift_item(
     design: Floats,
     write_sentence: SentenceWriter,
 ) -> CheckItem:
+    """Result of the test for a drift whose effect on the readings is `design` (n, 3, k)."""
     fit = occupation.fit_columns(design)
     p_value = test_family.corrected_p_value(occupation.p_value(fit))
     is_passed = p_value >= test_family.false_alarm_rate

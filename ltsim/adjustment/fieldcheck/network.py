@@ -1,4 +1,4 @@
-"""Tests of all stations of a recording together: agreement on common targets and on the vertical."""
+"""Tests of all stations of a recording together: agreement on common targets, levels and known lengths."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -28,18 +28,18 @@ from ltsim.recordings.specification import noise_origin
 from ltsim.solve.design import robust_sigma
 
 N_NETWORK_TESTS = 2
-"""Number of tests of all stations together: one of common targets, one of levels; known lengths have a third."""
+"""Number of tests of all stations together: one of common targets, one of levels. Known lengths add a third test."""
 EXCLUDABLE_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "mark", "scale")
 """Kinds of reference values that the adjustment may exclude. Levels are tested separately, station by station."""
 
 
 def n_network_tests(recording: Recording) -> int:
-    """Number of tests of all stations together."""
+    """Number of tests of all stations together: 2, or 3 with known lengths."""
     return N_NETWORK_TESTS + bool(recording.gauge.distance)
 
 
 def adjust_for_check(recording: Recording, motions: Sequence[StationMotion]) -> Adjustment | LtsimError:
-    """Adjusted network with `motions` of stations among its unknowns, or the error that prevents the adjustment."""
+    """Network adjustment with the station motions `motions` as unknowns, or the error that prevents the adjustment."""
     try:
         plain = adjust(
             recording, effects=motions, robust=bool(motions), tested_reference_kinds=EXCLUDABLE_REFERENCE_KINDS
@@ -50,18 +50,18 @@ def adjust_for_check(recording: Recording, motions: Sequence[StationMotion]) -> 
     return plain
 
 
-def scale_target_noise(
+def with_increased_noise_at_noisy_targets(
     recording: Recording, adjustment_or_error: Adjustment
 ) -> tuple[Recording, tuple[CheckItem, ...]]:
-    """Recording with increased standard deviations at noisy targets, and the failed item on these targets.
+    """Recording with increased standard deviations at noisy targets, and the failed test of these targets.
 
-    A noisy target is one whose readings scatter much more than those of the other targets, also if the instrument's
-    errors are estimated: such errors affect near and steep targets most. Without noisy targets the recording is
-    returned unchanged and the items are empty.
+    The readings to a noisy target scatter much more than those to other targets, also in an adjustment that estimates
+    the errors of the instrument, which affect near and steep targets most. Without noisy targets the recording is
+    returned unchanged and the tests are empty.
     """
     if adjustment_or_error.rejected_references or not len(adjustment_or_error.noisy_targets_and_scatter[0]):
         return recording, ()
-    with suppress(NetworkError):  # of two designs: nothing is known of their errors
+    with suppress(NetworkError):  # instruments of two designs: their errors are not estimated
         adjustment_or_error = adjust(
             recording,
             declared_construction(recording),
@@ -94,9 +94,7 @@ def scale_target_noise(
         covariates={**recording.covariates, **dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))}
     )
     names = tuple(recording.targets[t] for t in noisy_targets)
-    scatter_words = (
-        f"scatter {ratio:.2g} times the {noise_origin(recording.notes)} noise, the others {ratio_elsewhere:.2g} times"
-    )
+    scatter_words = f"scatter {ratio:.2g} times the {noise_origin(recording.notes)} noise, other readings {ratio_elsewhere:.2g} times"
     sentence = f"readings to {', '.join(names)} {scatter_words}"
     return scaled_recording, (
         CheckItem.from_test("", "closure", False, f"{sentence}: these targets are unstable", targets=names),
@@ -113,11 +111,12 @@ def network_items(
     uses_target_noise: bool,
     noise_text: str,
 ) -> tuple[CheckItem, ...]:
-    """Results of the tests of all stations together, with the errors of the instrument estimated.
+    """Results of the tests of all stations together; the errors of the instrument are estimated.
 
     `adjustment_or_error` is the network adjusted with the declared noise, also if `recording` has increased noise at
-    some targets. `motions` were detected in single set-ups, `station_motions` are motions that only the network shows.
-    `noise_text` states an estimated noise of `recording`; it is empty for the declared noise.
+    some targets (`uses_target_noise`). `motions` are station motions detected in single set-ups, `station_motions` are
+    motions that only the network shows. `noise_text` states the estimated noise of `recording`; it is empty for the
+    declared noise.
     """
     try:
         construction = declared_construction(recording)
@@ -174,7 +173,7 @@ def network_items(
         p_value, less = two_sided_chi2_p_value(adjustment.chi2, adjustment.dof)
         if (
             uses_target_noise and not less and test_family.corrected_p_value(p_value) < test_family.false_alarm_rate
-        ):  # noise: what stands out of it, by adjust
+        ):  # larger noise: only outliers relative to it are reported
             is_explained |= ~np.isin(
                 np.arange(len(is_explained)),
                 [motion.row for motion in adjustment_or_error.flagged_readings(uses_estimated_noise=True)],
@@ -187,14 +186,14 @@ def network_items(
     return tuple(check_items)
 
 
-def _has_instrument_errors(adjustment_without_centring: Adjustment, adjustment_with_errors: Adjustment) -> bool:
+def _has_instrument_errors(adjustment_without_errors: Adjustment, adjustment_with_errors: Adjustment) -> bool:
     """True if errors of the instrument explain the misfit of a network better than larger noise does (F test).
 
-    `adjustment_without_centring` has no unknowns for these errors, `adjustment_with_errors` estimates them.
+    `adjustment_without_errors` has no unknowns for these errors, `adjustment_with_errors` estimates them.
     """
     n_parameters = adjustment_with_errors.problem.unknowns.instrument_columns.size
     f_statistic = (
-        (adjustment_without_centring.chi2 - adjustment_with_errors.chi2)
+        (adjustment_without_errors.chi2 - adjustment_with_errors.chi2)
         / n_parameters
         / max(adjustment_with_errors.chi2 / adjustment_with_errors.dof, 1e-30)
     )
@@ -204,9 +203,10 @@ def _has_instrument_errors(adjustment_without_centring: Adjustment, adjustment_w
 def _target_agreement_items(
     adjustment: Adjustment, is_explained: Bools, test_family: HypothesisFamily, noise_text: str
 ) -> list[CheckItem]:
-    """Result of the test whether the stations agree on their common targets, with the worst pointing.
+    """Result of the test of the agreement of the stations on their common targets, as a list with one item.
 
-    `is_explained` (n,) flags pointings that another item already reports; they are left out.
+    A failed test names the pointing with the largest residual. `is_explained` (n,) flags pointings that other tests
+    already report; these are left out. `noise_text` states the estimated noise; it is empty for the declared noise.
     """
     recording, out = adjustment.recording, adjustment.is_rejected.any(axis=1) & ~is_explained
     alone, less = two_sided_chi2_p_value(adjustment.chi2, adjustment.dof)
@@ -249,9 +249,10 @@ def _level_items(fitted: Adjustment, test_family: HypothesisFamily) -> list[Chec
 
 
 def _length_items(fitted: Adjustment, test_family: HypothesisFamily) -> list[CheckItem]:
-    """Result of the test of the scale of the known lengths, or of a single length, against the distances.
+    """Results of the test of the common scale of the known lengths, or of a single length, against the distances.
 
-    The uncertainty includes the specification of the instrument. A rejected length or scale has an item already.
+    The uncertainty includes the specification of the instrument. The list is empty after a rejection of a length or
+    scale, which is reported already.
     """
     if any(test.kind in ("length", "scale") for test in fitted.rejected_references):
         return []

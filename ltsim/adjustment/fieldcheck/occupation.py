@@ -2,12 +2,12 @@
 
 Every target measured twice, on the other face or later, provides redundancy without a second station. The unknowns
 are three coordinates per target and the instrument's parameters. A suspected cause (a bump, a drift, a gross pointing)
-adds columns to the design matrix, and is tested by the decrease of chi-square if they are fitted too.
+adds columns to the design matrix, and is tested by the decrease of chi-square after a fit of these columns.
 
-Half differences of face 1 minus face 2 are tested target by target. Their limit includes the declared noise. A tracker
-within its specification has such differences too, so the limit also includes those that the specified errors of axes,
-beam and encoders cause at that position (`setup.toml`, [instrument.prior]). A user can replace the limit by A um +
-B um/m for the full difference as a length (the form of ASME B89.4.19).
+Half differences of face 1 minus face 2 are tested target by target. Their limit includes the declared noise, and the
+differences that the specified errors of axes, beam and encoders (`setup.toml`, [instrument.prior]) cause at the
+position of the target, because a tracker within its specification has such differences too. A user can replace the
+limit by A um + B um/m for the full difference as a length (the form of ASME B89.4.19).
 """
 
 from __future__ import annotations
@@ -31,22 +31,24 @@ from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 
 MIN_INSTRUMENT_SINGULAR_VALUE = 0.1
-"""Singular value of the whitened columns of the instrument's errors, scaled by their prior standard deviations, above
-which their combination is a parameter of the model. Smaller combinations change the readings by less than their noise.
+"""Smallest singular value of a combination of instrument errors that is a parameter of the model.
+
+The singular values are those of the whitened design columns of the instrument errors, scaled by their prior standard
+deviations. Combinations with smaller values change the readings by less than their noise.
 """
 MIN_DETERMINED_FRACTION = 0.999
-"""Squared length of the part of a parameter's unit vector that lies in the space which the readings determine. A
-parameter with a smaller value is undetermined and gets an infinite variance."""
+"""Smallest determined fraction of a parameter: squared length of the projection of its unit vector onto the space of
+determined parameters. A parameter with a smaller fraction is undetermined and gets an infinite variance."""
 
 
 @dataclass(frozen=True)
 class ColumnsFit:
-    """Least-squares fit of additional columns of the design matrix to the residuals of an occupation."""
+    """Least-squares fit of additional columns of the design matrix to the residuals of a station occupation."""
 
     chi2_drop: float
     """Decrease of the weighted sum of squared residuals by the fit."""
     rank: int
-    """Number of linearly independent columns."""
+    """Number of linearly independent columns that were fitted."""
     estimates: Floats
     """Estimated parameter (c,) of each column."""
     covariance: Floats
@@ -69,7 +71,7 @@ class StationOccupation:
     recording: Recording
     """Recording of this station."""
     sightings: Sightings
-    """Sightings in the instrument frame."""
+    """Sightings of the pointings, in the instrument frame."""
     row_mask: Bools
     """Flags (n,) of the pointings in use."""
     whitened_residuals: Floats
@@ -83,7 +85,7 @@ class StationOccupation:
     sigma: Floats
     """Standard deviations of the readings, (n, 3)."""
     dof: int
-    """Degrees of freedom."""
+    """Degrees of freedom: number of readings in use minus number of determined unknowns."""
 
     @classmethod
     def from_recording(
@@ -93,7 +95,7 @@ class StationOccupation:
         row_mask: Bools | None = None,
         sigma: Floats | None = None,
     ) -> StationOccupation:
-        """Occupation of the only station of a recording.
+        """Occupation of the only station of a recording, with the errors of the model `construction` as unknowns.
 
         `row_mask` (n,) selects pointings, `sigma` (n, 3) [m, rad, rad] replaces the declared standard deviations.
         """
@@ -102,7 +104,7 @@ class StationOccupation:
         sigma = recording.sigma() if sigma is None else sigma
         sightings = replace(sightings_at_state(recording, _initial_state(recording, mask)), sight_vector_offsets=None)
         prior = prior_sigmas(recording, construction)[0]
-        # At the mean of each target: at a gross reading, the columns of the instrument would contain its error.
+        # Linearised at the mean of each target: a gross reading would put its error into the instrument columns.
         target_design, parameter_design = construction.reading_design(
             sightings.raw_readings, np.zeros(construction.n_parameters)
         )
@@ -123,7 +125,7 @@ class StationOccupation:
 
     @property
     def chi2(self) -> float:
-        """Weighted sum of squared residuals after the fit of target coordinates and instrument errors."""
+        """Weighted sum of squared residuals, with target coordinates and instrument errors fitted."""
         return float(np.sum(self.whitened_residuals**2))
 
     @property
@@ -166,7 +168,7 @@ class StationOccupation:
         return ColumnsFit(float(coefficients @ coefficients), int(is_valid.sum()), inverse @ coefficients, covariance)
 
     def p_value(self, fit: ColumnsFit) -> float:
-        """p-value of the decrease of chi-square: the larger of a test with declared and one with estimated noise."""
+        """p-value of a fit: the larger p-value of a test with the declared and a test with the estimated noise."""
         if not fit.rank or self.dof <= fit.rank:
             return 1.0
         by_declared = float(special.chdtrc(fit.rank, fit.chi2_drop))
@@ -175,7 +177,7 @@ class StationOccupation:
         return max(by_declared, float(special.fdtrc(fit.rank, dof, ratio)))
 
     def with_fitted_columns(self, design: Floats) -> StationOccupation:
-        """Occupation whose model also contains the columns of a suspected cause, its `design` (n, 3, c)."""
+        """Occupation whose model also contains the c columns of a suspected cause, `design` (n, 3, c)."""
         u, size, _ = np.linalg.svd(self._unit_columns(design)[0], full_matrices=False)
         added = u[:, size > np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * max(float(size.max(initial=0.0)), 1e-12)]
         residuals = self.whitened_residuals.ravel() - added @ (added.T @ self.whitened_residuals.ravel())
@@ -184,7 +186,7 @@ class StationOccupation:
             self, whitened_residuals=residuals.reshape(-1, 3), instrument_basis=basis, dof=self.dof - added.shape[1]
         )
 
-    def target_chi2_and_dof(self) -> tuple[Floats, Floats]:
+    def chi2_and_dof_by_target(self) -> tuple[Floats, Floats]:
         """Weighted sums of squared residuals (T,) at each of T targets, and their degrees of freedom (T,)."""
         leverage = np.sum(self.target_basis**2, axis=2) + np.sum(self.instrument_basis**2, axis=2)
         redundancy = np.where(self.inverse_sigmas > 0, 1.0 - leverage, 0.0).sum(axis=1)
@@ -203,17 +205,17 @@ class StationOccupation:
         return float(np.linalg.norm(points[row] - points[others].mean(axis=0))) if others.any() else float("nan")
 
     def target_point_sigma(self, target: int) -> float:
-        """Standard deviation [m] of a target's repeated points, rms over the three axes; NaN with fewer than two."""
+        """Standard deviation [m] of a target's repeated points, rms over the axes; NaN with fewer than two points."""
         points = from_polar(self.recording.readings[self.row_mask & np.asarray(self.recording.target == target)])
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) < 2:
             return float("nan")
         return float(np.sqrt(np.mean(np.var(points, axis=0, ddof=1))))
 
-    def pointing_removal_tests(self) -> tuple[Floats, Ints]:
+    def removal_chi2_drops_and_dof(self) -> tuple[Floats, Ints]:
         """Decreases (n,) of chi-square by the removal of each of n pointings, and their degrees of freedom (n,).
 
-        The degrees of freedom count the directions in which other pointings check a pointing.
+        The degrees of freedom of a pointing are the number of directions in which other pointings check it, 0 to 3.
         """
         redundancy = np.eye(3) - np.einsum("nij,nkj->nik", self.target_basis, self.target_basis)
         redundancy = redundancy - np.einsum("nij,nkj->nik", self.instrument_basis, self.instrument_basis)
@@ -235,12 +237,12 @@ def _initial_state(recording: Recording, row_mask: Bools) -> NetworkState:
     np.add.at(total, recording.target[is_valid], points[is_valid])
     np.add.at(count, recording.target[is_valid], 1.0)
     mean = total / np.maximum(count, 1.0)[:, None]
-    mean[count == 0] = [1.0, 0.0, 0.0]  # never in use whole: its rows have no weight
+    mean[count == 0] = [1.0, 0.0, 0.0]  # arbitrary point: the readings of such a target have no weight
     return NetworkState(np.zeros((1, 3)), np.eye(3)[None], mean, np.zeros((1, 0)))
 
 
 def _orthonormal_by_target(columns: Floats, target: Ints, n_targets: int) -> tuple[Floats, int]:
-    """Orthonormal basis (n, 3, 3) of the columns of each target over its rows, and the sum of their ranks.
+    """Orthonormal bases (n, 3, 3) of the design columns of each target over its pointings, and the sum of their ranks.
 
     `columns` (n, 3, 3) are the whitened changes of the readings per unit of the target's coordinates.
     """
@@ -282,8 +284,8 @@ class TwoFaceDifferences:
         """Differences of a recording with one station; None if no target was measured on both faces.
 
         `motion_corrected_recording` is the recording without the effects of detected motions. `alpha` is the
-        probability of any false alarm among the differences. `mpe` is the limit (A, B) of A um + B um/m of the full
-        difference.
+        probability of any false alarm among the differences. `mpe` (A, B) is the maximum permissible full difference,
+        A um + B um per metre of range; None for the limit by noise and specification of `construction`.
         """
         if not len(face_pair_rows(recording)):
             return None
@@ -312,9 +314,9 @@ class TwoFacePairs:
     """Pairs of pointings of one station to one target on both faces."""
 
     rows: Ints
-    """Rows of the recording with face 1 and face 2, (m, 2)."""
+    """Indices (m, 2) of the pointings on face 1 and face 2 in the recording."""
     front_face_readings: Floats
-    """Mean front-face range, azimuth, elevation, (m, 3) [m, rad, rad]."""
+    """Mean range, azimuth and elevation of both faces, as front-face readings, (m, 3) [m, rad, rad]."""
     half_differences: Floats
     """Half of face 1 minus face 2, (m, 3) [m, rad, rad]: of the range, of the azimuth times the cosine of the elevation
     (perpendicular to the beam), and of the elevation.
@@ -344,7 +346,7 @@ class TwoFacePairs:
 
 
 def face_pair_rows(recording: Recording) -> Ints:
-    """Rows (m, 2) of complete pointings on face 1 and face 2 of the same station, target and repeat."""
+    """Indices (m, 2) of complete pointings on face 1 and face 2 of the same station, target and repeat."""
     is_complete = np.all(recording.is_usable, axis=1)
     rows_by_key: dict[tuple[int, int, int], dict[int, int]] = {}
     keys = zip(recording.station.tolist(), recording.target.tolist(), recording.repeat.tolist(), strict=True)
@@ -358,14 +360,16 @@ def face_pair_rows(recording: Recording) -> Ints:
 def two_face_pairs(
     recording: Recording, construction: GeometricErrorModel | None = None, parameter_values: Floats | None = None
 ) -> TwoFacePairs:
-    """Two-face half differences of a recording, after the correction of its readings by the instrument's parameters.
+    """Two-face half differences of a recording, after a correction of its readings for instrument errors.
 
-    `parameter_values` are the p parameters of the geometric error model [SI], (p,) or for each of n pointings (n, p).
-    By default the readings are not corrected. Raises NetworkError if no target was measured on both faces.
+    `parameter_values` [SI] are the p parameters of the error model `construction`, (p,), or (n, p) for n pointings. By
+    default the readings are not corrected. Raises NetworkError if no target was measured on both faces.
     """
     row_pairs = face_pair_rows(recording)
     if not len(row_pairs):
-        raise NetworkError("no station measured a target in range and both angles on both faces")
+        raise NetworkError(
+            "no station measured range and both angles to a target on both faces; measure some targets on both faces"
+        )
     model = construction or ideal_construction()
     applied_values = np.zeros(model.n_parameters) if parameter_values is None else parameter_values
     readings = np.where(recording.is_measured, recording.readings, 1.0)

@@ -33,31 +33,37 @@ class CheckItem(Entry):
     """Test of a field check, with its result."""
 
     station: str
-    """Station; empty for an item on all stations."""
+    """Name of the tested station; empty for a test of all stations."""
     kind: CheckItemKind
     """Kind of test."""
     passed: bool
-    """True if the measurement can continue."""
+    """True if the test detected no error, so that the measurement can continue."""
     sentence: str
     """Result of the test as a sentence with units."""
     p_value: OptionalFloat = None
     """p-value, corrected for the number of tests."""
     targets: tuple[str, ...] = ()
-    """Targets that the item concerns."""
+    """Names of the targets with the detected error."""
     rows: tuple[int, ...] = ()
-    """Rows of the recording that the item concerns, from 1."""
+    """Row numbers, from 1, of the pointings with the detected error."""
     between_s: tuple[Finite, Finite] | None = None
-    """Time interval of a motion [s], after the first and before the second time; null for other tests."""
+    """Times [s] between which a sudden motion happened; null for other tests."""
 
     @classmethod
     def from_test(
-        cls, place: str, kind: CheckItemKind, passed: bool, sentence: str, p_value: float | None = None, **details: Any
+        cls,
+        station: str,
+        kind: CheckItemKind,
+        passed: bool,
+        sentence: str,
+        p_value: float | None = None,
+        **details: Any,
     ) -> CheckItem:
-        """Item of a test at `place`, with its sentence, its p-value, and the targets, rows or times of its readings.
+        """Item with the result of a test of `station`; `station` is empty for a test of all stations.
 
-        `passed` is the result of the test.
+        `details` are the fields `targets`, `rows` and `between_s`.
         """
-        return cls(station=place, kind=kind, passed=passed, sentence=sentence, p_value=p_value, **details)
+        return cls(station=station, kind=kind, passed=passed, sentence=sentence, p_value=p_value, **details)
 
 
 ITEM_KIND_BY_CAUSE: dict[str, CheckItemKind] = {
@@ -74,7 +80,7 @@ ITEM_KIND_BY_CAUSE: dict[str, CheckItemKind] = {
 
 
 def item_from_cause(test: CauseTest) -> CheckItem:
-    """Item of a check for an identified cause. The item fails, unless the cause is noise smaller than declared."""
+    """Item of a check for an identified cause: a failed test, or a passed one for noise smaller than declared."""
     stations, targets = ", ".join(test.where.stations), test.where.targets
     kind: CheckItemKind = "level" if test.acts_on == "level" else ITEM_KIND_BY_CAUSE.get(test.kind, "cause")
     sentence = test.sentence.rstrip(".")
@@ -90,14 +96,17 @@ ITEMS_TABLE = Table(
 )
 TWO_FACE_TABLE = Table(
     "two_face.csv",
-    "half two-face differences with their limits, one row per pair",
+    "half two-face differences (face 1 minus face 2) with their limits, one row per pair",
     (
-        *text_columns(station="name", target="name"),
-        *number_columns(row_1="of the first face, from 1", row_2="of the second face"),
-        *number_columns(".4f", half_range_um="half difference", half_across_arcsec="as half_range_um"),
-        *number_columns(".4f", half_elevation_arcsec="as half_range_um", limit_range_um="limit of half_range_um"),
-        *number_columns(".4f", limit_across_arcsec="as limit_range_um", limit_elevation_arcsec="as limit_range_um"),
-        *text_columns(passed="yes or no"),
+        *text_columns(station="name of the station", target="name of the target"),
+        *number_columns(row_1="row of the pointing on face 1, from 1", row_2="row of the pointing on face 2, from 1"),
+        *number_columns(".4f", half_range_um="half difference of the range"),
+        *number_columns(".4f", half_across_arcsec="half difference of the azimuth, times the cosine of the elevation"),
+        *number_columns(".4f", half_elevation_arcsec="half difference of the elevation"),
+        *number_columns(".4f", limit_range_um="largest permitted half_range_um"),
+        *number_columns(".4f", limit_across_arcsec="largest permitted half_across_arcsec"),
+        *number_columns(".4f", limit_elevation_arcsec="largest permitted half_elevation_arcsec"),
+        *text_columns(passed="yes if all three half differences are within their limits, else no"),
     ),
 )
 
@@ -107,7 +116,9 @@ class SetupCheck(ValueEquality):
     """Tests of one set-up with their results."""
 
     station: str
+    """Name of the station."""
     items: tuple[CheckItem, ...]
+    """Results of the tests."""
     two_face_differences: TwoFaceDifferences | None
     """Half two-face differences; None if no target was measured on both faces."""
     occupation: StationOccupation | None
@@ -120,14 +131,16 @@ class SetupCheck(ValueEquality):
 
 @dataclass(frozen=True)
 class CheckArrays(ValueEquality):
-    """Recording of a check, and the tests of its set-ups with their arrays; they are not part of `check.json`."""
+    """Data of a check that are not part of `check.json`: the recording, and the tests of each set-up with arrays."""
 
     recording: Recording
+    """Checked recording."""
     setups: tuple[SetupCheck, ...]
+    """Tests of each set-up, in the order of the stations."""
 
 
 class Check(ResultFile):
-    """`check.json`: the result of `check`."""
+    """Result of `check`, with the content of `check.json`."""
 
     FILE: ClassVar[str] = "check.json"
     format: Literal["ltsim-check/1"] = "ltsim-check/1"
@@ -168,9 +181,9 @@ class Check(ResultFile):
 
     @property
     def arrays(self) -> CheckArrays:
-        """Set-ups as arrays; raises ModelError for a check that was read from a file."""
+        """Recording and set-ups of the check as arrays; raises ModelError for a check that was read from a file."""
         if self._arrays is None:
-            raise ModelError("a check read from a file has no set-ups; call lt.check with the recording")
+            raise ModelError("a check read from a file has no recording; call lt.check with the recording")
         return self._arrays
 
     def _lines(self) -> list[str]:
@@ -180,7 +193,7 @@ class Check(ResultFile):
         return {"items": lambda: ITEMS_TABLE.with_rows(self.items), "two_face": self._two_face_table}
 
     def _two_face_table(self) -> Table:
-        """Table of half two-face differences with their limits, one row per pair."""
+        """Data table of the half two-face differences with their limits, one row per pair."""
         rows, recording = [], self.arrays.recording
         for setup in self.arrays.setups:
             if (faces := setup.two_face_differences) is None:
@@ -197,7 +210,7 @@ class Check(ResultFile):
 
 
 def _go_or_no_go_sentence(check_items: Sequence[CheckItem], cause_items: Sequence[CheckItem], n_setups: int) -> str:
-    """Sentence with go or no-go and its reason: first the causes that produce other failures, then noisy targets."""
+    """Sentence with go or no-go and the first failed test, in an order that prefers causes of other failures."""
     failed_items = [item for item in check_items if not item.passed]
     n_failed_causes = sum(not item.passed for item in cause_items)
     rest = sorted(
@@ -226,15 +239,16 @@ class HypothesisFamily:
         """Significance level of one test."""
         return self.false_alarm_rate / self.n_tests
 
-    def corrected_p_value(self, p_value: float, n_places: int = 1) -> float:
-        """p-value times the number of tests in this family, and times `n_places` if one test tries several places.
+    def corrected_p_value(self, p_value: float, n_alternatives: int = 1) -> float:
+        """p-value corrected for the number of tests (Bonferroni), at most 1.
 
-        It is at most 1 (Bonferroni).
+        The p-value is multiplied by the number of tests of the set, and by `n_alternatives`, the number of time gaps or
+        pointings that one test examines.
         """
-        return min(1.0, p_value * n_places * self.n_tests)
+        return min(1.0, p_value * n_alternatives * self.n_tests)
 
 
 def two_sided_chi2_p_value(chi2: float, dof: int) -> tuple[float, bool]:
-    """Two-sided p-value of `chi2` with `dof` degrees of freedom, and a flag that it is smaller than expected."""
+    """Two-sided p-value of `chi2` with `dof` degrees of freedom, and a flag (True if `chi2` is below its median)."""
     low, high = float(special.chdtr(dof, chi2)), float(special.chdtrc(dof, chi2))
     return min(1.0, 2 * min(low, high)), low < high

@@ -1,4 +1,4 @@
-"""Tests of the scatter of repeated pointings of one set-up: against the noise, and between the targets."""
+"""Tests of the scatter of repeated pointings of one set-up: against the noise, and between its targets."""
 
 import numpy as np
 from scipy import special
@@ -9,15 +9,15 @@ from ltsim.adjustment.fieldcheck.sentences import target_scatter_sentence
 from ltsim.core.arrays import Floats
 
 MIN_TARGET_DOF = 6.0
-"""Number of degrees of freedom from which the scatter of a target is compared with that of the other targets."""
+"""Smallest number of degrees of freedom of a target whose scatter is compared with that of the other targets."""
 
 
 def noise_factors_by_target_scatter(occupation: StationOccupation, test_family: HypothesisFamily) -> Floats | None:
-    """Factor (n, 1) on the declared noise of each of n pointings, at least 1, from the scatter at its target.
+    """Factors (n, 1), at least 1, on the declared noise of n pointings, from the scatter at their targets.
 
-    None if the scatter of the targets does not differ significantly (test of Bartlett).
+    The result is None if the scatter does not differ significantly between the targets (test of Bartlett).
     """
-    chi2, dof = occupation.target_chi2_and_dof()
+    chi2, dof = occupation.chi2_and_dof_by_target()
     is_testable = dof >= MIN_TARGET_DOF
     variance, dof_of_target = chi2[is_testable] / np.maximum(dof[is_testable], 1.0), dof[is_testable]
     if is_testable.sum() < 2 or not variance.min() > 0.0:
@@ -60,9 +60,13 @@ def target_scatter_item(
     test_family: HypothesisFamily,
     noise_text: str,
 ) -> CheckItem:
-    """Result of the test of scatter for a set-up whose targets scatter differently, with the names of the worst."""
+    """Result of the test of scatter for a set-up whose targets scatter differently, with the names of noisy targets.
+
+    `occupation` contains the readings as measured, `corrected_occupation` is corrected for motions and drifts;
+    `noise_text` states the estimated noise and is empty for the declared noise.
+    """
     closure = repeatability_item(corrected_occupation, test_family, noise_text)
-    chi2, dof = corrected_occupation.target_chi2_and_dof()
+    chi2, dof = corrected_occupation.chi2_and_dof_by_target()
     listed_targets = np.flatnonzero(dof >= MIN_TARGET_DOF)
     listed_targets = listed_targets[np.argsort(-chi2[listed_targets] / dof[listed_targets], kind="stable")]
     sentence, targets = target_scatter_sentence(occupation, listed_targets)

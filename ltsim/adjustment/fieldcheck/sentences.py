@@ -1,4 +1,4 @@
-"""Sentences of a check, with a unit on every number."""
+"""Sentences on the results of a field check."""
 
 from collections.abc import Sequence
 
@@ -16,9 +16,8 @@ ZERO_NAMES_AND_MAX_SIGMAS = (
     ("range", "um", MICROMETRE, 100 * MICROMETRE),
     ("vertical index", "arcsec", ARCSECOND, 100 * ARCSECOND),
 )
-"""Zeros of an instrument: name, unit, size of the unit [SI], and the standard deviation [SI] of the drift over the
-occupation from which the drift is not reported.
-"""
+"""Zeros of an instrument: name, unit, size of the unit [SI], and the largest standard deviation [SI] of a reported
+drift over the occupation. """
 TRANSLATION_COMPONENTS = slice(0, 3)
 """Slice of the six components of a station's motion that holds the translation [m]."""
 TILT_COMPONENTS = slice(3, 5)
@@ -26,11 +25,11 @@ TILT_COMPONENTS = slice(3, 5)
 AZIMUTH_COMPONENT = slice(5, 6)
 """Slice of the six components of a station's motion that holds the rotation about the standing axis [rad]."""
 MAX_REPORTED_TILT_SIGMA = 100 * MICRORADIAN
-"""Standard deviation of a station's tilt [rad] from which the sentence does not state the tilt."""
+"""Largest standard deviation [rad] of the tilt of a station that a sentence states."""
 
 
 def estimated_noise_text(recording: Recording, declared_recording: Recording) -> str:
-    """Text on the noise of the tests relative to the declared noise, by observable; empty if both are equal.
+    """Text on the noise of a recording relative to the declared noise, by observable; empty if both are equal.
 
     `declared_recording` is the same recording with the declared noise.
     """
@@ -52,7 +51,10 @@ def estimated_noise_text(recording: Recording, declared_recording: Recording) ->
 def two_face_sentence(
     differences: TwoFaceDifferences, recording: Recording, limit_text: str
 ) -> tuple[str, tuple[str, ...], Ints]:
-    """Sentence on the two-face differences, names of the targets beyond the limit, and both rows of the worst pair."""
+    """Sentence on the two-face differences, targets with differences beyond the limit, and two pointing indices.
+
+    The indices are those of the pair with the largest ratio of difference to limit. `limit_text` describes the limit.
+    """
     name, pairs = recording.stations[0], differences.motion_corrected_pairs
     if not differences.exceeds_limit.any():
         sizes = f"{pairs.rms[0] / MICROMETRE:.1f} um, {pairs.rms[1] / ARCSECOND:.2f} and {pairs.rms[2] / ARCSECOND:.2f}"
@@ -110,7 +112,7 @@ def gross_pointing_sentence(occupation: StationOccupation, outlier_indices: Sequ
 
 
 def bump_sentence(recording: Recording, motion_interval_text: str, fit: ColumnsFit) -> str:
-    """Sentence on a sudden motion of a station, with the text of its time interval, and its size."""
+    """Sentence on a sudden motion of a station, from the text of its time interval and the fit of the motion."""
     return f"{recording.stations[0]} moved {motion_interval_text}{_motion_text(fit)}"
 
 
@@ -146,7 +148,7 @@ def zero_drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> 
 
 
 def target_scatter_sentence(occupation: StationOccupation, target_indices: Ints) -> tuple[str, tuple[str, ...]]:
-    """Sentence on the scatter of targets, and the names of the half of them with the largest scatter.
+    """Sentence on the scatter of the pointings to some targets, and the names of the noisier half of these targets.
 
     `target_indices` (k,) are ordered by scatter, the largest first.
     """
@@ -159,7 +161,7 @@ def target_scatter_sentence(occupation: StationOccupation, target_indices: Ints)
 
 
 def _motion_text(fit: ColumnsFit) -> str:
-    """Text of the significant components of a station's motion with standard deviations; empty if none is."""
+    """Text of the significant components of a station's motion and their standard deviations; empty if none is."""
     kinds = (
         ("shifted", TRANSLATION_COMPONENTS, "um", MICROMETRE),
         ("turned", AZIMUTH_COMPONENT, "urad", MICRORADIAN),
@@ -177,11 +179,11 @@ def _motion_text(fit: ColumnsFit) -> str:
 
 
 def length_text(length_m: float) -> str:
-    """Length as text, in mm above 1 mm and otherwise in um."""
+    """Length with its unit as text, in mm above 1 mm and otherwise in um."""
     unit, factor = ("mm", MILLIMETRE) if length_m > MILLIMETRE else ("um", MICROMETRE)
     return f"{number_text(length_m / factor)} {unit}"
 
 
 def number_text(value: float, digits: int = 3) -> str:
-    """Number with `digits` significant digits, large ones without exponent: 2710 and not 2.71e+03."""
+    """Number as text with `digits` significant digits and without exponent, such as 2710 instead of 2.71e+03."""
     return f"{float(f'{value:.{digits}g}'):.6g}"

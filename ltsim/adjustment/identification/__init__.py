@@ -1,10 +1,10 @@
 """Detection, identification and adaptation of common errors of a network, compared by their log evidence.
 
 The list of causes is short: an outlier, an offset of all distances to a target, a station that moved, a wrong reference
-value and so on. Each cause at each place is a hypothesis with a prior and a change of the model. The network is fitted
-with the hypothesis, and the log evidence of the fit is compared with that of the other hypotheses. An error of a
-million standard deviations is identified as reliably as one of twenty, because every fit starts at a robust state and
-is relinearised.
+value and so on. Each cause at each station, target or reference value is a hypothesis with a prior probability and a
+change of the model. The network is fitted with each hypothesis in turn, and the log evidences of the fits are compared.
+An error of a million standard deviations is identified as reliably as an error of twenty, because every fit starts at a
+robust state and is relinearised.
 
 References
 ----------

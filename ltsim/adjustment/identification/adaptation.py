@@ -33,7 +33,7 @@ def adjust_with_causes(
     subtracts_changes: bool = False,
     **options: Any,
 ) -> Adjustment:
-    """Adjustment of a recording whose model contains hypotheses of a fit, started at the state of this fit.
+    """Adjustment of a recording with identified errors (hypotheses) in its model, started at the state of a fit.
 
     Parameters
     ----------
@@ -44,12 +44,12 @@ def adjust_with_causes(
     construction : GeometricErrorModel
         Geometric error model of the tracker; its parameters are estimated.
     hypotheses : sequence of Hypothesis
-        Hypotheses of the fit to apply: all of its shifts of readings, or none of them.
+        Hypotheses of the fit that the model contains. Of the shifts of readings either all or none are permitted.
     effects : sequence of LinearEffect
         Further effects to estimate; their parameters precede those of the shifts.
     subtracts_changes : bool
-        True to subtract the estimated shifts from the readings first. The adjustment estimates the shifts in both
-        cases. It starts from zero if they are subtracted, otherwise from the estimates of the fit.
+        True to subtract the estimated shifts from the readings first. The adjustment estimates the (remaining) shifts
+        in both cases, with start values of zero if they are subtracted, otherwise with the estimates of the fit.
     **options
         Options of `adjust`.
     """

@@ -24,7 +24,7 @@ from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
 
 MAX_LOG_EVIDENCE_GAIN = float(np.finfo(np.float32).max)
-"""Finite number in place of an infinite gain of log evidence: that of a hypothesis without which no fit is possible."""
+"""Finite number instead of the infinite gain of log evidence of a hypothesis without which no fit is possible."""
 SHARED_CAUSE_KINDS = (
     "constant-offset",
     "constant-step",
@@ -36,16 +36,14 @@ SHARED_CAUSE_KINDS = (
 )
 """Kinds of causes that change all readings of one observable, or of one set-up."""
 MAX_REFERENCE_MISCLOSURE = 0.1
-"""Misclosure of a reference value [m] above which the value is excluded from the start, because the adjustment may not
-converge with it.
-"""
+"""Misclosure [m] of a reference value above which the value is excluded before the adjustment, because the adjustment
+may not converge with it. """
 
 
 def largest_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> float:
-    """Size [m] of the error in a hypothesis: largest displacement of a measured point, or a misclosure.
+    """Size [m] of an error: largest displacement of a measured point, or misclosure of a reference value.
 
-    The misclosure is that of a reference value. The size is 0 for a hypothesis on the noise or on wrongly recorded
-    rows.
+    The size is 0 for a hypothesis on the noise or on wrongly recorded pointings.
     """
     change, sightings = hypothesis.model_change, fit.adjustment.sightings
     if isinstance(change, ReferenceOmission):
@@ -59,7 +57,7 @@ def largest_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> float:
 
 
 def has_larger_noise_of_all_readings(fit: NetworkFit) -> bool:
-    """True if a fit contains larger noise of all readings, so that an error of the model may cause the residuals."""
+    """True if a fit contains larger noise of all readings, whose true cause may be an unmodelled error."""
     general = (h.model_change for h in fit.hypotheses if not h.stations and not h.targets)
     return any(isinstance(change, NoiseFactor) and change.start_factor > 1.0 for change in general)
 
@@ -69,10 +67,11 @@ class SelectedHypothesis:
     """Selected hypothesis with its gain of log evidence, and the alternatives that were fitted in its place."""
 
     hypothesis: Hypothesis
+    """Selected hypothesis."""
     log_evidence_gain: float
-    """Log evidence of the network with all selected hypotheses, minus that without this one."""
+    """Log evidence of the fit with all selected hypotheses, minus log evidence of the fit without this hypothesis."""
     alternatives: tuple[tuple[Hypothesis, float], ...]
-    """Alternative hypotheses with their gains of log evidence in place of this one."""
+    """Alternative hypotheses, each with its gain of log evidence in place of this hypothesis."""
 
     @property
     def probabilities(self) -> Floats:
@@ -84,19 +83,13 @@ class SelectedHypothesis:
 
 @dataclass(frozen=True)
 class CauseSelection:
-    """Network fitted with the causes of errors that the readings support.
-
-    Attributes
-    ----------
-    fit : NetworkFit
-        Fit with all selected hypotheses.
-    selected_hypotheses : tuple of SelectedHypothesis
-        Selected errors of readings and reference values, then changes of the noise and centring errors; the most
-        certain first in each group.
-    """
+    """Network fitted with the causes of errors that the readings support."""
 
     fit: NetworkFit
+    """Fit with all selected hypotheses."""
     selected_hypotheses: tuple[SelectedHypothesis, ...]
+    """Selected errors of readings and reference values, then changes of the noise and centring errors; the most certain
+    first in each group."""
 
     @property
     def _certain_hypotheses(self) -> list[Hypothesis]:
@@ -105,16 +98,17 @@ class CauseSelection:
 
     @property
     def _certain_effects(self) -> list[LinearEffect]:
-        """Effects of the certain shifts of readings, in their order."""
+        """Effects of the certain hypotheses that are shifts of readings."""
         changes = (h.model_change for h in self._certain_hypotheses)
         return [change.effect for change in changes if isinstance(change, ReadingShiftChange)]
 
     @property
     def requires_adjustment_with_causes(self) -> bool:
-        """True if the network must be adjusted with the selected hypotheses before other tests are possible.
+        """True if the selected hypotheses must be in the model before other tests of the network are possible.
 
-        This is necessary after a certain error that all readings of a set-up or target share, and after a reference
-        value with a large error. Other motions of stations and reference values have separate tests in the adjustment.
+        This is necessary for a certain error that all readings of a set-up or target share, for exchanged reference
+        coordinates, and for a reference value with a large error. The adjustment tests other motions of stations and
+        other reference values separately.
         """
         certain = self._certain_hypotheses
         shared = [h for h in certain if h.kind in SHARED_CAUSE_KINDS]
@@ -134,7 +128,7 @@ class CauseSelection:
 
     @property
     def certain_station_motions(self) -> tuple[FittedMotion, ...]:
-        """Certain motions of stations, at most one per station: that with the largest gain of log evidence."""
+        """Certain motions of stations: for each station the motion with the largest gain of log evidence."""
         motions: dict[tuple[str, ...], FittedMotion] = {}
         for effect in self._certain_effects:
             motion = SuddenMotion(effect.stations, time=effect.time) if isinstance(effect, StationBump) else effect
@@ -149,13 +143,13 @@ class CauseSelection:
 
     @property
     def has_shifts_other_than_motions(self) -> bool:
-        """True if a shift of readings is selected that is not among `certain_station_motions`."""
+        """True if the selected hypotheses contain a shift of readings that is no certain motion of a station."""
         changes = [choice.hypothesis.model_change for choice in self.selected_hypotheses]
         return sum(isinstance(change, ReadingShiftChange) for change in changes) > len(self.certain_station_motions)
 
     @property
     def larger_noise_hypotheses(self) -> tuple[Hypothesis, ...]:
-        """Selected hypotheses that the noise is larger than declared, if no other cause is needed for consistency."""
+        """Selected hypotheses if all are noise larger than declared and the network is consistent; otherwise empty."""
         chosen = tuple(choice.hypothesis for choice in self.selected_hypotheses)
         changes = [h.model_change for h in chosen]
         is_noise = all(isinstance(change, NoiseFactor) and change.start_factor > 1.0 for change in changes)
@@ -165,10 +159,10 @@ class CauseSelection:
     def is_consistent(self) -> bool:
         """True if the network with the selected hypotheses passes the global test and every hypothesis is certain.
 
-        It is False for set-ups in another unit or sense of rotation, because their rows must be read again. It is False
-        for noise smaller than declared, because its outliers may be errors of the model, and for larger noise with
-        remaining outliers. It is also False with reference values or tripods over marks, which have more specific
-        tests.
+        It is False for set-ups in another unit or sense of rotation, because their readings must be read again. It is
+        False for noise smaller than declared, because its outliers may be errors of the model, and for larger noise
+        with remaining outliers. It is also False for wrong reference values and for set-ups over marks, which have more
+        specific tests.
         """
         changes = [c.hypothesis.model_change for c in self.selected_hypotheses]
         quieter = any(isinstance(change, NoiseFactor) and change.start_factor < 1.0 for change in changes)

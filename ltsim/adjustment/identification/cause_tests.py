@@ -1,4 +1,4 @@
-"""Table of tests in every result: identified errors and outliers, with their sizes and probabilities."""
+"""List of tests in every result: identified errors and outliers, with their sizes and probabilities."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ltsim.adjustment.identification.hypothesis import (
     RowCorrection,
 )
 from ltsim.adjustment.identification.noise_sentences import estimated_noise_factor, noise_sentence
-from ltsim.adjustment.identification.nominal_offsets import usual_offset_text, usual_smr_text
+from ltsim.adjustment.identification.nominal_offsets import offset_cause_text, smr_exchange_text
 from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.adjustment.reference_tests import ERROR_UNITS
 from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
@@ -36,7 +36,7 @@ from ltsim.recordings.times import interval_text
 
 
 class CausePlace(Entry):
-    """Stations and targets at which a test applies; empty for all."""
+    """Stations and targets at which an error acts; empty for all."""
 
     stations: tuple[str, ...] = ()
     """Names of the stations."""
@@ -61,17 +61,17 @@ class CauseTest(Entry):
     kind: str
     """Kind of the error: `outlier`, `constant-offset`, `scale-error`, `target-moved`, `station-bump` and so on."""
     acts_on: str
-    """Observable, `position`, a kind of reference value, or `noise`."""
+    """Quantity that the error changes: an observable, `position`, a kind of reference value, or `noise`."""
     where: CausePlace
     """Stations or targets at which the error acts."""
     statistic: Finite
-    """Decrease of chi-square; for noise and blunders twice the log likelihood ratio."""
+    """Test statistic: decrease of chi-square; for noise and blunders twice the gain of log evidence."""
     dof: int
     """Number of tested components."""
     p_value: OptionalFloat = None
-    """p-value of the statistic, for a single test."""
+    """p-value of `statistic`, not corrected for the number of tests."""
     estimate: OptionalFloat = None
-    """Estimated size."""
+    """Estimated size of the error, in `unit`."""
     sigma: OptionalFloat = None
     """Standard deviation of the estimate."""
     unit: str = ""
@@ -94,16 +94,17 @@ class CauseTest(Entry):
 
 
 MAX_LISTED_OUTLIERS = 20
-"""Largest number of outliers in the table, and of rows that a test lists."""
+"""Largest number of outliers in the list of tests, and of row numbers in one test."""
 
 
 def cause_tests(selection: CauseSelection) -> tuple[CauseTest, ...]:
-    """Tests of the selected hypotheses, the most certain first, then of the outliers."""
+    """Tests of the selected hypotheses, the most certain first, followed by tests of the outliers."""
     fit = selection.fit
     return (*(_accepted_test(fit, choice) for choice in selection.selected_hypotheses), *_outlier_tests(fit))
 
 
 def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> CauseTest:
+    """Test of one of the selected hypotheses of a fit."""
     h = selected_hypothesis.hypothesis
     size_entries: dict[str, Any] = {}
     drop, rank = max(2.0 * min(selected_hypothesis.log_evidence_gain, MAX_LOG_EVIDENCE_GAIN), 0.0), 1
@@ -151,14 +152,14 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
 
 
 def reported_kind(fit: NetworkFit, hypothesis: Hypothesis) -> CauseKind:
-    """Kind of an accepted hypothesis in the table; displacements of equal length are another reflector radius."""
+    """Kind under which a hypothesis is reported; displacements of equal length are reported as another SMR radius."""
     if fit.common_displacement(hypothesis) is not None:
         return "reflector-radius"
     return hypothesis.kind
 
 
 def _size_entry(hypothesis: Hypothesis, shift_components: Floats, covariance: Floats) -> dict[str, Any]:
-    """Keys `estimate`, `sigma` and `unit` of a shift, with the length of `shift_components` (p,) as estimate."""
+    """Entries `estimate`, `sigma` and `unit` of a shift; the estimate is the length of `shift_components` (p,) [SI]."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     unit, factor = ("mm", MILLIMETRE)
     if isinstance(hypothesis.model_change.effect, ReadingShift):
@@ -188,7 +189,7 @@ REFERENCE_PHRASES = {
     "mark": "The set-up of",
     "scale": "The scale of",
 }
-"""Subject of a sentence by kind of reference value; the name of the value follows."""
+"""First words of a sentence on a reference value, by its kind; the name of the value follows them."""
 
 
 def cause_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
@@ -221,7 +222,7 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
         causes = "the declared temperature or expansion, or the scale of the distances, is wrong"
         return f"The reference lengths and the distances differ in scale by {size_text}: {causes}."
     if hypothesis.kind == "reflector-radius":
-        cause = usual_smr_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or "another SMR radius"
+        cause = smr_exchange_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or "another SMR radius"
         side = "away from" if values[0] > 0 else "towards"
         return (
             f"At {place_names} the centres of the SMRs are displaced by {size_text} "
@@ -260,7 +261,7 @@ OBSERVABLE_CAUSE_TEXTS = {
     ("constant-drift", "azimuth", "station"): "the horizontal circle or the tripod head turns",
     ("scale-error", "distance", "station"): "a wrong atmospheric correction or unit at this set-up",
 }
-"""Usual causes of a shift of one observable, by kind of the error, observable, and kind of place."""
+"""Usual causes of a shift of one observable, by kind of the error, observable, and `station` or `target`."""
 
 
 def _observable_sentence(fit: NetworkFit, hypothesis: Hypothesis, estimate: dict[str, Any]) -> str:
@@ -279,7 +280,7 @@ def _observable_sentence(fit: NetworkFit, hypothesis: Hypothesis, estimate: dict
         return f"{what} are wrong by {size_text}: {cause}."
     if hypothesis.kind == "constant-offset":
         values, covariance = fit.estimate_and_covariance(hypothesis)
-        cause = usual_offset_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or cause
+        cause = offset_cause_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or cause
     return f"{what} are {size_text} too {'long' if number > 0 else 'short'}: {cause}."
 
 
@@ -303,7 +304,7 @@ def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
         )
     text = with_sigma(abs(common.length) / MILLIMETRE, common.sigma / MILLIMETRE, "mm")
     direction_text = "away from" if common.length > 0 else "towards"
-    cause = usual_smr_text(common.length, common.sigma) or "another SMR or adaptor"
+    cause = smr_exchange_text(common.length, common.sigma) or "another SMR or adaptor"
     return (
         f"At {station} the centres of the SMRs are all displaced by {text}, {direction_text} their nests: {cause}. "
         "Declare the normals of the nests (nest_normal), so that the displacement is estimated along these normals."
@@ -311,7 +312,7 @@ def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
 
 
 def _interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
-    """Text of the times and rows of the recording between which an error began."""
+    """Text of the times and row numbers of the two pointings between which an error began."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     effect, s = hypothesis.model_change.effect, fit.adjustment.sightings
     since = effect.onset_time if isinstance(effect, ReadingShift) else getattr(effect, "time", -np.inf)
@@ -333,7 +334,7 @@ def _number_text(value: float) -> str:
 
 
 def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
-    """Tests of the rejected readings, the largest first, each against its prediction by all readings in use."""
+    """Tests of the rejected readings against their predictions by all readings in use, the largest residual first."""
     recording, tests = fit.recording, list[CauseTest]()
     indices = np.argwhere(fit.is_outlier)
     indices = indices[np.argsort(-np.abs(fit.whitened_residuals[fit.is_outlier]))][:MAX_LISTED_OUTLIERS]
@@ -372,9 +373,10 @@ def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
 
 
 def _p_target_moved(fit: NetworkFit, row: int, chi2_drop: float) -> float:
-    """Posterior probability that the target of an outlier in `row` has moved; `chi2_drop` is that by its rejection.
+    """Posterior probability that an outlier (pointing index `row`) is a motion of its target.
 
-    It is 0 unless the outlier is the last pointing to its target: later pointings would show the motion.
+    `chi2_drop` is the decrease of chi-square by the rejection of the outlier. The probability is 0 unless the outlier
+    is the last pointing to its target, because later pointings would show the motion.
     """
     s = fit.adjustment.sightings
     same_rows = np.flatnonzero(s.target == s.target[row])

@@ -40,11 +40,11 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MIN_OUTLIER_FRACTION = 0.25
-"""Fraction of the pointings at a place that contain an outlier. Above this fraction, displacements of the place are
-also fitted to its readings with the rest of the network unchanged."""
+"""Fraction of outliers among the pointings of a set-up or target, above which displacements are also fitted to these
+pointings with the rest of the network unchanged."""
 CENTRING_SIGMA_GRID = np.geomspace(1e-6, 1.0, 241)
-"""Standard deviations [m] of centring errors whose likelihood is computed, in steps of 6 %. This is fine enough,
-because an estimate from a hundred components has a relative standard deviation of 7 %."""
+"""Grid of standard deviations [m] of centring errors at which the likelihood is computed, in steps of 6 %. Smaller
+steps are not necessary: an estimate from a hundred components has a relative standard deviation of 7 %."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ class _CentringPlace:
     """Place at which centring errors are tested: a set-up, a target, or all set-ups."""
 
     centring: CentringUncertainty
-    """Stations and targets of the place."""
+    """Stations and targets with centring errors."""
     occupation: Ints
-    """Occupation (n,) to which each of n pointings belongs; -1 for pointings elsewhere."""
+    """Index (n,) of the occupation to which each of n pointings belongs; -1 for other pointings."""
 
 
 def centring_hypotheses(fit: NetworkFit, residual_space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
-    """Pairs of a gain of log evidence and a hypothesis of centring errors, in the linear approximation at a fit."""
+    """Hypotheses of centring errors, each preceded by its gain of log evidence in the linear approximation at a fit."""
     places = _centring_places(fit.recording, residual_space.is_used_reading)
     squares = np.zeros(residual_space.is_used_reading.shape)
     squares[residual_space.is_used_reading] = residual_space.residuals[: int(residual_space.is_used_reading.sum())] ** 2
@@ -77,10 +77,10 @@ def centring_hypotheses(fit: NetworkFit, residual_space: ResidualSpace) -> list[
 def _gain_and_hypothesis(
     place: _CentringPlace, log_likelihood_ratio: float, sigma: float, n_places: int
 ) -> tuple[float, Hypothesis]:
-    """Gain of log evidence by centring errors at a place, with their prior probability, and the hypothesis.
+    """Gain of log evidence by centring errors at a place, including their prior probability, and the hypothesis.
 
-    `log_likelihood_ratio` is the gain without the prior, `sigma` [m] the standard deviation of the displacements, and
-    `n_places` the number of places that share the prior probability.
+    `log_likelihood_ratio` is the gain without the prior probability, `sigma` [m] the standard deviation of the
+    displacements, and `n_places` the number of places that share the prior probability.
     """
     centring, prior = place.centring, log_prior_of_kind("centring", n_places) + LOG_ODDS_OF_CENTRING
     change = CentringChange(centring.model_copy(update={"sigma_mm": sigma / MILLIMETRE}))
@@ -89,10 +89,11 @@ def _gain_and_hypothesis(
 
 
 def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
-    """Pairs of a gain of log evidence and a hypothesis of large centring errors.
+    """Hypotheses of large centring errors, each preceded by its gain of log evidence.
 
-    Large displacements are not linear, and their readings were rejected as outliers. They are therefore fitted to all
-    readings of a place with the rest of the network unchanged. Only places with many outliers are tested.
+    The effect of large displacements is not linear, and the affected readings were rejected as outliers. The
+    displacements are therefore fitted to all readings of a set-up or target, with the rest of the network unchanged.
+    Only set-ups and targets with many outliers are tested.
     """
     places = _centring_places(fit.recording, fit.problem_with_all_readings.is_used_reading)
     offers = []
@@ -104,10 +105,11 @@ def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]
 
 
 def _local_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[float, float]:
-    """Gain of log evidence by displacements of the reflectors at a place, and the standard deviation [m] of these.
+    """Gain of log evidence by displacements of the reflectors at a place, and their standard deviation [m].
 
-    `rows` are the pointings at the place. A displacement for each occupation is fitted to them by Gauss-Newton. At a
-    set-up a rigid motion of all displacements is removed, because the pose of the set-up absorbs it.
+    `rows` are the pointings at the place. A displacement for each occupation is fitted to these pointings by
+    Gauss-Newton iterations. At a set-up the common rigid motion of all reflectors is removed, because the pose of the
+    set-up absorbs it.
     """
     used, sigma = fit.problem_with_all_readings.is_used_reading[rows], fit.problem.sigma[rows]
     sightings = fit.adjustment.sightings
@@ -157,9 +159,9 @@ def _robust_misfit_cost(fit: NetworkFit, whitened_residuals: Floats) -> float:
 def _centring_places(recording: Recording, is_used_reading: Bools) -> list[_CentringPlace]:
     """Places with enough repeated pointings for a test: set-ups, targets, and all set-ups together.
 
-    Targets that only one set-up measures are left out, because they show no displacement. For all set-ups together
-    pointings must be repeated in the same face, because displacements would otherwise fit any error of the model that
-    recurs in both faces.
+    Targets that only one set-up measures are left out, because they do not show displacements. For all set-ups together
+    the repeated pointings must be in the same face; otherwise displacements would fit any unmodelled error that is the
+    same in both faces.
     """
     is_used = np.asarray(is_used_reading.any(axis=1))
     target_station_pairs = np.unique(np.stack([recording.target[is_used], recording.station[is_used]]), axis=1)
@@ -178,7 +180,7 @@ def _centring_places(recording: Recording, is_used_reading: Bools) -> list[_Cent
 
 
 class CentringEstimate(NamedTuple):
-    """Most likely standard deviation of centring errors."""
+    """Maximum likelihood estimate of the standard deviation of centring errors."""
 
     gain: float
     """Gain of log evidence by the centring errors, without the prior probability of the hypothesis."""
@@ -186,14 +188,14 @@ class CentringEstimate(NamedTuple):
     """Standard deviation [m] of each component of a displacement."""
     n_determined_components: float
     """Effective number of displacement components that the readings determine. The relative variance of the estimated
-    variance is two divided by this number.
+    variance is 2 divided by this number of components.
     """
 
 
 def best_centring_sigma(residual_space: ResidualSpace, occupation: Ints) -> CentringEstimate:
-    """Most likely standard deviation of centring errors.
+    """Maximum likelihood estimate of the standard deviation of centring errors.
 
-    `occupation` (n,) is the occupation of each pointing; -1 for pointings without centring errors.
+    `occupation` (n,) is the index of the occupation of each pointing; -1 for pointings without centring errors.
     """
     design_columns = residual_space.whitened_design(CentringErrors(1.0, occupation))
     projected = residual_space.project(design_columns)

@@ -1,4 +1,4 @@
-"""Displacements of equal length: another reflector radius at a set-up, where the normals of the nests are unknown.
+"""Displacements of equal length: another reflector radius at a set-up, with unknown normals of the nests.
 
 A reflector of another radius displaces all targets of a set-up by the same length L along the normals of their nests.
 With k unknown normals, uniformly distributed in direction, and the scatter t of the lengths, the log likelihood ratio
@@ -19,14 +19,14 @@ from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MAX_RELATIVE_LENGTH_SCATTER = 0.1
-"""Scatter of the lengths of displacements, relative to their rms, up to which the lengths count as equal."""
+"""Largest scatter of the lengths of displacements, relative to their rms length, at which they count as equal."""
 MAX_LENGTH_RATIO = 3.0
-"""Ratio of an estimated common length to the rms length of the displacements, from which the estimate is rejected. Any
+"""Ratio of the estimated common length to the rms length of the displacements, from which the estimate is rejected: any
 small displacements lie nearly on the surface of a much larger sphere.
 """
 MIN_TARGETS_FOR_LENGTH = 10
-"""Smallest number of targets for the estimate of a common length. The pose of the set-up and the length are seven
-unknowns.
+"""Smallest number of targets for the estimate of a common length, with seven unknowns: the pose of the set-up and the
+length.
 """
 
 
@@ -34,7 +34,7 @@ class CommonDisplacement(NamedTuple):
     """Common length of the displacements of all reflectors at a set-up, along the unknown normals of their nests."""
 
     length: float
-    """Length [m], positive away from the nests. As seen from the set-up, a nest is assumed to be behind its target."""
+    """Length [m], positive away from the nests. A nest is assumed to be behind its target as seen from the set-up."""
     sigma: float
     """Standard deviation of the length [m]."""
     log_evidence_gain: float
@@ -45,8 +45,8 @@ def common_displacement(displacements: Floats, sight_vectors: Floats) -> CommonD
     """Common length of displacements (k, 3) [m] of the reflectors at a set-up; None if the lengths differ.
 
     The readings determine the displacements except for a rigid motion, which the pose of the set-up absorbs. This
-    motion is estimated together with the length. The start value neglects its rotation. Displacements of equal length
-    then lie on a sphere, which is fitted. `sight_vectors` (k, 3) [m] point from the set-up to the targets.
+    motion is estimated together with the length. The start values neglect the rotation of the motion: displacements of
+    equal length then lie on a sphere, which is fitted. `sight_vectors` (k, 3) [m] point from the set-up to the targets.
     """
     if len(displacements) < MIN_TARGETS_FOR_LENGTH:
         return None

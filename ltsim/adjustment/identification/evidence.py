@@ -22,17 +22,15 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 SHIFT_SIZE_DECADES = 6.0
-"""Width, in decades, of the prior of the size of a shift: sizes from 10 um to 10 m are possible."""
+"""Width, in decades, of the prior distribution of the size of a shift: sizes from 10 um to 10 m are possible."""
 LOG_SIZE_PRIOR_WIDTH = float(np.log(SHIFT_SIZE_DECADES * np.log(10.0)))
-"""Logarithm of the width of the prior of a shift. The width is the natural logarithm of the ratio of largest to
-smallest size.
-"""
+"""Term log R of the evidence of a shift, where R is the natural logarithm of the ratio of largest to smallest size."""
 
 
 def log_occam_factor_of_shift(normalised_size: Floats | float, rank: int) -> Floats:
-    """Logarithm (at most 0) of the Occam factor of shifts with `rank` components.
+    """Logarithm (at most 0) of the Occam factor of shifts with `rank` components, same shape as `normalised_size`.
 
-    `normalised_size` is the length of each estimate in its standard deviations.
+    `normalised_size` is the length of each estimated shift, in standard deviations of the estimate.
     """
     size = np.maximum(np.asarray(normalised_size, dtype=np.float64), np.sqrt(rank))
     log_surface = np.log(2.0) + 0.5 * rank * np.log(np.pi) - special.gammaln(0.5 * rank)
@@ -40,11 +38,11 @@ def log_occam_factor_of_shift(normalised_size: Floats | float, rank: int) -> Flo
 
 
 NOISE_FACTOR_DECADES = 2.0
-"""Half-width, in decades, of the prior of the factor on the declared standard deviation: 0.01 to 100 are possible."""
+"""Half-width, in decades, of the prior distribution of a factor on the declared noise: 0.01 to 100 are possible."""
 
 
 def log_occam_factor_of_variance(redundancy: Floats | float) -> Floats:
-    """Logarithm (at most 0) of the Occam factor of a variance factor estimated from readings with a redundancy."""
+    """Logarithm (at most 0) of the Occam factor of a variance factor estimated with the given redundancy."""
     width = np.sqrt(np.pi / np.maximum(np.asarray(redundancy, dtype=np.float64), 1.0))
     return np.minimum(np.log(width / (2.0 * NOISE_FACTOR_DECADES * np.log(10.0))), 0.0)
 
@@ -52,26 +50,26 @@ def log_occam_factor_of_variance(redundancy: Floats | float) -> Floats:
 def estimate_sigma_factors(sum_of_squares: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
     """Restricted maximum likelihood estimates (g,) of factors on the standard deviations of g groups of readings.
 
-    The second array (g,) is the log likelihood ratio of each factor against the declared noise. The arguments are the
-    weighted sums of squared residuals (g,) and the redundancies (g,) of the groups.
+    The second array (g,) contains the log likelihood ratio of each estimate to the declared noise. The arguments are
+    the weighted sums of squared residuals (g,) and the redundancies (g,) of the groups.
     """
     is_sufficient = np.asarray(redundancy) > 1.0
     ratio = np.where(is_sufficient, sum_of_squares / np.where(is_sufficient, redundancy, 1.0), 1.0)
-    ratio = np.maximum(ratio, 10.0 ** (-2.0 * NOISE_FACTOR_DECADES))  # exact readings have no noise to be estimated
+    ratio = np.maximum(ratio, 10.0 ** (-2.0 * NOISE_FACTOR_DECADES))  # the noise of exact readings cannot be estimated
     gain = 0.5 * (sum_of_squares - redundancy) - 0.5 * redundancy * np.log(ratio)
     return np.sqrt(ratio), np.where(is_sufficient, gain, 0.0)
 
 
 NOISE_SWEEP_TOLERANCE = 0.01
-"""Relative change of a noise factor up to which the sweeps end; its standard deviation is larger with less than 5,000
-readings.
-"""
+"""Largest relative change of a noise factor at which the iteration over the factors ends. The relative standard
+deviation of a factor is larger than this if it is estimated from less than 5,000 readings. """
 
 
 def estimate_noise_factors(squared_residuals: Floats, redundancy: Floats, reading_masks: Sequence[Bools]) -> Floats:
-    """Factors (n, 3) on the standard deviations of readings, products of one factor for each of several masks (n, 3).
+    """Factors (n, 3) on the standard deviations of readings: products of the factors of all `reading_masks` (n, 3).
 
-    Factors that act on common readings are estimated in turn, each given the others, until they no longer change.
+    One factor is estimated for the readings of each mask. Factors with common readings are estimated in turn, each with
+    the others held fixed, until they no longer change.
     `squared_residuals` (n, 3) are the squared residuals in units of the declared variance, `redundancy` (n, 3) the
     redundancy numbers; both are 0 for readings not in use.
     """
@@ -90,10 +88,10 @@ def estimate_noise_factors(squared_residuals: Floats, redundancy: Floats, readin
 
 
 def log_occam_factor_of_centring(covariance: Floats, sigma: float) -> float:
-    """Logarithm of the Occam factor of q displacement components with the prior N(0, sigma^2), sigma in m.
+    """Logarithm of the Occam factor of q displacement components with the prior N(0, `sigma`^2), `sigma` in m.
 
-    `covariance` (q, q) [m^2] is the posterior covariance of the displacements. Its determinant relative to that of the
-    prior is the factor by which the prior penalises the displacements; a second factor penalises the estimated sigma.
+    `covariance` (q, q) [m^2] is the posterior covariance of the displacements. The Occam factor of the displacements is
+    the square root of the ratio of posterior to prior determinant; a second factor is due to the estimation of sigma.
     """
     relative = np.linalg.eigvalsh(covariance) / sigma**2
     determined = float(np.sum(np.maximum(1.0 - relative, 0.0)))
@@ -120,20 +118,20 @@ PRIOR_PROBABILITY_BY_KIND = {
     "noise-level": 0.05,
     "centring": 0.02,
 }
-"""Prior probability of each kind of cause, given that there is an error. The places where the kind is possible share it
-equally.
+"""Prior probability of each kind of cause, given that there is an error. All stations, targets or readings at which the
+kind is possible share this probability equally.
 """
 
 
 LOG_ODDS_OF_CENTRING = -30.0
 """Logarithm of the prior odds of centring errors against other causes of misfit.
 
-Centring errors are selected only if their log evidence exceeds that of another cause by this amount. Displacements of
-many targets fit any smooth error of the model, so that only about a tenth of the gain of log evidence is real. Other
-hypotheses in a network with such an error need the same gain.
+Centring errors are selected only if their log evidence exceeds the log evidence of other causes by 30. Displacements of
+many targets fit any smooth unmodelled error, so that only about a tenth of the gain of log evidence is real. Other
+hypotheses need the same gain if the noise of all readings is larger than declared, which indicates such an error.
 """
 
 
 def log_prior_of_kind(kind: str, n_places: int) -> float:
-    """Logarithm of the prior probability of a kind of cause at one of `n_places` possible places."""
+    """Logarithm of the prior probability of a kind of cause at one of `n_places` stations, targets or readings."""
     return float(np.log(PRIOR_PROBABILITY_BY_KIND[kind] / max(n_places, 1)))

@@ -39,7 +39,7 @@ from ltsim.adjustment.reference_values import (
     ReferenceValueRows,
     common_scale_reference,
     reference_values,
-    relax_exact_references,
+    with_nonzero_reference_sigmas,
 )
 from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS, MAX_TRACKER_ERROR, MIN_RESIDUAL_BEYOND_NOISE
 from ltsim.adjustment.snooping import drop_undetermined_targets, prediction_sigmas, snoop_readings
@@ -58,21 +58,23 @@ from ltsim.solve.design import robust_sigma
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, Solution, solve
 
 MAX_NOISE_ESTIMATES = 3
-"""Largest number of estimates of the noise factors, or of centring errors, in a fit."""
+"""Largest number of iterations for the noise factors, or for the standard deviations of centring errors, in a fit."""
 NOISE_TOLERANCE = 0.05
-"""Relative change of the noise factors at which their estimation ends; it changes the log evidence by 0.1."""
+"""Largest relative change of the noise factors at which their iteration ends; it changes the log evidence by 0.1."""
 MIN_NOISE_CHANGE_FOR_OUTLIERS = 0.2
 """Relative change of the noise factors above which outliers are searched again."""
 WEAK_SHIFT_PRIOR_FACTOR = 1e6
-"""Standard deviation of the prior of a shift in a fit, in plausible sizes of its effect: practically no prior."""
+"""Standard deviation of the prior of a shift, divided by the plausible size of its effect: practically no prior."""
 
 
 @dataclass(frozen=True)
 class FitInput:
-    """Input of a network fit."""
+    """Input of a network fit: the recording and the geometric error model of its trackers."""
 
     recording: Recording
+    """Recording as it was read."""
     construction: GeometricErrorModel
+    """Geometric error model whose parameters are estimated."""
     prior: ParameterPrior | None = None
     """Prior of the instrument's parameters; None for the prior that the set-up declares."""
     is_usable: Bools | None = None
@@ -81,35 +83,30 @@ class FitInput:
 
 @dataclass(frozen=True)
 class NetworkFit:
-    """Network fitted with some hypotheses in its model; readings that contradict the model are rejected as outliers.
-
-    Attributes
-    ----------
-    network : FitInput
-    hypotheses : tuple of Hypothesis
-    problem_with_all_readings : NetworkProblem
-        Least-squares problem with all usable readings.
-    problem, solution
-        Least-squares problem without the outliers, and its solution.
-    """
+    """Network fitted with some hypotheses in its model; readings that contradict the model are rejected as outliers."""
 
     network: FitInput
+    """Input of the fit."""
     hypotheses: tuple[Hypothesis, ...]
+    """Hypotheses in the model."""
     problem_with_all_readings: NetworkProblem
+    """Least-squares problem with all usable readings."""
     problem: NetworkProblem
+    """Least-squares problem without the outliers."""
     solution: Solution[NetworkState]
+    """Solution of `problem`."""
 
     @classmethod
     def references_with_large_residuals(
         cls, network: FitInput, hypotheses: Sequence[Hypothesis]
     ) -> tuple[list[ReferenceValueRows], int, NetworkState]:
-        """Reference values with large residuals in a robust fit, the number of all reference values, and the fit.
+        """Reference values with large residuals in a robust fit, number of all reference values, and state of the fit.
 
-        Large means more than `MIN_RESIDUAL_BEYOND_NOISE` robust standard deviations. An adjustment with such a value
-        would distort the whole network.
+        Large residuals exceed `MIN_RESIDUAL_BEYOND_NOISE` robust standard deviations. An adjustment with such a
+        reference value would distort the whole network.
         """
         problem, start = cls._make_problem(network, hypotheses)
-        relaxed_problem = relax_exact_references(problem, start)
+        relaxed_problem = with_nonzero_reference_sigmas(problem, start)
         state, residual = fit_robust_state(relaxed_problem, resect_contradicted_setups(relaxed_problem, start))
         limit = MIN_RESIDUAL_BEYOND_NOISE * max(robust_sigma(residual[: int(problem.is_used_reading.sum())]), 1.0)
         references = [v for v in reference_values(problem, state) if v.kind != "mark"]
@@ -126,8 +123,8 @@ class NetworkFit:
     ) -> NetworkFit | None:
         """Network fit with hypotheses; None if the fit does not converge or does not determine a shift.
 
-        The fit starts at `start_state`, by default at the robust fit `robust_state` or at a new one. If
-        `approximate_sightings` are given, the start values of the shifts are first subtracted from the readings.
+        The fit starts at `start_state`, by default at `robust_state`, the state of a robust fit, which is computed if
+        it is None. With `approximate_sightings` the start values of the shifts are first subtracted from the readings.
         """
         fit = cls._with_hypotheses(network, tuple(hypotheses), start_state, approximate_sightings, robust_state)
         for _ in range(MAX_NOISE_ESTIMATES):
@@ -146,7 +143,7 @@ class NetworkFit:
         approximate_sightings: Sightings | None = None,
         robust_state: NetworkState | None = None,
     ) -> NetworkFit:
-        """Fit as in `from_start`, with the standard deviations of centring errors that the hypotheses contain."""
+        """Fit as in `from_start`, but with fixed standard deviations of centring errors, those in the hypotheses."""
         is_first = start_state is None
         problem, start_state = cls._make_problem(network, hypotheses, start_state, approximate_sightings)
         if is_first:
@@ -160,7 +157,7 @@ class NetworkFit:
 
     @property
     def _determines_shifts(self) -> bool:
-        """True if the estimate of each shift exceeds `MAX_CHANCE_SIGMAS` standard deviations."""
+        """True if every estimated shift exceeds `MAX_CHANCE_SIGMAS` standard deviations."""
         return all(self.estimate_length_in_sigmas(h) > MAX_CHANCE_SIGMAS for h, _, _ in self.shifts_with_slices)
 
     @property
@@ -172,7 +169,7 @@ class NetworkFit:
                 yield h, h.model_change, slice(start, start := start + len(h.model_change.effect.parameters))
 
     def estimate_and_covariance(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Estimate (p,) and covariance (p, p) of a shift, or of the centring errors, of a hypothesis [SI]."""
+        """Estimate (p,) and covariance (p, p) [SI] of the parameters of a hypothesis: a shift or centring errors."""
         centrings = [h for h in self.hypotheses if isinstance(h.model_change, CentringChange)]
         slices = [(h, at) for h, _, at in self.shifts_with_slices]
         slices += zip(reversed(centrings), reversed(self.problem.model.centring_parameter_slices), strict=False)
@@ -201,7 +198,7 @@ class NetworkFit:
         start_state: NetworkState | None = None,
         approximate_sightings: Sightings | None = None,
     ) -> tuple[NetworkProblem, NetworkState]:
-        """Least-squares problem with all usable readings, and the start state; parameters as in `from_start`."""
+        """Least-squares problem with all usable readings, and start state; the parameters are those of `from_start`."""
         recording = apply_corrections_and_omissions(network.recording, hypotheses)
         lost = np.zeros(len(recording.targets), dtype=bool)
         if start_state is None:
@@ -271,7 +268,7 @@ class NetworkFit:
 
     @cached_property
     def adjustment(self) -> Adjustment:
-        """Adjustment with the state and readings of the fit."""
+        """Network adjustment with the problem and the solution of the fit."""
         out = self.recording.is_measured.any(axis=1) & ~self.problem.is_used_reading.any(axis=1)
         return Adjustment(self.problem, self.solution, np.asarray(out))
 
@@ -323,7 +320,7 @@ class NetworkFit:
 
     @property
     def redundancy(self) -> Floats:
-        """Redundancy numbers (n, 3)."""
+        """Redundancy numbers (n, 3) of the readings; NaN for unused readings."""
         return self.adjustment.redundancy
 
     @cached_property
@@ -333,7 +330,7 @@ class NetworkFit:
 
     @cached_property
     def outlier_prediction_sigmas(self) -> Floats:
-        """Standard deviations (n, 3) of outlier minus prediction, over the declared ones; 1 for other readings."""
+        """Ratios (n, 3) of the standard deviation of outlier minus prediction to the declared one; 1 if no outlier."""
         spread = np.ones(self.is_outlier.shape)
         if self.is_outlier.any():
             spread[self.is_outlier] = prediction_sigmas(self.problem_with_all_readings, self.solution, self.is_outlier)
@@ -355,7 +352,7 @@ class NetworkFit:
 
     @property
     def is_gross_reading(self) -> Bools:
-        """Flags (n, 3) of the readings with residuals larger than `MAX_TRACKER_ERROR` as a displacement."""
+        """Flags (n, 3) of the readings whose residuals displace the point by more than `MAX_TRACKER_ERROR`."""
         return (
             np.abs(np.nan_to_num(self.residuals)) * displacement_per_reading(self.adjustment.sightings)
             > MAX_TRACKER_ERROR

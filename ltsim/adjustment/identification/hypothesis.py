@@ -1,4 +1,4 @@
-"""Hypotheses on errors of a network: kind, place, prior probability, and change of the model."""
+"""Hypotheses on errors of a network: kind, stations and targets, prior probability, and change of the model."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ class ReadingShiftChange:
     """Shift of readings by an effect whose parameters are estimated."""
 
     effect: LinearEffect
+    """Effect that shifts the readings."""
     start_values: tuple[float, ...] = ()
     """Start values [SI] of the estimation; empty for zeros."""
 
@@ -46,6 +47,7 @@ class ReferenceOmission:
     """Exclusion of a wrong reference value from the adjustment."""
 
     reference_value: ReferenceValue
+    """Excluded reference value."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class RowCorrection:
     readings: Floats
     """Corrected readings (k, 3) [m, rad, rad]."""
     target_indices: Ints
-    """Corrected targets (k,)."""
+    """Indices (k,) of the corrected targets."""
     faces: Ints
     """Corrected faces (k,), 1 or 2."""
 
@@ -77,6 +79,7 @@ class CoordinateExchange:
     """Exchange of the reference coordinates of two targets."""
 
     target_names: tuple[str, str]
+    """Names of the two targets."""
 
 
 @dataclass(frozen=True)
@@ -93,54 +96,37 @@ ModelChange = ReadingShiftChange | ReferenceOmission | RowCorrection | NoiseFact
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Hypothesis of one cause, at one place, of disagreement between readings and model.
-
-    Attributes
-    ----------
-    kind : CauseKind
-    acts_on : str
-        Observable, `position`, `reference value` or `noise`.
-    stations, targets : tuple of str
-        Names of the stations and targets where the cause acts; empty for all.
-    log_prior : float
-        Logarithm of the prior odds of this hypothesis at its place, relative to no error.
-    model_change
-        Change of the model by the cause.
-    name : str
-        Name of a wrong reference value, or the sentence on wrongly recorded rows; else empty.
-    rows : tuple of int
-        Rows, from 1, of the wrongly recorded pointings; empty for other kinds.
-    """
+    """Hypothesis that one cause, at certain stations or targets, explains a disagreement of readings and model."""
 
     kind: CauseKind
     """Kind of the cause."""
     acts_on: str
-    """Observable or reference value that the cause changes."""
+    """Quantity that the cause changes: observable, `position`, kind of reference value, or `noise`."""
     stations: tuple[str, ...]
     """Names of the stations at which the cause acts; empty for all."""
     targets: tuple[str, ...]
     """Names of the targets at which the cause acts; empty for all."""
     log_prior: float
-    """Logarithm of the prior odds relative to no error."""
+    """Logarithm of the prior odds of this hypothesis relative to no error."""
     model_change: ModelChange
     """Change of the model by the cause."""
     name: str = ""
-    """Name of a wrong reference value, or the sentence on wrongly recorded rows."""
+    """Name of a wrong reference value, or sentence on wrongly recorded pointings; else empty."""
     rows: tuple[int, ...] = ()
-    """Row numbers of the affected pointings."""
+    """Row numbers, from 1, of wrongly recorded pointings; empty for other kinds."""
 
     @property
     def place_key(self) -> tuple[object, ...]:
-        """Key of the kind and place of a hypothesis.
+        """Key of the kind of cause, and of the stations, targets and rows where the cause acts.
 
         Hypotheses with equal keys differ only in their onset time and start values.
         """
         return self.kind, self.acts_on, self.stations, self.targets, self.rows
 
     def competes_with(self, rival: Hypothesis) -> bool:
-        """True if both hypotheses may explain the same readings.
+        """True if this hypothesis and `rival` may explain the same readings.
 
-        They do if they share a station or target, or if one of them acts everywhere.
+        This is so if they share a station or target, or if one hypothesis acts on the whole recording.
         """
         places = [(*h.stations, *h.targets) for h in (self, rival)]
         return not all(places) or not set(places[0]).isdisjoint(places[1])

@@ -1,8 +1,8 @@
 """Library of hypotheses: errors that are possible at a station, at a target, in a reference value, and in the noise.
 
-A family is one kind of shift of readings at every station or target, or at all stations of an instrument, from the
-beginning or from a time on. The design columns of a family are computed from one array, so that a network with
-thousands of places is screened at once.
+A family contains the hypotheses of one kind of shift of readings: one for each station, target or instrument, and for
+each possible onset time. The design columns of all hypotheses of a family are computed from one array, so that a
+network with thousands of stations and targets is screened at once.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 
 MIN_POINTS_FOR_EXCHANGE = 4
-"""Number of reference points from which an exchange of two of them is tested; three points also fit their mirror image.
-"""
+"""Smallest number of reference points for a test of an exchange of two points; three points also fit their mirror
+image. """
 MAX_EXCHANGE_MISCLOSURE_RATIO = 0.02
-"""Ratio of misclosures of the reference points, below which the exchange of two points is a hypothesis: after this
-exchange to without it, and after this exchange to after any other exchange.
+"""Ratio below which the exchange of two reference points is a hypothesis: misclosure of the reference points after this
+exchange, divided by their misclosure without it or after any other exchange.
 """
 PlaceKind = Literal["station", "target", "instrument"]
-"""Kind of place at which a shift of readings acts: one station, one target, or all stations of an instrument."""
+"""Kind of place of a shift of readings: one station, one target, or all stations of an instrument."""
 
 
 @dataclass(frozen=True)
@@ -64,34 +64,25 @@ class ShiftPlace:
     targets: tuple[str, ...]
     """Names of the targets; empty for all."""
     rows: Ints
-    """Indices of the pointings in the order of measurement."""
+    """Indices of the pointings of these stations and targets, in the order of measurement."""
 
 
 @dataclass(frozen=True)
 class ShiftFamily:
-    """Hypotheses of one kind of shift of readings, at every station or target, or of every instrument.
-
-    Attributes
-    ----------
-    kind : CauseKind
-        Kind of the error.
-    acts_on : str
-        Observable that is shifted, or `position`.
-    place_kind : {`station`, `target`, `instrument`}
-        Kind of place at which the error acts.
-    design : (n, 3, p) float
-        Change of the three readings of n pointings per unit of each of p parameters, if the shift acts on all
-        pointings.
-    min_pointings_around_onset : int
-        Number of pointings of a place that must lie before and after the time when the shift begins; 0 for a shift from
-        the beginning.
-    """
+    """Hypotheses of one kind of shift of readings, at each station, each target or each instrument."""
 
     kind: CauseKind
+    """Kind of the error."""
     acts_on: str
+    """Observable that is shifted, or `position`."""
     place_kind: PlaceKind
+    """Kind of place at which the error acts: `station`, `target` or `instrument`."""
     design: Floats
+    """Change (n, 3, p) of the readings of n pointings per unit of each of p parameters, if all pointings are
+    shifted."""
     min_pointings_around_onset: int = 0
+    """Smallest number of pointings of a place before and after the onset of the shift; 0 for a shift that acts from the
+    first pointing on."""
 
     def candidate_onsets(self, sightings: Sightings, rows: Ints) -> list[float]:
         """Times [s] at which a shift may begin at a place; `rows` are its pointings in the order of measurement."""
@@ -104,10 +95,10 @@ class ShiftFamily:
             max(len(middle) - self.min_pointings_around_onset + 1, self.min_pointings_around_onset - 1),
         )
         indices = np.flatnonzero(gap[allowed_range] > 0.0) + self.min_pointings_around_onset - 1
-        if self.place_kind == "target":  # what moves between two pointings of one station is as well told of its set-up
+        if self.place_kind == "target":  # a motion between two pointings of one station may be one of the station
             moved = np.diff(sightings.station[rows])[indices] != 0
             indices = indices[moved] if moved.any() else indices
-        if self.place_kind == "instrument":  # a change at its last station alone is a hypothesis of that station
+        if self.place_kind == "instrument":  # a change at the last station alone is a hypothesis of this station
             last = sightings.station[rows[-1]]
             indices = indices[indices < np.flatnonzero(sightings.station[rows] != last)[-1]]
         if len(indices) > MAX_SWITCH_EDGES:
@@ -130,7 +121,7 @@ class ShiftFamily:
 
 
 def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace]:
-    """Places of a kind in a recording; of the instruments those that were used at several stations."""
+    """Stations, targets or instruments (`place_kind`) of a recording; only instruments used at several stations."""
     order = sightings.measurement_order
     if place_kind == "instrument":
         places = []
@@ -156,7 +147,7 @@ def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace
 
 
 def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
-    """Kinds of shifts of readings that are possible in a recording."""
+    """Families of the shifts of readings that are possible in a recording."""
     stations = len(sightings.station_names) > 1
     distance, azimuth, elevation = (
         ReadingShift(observable).design(sightings) for observable in ("distance", "azimuth", "elevation")
@@ -168,7 +159,7 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
         for observable, offset in (
             ("distance", distance),
             ("elevation", elevation),
-        ):  # an azimuth: a station that turns
+        ):  # a step of the azimuth is a rotation of the station
             for place_kind in step_places:
                 yield ShiftFamily(
                     "constant-step", observable, place_kind, offset, min_pointings_around_onset=MIN_RIGID_POINTS
@@ -197,9 +188,10 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
 
 @dataclass(frozen=True)
 class ShiftCandidate:
-    """Candidate: a shift of one kind at one place, from one time on."""
+    """Possible shift of readings of one kind, at one station, target or instrument, from one time on."""
 
     family: ShiftFamily
+    """Family of the shift, which states its kind."""
     place: ShiftPlace
     """Stations and targets at which the shift acts."""
     onset_time: float
@@ -208,11 +200,11 @@ class ShiftCandidate:
     """Indices of the pointings that are shifted."""
     earlier_rows: Ints
     """Indices of the pointings of the same place before the onset."""
-    n_places: int
-    """Number of places of this kind of hypothesis, among which its prior probability is divided."""
+    n_candidates_of_kind: int
+    """Number of candidates of this kind, which share the prior probability of the kind equally."""
 
     def make_hypothesis(self, start_values: Floats) -> Hypothesis:
-        """Hypothesis of the candidate; `start_values` (p,) [SI] are those of its p parameters."""
+        """Hypothesis of the candidate, with start values (p,) [SI] of its p parameters."""
         effect = self.family.make_effect(self.place, self.onset_time)
         kind, acts_on = self.family.kind, self.family.acts_on
         change = ReadingShiftChange(effect, tuple(start_values.tolist()))
@@ -220,17 +212,17 @@ class ShiftCandidate:
 
     @property
     def place_key(self) -> tuple[object, ...]:
-        """Key of kind and place; candidates with equal keys differ only in the onset time."""
+        """Key of kind, stations and targets of a shift; candidates with equal keys differ only in the onset time."""
         return self.family.kind, self.family.acts_on, self.place.stations, self.place.targets
 
     @property
     def log_prior(self) -> float:
-        """Logarithm of the prior odds relative to no error."""
-        return log_prior_of_kind(self.family.kind, self.n_places)
+        """Logarithm of the prior odds of the candidate relative to no error."""
+        return log_prior_of_kind(self.family.kind, self.n_candidates_of_kind)
 
 
 def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
-    """Candidate shifts of all kinds."""
+    """Candidate shifts of all kinds, at all stations, targets and instruments, with all possible onset times."""
     places = {kind: shift_places(sightings, kind) for kind in get_args(PlaceKind)}
     shifts: list[tuple[ShiftFamily, ShiftPlace, float, Ints, Ints]] = []
     for family in shift_families(sightings):
@@ -246,12 +238,12 @@ def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
 
 
 def reference_omissions(fit: NetworkFit) -> list[Hypothesis]:
-    """Hypotheses that a reference value of a fit is wrong, one for each value."""
+    """Hypotheses that one reference value of a fit is wrong, one for each reference value."""
     return omissions_of_reference_values(fit.recording, list(reference_values(fit.problem, fit.state)))
 
 
 def omissions_of_reference_values(recording: Recording, values: Sequence[ReferenceValueRows]) -> list[Hypothesis]:
-    """Hypotheses that a reference value is wrong, one for each of `values`."""
+    """Hypotheses that one reference value is wrong, one for each of the reference values `values`."""
     hypotheses = []
     for v in values:
         ends = (v.name, *v.name.partition("#")[0].split("-")) if v.kind in ("length", "difference") else (v.name,)
@@ -274,7 +266,7 @@ CAUSE_KIND_BY_BLUNDER: dict[str, CauseKind] = {
 
 
 def row_corrections(fit: NetworkFit) -> list[Hypothesis]:
-    """Hypotheses of wrongly recorded rows: outliers that lie at a target once a typical blunder is corrected."""
+    """Hypotheses of wrongly recorded pointings: outliers that agree with a target if a typical blunder is corrected."""
     places, hypotheses = len(fit.recording.stations) * len(fit.recording.targets), []
     is_suspect = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1)) | fit.adjustment.is_gross_pointing
     for mistake, readings, target in detect_blunders(replace(fit.adjustment, is_gross_pointing=is_suspect)):
@@ -291,7 +283,7 @@ def row_corrections(fit: NetworkFit) -> list[Hypothesis]:
 def convention_corrections(recording: Recording) -> list[Hypothesis]:
     """Hypotheses of set-ups recorded in another unit, sense of rotation or face.
 
-    They follow from the shape of the points that each set-up measured, before any adjustment.
+    The shape of the points that each set-up measured shows these errors, before any adjustment.
     """
     converted, slips = correct_units(recording)
     faced, faces = correct_faces(converted)
@@ -305,9 +297,9 @@ def convention_corrections(recording: Recording) -> list[Hypothesis]:
 
 
 def reference_point_exchanges(recording: Recording) -> list[Hypothesis]:
-    """Hypothesis that the coordinates of two reference points are exchanged; empty if no pair stands out.
+    """Hypothesis that the coordinates of two reference points are exchanged, as a list; empty if no exchange fits well.
 
-    It compares the reference coordinates with the shape of the network that is computed without them.
+    The reference coordinates are compared with the shape of the network that is computed without them.
     """
     setup_by_name = {name: recording.target_setup(name) for name in recording.targets}
     names = [
@@ -336,7 +328,7 @@ def reference_point_exchanges(recording: Recording) -> list[Hypothesis]:
 
 
 def _swapped_order(n_points: int, first_index: int, second_index: int) -> list[int]:
-    """Order of points with two of them exchanged."""
+    """Indices of `n_points` points in order, with two indices exchanged."""
     order = list(range(n_points))
     order[first_index], order[second_index] = second_index, first_index
     return order

@@ -1,4 +1,4 @@
-"""Robust fits of shift hypotheses, each to the residuals of the readings that it changes; many hypotheses at once.
+"""Robust fits of many shift hypotheses at once, each to the residuals of the readings that it changes.
 
 A shift hypothesis adds parameters to the model, such as the displacement of a target or an offset of the distances of a
 set-up. In these fits all unknowns of the network keep their values.
@@ -17,23 +17,23 @@ from ltsim.solve.design import NORMAL_RANK_TOLERANCE
 N_REWEIGHTINGS = 6
 """Number of iterations of reweighted least squares in the fit of a shift."""
 MAX_TRIMMED_FITS = 2
-"""Number of final least-squares fits, each to the readings that are no outliers with the previous estimate."""
+"""Number of final least-squares fits, each to the readings that are not outliers of the previous fit."""
 
 
 @dataclass(frozen=True)
 class LocalShift:
-    """Least-squares problem of one shift on the m readings that it changes, in whitened units."""
+    """Least-squares problem of one shift, whitened: design and residuals of the m readings that the shift changes."""
 
     unit_columns: Floats
-    """Columns of the design matrix, scaled to unit length, of the r parameters with influence, (m, r)."""
+    """Columns of the design matrix, scaled to unit length, of the r parameters that change readings, (m, r)."""
     column_lengths: Floats
-    """Lengths of the columns before scaling, (r,)."""
+    """Lengths of the columns of the design matrix before scaling, (r,)."""
     residuals: Floats
     """Whitened residuals of the network without the shift, (m,)."""
     is_outlier: Bools
-    """Flags of the readings that this network rejected as outliers, (m,)."""
+    """Flags of the readings that the fit of the network without the shift rejected as outliers, (m,)."""
     is_acting_parameter: Bools
-    """Flags (q,) of those r of the q parameters of the shift that influence these readings."""
+    """Flags (q,) of the r parameters, among the q parameters of the shift, that change these readings."""
 
     @classmethod
     def from_design(cls, design: Floats, residuals: Floats, is_outlier: Bools) -> LocalShift:
@@ -56,10 +56,9 @@ class LocalShift:
 
 
 def fit_local_shifts(shifts: Sequence[LocalShift], outlier_cost: float) -> list[tuple[float, Floats]]:
-    """Decrease of the negative log likelihood by each of k shifts, and its robust parameters (q,), for k shifts.
+    """Decrease of the negative log likelihood by each shift, and robust estimate (q,) of its q parameters.
 
-    In this likelihood the negative logarithm of one reading is at most `outlier_cost`, so that outliers do not distort
-    the estimate.
+    In this likelihood each reading contributes at most `outlier_cost`, so that outliers do not distort the estimate.
     """
     fits: dict[int, tuple[float, Floats]] = {}
     for batch in _batches(shifts):
@@ -89,7 +88,7 @@ def fit_local_shifts(shifts: Sequence[LocalShift], outlier_cost: float) -> list[
 def _batches(shifts: Sequence[LocalShift]) -> Iterator[list[int]]:
     """Batches of indices of shifts with equal numbers of parameters, ordered by the number of readings.
 
-    The designs of a batch have at most `MAX_TEMPORARY_ENTRIES` entries together.
+    The design matrices of a batch together have at most `MAX_TEMPORARY_ENTRIES` entries.
     """
     batch: list[int] = []
     for i in sorted(range(len(shifts)), key=lambda i: shifts[i].unit_columns.shape[::-1]):
@@ -109,9 +108,9 @@ def _robust_parameters(
 ) -> Floats:
     """Robust estimates (h, r) of the r parameters of h shifts with m readings each.
 
-    `unit_columns` (h, m, r) are the designs, `residual` (h, m) the residuals. `is_used` (h, m) is False for rows that
-    only pad a shift with fewer readings. A single parameter starts at the median of the ratios of residual and column
-    over the outliers. Several parameters start at an approximation of least absolute deviations by reweighting.
+    `unit_columns` (h, m, r) are the design matrices, `residual` (h, m) the residuals. `is_used` (h, m) is False for
+    padding of a shift with fewer readings. The start value of a single parameter is the median of residual divided by
+    design over the outliers. Several parameters start at an approximate least absolute deviations fit by reweighting.
     """
     if unit_columns.shape[2] == 1:
         column = unit_columns[:, :, 0]
@@ -130,21 +129,21 @@ def _robust_parameters(
 
 
 def _reading_changes(unit_columns: Floats, parameters: Floats) -> Floats:
-    """Changes (h, m) of m readings by h shifts, from their parameters (h, r) and columns (h, m, r)."""
+    """Whitened changes (h, m) of m readings by h shifts, from their parameters (h, r) and unit columns (h, m, r)."""
     return np.asarray((unit_columns @ parameters[:, :, None])[:, :, 0])
 
 
 def _row_medians(row_values: Floats, mask: Bools) -> Floats:
-    """Medians (h,) over the second axis of values (h, m) that `mask` (h, m) selects, at least one in each row."""
+    """Medians (h,) of those values in each row of `row_values` (h, m) that `mask` (h, m) selects, at least one."""
     ordered, count = np.sort(np.where(mask, row_values, np.inf), axis=1), mask.sum(axis=1)
     row_indices = np.arange(len(row_values))
     return np.asarray(0.5 * (ordered[row_indices, (count - 1) // 2] + ordered[row_indices, count // 2]))
 
 
 def _least_squares(unit_columns: Floats, residual: Floats, weight: Floats) -> Floats:
-    """Least-squares parameters (h, r) of h shifts; `weight` (h, m) multiplies residuals and design rows.
+    """Least-squares parameters (h, r) of h shifts; `weight` (h, m) multiplies residuals and rows of the design matrix.
 
-    Dependent columns get the solution with minimum norm.
+    The solution has minimum norm if columns are linearly dependent.
     """
     weighted_columns = unit_columns * weight[:, :, None]
     normal = np.swapaxes(weighted_columns, 1, 2) @ weighted_columns

@@ -1,4 +1,4 @@
-"""Application of hypotheses to a recording: corrected rows, excluded references, subtracted shifts, centring errors."""
+"""Application of hypotheses to a recording: corrections, exclusion of reference values, shifts, centring errors."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -20,17 +20,17 @@ from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 
 CENTRING_TOLERANCE = 0.15
-"""Relative change of the standard deviation of centring errors from which a fit is repeated. An estimate from a hundred
-components has a standard deviation of 7 %.
+"""Relative change of the standard deviation of centring errors from which a fit is repeated. The relative standard
+deviation of an estimate from a hundred displacement components is 7 %.
 """
 
 
 def start_parameter_values(
     hypotheses: Sequence[Hypothesis], n_parameters: int, approximate_sightings: Sightings | None
 ) -> Floats:
-    """Start values (`n_parameters`,) [SI] of the parameters of the additional effects; those of the shifts come first.
+    """Start values (`n_parameters`,) [SI] of the parameters of additional effects; the shifts come first.
 
-    The start values of the shifts are used if `approximate_sightings` are given; otherwise all values are zero.
+    Shifts start at the values in their hypotheses if `approximate_sightings` are given; all other values are zero.
     """
     shifts = [h.model_change for h in hypotheses if isinstance(h.model_change, ReadingShiftChange)]
     start_values = [
@@ -46,7 +46,7 @@ def start_parameter_values(
 def subtract_shifts(
     recording: Recording, hypotheses: Sequence[Hypothesis], approximate_sightings: Sightings
 ) -> Recording:
-    """Recording from which the shifts of the hypotheses are subtracted, with the sizes of their start values."""
+    """Recording from which the shifts of the hypotheses are subtracted; their start values are used as sizes."""
     readings = recording.readings.copy()
     for h in hypotheses:
         if isinstance(h.model_change, ReadingShiftChange) and h.model_change.start_values:
@@ -57,7 +57,10 @@ def subtract_shifts(
 
 
 def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[Hypothesis]) -> Recording:
-    """Recording with corrected rows and declared centring errors, and without excluded reference values."""
+    """Recording with the changes of the hypotheses, except shifts and noise factors.
+
+    Wrong rows are corrected, centring errors declared, coordinates exchanged and wrong reference values removed.
+    """
     readings, target, face = recording.readings.copy(), recording.target.copy(), recording.face.copy()
     for h in hypotheses:
         if isinstance(h.model_change, RowCorrection):
@@ -84,9 +87,9 @@ def with_centring_sigma(
 ) -> Hypothesis:
     """Hypothesis of centring errors with a new standard deviation s, estimated from the fitted displacements.
 
-    `estimate_function` returns the displacements u (q,) of a hypothesis and their covariance C (q, q). The step of
-    restricted maximum likelihood is s^2 = u'u / (q - tr(C) / s^2). Another hypothesis is returned unchanged, and so is
-    one whose standard deviation changes by less than `CENTRING_TOLERANCE`.
+    `estimate_function` returns the displacements u (q,) [m] of a hypothesis and their covariance C (q, q). The step of
+    restricted maximum likelihood is s^2 = u'u / (q - tr(C) / s^2). A hypothesis is returned unchanged if it is not
+    about centring errors, or if s changes by less than `CENTRING_TOLERANCE`.
     """
     change = hypothesis.model_change
     if not isinstance(change, CentringChange):

@@ -1,4 +1,4 @@
-"""Estimated noise factor of an accepted noise hypothesis, and the sentence on it with the settings to declare."""
+"""Estimated noise factor of an accepted noise hypothesis, and sentence with the noise to declare in `setup.toml`."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import numpy as np
 
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor
-from ltsim.adjustment.stochastic_model import noise_setting_texts
+from ltsim.adjustment.stochastic_model import noise_declaration_texts
 from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 from ltsim.recordings.specification import noise_origin
 
 READING_TEXTS = {"noise": "the readings", "angles": "the azimuths and elevations"}
-"""Texts of the readings that a noise hypothesis acts on, if these are no single observable."""
+"""Texts of the readings that a noise hypothesis acts on, for hypotheses on more than one observable."""
 
 
 def estimated_noise_factor(fit: NetworkFit, hypothesis: Hypothesis) -> float:
-    """Estimated factor on the declared standard deviations, of an accepted hypothesis about the noise."""
+    """Estimated factor of an accepted noise hypothesis on the declared standard deviations (median over readings)."""
     assert isinstance(hypothesis.model_change, NoiseFactor)
     mask = hypothesis.model_change.reading_mask & fit.problem.is_used_reading
     return float(np.median(fit.problem.sigma[mask] / fit.network.recording.sigma()[mask]))
 
 
 def noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
-    """Sentence on an accepted hypothesis about the noise, with its factor and the settings to declare."""
+    """Sentence on an accepted noise hypothesis, with the factor on the declared noise and the noise to declare."""
     place_text = ", ".join((*hypothesis.stations, *hypothesis.targets))
     readings_text = READING_TEXTS.get(hypothesis.acts_on, f"the readings of the {hypothesis.acts_on}")
     place_phrase = f" {'from' if hypothesis.stations else 'to'} {place_text}" if place_text else ""
@@ -34,7 +34,10 @@ def noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
 
 
 def _noise_declaration(fit: NetworkFit, hypothesis: Hypothesis) -> str:
-    """Advice to declare the estimated noise, with its settings for one instrument without noise in its rows."""
+    """Advice to declare the estimated noise in the set-up.
+
+    It contains the values to declare, for a single instrument and a recording without columns of standard deviations.
+    """
     assert isinstance(hypothesis.model_change, NoiseFactor)
     recording, mask = fit.network.recording, hypothesis.model_change.reading_mask & fit.problem.is_used_reading
     if len(recording.instruments) > 1 or any(column in recording.covariates for column in SIGMA_COLUMNS):
@@ -44,6 +47,6 @@ def _noise_declaration(fit: NetworkFit, hypothesis: Hypothesis) -> str:
         setting
         for k, observable in enumerate(OBSERVABLES)
         if mask[:, k].any()
-        for setting in noise_setting_texts(recording, observable, float(np.median(factors[mask[:, k], k])))
+        for setting in noise_declaration_texts(recording, observable, float(np.median(factors[mask[:, k], k])))
     ]
     return f"set {listing(settings, len(settings))} in [instrument.noise]"

@@ -1,4 +1,4 @@
-"""Nominal sizes of offsets of distances: differences of the radii of common SMRs, and constants of common prisms."""
+"""Usual sizes of distance offsets: differences of the radii of common SMRs, and additive constants of common prisms."""
 
 from collections.abc import Mapping
 from typing import TypeVar
@@ -11,15 +11,18 @@ SMR_RADIUS_DIFFERENCES = {
 }
 """Nominal diameters of the smaller and the larger SMR, by the difference of their radii [m]."""
 PRISM_CONSTANTS = {17.5e-3: "the constant of a mini prism", 34.4e-3: "the constant of a round prism"}
-"""Names of the constants of common prisms, by their size [m]."""
+"""Names of the additive constants of common prisms, by their size [m]."""
 MAX_NOMINAL_DIFFERENCE = 60e-6
-"""Difference [m] of an offset from a nominal size below which the sentence names that size. The standard deviation of
-the offset must also be smaller than this.
+"""Largest difference [m] of an offset from a nominal size that a sentence names as its cause. The standard deviation of
+the offset must also be below this limit.
 """
 
 
-def usual_offset_text(value: float, sigma: float) -> str:
-    """Text of the usual cause of an offset of distances, from its `value` and `sigma` [m]; empty if no cause fits."""
+def offset_cause_text(value: float, sigma: float) -> str:
+    """Text of the usual cause of a distance offset; empty if no nominal size fits.
+
+    `value` [m] is the estimated offset, `sigma` [m] its standard deviation.
+    """
     text_by_difference = {
         size: f"the radii of a {small} and a {large} SMR differ by this amount"
         for size, (small, large) in SMR_RADIUS_DIFFERENCES.items()
@@ -27,10 +30,11 @@ def usual_offset_text(value: float, sigma: float) -> str:
     return _nearest_nominal({**text_by_difference, **PRISM_CONSTANTS}, value, sigma) or ""
 
 
-def usual_smr_text(value: float, sigma: float) -> str:
-    """Text of the SMR that was used in place of another; empty if no pair of common SMRs fits.
+def smr_exchange_text(value: float, sigma: float) -> str:
+    """Text of two SMRs of which one was used in place of the other; empty if no pair of common SMRs fits.
 
-    `value` and `sigma` [m] are those of the displacement of the centre of the SMR, positive away from the nest.
+    `value` [m] is the estimated displacement of the SMR centre, positive away from the nest, `sigma` [m] its standard
+    deviation.
     """
     pair = _nearest_nominal(SMR_RADIUS_DIFFERENCES, value, sigma)
     if pair is None:
@@ -40,9 +44,9 @@ def usual_smr_text(value: float, sigma: float) -> str:
 
 
 def _nearest_nominal(nominal_sizes: Mapping[float, NominalEntryT], value: float, sigma: float) -> NominalEntryT | None:
-    """Entry of the nominal size [m] that differs from the absolute value by less than `MAX_NOMINAL_DIFFERENCE`.
+    """Entry of the nominal size [m] that is nearer than `MAX_NOMINAL_DIFFERENCE` to the absolute value of an offset.
 
-    None if no size does, or if `sigma` is not smaller than that limit.
+    The result is None if no nominal size is as near, or if the standard deviation `sigma` is not below this limit.
     """
     close = [
         entry

@@ -20,32 +20,25 @@ from ltsim.scene.sightings import Sightings
 class ReadingShift(LinearEffect):
     """Offset, drift or scale error of the readings of one observable, for some stations and targets, from a time on.
 
-    An offset of the elevations is an error of the vertical index. Its sign in the raw elevations depends on the face. A
-    drift grows at a constant rate from zero at the first pointing of each station; its parameter is the shift at the
-    end of the longest visit.
-
-    Attributes
-    ----------
-    observable : {`distance`, `azimuth`, `elevation`}
-    is_proportional : bool
-        True for a scale error, which is proportional to the range; False for an offset.
-    stations, targets : tuple of str
-        Names of the stations and targets whose readings are shifted; empty for all.
-    onset_time : float
-        First time [s] of shifted readings.
-    size_factor : float
-        Factor on the usual plausible size of the parameter.
-    is_drift : bool
-        True if the shift grows with the time since the first pointing of the station.
+    An offset of the elevations is an error of the vertical index, whose sign in the raw elevations depends on the face.
+    A drift grows at a constant rate from zero at the first pointing of each station; its parameter is the shift at the
+    end of the longest occupation of a station.
     """
 
     observable: str
+    """Name of the shifted observable: `distance`, `azimuth` or `elevation`."""
     is_proportional: bool = False
+    """True for a scale error, which is proportional to the range; False for an offset."""
     stations: tuple[str, ...] = ()
+    """Names of the stations whose readings are shifted; empty for all."""
     targets: tuple[str, ...] = ()
+    """Names of the targets whose readings are shifted; empty for all."""
     onset_time: float = -np.inf
+    """First time [s] of shifted readings."""
     size_factor: float = 1.0
+    """Factor on the plausible size of the parameter, which scales its weak prior."""
     is_drift: bool = False
+    """True if the shift grows with the time since the first pointing of the station."""
 
     @property
     def name(self) -> str:
@@ -54,7 +47,7 @@ class ReadingShift(LinearEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Single parameter: the offset of the readings, or their scale error."""
+        """Parameter of the shift, as a tuple with one element: offset or scale error of the readings."""
         if self.is_proportional:
             return (Parameter("scale-error", "ppm", "scale error of the readings", PPM),)
         if self.observable == "distance":
@@ -67,7 +60,7 @@ class ReadingShift(LinearEffect):
         return self.size_factor * super().size_scales
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of the parameter."""
+        """Change (n, 3, 1) of the raw readings per unit [SI] of the parameter."""
         is_shifted = self.row_weights(sightings) * (sightings.time >= self.onset_time)
         if self.is_drift:
             elapsed = is_shifted * sightings.station_time
@@ -77,7 +70,7 @@ class ReadingShift(LinearEffect):
         return design_from_front_face_corrections(sightings, **{self.observable: -shift_per_unit[:, None]})
 
     def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
-        """Change of the readings and its derivatives at a value of the parameter.
+        """Change of the readings, and derivatives of the change, at a value (1,) [SI] of the parameter.
 
         A scale error is proportional to the range, so that its change also depends on poses and targets.
         """

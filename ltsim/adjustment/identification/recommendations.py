@@ -1,4 +1,4 @@
-"""Next action of a user after an identified cause, by kind and place of the cause."""
+"""Recommended next action of a user after an identified cause."""
 
 from collections.abc import Iterable
 
@@ -49,5 +49,5 @@ def recommendation_for_cause(test: CauseTest) -> str:
 
 
 def recommendations_for_causes(tests: Iterable[CauseTest]) -> list[str]:
-    """Next actions after those accepted causes that are faults, in the order of the causes and without repetitions."""
+    """Next actions after the accepted causes that are faults, in the order of the causes and without repetitions."""
     return list(dict.fromkeys(filter(None, (recommendation_for_cause(test) for test in tests if test.is_fault))))

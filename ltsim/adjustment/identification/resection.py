@@ -13,7 +13,7 @@ import numpy as np
 from ltsim.adjustment.fit_readings import FitReadings
 from ltsim.adjustment.fitting import fit_pose
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.significance import MIN_FAULTY_FRACTION_OF_PLACE, MIN_RESIDUAL_BEYOND_NOISE
+from ltsim.adjustment.significance import MIN_FAULTY_FRACTION_OF_GROUP, MIN_RESIDUAL_BEYOND_NOISE
 from ltsim.adjustment.snooping import absolute_whitened_residuals
 from ltsim.core.arrays import Bools, group_rows
 from ltsim.physics.model.measurement import NetworkState
@@ -24,17 +24,17 @@ from ltsim.solve.design import robust_sigma
 def resect_contradicted_setups(problem: NetworkProblem, state: NetworkState) -> NetworkState:
     """State in which set-ups with mostly large residuals have a new pose, resected from two of their three observables.
 
-    A pose is replaced only if fewer readings of the set-up then have large residuals. Large means more than
+    A pose is replaced only if this reduces the number of readings of the set-up with large residuals, above
     `MIN_RESIDUAL_BEYOND_NOISE` robust standard deviations.
     """
     recording, far = problem.model.recording, _large_residual_mask(problem, state)
-    if not far.any() or far[problem.is_used_reading].mean() > MIN_FAULTY_FRACTION_OF_PLACE:
+    if not far.any() or far[problem.is_used_reading].mean() > MIN_FAULTY_FRACTION_OF_GROUP:
         return state
     whole, now = FitReadings.from_recording(recording), far
     for station, rows in group_rows(recording.station, np.flatnonzero(problem.is_used_reading.any(axis=1))):
         if (
             problem.marks.target_indices[station] >= 0
-            or far[rows][problem.is_used_reading[rows]].mean() <= MIN_FAULTY_FRACTION_OF_PLACE
+            or far[rows][problem.is_used_reading[rows]].mean() <= MIN_FAULTY_FRACTION_OF_GROUP
         ):
             continue
         sight = whole.select_rows(rows)

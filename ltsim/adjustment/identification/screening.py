@@ -1,9 +1,9 @@
 """Screening of all hypotheses by an approximate gain of log evidence, given a fit.
 
 Two methods are used, and the larger gain counts. The projection onto the residual space of a fit is exact for small
-errors. A fit to the residuals of single places, with the rest of the network unchanged, detects errors of any size
-whose readings were rejected as outliers. Both methods only rank hypotheses; a result requires a fit with the
-hypothesis.
+errors. A fit to the residuals of one station or target, with the rest of the network unchanged, detects errors of any
+size whose readings were rejected as outliers. Both methods only rank hypotheses; a result requires a fit of the network
+with the hypothesis.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from ltsim.adjustment.identification.hypothesis_library import (
 )
 from ltsim.adjustment.identification.local_shifts import LocalShift, fit_local_shifts
 from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests
-from ltsim.adjustment.reference_values import relax_exact_references
+from ltsim.adjustment.reference_values import with_nonzero_reference_sigmas
 from ltsim.adjustment.residual_space import MAX_SCREENED_ENTRIES, ResidualSpace
 from ltsim.core.arrays import Bools, Floats, Ints, batches
 from ltsim.core.errors import NetworkError
@@ -44,20 +44,19 @@ from ltsim.physics.effects.motions import exact_change_by_displacement
 from ltsim.solve.gauss_newton import solve
 
 MIN_OUTLIERS_FOR_DISTANCE_TRIAL = 6
-"""Number of outliers in a network above which fits without the distances of single places are made."""
+"""Number of outliers in a network, above which fits without the distances of one station or target are made."""
 MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
-"""Fraction of pointings with gross errors at a place above which its motion is tested, or a fit without its distances
-is made."""
+"""Fraction of gross errors among the pointings of a station or target, above which a motion of the target is tested, or
+a fit without these distances is made."""
 MAX_FITTED_HYPOTHESES = 4
-"""Largest number of hypotheses that are fitted in a step, in the order of their approximate gains, and as many that
-turn out to be undetermined; also of places that a trial omits or moves (processor time).
-"""
+"""Largest number of hypotheses that are fitted in one step, of fitted hypotheses that prove to be undetermined, and of
+stations or targets with trial fits (limited because of the processor time)."""
 MIN_LENGTHS_FOR_SCALE = 2
-"""Number of reference lengths from which a common scale error is tested."""
+"""Smallest number of reference lengths for a test of a common scale error."""
 
 
 def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
-    """Approximate gains of log evidence and hypotheses, the largest gain first."""
+    """Hypotheses that may explain a fit, each preceded by its approximate gain of log evidence; largest gain first."""
     every = shift_candidates(fit.adjustment.sightings)
     gains = np.full(len(every), -np.inf)
     non_robust_fit = _non_robust_fit(fit)
@@ -82,7 +81,7 @@ def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
     if fit.is_outlier.any():
         offers += [(_outlier_log_evidence(fit, np.array(h.rows) - 1) + h.log_prior, h) for h in row_corrections(fit)]
         offers += [
-            (_outlier_log_evidence(fit, _rows_at(fit, h)) + h.log_prior, h)
+            (_outlier_log_evidence(fit, _affected_pointings(fit, h)) + h.log_prior, h)
             for h in reference_omissions(fit)
             if h.targets or h.stations
         ]
@@ -95,9 +94,10 @@ def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
 
 
 def _non_robust_fit(fit: NetworkFit) -> tuple[Adjustment, float] | None:
-    """Least-squares fit of all readings, and its log evidence minus that of the robust fit (at most 0).
+    """Least-squares fit of all readings, and its log evidence minus the log evidence of the robust fit (at most 0).
 
-    None if the robust fit has no outliers, so that both fits are equal, or if the least-squares fit does not converge.
+    The result is None if the robust fit has no outliers (both fits are equal), or if the least-squares fit does not
+    converge.
     """
     if not fit.is_outlier.any():
         return None
@@ -111,7 +111,7 @@ def _non_robust_fit(fit: NetworkFit) -> tuple[Adjustment, float] | None:
 def _best_onset_per_place(
     ranked_candidates: Sequence[tuple[float, int]], candidates: Sequence[ShiftCandidate]
 ) -> list[tuple[float, int]]:
-    """Gains and indices of the candidates with the best onset time, for each kind of error at each place.
+    """Gains and indices of the candidates with the onset time of largest gain, one for each kind of error and place.
 
     `ranked_candidates` contains gains and indices of all candidates, the largest gain first.
     """
@@ -125,7 +125,7 @@ def _best_onset_per_place(
 
 
 def _exact_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
-    """Gains (h,) of log evidence by each of h candidate shifts, from projected columns in a residual space."""
+    """Gains (h,) of log evidence by each of h candidate shifts, from their design projected onto a residual space."""
     gains = np.full(len(candidates), -np.inf)
     indices = np.arange(len(candidates))
     n_entries = np.array([residual_space.n_rows * c.family.design.shape[2] for c in candidates], dtype=np.int64)
@@ -154,6 +154,7 @@ def _exact_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequenc
 
 
 def _log_evidence(chi2_drop: float, rank: int) -> float:
+    """Gain of log evidence, without prior, by `rank` components that decrease chi-square by `chi2_drop`."""
     return 0.5 * chi2_drop + float(log_occam_factor_of_shift(np.sqrt(chi2_drop), rank)) if rank else -np.inf
 
 
@@ -166,7 +167,7 @@ def _whitened_design(residual_space: ResidualSpace, candidate: ShiftCandidate) -
 def _approximate_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequence[ShiftCandidate]) -> Floats:
     """Gains (h,) of log evidence by each of h candidates, without projection.
 
-    Each uses only the residuals of the rows that the candidate shifts, weighted by the redundancy of the rows.
+    Each gain uses only the residuals of the readings that the candidate shifts, weighted by their redundancy numbers.
     """
     use, count = residual_space.is_used_reading, int(residual_space.is_used_reading.sum())
     residual, share = np.zeros(use.shape), np.zeros(use.shape)
@@ -192,7 +193,7 @@ def _local_shift_gains_and_starts(fit: NetworkFit, candidates: Sequence[ShiftCan
     """Gains (h,) of log evidence by h candidate shifts with the network unchanged, and start values of each shift.
 
     A shift gains evidence if its readings are no longer outliers. If a shift begins during the measurement, the network
-    may have followed the later readings. The earlier readings then show the negative shift, so that both are tested.
+    may agree with the later readings. The earlier readings then show the negative shift, so that both cases are tested.
     """
     gains = np.full(len(candidates), -np.inf)
     guesses = [np.zeros(c.family.design.shape[2]) for c in candidates]
@@ -231,8 +232,9 @@ def _moved_target_candidates(
 ) -> Iterator[tuple[int, float, Floats]]:
     """Candidates for moved targets: index, gain of log evidence, and displacement (3,) [m].
 
-    Each target is positioned separately from the pointings before and after the onset. The network places a target that
-    moved far between both positions, so that no reading to it fits and the other methods fail.
+    The position of each target is computed separately from the pointings before and after the onset. The adjusted
+    position of a target that moved far lies between both positions, so that no reading to this target fits and the
+    other methods fail.
     """
     gross, sightings = np.asarray(fit.is_outlier.any(axis=1)), fit.adjustment.sightings
     moved_indices = [i for i, c in enumerate(candidates) if c.family.kind == "target-moved"]
@@ -268,7 +270,7 @@ def _moved_target_candidates(
 
 
 def _target_position(fit: NetworkFit, pointing_indices: Ints) -> Floats | None:
-    """Position (3,) [m] of a target from some pointings to it, with the stations unchanged; None if not unique."""
+    """Position (3,) [m] of a target from some of its pointings, with unchanged stations; None if not unique."""
     pointing_indices = pointing_indices[fit.problem_with_all_readings.is_used_reading[pointing_indices].any(axis=1)]
     sight, station = (
         FitReadings.from_recording(fit.recording).select_rows(pointing_indices),
@@ -282,11 +284,11 @@ def _target_position(fit: NetworkFit, pointing_indices: Ints) -> Floats | None:
 
 
 def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> list[tuple[float, Hypothesis]]:
-    """Gains and hypotheses of offsets and scale errors of distances at the places with most outliers.
+    """Hypotheses of offsets and scale errors of distances at the stations and targets with most outliers, with gains.
 
     Distances with large errors displace the target or station, so that its angles have large residuals too. The network
-    is therefore fitted without these distances, and the error follows from their residuals. No place is tested if gross
-    pointings are as frequent in the whole recording.
+    is therefore fitted without these distances, and the error follows from their residuals. The list is empty if gross
+    pointings are as frequent in the whole recording. Each hypothesis is preceded by its gain of log evidence.
     """
     gross = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1))
     if gross.mean() > MIN_GROSS_FRACTION_FOR_TRIAL:
@@ -320,7 +322,7 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
 
 
 def _fit_without_distances(fit: NetworkFit, rows: Ints) -> NetworkFit | None:
-    """New fit without the distances of some rows; None if the network needs these distances."""
+    """New fit without the distances of the pointings `rows`; None if the network needs these distances."""
     readings = fit.network.recording.readings.copy()
     readings[rows, 0] = np.nan
     network = replace(fit.network, recording=fit.network.recording.with_readings(readings))
@@ -331,7 +333,7 @@ def _fit_without_distances(fit: NetworkFit, rows: Ints) -> NetworkFit | None:
 
 
 def _outlier_log_evidence(fit: NetworkFit, pointing_indices: Ints) -> float:
-    """Gain of log evidence if all outliers among some pointings are explained: their Occam factors and priors."""
+    """Gain of log evidence if all outliers among some pointings are explained, from their Occam factors and priors."""
     is_outlier = fit.is_outlier[pointing_indices]
     w = np.abs(fit.whitened_residuals[pointing_indices][is_outlier])
     return -float(np.sum(log_occam_factor_of_shift(w, 1))) - len(w) * log_prior_of_kind(
@@ -339,7 +341,7 @@ def _outlier_log_evidence(fit: NetworkFit, pointing_indices: Ints) -> float:
     )
 
 
-def _rows_at(fit: NetworkFit, hypothesis: Hypothesis) -> Ints:
+def _affected_pointings(fit: NetworkFit, hypothesis: Hypothesis) -> Ints:
     """Indices of the pointings from the stations, or to the targets, at which a hypothesis acts."""
     recording = fit.recording
     targets = [recording.targets.index(name) for name in hypothesis.targets]
@@ -348,7 +350,7 @@ def _rows_at(fit: NetworkFit, hypothesis: Hypothesis) -> Ints:
 
 
 def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[tuple[float, Hypothesis]]:
-    problem = relax_exact_references(adjustment.problem, adjustment.state)
+    problem = with_nonzero_reference_sigmas(adjustment.problem, adjustment.state)
     solution = adjustment.solution if problem is adjustment.problem else solve(problem, adjustment.state)
     tests: dict[tuple[str, str], ReferenceTest] = {}
     if solution.factor is not None:
@@ -362,7 +364,7 @@ def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[tuple
 
 
 def _length_scale_hypothesis(fit: NetworkFit, residual_space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
-    """Gain and hypothesis of a scale error of all reference lengths, or of all distances; empty for few lengths."""
+    """Gain and hypothesis of a relative scale error of reference lengths and distances; empty for too few lengths."""
     scale = GaugeScale()
     if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge_rows) < MIN_LENGTHS_FOR_SCALE:
         return []
@@ -373,22 +375,22 @@ def _length_scale_hypothesis(fit: NetworkFit, residual_space: ResidualSpace) -> 
 
 
 def _noise_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
-    """Gains and hypotheses of noise that differs from the declared noise."""
+    """Hypotheses of noise that differs from the declared noise, each preceded by its gain of log evidence."""
     return [_best_noise_hypothesis(fit, h, readings) for h, readings in noise_hypotheses(fit)]
 
 
 def _best_noise_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, reading_mask: Bools) -> tuple[float, Hypothesis]:
     """Largest gain of log evidence by a factor on the noise, and the hypothesis with this factor as start value.
 
-    With larger noise some of the outliers are ordinary readings; the number of remaining outliers maximises the gain.
+    With larger noise some outliers are correct readings; the number of remaining outliers is that of the largest gain.
     """
     within, out = reading_mask & fit.problem.is_used_reading, reading_mask & fit.is_outlier
-    # As many of the smaller residuals as is best are outliers no more.
+    # The outliers with the smallest residuals become correct readings, as many as maximise the gain.
     residual_sizes = np.sort(np.abs(fit.whitened_residuals[out]))
     squares = np.sum(fit.whitened_residuals[within] ** 2) + np.append(0.0, np.cumsum(residual_sizes**2))
     redundancy = np.nansum(fit.redundancy[within]) + np.arange(len(residual_sizes) + 1)
     factor, gain = estimate_sigma_factors(squares, redundancy)
-    # `estimate_sigma_factors` compares with all within the declared noise; but outliers have paid another price
+    # `estimate_sigma_factors` counts the outliers with the declared noise; their log evidence as outliers replaces it.
     price = -log_occam_factor_of_shift(residual_sizes, 1) - log_prior_of_kind(
         "outlier", int(fit.problem_with_all_readings.is_used_reading.sum())
     )

@@ -1,7 +1,7 @@
-"""Selection of the simple causes of a network by forward, backward and exchange steps, with one log evidence.
+"""Selection of the causes of errors in a network by forward, backward and exchange steps, by their log evidence.
 
-After each step the network is fitted again with the selected hypotheses, and everything else (outliers, reference
-values, other hypotheses) is tested again. Nothing is corrected in advance.
+After each step the network is fitted again with the selected hypotheses, and outliers, reference values and all other
+hypotheses are tested again. No reading is corrected in advance.
 """
 
 from __future__ import annotations
@@ -43,49 +43,50 @@ from ltsim.solve.threads import single_threaded
 MAX_SELECTED_HYPOTHESES = 8
 """Largest number of selected hypotheses."""
 MAX_CAUSES_BEFORE_CENTRING = 3
-"""Number of simple causes whose evidence together is compared with that of centring errors."""
+"""Largest number of other causes whose joint log evidence is compared with the log evidence of centring errors."""
 MIN_POINTINGS_LARGE_NETWORK = 1500
-"""Number of pointings from which a network that agrees as a whole is not searched place by place (5 s of processor
+"""Number of pointings from which the search is omitted if the global test accepts the network (saves 5 s of processor
 time).
 """
 MAX_CHI2_RATIO_OF_COMPUTED_READINGS = 1e-6
-"""Ratio of chi-square to degrees of freedom below which readings count as computed: a thousandth of
-the declared noise.
+"""Ratio of chi-square to degrees of freedom below which readings count as computed and not measured: residuals of a
+thousandth of the declared noise.
 """
-MAX_OUTLIER_FRACTION_CONSISTENT = 0.01
+MAX_OUTLIER_FRACTION_OF_CONSISTENT_NETWORK = 0.01
 """Largest fraction of outliers at which a large network counts as consistent if the global test accepts it at
 `FAMILY_WISE_LEVEL`.
 """
-MIN_REFERENCE_TO_OUTLIER_RATIO = 3
-"""Smallest ratio of the number of all reference values to the number of those with large misclosures, at which the
-latter are left out from the start, because the others are a clear majority."""
-MIN_GAIN_FRACTION_WARM_START = 0.5
-"""Smallest ratio of the gain of log evidence of a fitted hypothesis to its approximate gain from the screening. A fit
-from the present state with a smaller ratio is repeated from the initial state."""
+MIN_REFERENCES_PER_WRONG_REFERENCE = 3
+"""Smallest ratio of the number of all reference values to the number of reference values with large misclosures, at
+which the latter are excluded before the search, because the others are a clear majority."""
+MIN_GAIN_FRACTION_WITHOUT_RESTART = 0.5
+"""Ratio of the gain of log evidence of a fit to the approximate gain from the screening, below which the fit is
+repeated from new start values instead of the present state."""
 MIN_LOG_EVIDENCE_FOR_RESTART = 50.0
-"""Log evidence of a shift of ten standard deviations; a smaller shift hardly changes the converged state."""
+"""Smallest approximate gain of log evidence for which a fit is repeated from new start values: that of a shift of ten
+standard deviations. A smaller shift hardly changes the converged state."""
 MIN_GAIN_FRACTION_TRUSTED = 0.8
-"""Smallest ratio of the gain of log evidence of the first fitted hypothesis to its approximate gain from the screening,
-at which the approximate gains are trusted: only its rivals, which may explain the same readings, are fitted too."""
+"""Ratio of the gain of log evidence of the first fitted hypothesis to its approximate gain from the screening, above
+which only hypotheses that may explain the same readings are fitted too."""
 
 
 MIN_MOTION_SIGMAS_FOR_REFINEMENT = 1000.0
-"""Smallest size of a station's motion, in its standard deviations, at which other moments are fitted: a smaller one
-does not distort the network.
+"""Smallest size of a sudden station motion, in its standard deviations, for which other times of the motion are fitted;
+a smaller motion does not distort the network.
 """
 FitWithTrials = tuple[NetworkFit, list[tuple[Hypothesis, NetworkFit]]]
-"""Fit of a network, and the hypotheses that were fitted in addition to its hypotheses, each with its fit."""
+"""Fit of a network, and list of the hypotheses that were tried in addition, each with the fit that contains it."""
 
 
 @single_threaded
 def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) -> CauseSelection:
-    """Selection of the simple causes of a recording.
+    """Causes of errors in a recording that increase the log evidence of the network.
 
     Parameters
     ----------
-    network : Network
+    network : FitInput
     min_gain : float
-        Smallest gain of log evidence.
+        Smallest gain of log evidence by a selected cause.
 
     Raises
     ------
@@ -93,7 +94,7 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
         If the readings determine no network with any hypothesis.
     """
     fit = beginning = _initial_fit(network)
-    last_key: FitWithTrials | None = None
+    last_fit: FitWithTrials | None = None
     indispensable_hypotheses: list[Hypothesis] = []
     while len(fit.hypotheses) < MAX_SELECTED_HYPOTHESES and not _is_consistent_as_a_whole(fit):
         tried = _fit_best_hypotheses(fit)
@@ -104,15 +105,15 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
         if isinstance(tried[0][0].model_change, CentringChange):
             best = max(best, _fit_with_other_causes(fit, needed, best), key=lambda made: made.log_evidence)
         chosen = _drop_unneeded_hypotheses(best, min_gain, len(beginning.hypotheses), indispensable_hypotheses)
-        last_key = (fit, tried) if chosen is tried[0][1] else None
+        last_fit = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
-    return _with_compared_alternatives(fit, min_gain, beginning, last_key, indispensable_hypotheses)
+    return _with_compared_alternatives(fit, min_gain, beginning, last_fit, indispensable_hypotheses)
 
 
 def _fit_with_other_causes(fit: NetworkFit, min_gain_needed: float, rival: NetworkFit) -> NetworkFit:
-    """Fit with a few more shifts, if they may exceed the evidence of a `rival` (centring errors).
+    """Fit with up to `MAX_CAUSES_BEFORE_CENTRING` more causes, as alternative to the fit `rival` with centring errors.
 
-    Each shift gains at least `min_gain_needed`. Centring errors also fit the sum of several simple causes.
+    Centring errors also fit the sum of several other causes. Each additional cause gains at least `min_gain_needed`.
     """
     for n_remaining in range(MAX_CAUSES_BEFORE_CENTRING, 0, -1):
         smallest = (rival.log_evidence - fit.log_evidence) / n_remaining
@@ -124,10 +125,10 @@ def _fit_with_other_causes(fit: NetworkFit, min_gain_needed: float, rival: Netwo
 
 
 def _refine_motion_time(fit: NetworkFit) -> NetworkFit:
-    """Fit with the best moment of a station's motion that was accepted last, if any.
+    """Fit with an improved time of a sudden station motion, if this is the hypothesis accepted last.
 
-    The score of a moment is linear. A large motion distorts the network in which it is computed, so that the moment
-    with the best score may be several pointings off; the readings between would then look like further causes.
+    The screening of times is linear. A large motion distorts the network in which it is screened, so that the time with
+    the largest gain may be several pointings off. The pointings between would then appear as further causes.
     """
     *others, last = fit.hypotheses
     change = last.model_change
@@ -159,9 +160,10 @@ def _refine_motion_time(fit: NetworkFit) -> NetworkFit:
 
 
 def _is_consistent_as_a_whole(fit: NetworkFit) -> bool:
-    """True if a large network, or one of computed readings, passes the global test: no place is searched.
+    """True if no search is necessary: the readings are computed, or a large network passes the global test.
 
-    In a network of `MIN_POINTINGS_LARGE_NETWORK` pointings an error at one place has little influence on the others.
+    In a network with `MIN_POINTINGS_LARGE_NETWORK` pointings an error at one station or target has little influence on
+    the others.
     """
     if fit.solution.sum_of_squares < MAX_CHI2_RATIO_OF_COMPUTED_READINGS * fit.problem.dof:
         return True
@@ -170,17 +172,18 @@ def _is_consistent_as_a_whole(fit: NetworkFit) -> bool:
     return (
         fit.adjustment.p_value > FAMILY_WISE_LEVEL
         and not fit.hypotheses
-        and fit.is_outlier.sum() < MAX_OUTLIER_FRACTION_CONSISTENT * fit.problem_with_all_readings.is_used_reading.sum()
+        and fit.is_outlier.sum()
+        < MAX_OUTLIER_FRACTION_OF_CONSISTENT_NETWORK * fit.problem_with_all_readings.is_used_reading.sum()
     )
 
 
 def identify_causes(
     recording: Recording, construction: GeometricErrorModel | None = None, prior: ParameterPrior | None = None
 ) -> CauseSelection | None:
-    """Simple causes of the misfit of a recording; None if the recording is no network.
+    """Causes of the misfit of a recording; None if no network can be fitted to the recording.
 
-    By default the errors of the instrument are part of the model. Raises NetworkError for a recording with too many
-    pointings.
+    By default the model contains the errors of the declared instrument. Raises NetworkError for a recording with too
+    many pointings.
     """
     recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "an adjustment")
     recording, _ = without_copied_rows(recording)
@@ -191,9 +194,9 @@ def identify_causes(
 
 
 def _initial_fit(network: FitInput) -> NetworkFit:
-    """Initial fit with corrected units and senses of set-ups, and without reference values that are far off.
+    """Initial fit with corrected units and senses of rotation of set-ups, and without clearly wrong reference values.
 
-    These would distort the network too much for any other test.
+    Such errors would distort the network too much for other tests.
     """
     corrections = convention_corrections(network.recording)
     far, count, state = NetworkFit.references_with_large_residuals(network, corrections)
@@ -202,7 +205,7 @@ def _initial_fit(network: FitInput) -> NetworkFit:
         far, count, state = NetworkFit.references_with_large_residuals(network, corrections)
     omitted = (
         omissions_of_reference_values(network.recording, far)
-        if MIN_REFERENCE_TO_OUTLIER_RATIO * len(far) <= max(count, MIN_REFERENCE_TO_OUTLIER_RATIO)
+        if MIN_REFERENCES_PER_WRONG_REFERENCE * len(far) <= max(count, MIN_REFERENCES_PER_WRONG_REFERENCE)
         else []
     )
     fit = NetworkFit.from_start(network, (*corrections, *omitted), robust_state=None if omitted else state)
@@ -215,15 +218,17 @@ def _initial_fit(network: FitInput) -> NetworkFit:
 
 def _fit_best_hypotheses(
     fit: NetworkFit,
-    min_n_hypotheses: float = 0.0,
+    min_approximate_gain: float = 0.0,
     replaced_hypothesis: Hypothesis | None = None,
     *,
     excluded_change_types: tuple[type, ...] = (),
 ) -> list[tuple[Hypothesis, NetworkFit]]:
-    """Fitted hypotheses with the largest approximate gains (at least `min_n_hypotheses`), the best first.
+    """Fitted hypotheses with the largest approximate gains, each with its fit, the largest log evidence first.
 
-    If the first reaches its approximate gain, only hypotheses that may explain the same readings are fitted too,
-    because the order of causes at different places has no influence.
+    The approximate gains exceed `min_approximate_gain`. If the fit of the first hypothesis nearly reaches its
+    approximate gain, only hypotheses that may explain the same readings are fitted too, because the order of causes at
+    different stations or targets has no influence. `replaced_hypothesis` and the types of model changes
+    `excluded_change_types` are left out.
     """
     first, undetermined = 0.0, 0
     tried: list[tuple[Hypothesis, NetworkFit]] = []
@@ -232,7 +237,7 @@ def _fit_best_hypotheses(
     for promised, hypothesis in screened_hypotheses(fit):
         best = max((made.log_evidence for _, made in tried), default=-np.inf) - fit.log_evidence
         if (
-            promised <= max(min_n_hypotheses, 0.0)
+            promised <= max(min_approximate_gain, 0.0)
             or max(len(tried), undetermined) >= MAX_FITTED_HYPOTHESES
             or best > promised
         ):
@@ -253,7 +258,10 @@ def _fit_best_hypotheses(
 
 
 def refit_with_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, approximate_gain: float) -> NetworkFit | None:
-    """Fit with one more hypothesis, from the present state, or from the start if its gain is too small."""
+    """Fit with one more hypothesis, started at the present state, and at new start values if its gain is too small.
+
+    The gain is compared with `approximate_gain`, that of the screening. The result is None if no fit is possible.
+    """
     best_fit: NetworkFit | None = None
     near = fit.adjustment.sightings
     for start in (replace(fit.state, extra_parameters=np.zeros(0)), None):
@@ -265,7 +273,7 @@ def refit_with_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, approximate_g
             best_fit = made
         disappoints = (
             best_fit is None
-            or best_fit.log_evidence - fit.log_evidence < MIN_GAIN_FRACTION_WARM_START * approximate_gain
+            or best_fit.log_evidence - fit.log_evidence < MIN_GAIN_FRACTION_WITHOUT_RESTART * approximate_gain
         )
         if not disappoints or approximate_gain < MIN_LOG_EVIDENCE_FOR_RESTART:
             break
@@ -277,8 +285,9 @@ def _drop_unneeded_hypotheses(
 ) -> NetworkFit:
     """Fit without hypotheses whose removal costs less log evidence than `min_gain`.
 
-    Of the first `n_initial` hypotheses only omitted reference values may be removed: without the others there is no
-    network. Hypotheses in `indispensable_hypotheses` remain too; those that prove to be necessary are added to it.
+    Of the first `n_initial` hypotheses only exclusions of reference values may be removed, because no network can be
+    fitted without the others. The hypotheses in the list `indispensable_hypotheses` remain too; hypotheses that prove
+    to be necessary are added to this list.
     """
     for i, h in enumerate(fit.hypotheses[:-1]):
         is_initial = i < n_initial and not isinstance(h.model_change, ReferenceOmission)
@@ -293,7 +302,7 @@ def _drop_unneeded_hypotheses(
 def _fit_without_hypothesis(
     fit: NetworkFit, hypothesis: Hypothesis, indispensable_hypotheses: list[Hypothesis]
 ) -> NetworkFit | None:
-    """Fit without a hypothesis; None, and an entry in `indispensable_hypotheses`, if no fit is possible without it."""
+    """Fit without a hypothesis; None if no fit is possible without it, and it is added to the indispensable ones."""
     if any(h is hypothesis for h in indispensable_hypotheses):
         return None
     remaining = tuple(h for h in fit.hypotheses if h is not hypothesis)
@@ -315,9 +324,9 @@ def _with_compared_alternatives(
 ) -> CauseSelection:
     """Selection in which every hypothesis is compared again with its alternatives, given the other hypotheses.
 
-    The hypotheses of the `initial_fit` are not compared, because the network needs them. `last_fit` are the hypotheses
-    that were fitted in place of the last one. `min_gain` and `indispensable_hypotheses` are those of
-    `_drop_unneeded_hypotheses`.
+    The hypotheses of the `initial_fit` are not compared, because the network needs them. `last_fit` contains the
+    hypotheses that were fitted in place of the last hypothesis. `min_gain` and `indispensable_hypotheses` have the same
+    meaning as in `_drop_unneeded_hypotheses`.
     """
     choices = [SelectedHypothesis(h, np.inf, ()) for h in fit.hypotheses if h in initial_fit.hypotheses]
     for h in fit.hypotheses[len(choices) :]:
@@ -341,7 +350,7 @@ def _with_compared_alternatives(
             return _with_compared_alternatives(others[0][1], min_gain, initial_fit, None, indispensable_hypotheses)
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
         choices.append(SelectedHypothesis(h, gain, gains))
-    # Random errors beside a shift are what the shift leaves, for nests or times that are not exactly as declared.
+    # Random errors come after shifts: they may be remainders of a shift whose nests or times are not exactly known.
     random_errors = NoiseFactor | CentringChange
     return CauseSelection(
         fit,

@@ -1,7 +1,7 @@
 """Possible further measurements: pointings, set-ups, other procedures, a reference length, and near reflectors.
 
-A calibration selects those that determine a combination of parameters. A diagnosis and a plan select those that decide
-between possible causes.
+A calibration selects measurements that determine a combination of parameters. A diagnosis and a plan select
+measurements that decide between possible causes of a misfit.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from ltsim.recordings.setup import ElevationLimits, Setup
 from ltsim.scene.visibility import SightLimits, compute_visibility
 
 VisibilityFunction = Callable[[Floats, Floats], Bools]
-"""Function of places (N, 3) and targets (T, 3) on the floor plan [m]: flags (N, T) of the targets in sight.
+"""Function of instrument positions (N, 3) and targets (T, 3) on the floor plan [m]: flags (N, T) of targets in sight.
 
-There are none from a place where no tripod may stand.
+No target is in sight from a position where no tripod may stand.
 """
 CandidateKind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
 """Kind of a further measurement."""
@@ -42,7 +42,7 @@ N_ADDITIONAL_ROUNDS = 4
 N_POINTINGS_TO_SUSPECT_TARGET = 3
 """Number of additional pointings to a suspect target."""
 MAX_REPEATED_SETUPS = 12
-"""Number of set-ups up to which the repetition of each is evaluated; of more, an even selection."""
+"""Largest number of set-ups whose repetition is evaluated; of more set-ups, evenly spaced ones are selected."""
 N_GRID_POSITIONS_PER_SIDE = 5
 """Number of candidate positions of an additional station along each side of the floor."""
 N_CANDIDATE_YAWS = 4
@@ -50,7 +50,7 @@ N_CANDIDATE_YAWS = 4
 BASE_ROTATION = math.tau / N_CANDIDATE_YAWS
 """Rotation [rad] of the tracker's base if it is set up again at a previous position."""
 MAX_SETUPS_FOR_ADDITION = 30
-"""Number of set-ups from which no additional set-up is evaluated, to limit the time."""
+"""Number of set-ups of a recording from which additional stations are not evaluated, to limit the computing time."""
 MIN_PROPOSED_DISTANCE = 0.8
 """Smallest distance [m] of a proposed station from other stations and targets, and of a proposed target."""
 REFERENCE_BAR_LENGTH = 2.0
@@ -62,56 +62,56 @@ BAR_CALIBRATION_TIME = 7200.0
 NEAR_REFLECTOR_COORDINATES = np.array(
     [[1.2, a * DEGREE, e * DEGREE] for a, e in ((0, 40), (90, -30), (180, 40), (270, -30))]
 )
-"""Range [m], azimuth, elevation [rad] of near reflectors."""
+"""Range [m], azimuth [rad] and elevation [rad] of each near reflector, (4, 3)."""
 NEST_MOUNTING_TIME = 300.0
 """Time [s] to mount a nest."""
 ADVICE_SENTENCES = {
-    # from the last station, before it is left
+    # measurements at the last station
     "other face here": "measure all targets from {station} in the other face as well",
     "close here": "measure the first {count} targets of {station} again before leaving it",
     "reverse here": "measure all targets of {station} again in the reverse order",
     "look again": "measure {targets} from {station} {count} more times, without touching the reflector",
     "to and fro": "measure all targets of {station} {count} more times, forward and backward",
     "unmeasured": "measure from {station} the targets it has not measured ({targets})",
-    # a further set-up
+    # additional set-ups
     "turned": "set up once more at {station}, the base turned by {turn:.0f} degrees, and measure all targets",
     "new station": "add station {station} at ({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f}) m, "
     "yaw {yaw:.0f} deg ({frame}), and measure {targets}",
-    # the whole work in another way
+    # the whole survey by another procedure
     "other face": "measure every target in both faces",
     "close": "measure the first {count} targets again before leaving each station",
     "reverse": "measure every station's targets again in the reverse order",
-    # other things than pointings
-    "length": "calibrate a length of about {length:.0f} m, such as that between {targets}",
-    "near": "add reflectors at 1 to 1.5 m from two stations and measure them from all",
+    # reference lengths and additional targets
+    "length": "calibrate a length of about {length:.0f} m, such as the distance between {targets}",
+    "near": "add reflectors at 1 to 1.5 m from two stations and measure them from all stations",
     "other face and near": "measure in both faces, and add reflectors at 1 to 1.5 m from two stations",
-    # what it brings
+    # expected benefit of a measurement
     "decided": "{do}: the expected chi-square difference between {first} and {others} rises from {now} to {then}",
     "left open": "; no tested measurement also separates it from {others}",
     "undecided": "no tested measurement separates {first} from {others} (expected chi-square difference {then}, "
-    "{needed:.0f} needed); an independent measurement of the cause would",
+    "{needed:.0f} needed); an independent measurement of the cause would separate them",
     "cause": "an independent measurement of its cause",
-    "determined": "{do} (information {now:.0f} % to {then:.0f} %)",
-    "network method": "use the network method: it determines this from the same recording",
-    "determined already": "{do} (information {then:.0f} %)",
-    "not determined": "no tested measurement determines it; reference points or a tighter specification may",
+    "determined": "{do} (information on it rises from {now:.0f} % to {then:.0f} %)",
+    "network method": "use the network method: it determines this combination from the same recording",
+    "determined already": "{do} (information on it is {then:.0f} %)",
+    "not determined": "no tested measurement determines it; reference points or a tighter specification may do so",
 }
-"""Sentences of advice by the kind of measurement: what to do, and what it gives."""
+"""Templates of sentences of advice by key: instructions for a measurement, and sentences on its expected benefit."""
 
 
-def advice_sentence(candidate_kind: str, **values: object) -> str:
-    """Sentence of advice for a kind of measurement, with the given values."""
-    return ADVICE_SENTENCES[candidate_kind].format(**values)
+def advice_sentence(template_key: str, **values: object) -> str:
+    """Sentence of advice from the template with this key in `ADVICE_SENTENCES`, filled with the given values."""
+    return ADVICE_SENTENCES[template_key].format(**values)
 
 
 def list_text(names: list[str] | tuple[str, ...]) -> str:
-    """Names joined by commas and `and`."""
+    """Names joined by `and`."""
     return " and ".join(names)
 
 
 @dataclass(frozen=True)
 class CandidateMeasurement:
-    """Measurement that could be added to a recording."""
+    """Further measurement that could be added to a recording."""
 
     kind: CandidateKind
     """Kind of the measurement."""
@@ -123,9 +123,9 @@ class CandidateMeasurement:
     """Network that includes the proposed measurement, with predicted readings."""
 
     def make_adjustment(self) -> Adjustment | None:
-        """Adjustment of the network with the proposed measurement; None if it leaves a pose undetermined.
+        """Adjustment of the network with the proposed measurement; None if a pose remains undetermined.
 
-        An additional set-up may see too few targets.
+        This happens if an additional set-up measures too few targets.
         """
         try:
             return self.network.make_adjustment()
@@ -134,7 +134,7 @@ class CandidateMeasurement:
 
     @property
     def added_setup_on_plan(self) -> tuple[Floats, float] | None:
-        """Position (3,) [m] and yaw [rad] of the additional set-up on the floor plan; None if there is none."""
+        """Position (3,) [m] and yaw [rad] of the additional set-up on the floor plan; None without such a set-up."""
         state, plan = self.network.state, FloorPlan.from_recording(self.network.recording, self.network.state)
         return (
             (plan.positions_on_plan(state.station_positions[-1]), plan.yaw_on_plan(state.station_rotations[-1]))
@@ -145,27 +145,26 @@ class CandidateMeasurement:
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """Transformation from the frame of the network to the floor plan; the identity if there is no plan.
+    """Transformation from the frame of the network to the floor plan; the identity if there is no floor plan.
 
-    Positions on a plan are approximate, but levels are accurate: the plan determines only the rotation about the
-    vertical.
+    Positions on a plan are approximate, but levels are accurate: the plan determines no tilts of the network.
     """
 
     rotation: Floats
-    """Rotation matrix (3, 3) from the frame of the network to the plan."""
+    """Rotation matrix (3, 3) from the frame of the network to the floor plan."""
     translation: Floats
-    """Translation (3,) [m] from the frame of the network to the plan."""
+    """Translation (3,) [m] from the frame of the network to the floor plan."""
     has_plan: bool
-    """True if the set-up gives positions on a floor plan."""
+    """True if the set-up declares positions of stations on a floor plan."""
 
     @classmethod
     def from_recording(cls, recording: Recording, state: NetworkState) -> FloorPlan:
-        """Floor plan from the stations of an adjusted network."""
+        """Transformation to the floor plan, from the stations of an adjusted network."""
         return cls.from_positions(recording.setup, recording.stations, state.station_positions, state.station_rotations)
 
     @classmethod
     def from_positions(cls, setup: Setup, stations: Sequence[str], position: Floats, rotation: Floats) -> FloorPlan:
-        """Floor plan from the positions (and directions of azimuth zero) of stations in a set-up."""
+        """Transformation to the floor plan, from positions (S, 3) [m] and rotations (S, 3, 3) of S stations."""
         setups = {i: setup.stations[name] for i, name in enumerate(stations) if name in setup.stations}
         station_indices = [i for i, station in setups.items() if station.position_mm is not None]
         if not station_indices:
@@ -182,11 +181,11 @@ class FloorPlan:
         return cls(turn, there.mean(axis=0) - turn @ here.mean(axis=0), has_plan=True)
 
     def positions_on_plan(self, position: Floats) -> Floats:
-        """Positions on the plan [m], for positions (..., 3) in the frame of the network."""
+        """Positions (..., 3) [m] on the floor plan of positions (..., 3) [m] in the frame of the network."""
         return position @ self.rotation.T + self.translation
 
     def yaw_on_plan(self, rotation: Floats) -> float:
-        """Yaw [rad] on the plan of an instrument with the rotation matrix `rotation`."""
+        """Yaw [rad] on the floor plan of an instrument with the rotation matrix `rotation` (3, 3) in the network."""
         plan_rotation = self.rotation @ rotation
         return float(np.arctan2(plan_rotation[1, 0], plan_rotation[0, 0]))
 
@@ -194,9 +193,9 @@ class FloorPlan:
 def pointing_candidates(
     network: PlannedNetwork, suspect_targets: Iterable[str] = (), visibility_function: VisibilityFunction | None = None
 ) -> Iterator[CandidateMeasurement]:
-    """Further measurements at the last station, before the tracker is dismantled.
+    """Further pointings at the last station, before the tracker is dismantled.
 
-    `suspect_targets` are names of targets that may be wrong and should be measured again.
+    `suspect_targets` are names of targets that may have moved and should be measured again.
     """
     recording = network.recording
     last_index = int(recording.station[np.argmax(recording.time)])
@@ -229,7 +228,7 @@ def pointing_candidates(
     distances = np.linalg.norm(
         network.state.target_points[unseen] - network.state.station_positions[last_index], axis=1
     )
-    unseen = unseen[distances > MIN_PROPOSED_DISTANCE]  # nobody aims at the mark that the tripod stands on
+    unseen = unseen[distances > MIN_PROPOSED_DISTANCE]  # the mark under the tripod cannot be measured
     if visibility_function is not None:
         places = network.state.station_positions[[last_index]], network.state.target_points[unseen]
         plan = FloorPlan.from_recording(recording, network.state)
@@ -241,7 +240,7 @@ def pointing_candidates(
 def repeated_setup_candidates(
     network: PlannedNetwork, seconds_per_move: float, stations: Iterable[int] | None = None
 ) -> Iterator[CandidateMeasurement]:
-    """Further measurements: the same targets from each previous position, with the tracker's base rotated."""
+    """Repeated set-ups at stations (indices `stations`), with the tracker's base rotated, to the same targets."""
     recording, state = network.recording, network.state
     n_stations = len(recording.stations)
     indices = np.unique(
@@ -263,7 +262,7 @@ def repeated_setup_candidates(
 def station_candidates(
     network: PlannedNetwork, seconds_per_move: float, visibility_function: VisibilityFunction | None = None
 ) -> Iterator[CandidateMeasurement]:
-    """Further measurements: an additional station on a grid between and around the others, with several yaws."""
+    """Additional stations on a grid of positions between and around the present stations, each with several yaws."""
     recording, state = network.recording, network.state
     if len(recording.stations) >= MAX_SETUPS_FOR_ADDITION:
         return
@@ -294,7 +293,7 @@ def station_candidates(
 def _setup_candidate(
     kind: CandidateKind, instruction: str, network: PlannedNetwork, target: Ints, seconds_per_move: float
 ) -> CandidateMeasurement:
-    """Further measurement: all given targets from the additional set-up that is the last one of a network."""
+    """Additional set-up, the last station of `network`, that measures the targets `target` (k,) in all faces in use."""
     recording, faces = network.recording, np.unique(network.recording.face)
     targets, face = np.tile(target, len(faces)), np.repeat(faces, len(target))
     start_time = float(recording.time.max()) + seconds_per_move
@@ -305,7 +304,7 @@ def _setup_candidate(
 
 
 def procedure_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasurement]:
-    """Further measurements: another procedure at all stations, such as both faces or another order."""
+    """Additional pointings at all stations by another procedure, such as both faces or another order."""
     recording = network.recording
     step, work = network.seconds_per_pointing, float(np.ptp(recording.time))
     for key in ("other face", "close", "reverse"):
@@ -325,7 +324,7 @@ def procedure_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasureme
 
 
 def _pointings_by_procedure(recording: Recording, pointing_indices: Ints, procedure: str) -> list[tuple[int, int]]:
-    """Target and face of the additional pointings from one set-up under another procedure."""
+    """Target index and face of each additional pointing from one set-up by another procedure."""
     existing = list(
         zip(recording.target[pointing_indices].tolist(), recording.face[pointing_indices].tolist(), strict=True)
     )
@@ -340,13 +339,13 @@ def _pointings_by_procedure(recording: Recording, pointing_indices: Ints, proced
 
 
 def second_face_candidate(network: PlannedNetwork) -> CandidateMeasurement | None:
-    """Further measurement: the other face at each station; None if both faces were used."""
+    """Additional pointings in the other face at each station; None if both faces were used."""
     first_remedy = next(procedure_candidates(network), None)
     return first_remedy if first_remedy and first_remedy.instruction == advice_sentence("other face") else None
 
 
 def calibrated_length_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasurement]:
-    """Further measurement: a calibrated length between the two targets whose distance is nearest to 2 m."""
+    """Calibrated length between the two targets whose distance is nearest to 2 m; empty if all targets coincide."""
     points, names = network.state.target_points, network.recording.targets
     if len(points) < 2:
         return
@@ -354,14 +353,14 @@ def calibrated_length_candidates(network: PlannedNetwork) -> Iterator[CandidateM
     lengths = np.linalg.norm(points[first] - points[second], axis=1)
     best_index = int(np.argmin(np.abs(lengths - REFERENCE_BAR_LENGTH)))
     if lengths[best_index] <= REFERENCE_BAR_SIGMA_MM * MILLIMETRE:
-        return  # all targets are in one place
+        return  # all targets coincide
     i, j = int(first[best_index]), int(second[best_index])
     words = advice_sentence("length", length=REFERENCE_BAR_LENGTH, targets=list_text([names[i], names[j]]))
     yield CandidateMeasurement("length", words, BAR_CALIBRATION_TIME, network.with_length(i, j, REFERENCE_BAR_SIGMA_MM))
 
 
 def near_reflector_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasurement]:
-    """Further measurements: four reflectors near each of the first two stations, measured from all stations."""
+    """Four additional reflectors near each of the first two stations, measured from all stations."""
     two_face_remedy = second_face_candidate(network)
     for key, start in [
         ("near", network),
@@ -385,7 +384,7 @@ def near_reflector_candidates(network: PlannedNetwork) -> Iterator[CandidateMeas
 
 
 def _setup_rows(recording: Recording, station: int) -> Ints:
-    """Indices of the pointings from one set-up, in the order of time."""
+    """Indices of the pointings from one set-up, in the order of measurement."""
     station_rows = np.flatnonzero(recording.station == station)
     return station_rows[np.argsort(recording.time[station_rows], kind="stable")]
 
@@ -396,5 +395,5 @@ def _targets_in_order(target: Ints) -> Ints:
 
 
 def _unused_station_name(recording: Recording) -> str:
-    """Name that no set-up has."""
+    """Station name that the recording does not contain, such as `S5`."""
     return next(f"S{i}" for i in range(1, len(recording.stations) + 2) if f"S{i}" not in recording.stations)

@@ -1,11 +1,9 @@
 """Minimal detectable size of every effect of the catalogue in a network.
 
-A test detects an effect if the noncentrality of its change of the residuals reaches that of the test
-(`reliability.noncentrality`). A diagnosis tests each effect at all of its places and with all of its constants. The
-false-alarm rate is divided equally among the effects, and then equally among the places and constants of an effect.
-
-References ---------- Baarda, A testing procedure for use in geodetic networks (1968); Teunissen, Testing theory (2006),
-chapter 4; Gross and Vitells, Trial factors for the look elsewhere effect, Eur. Phys. J. C 70 (2010) 525.
+An effect is detectable if the noncentrality of its change of the residuals reaches the noncentrality at which the test
+has a power of 80 % (`reliability.noncentrality`). A diagnosis tests each effect in many variants: at all stations,
+targets or instruments where it may act, and with all values of its shape constants (periods, onset times). The
+false-alarm rate is divided equally among the effects, and then equally among the variants of each effect.
 
 References
 ----------
@@ -32,15 +30,16 @@ from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
 PlaceT = TypeVar("PlaceT")
 MAX_EXAMINED_PLACES = 150
-"""Number of places and constants of one effect up to which all are examined; of more, an even selection is examined."""
+"""Largest number of variants of one effect (places and shape constants) that are examined. Of more variants, an evenly
+spaced selection is examined."""
 
 
 @cache
 def search_noncentrality(dof: int, n_places: int) -> float:
-    """Noncentrality from which a search detects an effect with `dof` parameters that it tests at `n_places` places.
+    """Noncentrality from which a search detects an effect with `dof` parameters that is tested in `n_places` variants.
 
-    The false-alarm rate is divided among all places and constants of the effect, and among all effects of the
-    catalogue. An unknown cause counts as one more effect.
+    A variant is a place (stations, targets) and a set of shape constants. The false-alarm rate is divided among all
+    variants of the effect, and among all effects of the catalogue. An unknown cause counts as one more effect.
     """
     return noncentrality(
         dof, alpha=GLOBAL_TEST_LEVEL, n_tests=n_places * (len(CATALOGUE) - len(MISALIGNMENT_EFFECTS) + 1)
@@ -49,7 +48,7 @@ def search_noncentrality(dof: int, n_places: int) -> float:
 
 @dataclass(frozen=True)
 class MinimalSize:
-    """Size of one parameter of an effect that a test detects with a probability of 80 %."""
+    """Size of one parameter of an effect that a diagnosis detects with a probability of 80 %."""
 
     effect: str
     """Name of the effect."""
@@ -58,21 +57,21 @@ class MinimalSize:
     unit: str
     """Display unit of the parameter."""
     best_size: float
-    """Detectable size [SI] at the place, and with the constants, where it is smallest."""
+    """Smallest detectable size [SI] over all places and shape constants of the effect."""
     median_size: float
-    """Median of the detectable sizes [SI] over all places and constants."""
+    """Median of the detectable sizes [SI] over all places and shape constants."""
     worst_size: float
-    """Detectable size [SI] at the worst place; infinite if the unknowns of the network absorb the effect there."""
+    """Largest detectable size [SI] over all places and shape constants; infinite if unknowns absorb the effect."""
     plausible_size: float
     """Plausible size of the parameter [SI]."""
     visible_fraction: float
-    """Fraction of the change of the readings (in sum of squares) that remains in the residuals; median over places."""
+    """Fraction of the change of the readings (sum of squares) that remains in the residuals; median over places."""
     worst_place: str
-    """Station, target or constants where the detectable size is largest."""
+    """Station, target or shape constants for which the detectable size is largest."""
 
 
 def subsample_evenly(places: Sequence[PlaceT]) -> list[PlaceT]:
-    """Evenly distributed selection of at most `MAX_EXAMINED_PLACES` places."""
+    """Evenly spaced selection of at most `MAX_EXAMINED_PLACES` elements of `places`."""
     if len(places) <= MAX_EXAMINED_PLACES:
         return list(places)
     return [places[i] for i in np.unique(np.linspace(0, len(places) - 1, MAX_EXAMINED_PLACES).round().astype(int))]
@@ -80,25 +79,25 @@ def subsample_evenly(places: Sequence[PlaceT]) -> list[PlaceT]:
 
 @dataclass(frozen=True)
 class EffectDetectability:
-    """Detectability of an effect at each of its places in a network."""
+    """Detectability of an effect in each of its variants (place and shape constants) in a network."""
 
     name: str
     """Name of the effect."""
     parameters: tuple[tuple[Parameter, ...], ...]
-    """Parameters of the effect at each place; they differ if the effect has several variants."""
+    """Parameters of the effect in each variant."""
     places: tuple[str, ...]
-    """Text of each place."""
+    """Text of the stations, targets and shape constants of each variant."""
     minimal_sizes: tuple[Floats, ...]
-    """Minimal detectable size of each parameter at each place [SI]; infinite if the network absorbs the effect."""
+    """Minimal detectable size [SI] of each parameter in each variant; infinite if unknowns absorb the effect."""
     visible_fractions: tuple[float, ...]
-    """Fraction of the change of the readings (in sum of squares) that remains in the residuals, at each place."""
+    """Fraction of the change of the readings (sum of squares) that remains in the residuals, in each variant."""
     projected_basis: tuple[Floats, ...]
-    """Orthonormal basis of the possible changes of the residuals at each place, shape (residuals, rank).
+    """Orthonormal basis of the possible changes of the residuals in each variant, (residuals, rank).
 
-    It is empty for effects on the noise, and if it is not needed."""
+    It is empty for effects on the noise, and for effects that the calibration estimates."""
 
     def table(self) -> list[MinimalSize]:
-        """Minimal detectable size of each parameter of the effect."""
+        """Detectable sizes of each parameter of the effect, one entry per parameter."""
         table_rows = []
         for law in dict.fromkeys(self.parameters):
             at = [k for k, parameters in enumerate(self.parameters) if parameters == law]
@@ -113,10 +112,10 @@ class EffectDetectability:
 
 
 def _noise_effect_information(residual_space: ResidualSpace, places: Sequence[NoiseEffect]) -> list[Floats]:
-    """Information matrix of the parameters of each effect on the noise, from half the trace of P D_i P D_j.
+    """Information matrix of the parameters of each noise effect: element (i, j) is half the trace of P D_i P D_j.
 
     P is the projector onto the residuals. D_i is the derivative of the whitened variances with respect to parameter i,
-    by central differences over a tenth of its plausible size.
+    by differences over a tenth of its plausible size.
     """
     problem, changes = residual_space.adjustment.problem, []
     for effect in places:
@@ -135,7 +134,7 @@ def _noise_effect_information(residual_space: ResidualSpace, places: Sequence[No
 
 
 def detectability_at_places(residual_space: ResidualSpace, places: Sequence[Effect]) -> EffectDetectability | None:
-    """Detectability of one effect at all places that a search would test; None if the network lacks data for it."""
+    """Detectability of one effect in all variants `places` that a search tests; None if none changes residuals."""
     selected_places = subsample_evenly(places)
     noises = [effect for effect in selected_places if isinstance(effect, NoiseEffect)]
     visible_effects: list[tuple[Effect, Floats, float, int, Floats]] = []
@@ -160,8 +159,9 @@ def effect_detectability(
 ) -> EffectDetectability:
     """Detectability of one effect from the part of its changes of readings that remains in the residuals.
 
-    Each of `visible_effects` has the effect at one place, the information on its parameters, the fraction that remains
-    in the residuals, its rank, and a basis. `n_places` is the number of places that a search tests.
+    Each element of `visible_effects` contains a variant of the effect, the information matrix of its parameters, the
+    visible fraction (that remains in the residuals), the rank, and an orthonormal basis of the change of the residuals.
+    `n_places` is the number of variants that a search tests.
     """
     effects, information, visible, spent, columns = zip(*visible_effects, strict=True)
     noncentralities = [search_noncentrality(max(dof, 1), n_places) for dof in spent]
@@ -173,10 +173,11 @@ def effect_detectability(
 def visible_information(
     gram_matrices: Floats, column_norms: Floats, min_visible_fraction: float
 ) -> tuple[Floats, Floats, Ints]:
-    """Information on the parameters of effects, fraction that remains in the residuals, and rank, from Gram matrices.
+    """Information matrices (..., q, q) of effects, fraction (...) that remains in the residuals, and rank (...).
 
-    `gram_matrices` (..., q, q) are the products of the projected design columns of q parameters, `column_norms` (...,
-    q) the lengths of the columns before the projection. Squared lengths below `min_visible_fraction` are rounding.
+    `gram_matrices` (..., q, q) are the inner products of the projected design columns of q parameters, which had unit
+    length before the projection, `column_norms` (..., q) the original lengths. Eigenvalues and squared lengths below
+    `min_visible_fraction` count as rounding errors.
     """
     share = np.einsum("...ii->...i", gram_matrices)
     visible_norms = np.where(share < min_visible_fraction, 0.0, column_norms)
@@ -185,7 +186,7 @@ def visible_information(
 
 
 def _minimal_sizes(information: Floats, noncentrality: float) -> Floats:
-    """Minimal detectable size of each parameter if it acts alone; infinite without information."""
+    """Minimal detectable size (q,) of each of q parameters if it acts alone; infinite without information."""
     diagonal = np.diag(information)
     minimal_sizes = np.full(len(diagonal), np.inf)
     minimal_sizes[diagonal > 0] = np.sqrt(noncentrality / diagonal[diagonal > 0])
@@ -193,7 +194,7 @@ def _minimal_sizes(information: Floats, noncentrality: float) -> Floats:
 
 
 def _place_text(effect: Effect) -> str:
-    """Text of the place and the constants of an effect."""
+    """Text of the stations, targets and shape constants of an effect."""
     names = [*effect.stations, *effect.targets]
     for shape in type(effect).shape_parameters:
         value = getattr(effect, shape.name, None)
@@ -203,9 +204,9 @@ def _place_text(effect: Effect) -> str:
 
 
 def calibrated_effect_detectability(adjustment: Adjustment, effect: Effect) -> EffectDetectability:
-    """Detectability of an effect that every calibration estimates, with its other parameters and their priors.
+    """Detectability of an effect whose parameters the adjustment estimates as instrument parameters.
 
-    Such an effect is not tested. Its detectable size is the one at which its estimate differs significantly from zero.
+    Such an effect is not tested. Its detectable size is the size at which its estimate differs significantly from zero.
     """
     indices = [adjustment.construction.index(p.name) for p in effect.parameters]
     block, prior = (
@@ -219,9 +220,10 @@ def calibrated_effect_detectability(adjustment: Adjustment, effect: Effect) -> E
 
 
 def explained_fraction(first_detectability: EffectDetectability, second_detectability: EffectDetectability) -> float:
-    """Fraction of the residual change by the first effect that the second effect explains, median over its places.
+    """Fraction of the residual change by the first effect that the second effect explains.
 
-    `second_detectability` may act at any of its places and with any of its constants, as in a diagnosis.
+    The second effect is taken in the variant that explains most, as in a diagnosis. The result is the median over the
+    variants of the first effect.
     """
     if not any(b.shape[1] for b in second_detectability.projected_basis):
         return 0.0
@@ -242,21 +244,21 @@ class CatalogueDetectability:
     effects: tuple[EffectDetectability, ...]
     """Detectability of each effect that changes the residuals."""
     undetectable_effects: tuple[str, ...]
-    """Names of effects that no residual shows, or that need data which the network does not have."""
+    """Names of effects that do not change the residuals, or that depend on data which the recording lacks."""
     detectable_effects: tuple[str, ...]
     """Names of the effects that change the residuals."""
     explained_fractions: Floats
-    """Fraction of the change of the residuals by the row's effect that the column's effect explains, in the order of
+    """Fractions (e, e) of the change of the residuals by effect i that effect j explains, in the order of the e
     `detectable_effects`."""
 
     def table(self) -> list[MinimalSize]:
-        """Minimal detectable size of each parameter of every effect."""
+        """Detectable sizes of each parameter of every effect, one entry per parameter."""
         return [row for effect_report in self.effects for row in effect_report.table()]
 
     def confusable_pairs(self) -> list[tuple[str, str, float]]:
-        """Pairs of effects that are hard to distinguish: effect, other effect, and fraction that the other explains.
+        """Pairs of effects that are hard to distinguish: names, and fraction of the first that the second explains.
 
-        The most similar pair is first.
+        The pair with the largest fraction is first.
         """
         first, second = np.nonzero(
             (self.explained_fractions > MIN_EQUIVALENT_CORRELATION) & ~np.eye(len(self.detectable_effects), dtype=bool)
@@ -273,7 +275,7 @@ def catalogue_detectability(
 ) -> CatalogueDetectability:
     """Detectability of all effects of a catalogue in a network, at its adjusted or nominal coordinates.
 
-    Effects that the calibration estimates are treated as estimated parameters; all others as further effects.
+    Effects whose parameters the adjustment estimates are treated as estimated, all others as tested effects.
     """
     space = ResidualSpace.from_adjustment(adjustment)
     estimated_names = set(adjustment.construction.parameter_names)

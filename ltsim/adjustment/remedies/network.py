@@ -1,7 +1,7 @@
 """Network with hypothetical pointings: a recording, extended by measurements that have not been made.
 
-Covariances do not depend on readings. The adjusted network predicts the readings of a new pointing, and the adjustment
-of the extended network gives its precision.
+Covariances do not depend on readings. The adjusted network predicts the readings of hypothetical pointings, and the
+adjustment of the extended network gives its precision.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ltsim.recordings.recording import DISTANCE_KIND_COLUMN, SHARED_ERROR_COLUMN
 from ltsim.recordings.setup import GaugeDistance
 
 DEFAULT_POINTING_TIME = 15.0
-"""Time [s] from one pointing to the next in a recording without times."""
+"""Assumed time [s] from one pointing to the next in a recording without times."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class PlannedNetwork:
     state: NetworkState
     """Poses, coordinates and parameters that predict the readings."""
     construction: GeometricErrorModel
-    """Instrument model whose parameters are estimated."""
+    """Geometric error model of the instrument, whose parameters are estimated."""
     prior: ParameterPrior | None = None
     """Prior of the instrument parameters; None for the prior of the set-up."""
 
@@ -43,7 +43,8 @@ class PlannedNetwork:
     def from_adjustment(cls, adjustment: Adjustment, construction: GeometricErrorModel | None = None) -> PlannedNetwork:
         """Network of an adjustment, without its rejected readings.
 
-        An adjustment of corrected readings has no parameters; the parameters of `construction` are then zero.
+        The error model is `construction`, by default that of the adjustment. If its parameters are not those of the
+        adjustment, they are zero.
         """
         built, state = construction or adjustment.construction, adjustment.state
         recording = adjustment.recording
@@ -62,24 +63,21 @@ class PlannedNetwork:
         )
 
     def make_adjustment(self) -> Adjustment:
-        """Adjustment of this network; raises NetworkError if it does not determine a pose.
+        """Adjustment of this network; raises NetworkError if a pose is undetermined.
 
-        The adjustment is not cached, because those of all proposals together would take 8 MB each in a large network.
+        The adjustment is not cached: in a large network each adjustment of many proposals takes 8 MB.
         """
         return Adjustment.from_plan(self.recording, self.state, self.construction, prior=self.prior)
 
     def parameter_covariance(self) -> tuple[Floats, Floats]:
-        """Covariance of each instrument's parameters (instruments, parameters, parameters), and their prior sigmas.
-
-        The prior standard deviations have the shape (instruments, parameters).
-        """
+        """Covariances (I, p, p) [SI] of the p parameters of I instruments, and prior standard deviations (I, p)."""
         adjustment = self.make_adjustment()
         problem = adjustment.problem
         return adjustment.covariance_of(problem.unknowns.instrument_columns), problem.prior.sigma
 
     @property
     def seconds_per_pointing(self) -> float:
-        """Usual time [s] from one pointing to the next."""
+        """Median time [s] from one pointing to the next; `DEFAULT_POINTING_TIME` without times."""
         recording = self.recording
         if not recording.has_clock or len(recording) < 2:
             return DEFAULT_POINTING_TIME
@@ -88,11 +86,11 @@ class PlannedNetwork:
     def with_pointings(
         self, station: Ints | int, target: Ints, face: Ints | int, time: Floats | float | None = None
     ) -> PlannedNetwork:
-        """Network with additional pointings from the stations `station` to the targets `target`, after all other ones.
+        """Network with k additional pointings from the stations `station` to the targets `target`, after all others.
 
-        Stations and targets are given by their indices, `face` is 1 or 2; each is an array with one number per
-        pointing, or one number. `time` [s] is the time of the first additional pointing, or of each; default right
-        after the last pointing.
+        `station` and `target` are indices, `face` is 1 or 2; each has one element per pointing (k,), `station` and
+        `face` may be one number for all. `time` [s] is the time of the first additional pointing, or of each (k,); by
+        default the pointings follow the last pointing of the recording.
         """
         recording, count, step = self.recording, len(target), self.seconds_per_pointing
         times = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
@@ -132,7 +130,7 @@ class PlannedNetwork:
     def with_station(self, name: str, template_station: int, position: Floats, rotation: Floats) -> PlannedNetwork:
         """Network with an additional set-up at a position (3,) [m] with a rotation matrix (3, 3).
 
-        Instrument and level are those of the set-up with the index `template_station`.
+        Instrument and levelling are copied from the station with the index `template_station`.
         """
         recording, state = self.recording, self.state
         station_setup = recording.station_setup(recording.stations[template_station])
@@ -150,7 +148,7 @@ class PlannedNetwork:
         )
 
     def with_targets(self, names: Sequence[str], points: Floats) -> PlannedNetwork:
-        """Network with additional targets at coordinates (targets, 3) [m], which no pointing measures yet."""
+        """Network with additional targets at `points` (k, 3) [m], which no pointing measures yet."""
         new_recording = self.recording.replace(targets=(*self.recording.targets, *names))
         return replace(
             self,
@@ -159,7 +157,7 @@ class PlannedNetwork:
         )
 
     def with_length(self, first_target: int, second_target: int, sigma_mm: float) -> PlannedNetwork:
-        """Network with a calibrated length between two targets, given by indices, with standard deviation `sigma_mm`.
+        """Network with a calibrated length between two targets (indices), with the standard deviation `sigma_mm` [mm].
 
         The network is unchanged if the length is a reference length already.
         """
@@ -172,7 +170,7 @@ class PlannedNetwork:
             float(np.linalg.norm(self.state.target_points[first_target] - self.state.target_points[second_target]))
             / MILLIMETRE
         )
-        # `from` is a keyword: the alias goes in through a mapping.
+        # `from` is a keyword of Python, so that the alias is passed by a mapping.
         end_names: dict[str, Any] = {
             "from": recording.targets[first_target],
             "to": recording.targets[second_target],

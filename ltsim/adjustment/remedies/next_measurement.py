@@ -1,8 +1,8 @@
-"""Next measurement: the one that gives most information on the instrument, or that decides between possible causes.
+"""Next measurement that gives most information on the instrument, or that decides between possible causes of a misfit.
 
-The expected evidence between two causes is a difference of chi-square: the part of the true cause's change of the
-residuals that the other cause does not explain at any of its places and with any of its constants. As the true cause is
-unknown, the smaller of the two differences is used.
+The expected evidence between two causes is a difference of chi-square. If the first cause is true, it is the squared
+length of its change of the residuals that no variant of the second cause (place, shape constants) explains. As the true
+cause is unknown, the smaller of the two differences is used.
 """
 
 from __future__ import annotations
@@ -41,14 +41,15 @@ from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
 
 MIN_DECISIVE_CHI2 = 10.0
-"""Expected difference of chi-square from which two possible causes count as distinguished."""
+"""Smallest expected difference of chi-square at which two possible causes count as distinguished."""
 N_EVALUATED_STATIONS = 24
-"""Number of additional stations for which the evidence is computed: those with most information on the instrument."""
+"""Number of candidate stations for which the evidence between causes is computed: the stations with most information on
+the instrument."""
 DEFAULT_MOVE_TIME = 1200.0
-"""Time [s] to move the instrument and set it up, unless given."""
+"""Default time [s] to move the instrument and to set it up again."""
 
 ProgressCallback = Callable[[str, float], None]
-"""Function that is called with the name of the step and the finished fraction."""
+"""Function that is called with the name of the present step and its completed fraction, 0 to 1."""
 
 
 def no_progress(*_arguments: object) -> None:
@@ -57,23 +58,23 @@ def no_progress(*_arguments: object) -> None:
 
 @dataclass(frozen=True)
 class Explanation:
-    """Possible cause of a misfit: an effect at the place and with the constants that fit the recording best."""
+    """Possible cause of a misfit: the variant of an effect (place, shape constants) that fits the recording best."""
 
     effect: Effect
-    """Effect at its place with its constants."""
+    """Effect with its stations, targets and shape constants."""
     parameter_values: Floats
-    """Estimated sizes of the effect, shape (parameters,) [SI]."""
+    """Estimated parameters of the effect, (p,) [SI]."""
 
 
 def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[LinearEffect] = ()) -> ResidualSpace:
-    """Space of the residuals of an adjustment that also estimates `extra_effects`."""
+    """Residual space of an adjustment in which the parameters of `extra_effects` are estimated too."""
     return ResidualSpace.from_adjustment(adjustment).with_effects(extra_effects)
 
 
 def best_explanation(residual_space: ResidualSpace, name: str) -> Explanation:
-    """Effect with the given name, at the place and with the constants that fit a recording best, and its size.
+    """Variant of the effect `name` (place, shape constants) that fits a recording best, with its size.
 
-    ModelError is raised for an unknown effect, and for an effect that does not change the residuals.
+    Raises ModelError for an unknown effect, and for an effect that does not change the residuals.
     """
     kind = find_effect(name)
     if issubclass(kind, NoiseEffect):
@@ -92,7 +93,7 @@ def best_explanation(residual_space: ResidualSpace, name: str) -> Explanation:
 
 
 def _best_fitting_size(residual_space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
-    """Size of an effect that fits a vector of residuals best, shape (parameters,), and remaining squared length."""
+    """Parameters (p,) [SI] of an effect that fit whitened residuals (m,) best, and remaining sum of squares."""
     projected_design = residual_space.project(residual_space.whitened_design(effect))
     if not np.isfinite(projected_design).all() or not projected_design.any():
         return np.zeros(len(effect.parameters)), float(residual @ residual)
@@ -102,18 +103,17 @@ def _best_fitting_size(residual_space: ResidualSpace, effect: Effect, residual: 
 
 @dataclass(frozen=True)
 class RivalExplanations:
-    """Two possible causes of a misfit, with all places and constants at which either could imitate the other."""
+    """Two possible causes of a misfit, with the variants (place, shape constants) in which one imitates the other."""
 
     first: Explanation
     """First possible cause."""
     second: Explanation
     """Second possible cause."""
     rival_instances: tuple[list[tuple[float, Effect]], list[tuple[float, Effect]]]
-    """Variants of the second cause, each with the chi-square of the first cause that it does not explain in this
-    recording.
+    """Variants of the second cause, each preceded by the chi-square of the first cause that it does not explain.
 
-    The variant with the smallest chi-square is first. The second element of the tuple has the causes exchanged. Further
-    pointings never decrease these chi-squares."""
+    The variant with the smallest chi-square is first. In the second element of the tuple the causes are exchanged.
+    Further pointings never decrease these values of chi-square."""
 
     @classmethod
     def from_explanations(
@@ -135,7 +135,10 @@ class RivalExplanations:
         return min(instances[0][0] for instances in self.rival_instances)
 
     def expected_chi2_difference(self, residual_space: ResidualSpace) -> float:
-        """Expected difference of chi-square between the two causes in a longer recording, whichever of them is true."""
+        """Expected difference of chi-square between the two causes in an extended recording with this residual space.
+
+        The difference is the smaller of two values: first cause true, or second cause true.
+        """
         least = []
         for truth, rival_instances in zip((self.first, self.second), self.rival_instances, strict=True):
             residual_change = residual_space.project(
@@ -153,7 +156,10 @@ class RivalExplanations:
 def _instances_with_unexplained_part(
     residual_space: ResidualSpace, true_explanation: Explanation, rival: Effect
 ) -> list[tuple[float, Effect]]:
-    """Variants of a rival effect, each with the chi-square of the true cause that it leaves, smallest first."""
+    """Variants of the effect `rival`, each preceded by the chi-square of the true cause that it does not explain.
+
+    The variant with the smallest chi-square is first.
+    """
     residual_change = residual_space.project(
         residual_space.whitened_design(true_explanation.effect) @ true_explanation.parameter_values
     )
@@ -169,16 +175,17 @@ class MeasurementProposal(ValueEquality):
     """Proposed measurement with its expected benefit."""
 
     candidate: CandidateMeasurement
-    """Measurement that is proposed."""
+    """Proposed measurement."""
     sigma_ratio: float
-    """Standard deviations of the parameters after the measurement divided by those before (geometric mean of the
-    ratios)."""
+    """Standard deviation of an instrument parameter with the measurement, divided by the standard deviation without it;
+    geometric mean over the principal axes of the covariance."""
     most_improved_parameter: str
-    """Parameter whose standard deviation decreases most."""
+    """Name of the instrument parameter whose standard deviation decreases most."""
     most_improved_ratio: float
-    """Ratio of the standard deviation of that parameter after the measurement to the one before."""
+    """Standard deviation of `most_improved_parameter` with the measurement, divided by that without it."""
     expected_chi2: dict[str, float] = field(default_factory=dict)
-    """Expected difference of chi-square between the first possible cause and each other cause, by its name."""
+    """Expected difference of chi-square between the first possible cause and each other cause, by name of the other
+    cause."""
 
     @classmethod
     def from_candidate(
@@ -190,8 +197,8 @@ class MeasurementProposal(ValueEquality):
     ) -> MeasurementProposal:
         """Proposal for a measurement, from the present adjustment and the adjustment with the measurement.
 
-        `expected_chi2` has the expected chi-square by pair of explanations. For an instrument without parameters the
-        ratio of their standard deviations, with the measurement to without it, is 1.
+        `expected_chi2` contains the expected differences of chi-square between the first possible cause and each other
+        cause. For an instrument without parameters the ratios of standard deviations are 1.
         """
         if not adjustment.construction.n_parameters:
             return cls(candidate, 1.0, "", 1.0, expected_chi2 or {})
@@ -209,17 +216,17 @@ class MeasurementProposal(ValueEquality):
 
     @property
     def distinguished_explanations(self) -> tuple[str, ...]:
-        """Names of the possible causes that the measurement would distinguish from the first."""
+        """Names of the possible causes that the measurement would distinguish from the first cause."""
         return tuple(name for name, value in self.expected_chi2.items() if value >= MIN_DECISIVE_CHI2)
 
     @property
     def distinguishes_all(self) -> bool:
-        """True if the measurement would distinguish all other possible causes from the first."""
+        """True if the measurement would distinguish all other possible causes from the first cause."""
         return bool(self.expected_chi2) and len(self.distinguished_explanations) == len(self.expected_chi2)
 
     @property
     def sort_key(self) -> tuple[int, int, float, float]:
-        """Sort key, smaller is better: number of distinguished causes, then effort, then evidence."""
+        """Sort key, smaller for better proposals: number of distinguished causes, then effort, then evidence."""
         decisive_chi2 = sum(min(value, MIN_DECISIVE_CHI2) for value in self.expected_chi2.values())
         if not self.distinguished_explanations:
             return 0, 0, 0.0, -decisive_chi2
@@ -233,17 +240,19 @@ class MeasurementProposal(ValueEquality):
 
 @dataclass(frozen=True)
 class RankedProposals(ValueEquality):
-    """Proposals of further measurements with their networks, the best first."""
+    """Proposals of further measurements, the best first."""
 
     proposals: tuple[MeasurementProposal, ...]
+    """Proposals, ordered by evidence between possible causes, or by information on the instrument."""
     compared_explanations: tuple[str, ...] = ()
-    """Names of the possible causes to distinguish; empty if information on the instrument is wanted."""
+    """Names of the possible causes to distinguish; empty for a ranking by information on the instrument."""
     present_chi2: dict[str, float] = field(default_factory=dict)
-    """Difference of chi-square between the first and each other cause in the present recording."""
+    """Difference of chi-square between the first and each other cause in the present recording, by name of the other
+    cause."""
 
     @property
     def advice_sentence(self) -> str:
-        """Sentence on the measurement that decides between the causes, or that is most informative."""
+        """Sentence on the best proposal: it decides between possible causes, or is most informative."""
         best_proposal = self.proposals[0]
         if not self.compared_explanations:
             return best_proposal.candidate.instruction
@@ -271,9 +280,10 @@ def rank_next_measurements(
     visibility_function: VisibilityFunction | None = None,
     progress: ProgressCallback = no_progress,
 ) -> RankedProposals:
-    """Proposals of further measurements after a recording, the best first; arguments as in `lt.next_measurement`.
+    """Proposals of further measurements after a recording, the best first.
 
-    `visibility_function` restricts the places of additional stations.
+    The arguments are those of `lt.next_measurement`; `visibility_function` restricts the positions of additional
+    stations and the targets that they measure.
     """
     input_recording = load_recording(recording)
     adjustment = adjust(input_recording, declared_construction(input_recording))
@@ -316,9 +326,9 @@ def rank_deciding_measurements(
 ) -> RankedProposals:
     """Proposals of further measurements, ranked by their evidence between two or more possible causes of a misfit.
 
-    Each cause is to be distinguished from the first; causes that are already distinguished are ignored. The adjustment
-    estimates `extra_effects` too. `visibility_function` restricts the places of additional stations. With
-    `stops_at_first` the search ends at the first measurement that decides.
+    Every cause is compared with the first cause; causes that the recording already distinguishes are ignored. The
+    parameters of `extra_effects` are estimated too. `visibility_function` restricts the positions of additional
+    stations. With `stops_at_first` the search ends at the first measurement that distinguishes all causes.
     """
     network, (first, *others) = PlannedNetwork.from_adjustment(adjustment), explanations
     planned_adjustment = network.make_adjustment()
@@ -342,7 +352,7 @@ def rank_deciding_measurements(
         longer = residual_space_of(longer_adjustment, extra_effects)
         evidence = {name: pair.expected_chi2_difference(longer) for name, pair in rivals.items()}
         proposals.append(MeasurementProposal.from_candidate(candidate, planned_adjustment, longer_adjustment, evidence))
-        progress("weighing the explanations", min(len(proposals) / n_proposals, 1.0))
+        progress("comparing the possible causes", min(len(proposals) / n_proposals, 1.0))
         if stops_at_first and proposals[-1].distinguishes_all:
             break
     ranked_proposals = tuple(sorted(proposals, key=lambda p: p.sort_key))
@@ -356,7 +366,7 @@ def rank_deciding_measurements(
 def _proposals_for(
     candidates: Iterable[CandidateMeasurement], present_adjustment: Adjustment
 ) -> Iterator[MeasurementProposal]:
-    """Proposals for the measurements with which all poses are determined."""
+    """Proposals for those candidate measurements with which the network determines all poses."""
     for candidate in candidates:
         adjustment = candidate.make_adjustment()
         if adjustment is not None:
@@ -371,7 +381,7 @@ def _effort_rank(candidate: CandidateMeasurement) -> tuple[int, float]:
 def _most_informative_stations(
     network: PlannedNetwork, seconds_per_move: float, visibility_function: VisibilityFunction | None
 ) -> Iterator[CandidateMeasurement]:
-    """Additional stations that give most information on the instrument, the quickest first."""
+    """Candidate stations that give most information on the instrument, the station with the shortest duration first."""
     remedies = station_candidates(network, seconds_per_move, visibility_function)
     proposals = _proposals_for(remedies, network.make_adjustment())
     best_proposals = sorted(proposals, key=lambda p: p.sigma_ratio)[:N_EVALUATED_STATIONS]

@@ -1,8 +1,8 @@
-"""Combinations of parameters that a recording does not determine, and measurements that would determine them.
+"""Combinations of instrument parameters that a recording does not determine, and measurements that determine them.
 
 For parameters in units of their prior standard deviations, the eigenvalues of the posterior covariance lie between 0
 and 1. The gain of a combination is one minus its eigenvalue: the fraction of its prior variance that the readings
-removed. A combination with a gain below one half is undetermined: its prior is more precise than the readings alone.
+removed. A combination with a gain below one half is undetermined, because its prior is more precise than the readings.
 """
 
 from collections.abc import Sequence
@@ -28,21 +28,19 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MIN_DETERMINED_GAIN = 0.5
-"""Fraction of the prior variance of a combination that the readings must remove for the combination to count as
-determined."""
+"""Smallest gain (fraction of the prior variance that the readings remove) of a determined combination."""
 MAX_UNINFORMATIVE_GAIN = 0.01
-"""Fraction of the prior variance removed by the readings, below which combinations count as equally undetermined. Such
-combinations are rotated among each other to combinations of few parameters."""
+"""Gain below which combinations count as equally undetermined. Such combinations are rotated among each other, so that
+each contains few parameters."""
 MIN_REPORTED_COEFFICIENT = 0.1
-"""Coefficient of a parameter in a combination from which it is reported."""
+"""Absolute coefficient of a parameter in a combination, above which the parameter is reported."""
 MIN_WORTHWHILE_GAIN_INCREASE = 0.25
-"""Increase of the removed fraction of prior variance from which a measurement is proposed: half of
-`MIN_DETERMINED_GAIN`."""
+"""Smallest increase of the gain by a proposed measurement: half of `MIN_DETERMINED_GAIN`."""
 
 
 @dataclass(frozen=True)
 class ParameterCombination:
-    """Combination of parameters in prior standard deviations, and its gain."""
+    """Linear combination of parameters in units of their prior standard deviations, and its gain."""
 
     vector: Floats
     """Coefficients of the parameters, a unit vector (parameters,)."""
@@ -50,7 +48,7 @@ class ParameterCombination:
     """Fraction of the prior variance that the readings removed."""
 
     def coefficients(self, names: Sequence[str]) -> dict[str, float]:
-        """Coefficients above 0.1 by parameter name, the largest first; the largest is positive."""
+        """Coefficients with absolute values above 0.1, by parameter name; the largest is first and positive."""
         abs_coefficients = np.abs(self.vector)
         order = np.argsort(-np.round(abs_coefficients / MAX_SOLUTION_ROUNDING_ERROR), kind="stable")
         sign = np.sign(self.vector[_index_of_first_largest(abs_coefficients)])
@@ -58,9 +56,10 @@ class ParameterCombination:
 
 
 def gains_and_combinations(covariance: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
-    """Gains (p,) in ascending order, and their combinations of p parameters in prior standard deviations, (p, p).
+    """Gains (p,) in ascending order, and the combinations of p parameters with these gains, as columns (p, p).
 
-    A gain is 1 minus the ratio of posterior to prior variance. The columns are the combinations.
+    A gain is 1 minus the ratio of posterior to prior variance. The parameters are in units of `prior_sigma` (p,);
+    `covariance` (p, p) is their posterior covariance.
     """
     scaled_covariance = covariance / np.outer(prior_sigma, prior_sigma)
     remaining, vectors = np.linalg.eigh(0.5 * (scaled_covariance + scaled_covariance.T))
@@ -83,15 +82,15 @@ def undetermined_combinations(covariance: Floats, prior_sigma: Floats) -> list[P
 
 
 def _index_of_first_largest(sizes: Floats) -> int:
-    """Index of the first value among those that are largest up to rounding."""
+    """Index of the first value that is the largest up to rounding."""
     return int(np.flatnonzero(sizes >= (1.0 - MAX_SOLUTION_ROUNDING_ERROR) * sizes.max())[0])
 
 
 def rotate_to_simple_structure(vectors: Floats) -> Floats:
-    """Orthonormal columns of `vectors` (p, k), rotated among themselves so that each has few large elements (varimax).
+    """Orthonormal basis (p, k) of the span of the orthonormal columns `vectors` (p, k), by the varimax rotation.
 
-    The result depends only on the span of the columns: the rotations of pairs begin at a basis formed by projections of
-    the parameters, and converge to rounding.
+    Each basis vector has few large elements. The result depends only on the span of the columns: the rotations of pairs
+    of columns start at a basis that is formed by projections of the parameters, and are iterated until convergence.
 
     References
     ----------
@@ -131,9 +130,9 @@ class MeasurementForCombination(NamedTuple):
     """Measurement that determines an undetermined combination of parameters."""
 
     instruction: str = ""
-    """Instruction to the user; empty if no measurement determines the combination."""
+    """Instruction to the user; empty if no tested measurement determines the combination."""
     sentence: str = ""
-    """Sentence with the instruction and its benefit, or on its lack; empty if no measurement was sought."""
+    """Sentence with the instruction and the gain, or on the lack of such a measurement; empty without a search."""
 
 
 def measurements_for_undetermined(
@@ -141,8 +140,9 @@ def measurements_for_undetermined(
 ) -> list[list[MeasurementForCombination]]:
     """Measurements that determine the undetermined combinations of each instrument.
 
-    The measurement is the first that increases the gain above one half, or else the one with the largest increase.
-    `construction` has the parameters of the combinations; `directions` has the combinations of each instrument.
+    For each combination it is the first measurement that increases the gain above one half, or otherwise the
+    measurement with the largest increase. `directions` contains the combinations of each instrument, `construction` is
+    the error model with their parameters. The result has one list per instrument.
     """
     if not any(directions):
         return [[] for _ in directions]
@@ -172,9 +172,9 @@ def measurements_for_undetermined(
 def _gains_of_combinations(
     network: PlannedNetwork, directions: Sequence[Sequence[ParameterCombination]]
 ) -> list[list[float]]:
-    """Fraction of the prior variance of each combination of each instrument that the readings of a network remove.
+    """Gain of each combination of each instrument in a network: fraction of its prior variance that readings remove.
 
-    The list is empty for an undetermined network.
+    The gains are zero if the network does not determine all poses.
     """
     try:
         covariance, prior = network.parameter_covariance()
@@ -191,8 +191,8 @@ def _measurement_for_combination(
 ) -> MeasurementForCombination:
     """Measurement that determines one combination of parameters.
 
-    `candidates_with_gains` holds the instruction of each possible measurement and the fraction of the prior variance
-    that would be removed with it; `present_gain` is this fraction without a further measurement.
+    `candidates_with_gains` contains the instruction of each possible measurement and the gain of the combination with
+    it; `present_gain` is the gain without a further measurement.
     """
     if present_gain >= MIN_DETERMINED_GAIN > combination.gain:
         instruction = advice_sentence("network method")

@@ -112,7 +112,7 @@ def test_faces_are_averaged() -> None:
 
 def test_one_station_is_refused_in_a_sentence() -> None:
     recording = network(np.zeros(16))
-    with pytest.raises(NetworkError, match="one station only"):
+    with pytest.raises(NetworkError, match="has only one"):
         evaluate_criteria(recording.select(recording.station == 0))
 
 

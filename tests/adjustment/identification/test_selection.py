@@ -23,7 +23,7 @@ from ltsim.adjustment.identification.evidence import (
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis_library import shift_candidates
 from ltsim.adjustment.identification.model_changes import apply_corrections_and_omissions
-from ltsim.adjustment.identification.nominal_offsets import usual_smr_text
+from ltsim.adjustment.identification.nominal_offsets import smr_exchange_text
 from ltsim.adjustment.identification.recommendations import recommendation_for_cause
 from ltsim.adjustment.identification.screening import _distance_trial_hypotheses
 from ltsim.adjustment.identification.selection import _refine_motion_time
@@ -387,8 +387,8 @@ SMRS = [
 
 @pytest.mark.parametrize(("size", "sentence"), SMRS)
 def test_the_sign_says_which_smr_was_used(size: float, sentence: str) -> None:
-    assert usual_smr_text(1e-3 * size + 1e-5, 1e-5) == sentence
-    assert usual_smr_text(1e-3 * size + 1e-4, 1e-5) == usual_smr_text(1e-3 * size, 1e-4) == ""
+    assert smr_exchange_text(1e-3 * size + 1e-5, 1e-5) == sentence
+    assert smr_exchange_text(1e-3 * size + 1e-4, 1e-5) == smr_exchange_text(1e-3 * size, 1e-4) == ""
 
 
 @pytest.mark.long
