@@ -210,7 +210,7 @@ def test_an_option_is_called_what_its_reader_calls_it(recording, tmp_path: Path,
             lambda rec, cal: lt.inject(rec, "index-drift", noncentrality=-4),
             "noncentrality is -4, expected a number, 0.001 or more",
         ),
-        (lambda rec, cal: lt.Effect("index-drift", index_drft=3), "sizes, where drawn: index-drift"),
+        (lambda rec, cal: lt.Effect("index-drift", index_drft=3), "only a simulation accepts, are index-drift"),
     ],
 )
 def test_what_is_no_input_gets_one_sentence(recording, call, says: str):

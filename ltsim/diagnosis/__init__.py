@@ -1,1 +1,1 @@
-"""Diagnosis: unmodelled causes in a recording, with place, size and probability."""
+"""Diagnosis: search for unmodelled causes in a recording, with the place, size and probability of each."""

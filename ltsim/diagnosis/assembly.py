@@ -1,4 +1,4 @@
-"""Assembly of the result of a diagnosis from the selected model and the findings of tests."""
+"""Assembly of the result of a diagnosis from the selected model and from the findings of tests."""
 
 from collections.abc import Sequence
 
@@ -32,9 +32,10 @@ def assemble_diagnosis(
 ) -> Diagnosis:
     """Diagnosis from the selected model after its refit, and from the findings of tests.
 
-    `test_findings` are those of tests, which need no search. `final_adjustment` is the adjustment with the model, or
-    without it if that did not converge. `held_out_errors` are prediction errors of held-out readings, and
-    `cause_selection` contains the simple causes of the adjustment before the search.
+    `source_entry` identifies the recording, and `detectability` has the smallest detectable sizes of effects.
+    `test_findings` are the findings of tests, which need no search. `final_adjustment` is the adjustment with the
+    selected model, or the adjustment without it if the former did not converge. `held_out_errors` are prediction errors
+    of held-out readings, and `cause_selection` contains the simple causes of the adjustment before the search.
     """
     state, model, global_test = model_fit.state, model_fit.model, model_fit.global_test
     baseline, adjusted = state.baseline_adjustment, model_fit.refit.adjustment
@@ -91,9 +92,10 @@ def assemble_diagnosis(
 def _reported_findings(
     test_findings: Sequence[Finding], shift_findings: Sequence[Finding], noise_findings: Sequence[Finding]
 ) -> list[Finding]:
-    """Findings of a diagnosis, the largest decrease of chi-square first.
+    """Findings of a diagnosis, sorted by decreasing chi-square drop.
 
-    Improbable changes of the noise are reported only if there is no other finding.
+    They are findings of tests, of effects that shift readings, and of changes of the noise. Improbable changes of the
+    noise are reported only if there is no other finding.
     """
     probable_noise = [finding for finding in noise_findings if finding.evidence.p_real >= MIN_PROBABLE]
     findings = [*test_findings, *shift_findings, *probable_noise] or noise_findings
@@ -103,9 +105,10 @@ def _reported_findings(
 def _averaged_targets_and_reading_change(
     model_fit: SelectedModelFit, shift_findings: Sequence[Finding], noise_findings: Sequence[Finding]
 ) -> tuple[AveragedTargets, Floats]:
-    """Targets, and the change (n, 3) of the readings minus that of the refit, both averaged over explanations.
+    """Target coordinates, and change (n, 3) of the readings minus their change by the refit.
 
-    If no cause is more probable than not, the targets are those of the ordinary adjustment.
+    Both are averaged over the explanations of the findings. If no cause is more probable than not, the coordinates are
+    those of the ordinary adjustment.
     """
     state = model_fit.state
     targets, change = average_over_explanations(state.searcher, model_fit.model, model_fit.rankings, model_fit.refit)

@@ -1,12 +1,12 @@
 """Bayesian model average of the target coordinates over the explanations that the recording does not exclude.
 
 An explanation is one possible cause of the residuals: an effect, a law, or no effect. Each explanation shifts the
-adjusted coordinates. The prior shrinks its size, and its weight is its probability (Hoeting et al. 1999, Statistical
-Science 14). The curve of an empirical law is an approximation. Log evidences are therefore divided by a temperature
-above 1. The covariance includes the variance between explanations.
+adjusted coordinates. The prior shrinks the size of the explanation, and the weight of the explanation in the average is
+its probability (Hoeting et al. 1999, Statistical Science 14). The curve of an empirical law is an approximation. Log
+evidences are therefore divided by a temperature above 1. The covariance includes the variance between explanations.
 
 Only a fraction t of the shift s of the targets by empirical laws is applied, because the laws may be wrong. Without the
-shift, the error of the coordinates is s plus an independent error e. The fraction t changes the sum of squared errors
+shift, the error of the coordinates is s plus an independent error e. Subtracting t s changes the sum of squared errors
 by t^2 s's - 2 t (s's + s'e), which is a normal variable.
 """
 
@@ -36,8 +36,8 @@ from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.variance import VarianceFunction
 
 MAX_RELATIVE_ERROR_INCREASE = 0.05
-"""Limit on the relative increase of the coordinate error by the correction for a law. The probability that the increase
-exceeds it is at most `MAX_P_EXCEEDED_ERROR_INCREASE`."""
+"""Relative increase of the coordinate error by the correction for a law that is exceeded with a probability of at most
+`MAX_P_EXCEEDED_ERROR_INCREASE`."""
 MAX_P_EXCEEDED_ERROR_INCREASE = 0.03
 """Largest permitted probability that the relative increase of the coordinate error exceeds
 `MAX_RELATIVE_ERROR_INCREASE`."""
@@ -49,14 +49,14 @@ computing time."""
 def average_over_explanations(
     searcher: Searcher, model: Model, rankings: Sequence[Ranking], refit: Refit
 ) -> tuple[AveragedTargets, Floats]:
-    """Target coordinates and change of the readings, averaged over the explanations of each effect in a model.
+    """Target coordinates and change of the readings, averaged over the explanations for each effect in a model.
 
     `rankings` contain the alternatives to each effect in the model, and `refit` is the nonlinear refit of the model.
 
     Returns
     -------
     AveragedTargets
-        Coordinates and their covariance: those of the refit, corrected by the average over the explanations.
+        Coordinates and covariance of the refit, corrected by the average over the explanations.
     (n, 3) float
         Averaged change of the three readings of n pointings, minus their change by the refit [m, rad, rad].
     """
@@ -89,10 +89,10 @@ def average_over_explanations(
 def _max_safe_fraction_of_target_shifts(
     adjustment: Adjustment, target_shifts: Floats, explanation_deviations: Floats
 ) -> float:
-    """Largest fraction of a shift of the targets that is likely to increase their errors only slightly.
+    """Largest fraction of a shift of the targets whose subtraction is likely to increase their errors only slightly.
 
-    `target_shifts` (T, 3) [m] is the shift of T targets, and `explanation_deviations` (k, T, 3) [m] are weighted
-    differences of k explanations from their mean.
+    `target_shifts` (T, 3) [m] are the shifts of T targets, and `explanation_deviations` (k, T, 3) [m] are the weighted
+    differences of the shifts by k explanations from their mean.
     """
     problem, points = adjustment.problem, np.nan_to_num(adjustment.state.target_points)
     shift = remove_rigid_motion(
@@ -114,20 +114,21 @@ def _max_safe_fraction_of_target_shifts(
 def max_safe_shift_fraction(
     shift_sum_of_squares: float, variance_of_cross_product: float, expected_sum_of_squared_errors: float
 ) -> float:
-    """Largest fraction t of a shift s whose subtraction is likely to increase the errors only slightly.
+    """Largest fraction t of a shift s of coordinates whose subtraction is likely to increase errors only slightly.
 
-    With the error e without the shift, the change of the sum of squares is t^2 s's - 2 t (s's + s'e). It is below
+    The error of the coordinates without the subtraction is s + e. The subtraction of t s changes the sum of squared
+    errors by t^2 s's - 2 t (s's + s'e). This change is below
     ((1 + `MAX_RELATIVE_ERROR_INCREASE`)^2 - 1) (s's + E[e'e]), except with the probability
     `MAX_P_EXCEEDED_ERROR_INCREASE`.
 
     Parameters
     ----------
     shift_sum_of_squares : float
-        Sum of squares s's.
+        Sum of squares s's of the shift.
     variance_of_cross_product : float
         Variance of s'e.
     expected_sum_of_squared_errors : float
-        Expectation E[e'e].
+        Expectation E[e'e] of the sum of the other squared errors.
     """
     if shift_sum_of_squares == 0.0:
         return 1.0
@@ -146,11 +147,11 @@ def max_safe_shift_fraction(
 def alternative_weights_and_changes(
     searcher: Searcher, reduced_model: Model, selected_hypothesis: Hypothesis, ranking: Ranking, temperature: float
 ) -> tuple[Floats, Floats]:
-    """Probabilities (k,) of k alternatives to a selected effect, and changes (k, m) of the m whitened readings.
+    """Probabilities (k,) of k alternatives to a selected effect, and changes (k, m) of m whitened readings by each.
 
     The first alternative is the effect `selected_hypothesis` itself, the last one is no effect. The probabilities of
-    changes of the noise are added to the last one, because they do not change readings either. Log evidences are
-    divided by `temperature`.
+    changes of the noise are added to the last one, because they do not change readings either. `reduced_model` is the
+    model without the selected effect. Log evidences are divided by `temperature`.
     """
     none, *rest_of = normalised_probabilities(
         np.array([ranking.log_evidence_none, *(h.log_evidence for h in ranking.hypotheses)]) / temperature
@@ -168,14 +169,14 @@ def alternative_weights_and_changes(
 
 
 def _is_noise_hypothesis(hypothesis: Hypothesis) -> bool:
-    """True if a hypothesis is a change of the noise, which shifts no reading."""
+    """True for a hypothesis that is a change of the noise, which shifts no reading."""
     return isinstance(hypothesis.effect, NoiseEffect | VarianceFunction)
 
 
 def _hypotheses_at_probable_shapes(
     searcher: Searcher, reduced_model: Model, selected_hypothesis: Hypothesis
 ) -> list[tuple[Hypothesis, float]]:
-    """Copies of an explanation at its most probable shapes, with their probabilities."""
+    """Copies of a hypothesis with the most probable values of its shape constants, and the probability of each."""
     shapes = (
         []
         if isinstance(selected_hypothesis.effect, EmpiricalLaw)
@@ -195,7 +196,7 @@ def _hypotheses_at_probable_shapes(
 
 
 def first_order_reading_change(searcher: Searcher, model: Model) -> Floats:
-    """Linear approximation of the change (m,) of the whitened readings by all effects in a refitted model."""
+    """Linear approximation of the change (m,) of m whitened readings by all effects in a refitted model."""
     if not model.members:
         return np.zeros(searcher.space.n_rows)
     coefficient_means = wide_prior_posterior(
@@ -206,7 +207,7 @@ def first_order_reading_change(searcher: Searcher, model: Model) -> Floats:
 
 
 def expected_reading_change(searcher: Searcher, reduced_model: Model, hypothesis: Hypothesis) -> Floats:
-    """Posterior mean (m,) of the change of the m whitened readings by an explanation, given `reduced_model`."""
+    """Posterior mean (m,) of the change of m whitened readings by a hypothesis, given the effects of a model."""
     moments = searcher.evidence_calculator.grams_and_scores([hypothesis.effect], reduced_model)[0]
     change: Floats = (
         searcher.space.whitened_design(hypothesis.effect)

@@ -1,6 +1,7 @@
 """Design matrices of the effects of the catalogue as hypotheses, at every possible place and shape.
 
-They are scored with the same vectors of the null ensemble and the same log evidence as the empirical laws. Shapes
+A place is the stations and targets where an effect acts, a shape the values of its shape constants. The effects are
+scored with the same vectors of the null ensemble and the same log evidence as the empirical laws. Sizes of arrays
 below: h effects with k parameters each, m rows of the residual space, v vectors of the null ensemble.
 """
 
@@ -36,18 +37,18 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MAX_SPARSE_FRACTION = 0.15
-"""Fraction of nonzero rows below which a design matrix is stored as sparse. It affects only the computing time."""
+"""Fraction of nonzero rows below which a design matrix is stored as sparse; it affects only the computing time."""
 MAX_LOCAL_OPTIMA = 3
 """Largest number of local optima of a catalogue effect, over its places and shapes, that are evaluated."""
 MAX_COMPARED_PLACES_AND_SHAPES = 40
-"""Number of places and shapes of a catalogue effect, the best first, among which local optima are sought."""
+"""Number of places and shapes of a catalogue effect with the largest evidence among which local optima are sought."""
 ORDINARY_CALIBRATION_EFFECT_TYPES = tuple(type(effect) for effect in MISALIGNMENT_EFFECTS)
-"""Effects of the ordinary calibration, whose constants every adjustment estimates. As a hypothesis, such an effect
-means that its constants are larger than their prior permits."""
+"""Effect classes of the ordinary calibration, whose instrument constants every adjustment estimates. As a hypothesis,
+such an effect means that its constants are larger than their prior permits."""
 
 
 def catalogue_candidate_effects(sightings: Sightings, instruments: Sequence[str] = ()) -> list[CandidateEffect]:
-    """Effects of the catalogue at every place and shape, and constants of each instrument if there are several.
+    """Effects of the catalogue at every place and shape, and instrument constants of each of several instruments.
 
     `instruments` are the names of the instruments. Changes of the noise are not included.
     """
@@ -72,24 +73,24 @@ class EffectGroup:
     n_parameters: int
     """Number k of parameters of each effect."""
     effect_indices: Ints
-    """Indices (h,) of the effects."""
+    """Indices (h,) of the effects in `CatalogueDesigns.effects`."""
     row_indices: Ints | slice
     """Indices (r,) of the rows of the residual space."""
     transposed_designs: Singles | sp.csr_array
-    """Transposed design columns (h k, r) in units of plausible sizes, one row per parameter."""
+    """Transposed design columns (h k, r), one row per parameter, in units of its plausible size."""
     row_weights: Singles
-    """Factors (r,) by which the design rows are multiplied, for an adjustment with other weights."""
+    """Factors (r,) by which the r rows of the design are multiplied, for an adjustment with other weights."""
     unprojected_gram: Floats
-    """Gram matrices (h, k, k) of the weighted design columns."""
+    """Gram matrices (h, k, k) of the weighted design columns before projection."""
     projected_gram: Floats
-    """Gram matrices (h, k, k) of the projected design columns, computed with the empty model."""
+    """Gram matrices (h, k, k) of the design columns after projection onto the residual space, without a model."""
 
     def member_ranges(self, n_vectors: int) -> Iterator[slice]:
         """Ranges of effects of the group whose products with `n_vectors` vectors are in memory at a time."""
         return batches(len(self.effect_indices), self.n_parameters * n_vectors)
 
     def weighted_products(self, member_range: slice, vectors: Floats | Singles) -> Floats:
-        """Products (h, k, v) of the weighted design columns of a range of h effects with `vectors` (m, v)."""
+        """Products (h, k, v) of the weighted design columns of the h effects in a range with v `vectors` (m, v)."""
         transposed_designs, count = (
             self.transposed_designs[member_range.start * self.n_parameters : member_range.stop * self.n_parameters],
             vectors.shape[1],
@@ -102,7 +103,7 @@ class EffectGroup:
         return products.reshape(member_range.stop - member_range.start, self.n_parameters, count)
 
     def with_rows_scaled(self, row_factors: Singles) -> EffectGroup:
-        """Copy of the group for a residual space with other weights, which multiply its rows by `row_factors` (m,)."""
+        """Copy of the group for a residual space with other weights: its rows are multiplied by `row_factors` (m,)."""
         weight = self.row_weights * row_factors[self.row_indices]
         if isinstance(self.transposed_designs, np.ndarray):
             parts = (
@@ -133,7 +134,7 @@ class EffectGroup:
 class CatalogueDesigns:
     """Effects of the catalogue with their design columns in units of plausible sizes.
 
-    A family contains the same effect at all its places and shapes.
+    A family is one catalogue effect at all its places and shapes.
     """
 
     effects: list[CandidateEffect]
@@ -141,17 +142,17 @@ class CatalogueDesigns:
     groups: list[EffectGroup]
     """Effects with their design columns, grouped by their number of parameters and their form of storage."""
     families: tuple[str, ...]
-    """Names of the families, each of which has one effect of the catalogue at all its places and shapes."""
+    """Names of the families: the names of the catalogue effects."""
     family_indices: Ints
     """Index (h,) of the family of each effect."""
 
     @cached_property
     def log_family_prior(self) -> Floats:
-        """Log prior (families,) of each effect of the catalogue, for all its places and shapes together."""
+        """Log prior (families,) of each catalogue effect: the sum over all its places and shapes."""
         return log_prior_by_base_rate("named", self.families)
 
     def log_prior_of_family(self, family: str) -> float:
-        """Log prior of the effect of the catalogue with the name `family`, for all its places and shapes together.
+        """Log prior of the catalogue effect with the name `family`: the sum over all its places and shapes.
 
         The search of a large recording does not try single wrong readings; their prior is nevertheless defined.
         """
@@ -159,7 +160,7 @@ class CatalogueDesigns:
         return float(log_prior_by_base_rate("named", names)[names.index(family)])
 
     def hypotheses_of(self, effects: Sequence[CandidateEffect]) -> tuple[Hypothesis, ...]:
-        """Hypotheses of effects of the catalogue; effects that are not possible in the recording are left out."""
+        """Hypotheses of the given catalogue effects; effects that are not possible in the recording are left out."""
         n_places = np.bincount(self.family_indices, minlength=len(self.families))
         prior = dict(zip(self.families, self.log_family_prior - np.log(n_places), strict=True))
         return tuple(Hypothesis(e, float(prior[e.name]), 0.0, e.name) for e in effects if e.name in prior)
@@ -173,7 +174,7 @@ class CatalogueDesigns:
         used_indices = np.nonzero(space.is_used_reading)
         other = np.ones(
             space.n_rows - len(used_indices[0]), dtype=np.int64
-        )  # rows of no reading: one more pointing, and kind
+        )  # rows that are no readings count as one further pointing and kind
         pointing, kind = (
             np.append(of, n * other) for of, n in zip(used_indices, space.is_used_reading.shape, strict=True)
         )
@@ -215,7 +216,7 @@ class CatalogueDesigns:
     def with_weights_of(self, old_space: ResidualSpace, new_space: ResidualSpace) -> CatalogueDesigns:
         """Design matrices with the weights of another adjustment of the same readings.
 
-        The geometry is not updated, because other weights move a network by far less than its lengths.
+        Poses and coordinates are not updated, because other weights move a network by far less than its lengths.
         """
         ratio = np.ones(new_space.n_rows, dtype=np.float32)
         ratio[: int(new_space.is_used_reading.sum())] = (old_space.sigma / new_space.sigma)[new_space.is_used_reading]
@@ -224,9 +225,9 @@ class CatalogueDesigns:
     def log_evidence_and_null_values(self, null_ensemble: NullEnsemble) -> tuple[Floats, Floats]:
         """Log evidence (h,) of each effect given a model, and null values (families, trials) of each catalogue effect.
 
-        The null values are log means of the evidence for simulated recordings. The design columns are projected also
-        onto the residual space of the model, which reduces their Gram matrices. A Monte-Carlo Gram matrix is not
-        reduced, because the difference of an estimate and an exact value may vanish.
+        The null values are log means of the evidence, over places and shapes, for simulated recordings. The design
+        columns are also projected onto the residual space of the model, which reduces their Gram matrices. A Gram
+        matrix that is a Monte-Carlo estimate is not reduced, because its difference from an exact value may vanish.
         """
         values, accumulator = (
             np.zeros(len(self.effects)),
@@ -250,10 +251,10 @@ class CatalogueDesigns:
         return values, accumulator.log_means
 
     def effects_grouped_by_family(self) -> list[list[Effect]]:
-        """Effects of each family at all its places and shapes, without most constants of the ordinary calibration.
+        """Effects of each family at all its places and shapes, without most effects of the ordinary calibration.
 
         The range scale is included, because a network without a known length absorbs it completely. `calibrate` reports
-        the other constants.
+        the other instrument constants.
         """
         families: list[list[Effect]] = [[] for _ in self.families]
         for family, effect in zip(self.family_indices.tolist(), self.effects, strict=True):
@@ -266,9 +267,9 @@ class CatalogueDesigns:
         ]
 
     def local_optima(self, member_indices: Ints, log_evidences: Floats) -> list[int]:
-        """Indices of the best place and shape of a catalogue effect, and of other places and shapes nearly as good.
+        """Indices of the place and shape of a catalogue effect with the largest evidence, and of other local optima.
 
-        `member_indices` are the indices of the effects of a family, the best first.
+        `member_indices` are the indices of the effects of a family, sorted by decreasing `log_evidences` (h,).
         """
         chosen = [int(member_indices[0])]
         for i in member_indices[1:MAX_COMPARED_PLACES_AND_SHAPES]:
@@ -279,7 +280,7 @@ class CatalogueDesigns:
         return chosen
 
     def log_evidence_by_family(self, log_evidences: Floats) -> Floats:
-        """Log evidence (f, ...) of f families, each averaged over the places and shapes of the family.
+        """Log evidence (f, ...) of f families, averaged over the places and shapes of each family.
 
         `log_evidences` (h, ...) are the log evidences of all h effects.
         """
@@ -300,11 +301,11 @@ class FamilyEvidenceAccumulator:
     family_indices: Ints
     """Index (h,) of the family of each effect."""
     log_sums: Floats
-    """Logs (families, trials) of the summed evidence of the effects that were added."""
+    """Log (families, trials) of the sum of the evidence of the effects that were added."""
 
     @classmethod
     def empty(cls, family_indices: Ints, n_families: int, n_trials: int) -> FamilyEvidenceAccumulator:
-        """Accumulator to which no effect has been added."""
+        """Accumulator to which no effect has been added, for `n_trials` simulated recordings."""
         return cls(family_indices, np.full((n_families, n_trials), -np.inf))
 
     def add(self, effect_indices: Ints, log_evidences: Floats) -> None:
@@ -316,17 +317,17 @@ class FamilyEvidenceAccumulator:
 
     @property
     def log_means(self) -> Floats:
-        """Log mean (families, trials) of the evidence over all places and shapes of each catalogue effect (family)."""
+        """Log (families, trials) of the mean evidence over all places and shapes of each family."""
         return self.log_sums - np.log(np.bincount(self.family_indices, minlength=len(self.log_sums)))[:, None]
 
 
 def _with_size_raised_to_noise(
     effect: CandidateEffect, design_columns: Floats, pointing_indices: Ints
 ) -> tuple[CandidateEffect, float]:
-    """Effect whose plausible size is at least as large as the noise of the readings, and the factor on its size.
+    """Effect whose plausible size is raised to the noise of the readings if it is smaller, and the factor on its size.
 
     The factor is 1 for effects of the air, whose size depends on the hall and not on the instrument. `design_columns`
-    (r, k) are the whitened changes by the plausible sizes on r nonzero rows, and `pointing_indices` (r,) the pointing
+    (r, k) are the whitened changes of r nonzero rows by the plausible sizes, and `pointing_indices` (r,) the pointing
     of each row.
     """
     if (
@@ -354,9 +355,9 @@ def _dense_group(
 
 
 def _sparse_group(n_parameters: int, indexed_designs: Sequence[tuple[int, Ints, Singles]], n_rows: int) -> EffectGroup:
-    """Group of effects with k parameters each, from each effect's index, nonzero rows and transposed design (k, r).
+    """Group of effects with k parameters each that change only a few of the `n_rows` rows of the residual space.
 
-    Each effect changes only a few of `n_rows` rows of the residual space.
+    `indexed_designs` has the index, the r nonzero rows and the transposed design (k, r) of each effect.
     """
     products = np.stack([row_gram(transposed_designs) for _, _, transposed_designs in indexed_designs]).astype(
         np.float64

@@ -1,10 +1,10 @@
-"""Fixed ratio of the components of a law, which then are the same function of the regressor with different sizes.
+"""Fixed ratio of the components of a law: all components are the same function of the regressor, in different sizes.
 
 For example, a stand that sinks moves along one line, and an error often differs between set-ups only in its size. Let w
-be the number of components, each with k coefficients. With a ratio u (unit vector) of the components and common
-coefficients c, a law has k + w - 1 constants in place of w k. The evidence of the coefficients is exact at the best
-ratio. It is integrated over all ratios by Laplace's approximation with a uniform prior on the half sphere (MacKay 2003,
-Information Theory, Inference, and Learning Algorithms, ch. 27).
+be the number of components, each with k coefficients. With a ratio u (unit vector) of the components and coefficients c
+that they share, a law has k + w - 1 constants in place of w k. The evidence of the coefficients is exact at the ratio
+with the largest evidence. It is integrated over all ratios by Laplace's approximation with a uniform prior on the half
+sphere (MacKay 2003, Information Theory, Inference, and Learning Algorithms, ch. 27).
 """
 
 import numpy as np
@@ -22,10 +22,10 @@ COMPONENT_RATIO_DECIMALS = 4
 def best_component_ratio(
     gram: Floats, score: Floats, plausible_sizes: Floats, n_components: int
 ) -> tuple[tuple[float, ...], float, float]:
-    """Best ratio of the components of a law, as a unit vector (w,), and two log evidences.
+    """Ratio of the components of a law with the largest evidence, as a unit vector (w,), and two logarithms.
 
-    The first is the log evidence at this ratio, the second the log of the share of all ratios that the readings permit.
-    Their sum is the log evidence with the ratio integrated.
+    The first is the log evidence at this ratio, the second the log of the fraction of all ratios that the readings
+    permit. Their sum is the log evidence integrated over the ratios.
 
     Parameters
     ----------
@@ -63,14 +63,14 @@ def best_component_ratio(
 
 
 def _log_fraction_of_permitted_ratios(log_evidence_curvature: Floats, ratio: Floats) -> float:
-    """Log, at most 0, of the share of the half sphere of all ratios that the readings permit.
+    """Log, at most 0, of the fraction of all ratios (points of a half sphere) that the readings permit.
 
-    `log_evidence_curvature` (w, w) is the curvature of the log evidence at the best `ratio` (w,).
+    `log_evidence_curvature` (w, w) is the curvature of the log evidence at its maximum, the `ratio` (w,).
     """
     n_components = len(ratio)
     tangent = np.linalg.svd(ratio[None])[2][1:]
     eigenvalues = np.maximum(np.linalg.eigvalsh(tangent @ log_evidence_curvature @ tangent.T), 1e-12)
     log_area = 0.5 * n_components * np.log(np.pi) - gammaln(
         0.5 * n_components
-    )  # of the half sphere in `n_components` dimensions
+    )  # area of the half sphere in `n_components` dimensions
     return float(min(0.5 * np.sum(np.log(2.0 * np.pi / eigenvalues)) - log_area, 0.0))

@@ -28,19 +28,20 @@ from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.linear_effect import LinearEffect
 
 MAX_DETECTABLE_SIZE_RATIO = 10.0
-"""Smallest detectable size of an effect, as a multiple of a large but plausible size, from which the effect is reported
-as not detectable."""
+"""Ratio of the smallest detectable size of an effect to its plausible size, from which the effect is reported as not
+detectable."""
 DISTORTION_DECIMALS = 6
-"""Number of decimals to which a distortion of the targets [um] is rounded."""
+"""Number of decimals to which a distortion of the targets in micrometres is rounded."""
 DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[UndetectableEntry, ...]]
 """Smallest detectable sizes of the detectable effects, and entries of the effects that are not detectable."""
 
 
 def detectability_report(space: ResidualSpace, catalogue_designs: CatalogueDesigns) -> DetectabilityReport:
-    """Detectable effects of the catalogue, and undetectable ones in the order of decreasing target errors.
+    """Detectable effects of the catalogue, and undetectable effects in the order of decreasing target errors.
 
-    An effect with several parameters is reported with the parameter that has the smallest ratio of the detectable to
-    the plausible size, at a median place. `catalogue_designs` contain all effects of the catalogue at all places.
+    The smallest detectable size of an effect is the median over its places (stations and targets). An effect with
+    several parameters is reported with the parameter that has the smallest ratio of the detectable to the plausible
+    size. `catalogue_designs` contain all effects of the catalogue at all places.
     """
     detectable, undetectable = [], []
     for effects in catalogue_designs.effects_grouped_by_family():
@@ -78,7 +79,7 @@ def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -
 def _undetectable_entry(space: ResidualSpace, effect: Effect, detectable_size_ratio: float) -> UndetectableEntry:
     """Entry of an effect that is not detectable.
 
-    `detectable_size_ratio` is its smallest detectable size divided by a large but plausible size.
+    `detectable_size_ratio` is the smallest detectable size of the effect divided by its plausible size.
     """
     plausible_changes = np.diag([p.prior_sigma for p in effect.parameters])
     distortion = round(
@@ -102,7 +103,10 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, detectable_size_ra
 
 
 def target_distortion(space: ResidualSpace, shift: Floats) -> float:
-    """Distortion of the adjusted targets by a whitened `shift` (m,) of readings: rms [um] after the best rigid fit."""
+    """Distortion [um] of the adjusted targets by a whitened `shift` (m,) of m readings.
+
+    It is the rms change per coordinate after a rigid least-squares fit.
+    """
     shifts = space.target_shifts(shift).ravel()
     points = space.adjustment.state.target_points
     motion = rigid_motion_design(points, points.mean(axis=0))
@@ -115,8 +119,8 @@ def separating_measurement_sentence(
 ) -> str:
     """Sentence on the measurement that discriminates an effect from its equivalents; empty without equivalents.
 
-    `effect_name` and `equivalent_names` are names of the catalogue. `other_effects` are those of the other findings,
-    which are in the model in any case.
+    `effect_name` and `equivalent_names` are names of the catalogue. `other_effects` are the effects of the other
+    findings, which are in the model in any case.
     """
     names = _names_of_comparable_effects(effect_name, equivalent_names)
     if not names:

@@ -1,4 +1,4 @@
-"""Steps of a diagnosis: preprocess, detect, select a model, refit, report."""
+"""Steps of a diagnosis: preprocessing, global test, selection of a model, refit, report."""
 
 from collections.abc import Sequence
 
@@ -41,8 +41,8 @@ from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
 MIN_REMAINING_DIFFERENCE_RATIO = 0.5
-"""Smallest ratio of the difference of a constant from its reference with the selected effects in the model to that
-without them. With a smaller ratio the effects explain the difference, and it is not reported."""
+"""Ratio of two differences of an instrument constant from its reference: with the selected effects in the model, and
+without them. Below this ratio the effects explain the difference, and it is not reported."""
 
 
 @raise_for_singular_network
@@ -55,27 +55,28 @@ def diagnose(
     history: EarlierCalibrationPrior | None = None,
     held_out: bool | None = False,
 ) -> Diagnosis:
-    """Diagnosis of a recording: its agreement with the model, and otherwise the probable causes.
+    """Diagnosis of a recording: agreement with the model, or otherwise the probable causes of the mismatch.
 
     Parameters
     ----------
     recording : Recording
     seed : int
-        Root of the random draws of simulated recordings.
+        Seed of the random draws of simulated recordings.
     level : float
         False-alarm rate of the whole search, at least `SINGLE_TEST_LEVEL`.
     history : EarlierCalibrationPrior, optional
         Earlier calibrations with which each constant of the instruments is compared.
     held_out : bool, optional
-        True for 5-fold cross-validation. The search is repeated without each fold of the readings, which is then
-        predicted; this takes five more searches if the model is not empty. If the model predicts the folds worse than
-        no effect, its effects are stated as improbable. None for cross-validation only in networks
+        True for 5-fold cross-validation: the search is repeated without each fold of the readings, and the selected
+        model predicts the fold. This takes five more searches if the model is not empty. If the model predicts the
+        folds worse than no effect, its effects are reported as improbable. None for cross-validation only in networks
         with up to `calibration.shrinkage.MAX_DENSE_UNKNOWNS` unknowns.
 
     Returns
     -------
     Diagnosis
-        Verdict, findings in the order of their strength, fit before and after, undetectable effects.
+        Verdict, findings with the largest decrease of chi-square first, misfit without and with the findings, and
+        undetectable effects.
 
     Raises
     ------
@@ -104,7 +105,7 @@ def diagnose(
     initial_space_and_designs, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
     if selection is not None and model.members:
         readmitted_mask = is_consistent_when_omitted(refit.adjustment, np.isfinite(recording.readings) & ~use)
-        if readmitted_mask.any():  # the effects of the model explain these readings
+        if readmitted_mask.any():  # the effects of the model explain these rejected readings
             del state, initial_space_and_designs, model, refit  # their memory is for the second search
             baseline, use, blunder_findings = adjustment_without_blunders(
                 recording, construction, selection, readmitted_mask=readmitted_mask
@@ -153,7 +154,7 @@ def diagnose(
 
 
 def _varies_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> bool:
-    """True if one of the effects varies the constant with the name `constant_name`, which then has no single value."""
+    """True if one of the effects makes the instrument constant with the name `constant_name` variable."""
     laws = (VARIED_CONSTANTS_BY_RESPONSE.get(e.response.name, ()) for e in effects if isinstance(e, EmpiricalLaw))
     drifts = (constant_names_of_slot(getattr(e, "slot", "")) for e in effects)
     parameters = ([p.name for p in e.parameters] for e in effects)
@@ -163,9 +164,9 @@ def _varies_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> 
 def _search_and_refit(
     state: SelectionState, compare_with_reference: ConstantComparisonFunction, *, is_mismatch: bool
 ) -> tuple[tuple[ResidualSpace, CatalogueDesigns], Model, Refit]:
-    """Residual space and catalogue design matrices before the search, the selected model, and its nonlinear refit.
+    """Residual space and catalogue design matrices before the search (a pair), the selected model, and its refit.
 
-    The model is empty unless `is_mismatch`.
+    The refit is a nonlinear adjustment. The model is empty unless `is_mismatch`.
     """
     initial_space_and_designs = state.space, state.searcher.catalogue_designs
     model = select_model(state, MIN_EFFECT_LOG_EVIDENCE, compare_with_reference) if is_mismatch else state.empty_model
@@ -178,9 +179,10 @@ def _contradictions_unexplained_by_model(
     final_adjustment: Adjustment,
     compare_with_reference: ConstantComparisonFunction,
 ) -> tuple[ConstantContradiction, ...]:
-    """Constants that contradict their reference with the model as well as without it.
+    """Instrument constants that contradict their reference with the selected model as well as without it.
 
-    The difference from the reference is at least `MIN_REMAINING_DIFFERENCE_RATIO` times that without the model.
+    Their difference from the reference with the model is at least `MIN_REMAINING_DIFFERENCE_RATIO` times the difference
+    without the model.
     """
     with_model = compare_with_reference(final_adjustment, MIN_EFFECT_LOG_EVIDENCE).contradictions
     if not model.members:
@@ -199,9 +201,9 @@ def _contradictions_unexplained_by_model(
 
 
 def _refit_model(state: SelectionState, model: Model) -> tuple[Model, Refit]:
-    """Model after removal of the effects that its nonlinear refit does not support, and this refit.
+    """Model without the effects that its nonlinear refit does not support, and the refit of this model.
 
-    The search is linear, so that the second-order part of a large effect can look like a further effect.
+    The search is linear. The second-order part of a large effect can therefore look like a further effect.
     """
     refit = state.refit(model.effects, state.reading_sigmas)
     while len(model.members) > 1:
@@ -221,15 +223,15 @@ def _refit_model(state: SelectionState, model: Model) -> tuple[Model, Refit]:
 def log_bayes_factor_of_refits(model: Model, reduced_model: Model, chi2_drop: float) -> float:
     """Log Bayes factor of a model against a model with fewer effects, from their nonlinear refits.
 
-    It is the difference of the log evidences of the linear models, in which `chi2_drop` (the difference of chi-square
-    between the nonlinear refits) replaces the difference of the linear models.
+    It is the difference of the log evidences of the linear models, in which the decrease of chi-square between the
+    nonlinear refits, `chi2_drop`, replaces the decrease between the linear models.
     """
     linear = float(reduced_model.residual @ reduced_model.residual - model.residual @ model.residual)
     return model.penalised_log_evidence - reduced_model.penalised_log_evidence + 0.5 * (chi2_drop - linear)
 
 
 def _has_specific_noise_change(noise_changes: Sequence[NoiseHypothesis]) -> bool:
-    """True if one of the changes of the noise is not a change of the noise level of the recording."""
+    """True if any of the changes of the noise is not a change of the noise level of the whole recording."""
     return any(not isinstance(change.effect, NoiseLevel) for change in noise_changes)
 
 
@@ -238,8 +240,8 @@ def _held_out_errors(
 ) -> HeldOutErrors:
     """Prediction errors of held-out readings, divided by the larger of the declared and the estimated noise.
 
-    The error with the model is computed only if `repeats_search`. For an empty model it equals the error without the
-    model.
+    The error with a model is computed only if `repeats_search`, by searches with `min_evidence_gain`. If `model` is
+    empty, it equals the error without a model.
     """
     nominal = state.recording.sigma()
     space, seed = state.searcher.space, state.seed

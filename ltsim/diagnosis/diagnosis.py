@@ -1,4 +1,4 @@
-"""Result of a diagnosis: verdict and findings, with the adjustments and the coordinates from which they follow."""
+"""Result of a diagnosis: verdict and findings, with adjustments and target coordinates."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -42,11 +42,14 @@ class AveragedTargets(ValueEquality):
     """Coordinates of T targets, averaged over the explanations of a recording."""
 
     points: Floats
-    """Coordinates (T, 3) [m]."""
+    """Averaged coordinates (T, 3) [m] of the targets."""
     covariance: Floats
     """Covariance (T, 3, 3) [m^2] of the coordinates of each target, with the variance between explanations."""
     explanation_deviations: Floats
-    """Weighted differences (k, T, 3) [m] of k explanations from the mean. Their squares are part of the covariance."""
+    """Weighted differences (k, T, 3) [m] of the coordinates with each of k explanations from the mean.
+
+    Their squares are part of the covariance.
+    """
 
 
 @dataclass(frozen=True)
@@ -56,11 +59,12 @@ class DiagnosisArrays(ValueEquality):
     targets: AveragedTargets
     """Coordinates of the targets, averaged over the explanations."""
     reading_change_by_averaging: Floats
-    """Averaged change (n, 3) [m, rad, rad] of the readings of n pointings, minus their change by the refitted model."""
+    """Change (n, 3) [m, rad, rad] of the readings of n pointings, averaged over the explanations, minus their change
+    by the refitted model."""
     variance_factors: Floats
     """Factors (n, 3) on the declared variances of the readings, averaged over the changes of the noise."""
     baseline_adjustment: Adjustment
-    """Adjustment of the ordinary model."""
+    """Adjustment with the ordinary model, which has no findings."""
     final_adjustment: Adjustment
     """Adjustment with the findings in the model."""
 
@@ -76,24 +80,24 @@ class Diagnosis(ResultFile):
     summary: str
     """Summary in a few sentences."""
     global_test: GlobalTest
-    """Global test of the ordinary model."""
+    """Global test of the agreement of the recording with the ordinary model."""
     findings: tuple[Finding, ...] = ()
     """Unmodelled causes that explain the readings."""
     tests: tuple[CauseTest, ...] = ()
-    """Table of tests, as in `adjust` and `check`: simple causes that the readings support, and outliers."""
+    """Tests as in the results of `adjust` and `check`: simple causes that the readings support, and outliers."""
     fit: MisfitBeforeAfter | None = None
-    """Misfit without and with the findings."""
+    """Misfit of the adjustments without and with the findings in the model."""
     undetectable: tuple[UndetectableEntry, ...] = ()
     """Effects that are not detectable in this network."""
     detectable: tuple[DetectableEntry, ...] = ()
-    """Smallest detectable sizes of all other effects."""
+    """Smallest detectable sizes of the effects that are detectable in this network."""
     instruments: tuple[InstrumentEntry, ...] = ()
-    """Ordinary calibration of each instrument."""
+    """Instrument constants of the ordinary calibration of each instrument."""
     _arrays: DiagnosisArrays | None = PrivateAttr(None)
 
     @classmethod
     def from_arrays(cls, arrays: DiagnosisArrays, **fields: Any) -> Self:
-        """Diagnosis with its adjustments. `fields` are the fields of the file."""
+        """Diagnosis with its adjustments and coordinates; `fields` are the fields of `diagnosis.json`."""
         result = cls(**fields)
         result._arrays = arrays
         return result
@@ -102,17 +106,17 @@ class Diagnosis(ResultFile):
     def arrays(self) -> DiagnosisArrays:
         """Adjustments and coordinates of the diagnosis; raises ModelError for a diagnosis that was read from a file."""
         if self._arrays is None:
-            raise ModelError("a diagnosis read from a file has no networks; call lt.diagnose with the recording")
+            raise ModelError("a diagnosis read from a file has no adjustments; call lt.diagnose with the recording")
         return self._arrays
 
     @property
     def targets(self) -> AveragedTargets:
-        """Coordinates with the findings in the model, averaged over the explanations."""
+        """Coordinates of the targets with the findings in the model, averaged over the explanations."""
         return self.arrays.targets
 
     @property
     def baseline_adjustment(self) -> Adjustment:
-        """Adjustment of the ordinary model."""
+        """Adjustment with the ordinary model, which has no findings."""
         return self.arrays.baseline_adjustment
 
     @property
@@ -144,7 +148,7 @@ class Diagnosis(ResultFile):
         }
 
     def _coordinates_table(self) -> Table:
-        """Table of the targets, with the change of each coordinate against the ordinary adjustment."""
+        """Data table of the targets, with the difference of each coordinate from the ordinary adjustment."""
         sigma = np.sqrt(np.einsum("tii->ti", self.targets.covariance))
         change = self.targets.points - self.baseline_adjustment.state.target_points
         coordinate_rows = np.concatenate([self.targets.points, sigma, change], axis=1) / MILLIMETRE
@@ -158,7 +162,7 @@ class Diagnosis(ResultFile):
         )
 
     def _findings_table(self) -> Table:
-        """Table of findings, one row per parameter; an unknown effect without parameters has one row."""
+        """Data table of findings with one row per parameter; an unknown effect without parameters has one row."""
         nothing = ParameterEstimate.model_construct(name="", value=math.nan, sigma=math.nan)
         return FINDINGS_TABLE.with_rows(
             [
@@ -174,7 +178,7 @@ class Diagnosis(ResultFile):
         """Change (n, 3) [m, rad, rad] of the raw readings that the diagnosis models: effects, corrections and outliers.
 
         Effects enter with their posterior mean over sizes and explanations, as in the coordinates. `recording` is the
-        recording that was diagnosed. The change is 0 for readings that no effect, correction or outlier concerns.
+        recording that was diagnosed. The change is 0 for readings without effect, correction or outlier.
         """
         adjusted, state = self.final_adjustment, self.final_adjustment.state
         model = adjusted.problem.model
@@ -188,9 +192,9 @@ class Diagnosis(ResultFile):
         return np.nan_to_num(change + corrected)
 
     def modelled_length_change(self, recording: Recording) -> Floats:
-        """Change (g,) [m] of the g reference lengths of the recording that the diagnosis models.
+        """Change (g,) [m] that the diagnosis models of the g reference lengths of the recording.
 
-        If the diagnosis rejects a length, its change is its difference from the adjusted distance.
+        If the diagnosis rejects a length, the change is the difference of the length from the adjusted distance.
         """
         problem, state = self.final_adjustment.problem, self.final_adjustment.state
         none = replace(state, extra_parameters=np.zeros_like(state.extra_parameters))
@@ -218,8 +222,8 @@ class Diagnosis(ResultFile):
     def n_coefficients(self) -> int:
         """Number of estimated coefficients of all effects that shift readings.
 
-        The w components of a law with an estimated ratio add w - 1 coefficients. If no effect shifts readings, it is
-        the number of parameters of the findings.
+        A law with an estimated ratio of its w components has w - 1 coefficients more. If no effect shifts readings, the
+        result is the number of parameters of the findings.
         """
         model = self.final_adjustment.problem.model
         ratios = sum(len(e.direction) - 1 for e in model.effects if isinstance(e, EmpiricalLaw) and e.direction)

@@ -8,7 +8,8 @@ g' P g L^1/2, and z_j the scores L^1/2 g' r along its eigenvectors. The ratio is
 also averaged over places, shapes and length scales, which penalises hypotheses with many of them. Changes of the noise
 enter by their restricted likelihood, averaged over a grid of sizes.
 
-Shapes below: m rows of the residual space, h hypotheses, k coefficients, and a number of trials (simulated recordings).
+Sizes of arrays below: m rows of the residual space, h hypotheses, k coefficients, and a number of trials (simulated
+recordings).
 
 References
 ----------
@@ -40,13 +41,13 @@ from ltsim.solve.design import to_dense
 
 
 def index_of_best(log_evidences: Floats) -> int:
-    """Index of the largest value. If several values are equal, as on a plateau, it is the middle index of these."""
+    """Index of the largest log evidence; if several values are equal, as on a plateau, their middle index."""
     ties = np.flatnonzero(log_evidences >= np.max(log_evidences) - MAX_SOLUTION_ROUNDING_ERROR)
     return int(ties[(len(ties) - 1) // 2])
 
 
 def ranked_indices(log_evidences: Floats, tie_tolerance: float = MAX_SOLUTION_ROUNDING_ERROR) -> Ints:
-    """Indices in the order of decreasing values. Values within `tie_tolerance` keep their order."""
+    """Indices in the order of decreasing log evidence; values that differ by up to `tie_tolerance` keep their order."""
     falling = np.nan_to_num(-log_evidences)
     order = np.argsort(falling, kind="stable")
     group = np.cumsum(np.diff(falling[order]) > tie_tolerance)
@@ -62,7 +63,7 @@ def normalised_probabilities(log_probabilities: Floats) -> Floats:
 def simulated_log_evidence(scores: Floats, eigenvalues: Floats) -> Floats:
     """Log evidence (h, trials) of h hypotheses for simulated residuals, computed in single precision.
 
-    `scores` (h, k, trials) and `eigenvalues` (h, k) are those of k eigenvectors.
+    `scores` (h, k, trials) are the scores along k eigenvectors, `eigenvalues` (h, k) the eigenvalues d_j (see module).
     """
     log_evidence_parts = [
         _log_sum_exp_in_place(logs, 1)
@@ -73,7 +74,10 @@ def simulated_log_evidence(scores: Floats, eigenvalues: Floats) -> Floats:
 
 
 def simulated_log_total_evidence(scores: Singles, eigenvalues: Floats, log_prior: Floats) -> Floats:
-    """Log (trials,) of the sum of the evidence of all hypotheses with their priors (h,), for simulated residuals."""
+    """Log (trials,) of the sum of the evidence of all h hypotheses for simulated residuals, with log priors (h,).
+
+    `scores` and `eigenvalues` are as for `simulated_log_evidence`.
+    """
     flattened = scores.reshape(-1, *scores.shape[-2:]), eigenvalues.reshape(-1, scores.shape[-2])
     log_total_parts = [
         _log_sum_exp_in_place(logs, (0, 1)) for logs in _simulated_log_evidence_batches(*flattened, log_prior)
@@ -84,7 +88,7 @@ def simulated_log_total_evidence(scores: Singles, eigenvalues: Floats, log_prior
 def _simulated_log_evidence_batches(
     scores: Floats | Singles, eigenvalues: Floats, log_prior: Floats
 ) -> Iterator[Singles]:
-    """Iterator over batches of hypotheses: log evidence with priors, (h, size factors, trials)."""
+    """Iterator over batches of h hypotheses: log evidence including the priors, (h, size factors, trials)."""
     for part in batches(len(scores), scores.size // max(len(scores), 1)):
         weights, constants = size_weights_and_constants(eigenvalues[part])
         constants += log_prior[part, None]
@@ -102,7 +106,7 @@ def _log_sum_exp_in_place(log_values: Singles, axis: int | tuple[int, ...]) -> S
 
 
 def log_restricted_likelihood_ratio(squared_residuals: Floats, redundancy: Floats, variance_factor: Floats) -> Floats:
-    """Log restricted likelihood ratio of variances `variance_factor` times as large as declared, for each reading.
+    """Log restricted likelihood ratio of each reading for a variance of `variance_factor` times the declared one.
 
     This is the diagonal form, in which the readings are independent. `squared_residuals` are squares of whitened
     residuals, and `redundancy` the redundancy numbers of the readings. Both may be sums over readings with the same
@@ -115,8 +119,8 @@ def log_restricted_likelihood_ratio(squared_residuals: Floats, redundancy: Float
 def log_restricted_likelihood(adjustment: Adjustment) -> float:
     """Log restricted likelihood of an adjustment, up to a constant that does not depend on its variances.
 
-    It is exact for the linearised model. Displacements by centring errors are random effects, whose prior contributes
-    its determinant.
+    It is exact for the linearised model. Displacements by centring errors are random effects, so that the determinant
+    of their prior covariance contributes.
     """
     solution, problem = adjustment.solution, adjustment.problem
     normal_matrix = solution.system.design.T @ solution.system.design
@@ -130,14 +134,14 @@ def log_restricted_likelihood(adjustment: Adjustment) -> float:
 def log_evidence_of_wrong_readings(
     space: ResidualSpace, residual: Floats, redundancy: Floats, log_prior: float
 ) -> float:
-    """Log evidence of a number of wrong readings, each with a separate error.
+    """Log evidence of the hypothesis that several readings are wrong, each with a separate error.
 
     Each reading with a positive log evidence counts as wrong, independently of the others.
 
     Parameters
     ----------
     residual, redundancy : (m,) float
-        Whitened residuals and redundancy numbers given a model.
+        Whitened residuals and redundancy numbers given a model, one per row of the residual space.
     log_prior : float
         Log prior probability that any reading is wrong. It is divided equally among all readings.
     """
@@ -149,7 +153,7 @@ def log_evidence_of_wrong_readings(
 
 
 def log_mean_exp_by_group(values: Floats, group_indices: Ints, n_groups: int) -> Floats:
-    """Log of the mean of exp(values) in each of `n_groups` groups, none of which is empty.
+    """Log of the mean of exp(values) over each of `n_groups` groups, none of which is empty.
 
     `group_indices` (h,) are the groups of the `values` (h,) or (h, trials).
     """
@@ -163,7 +167,7 @@ def log_mean_exp_by_group(values: Floats, group_indices: Ints, n_groups: int) ->
 
 
 def log_evidence_of_coefficients(gram: Floats, score: Floats, plausible_sizes: Floats) -> Floats:
-    """Log evidence (...) of k coefficients with the prior N(0, t^2 size^2), averaged over the size factors t.
+    """Log evidence (...) of k coefficients with the prior N(0, (t size)^2), averaged over the size factors t.
 
     Parameters
     ----------
@@ -187,8 +191,9 @@ def coefficient_posterior(
 ) -> tuple[Floats, Floats, float]:
     """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients, averaged over size factors t.
 
-    The prior of the coefficients is N(0, t^2 size^2) with their plausible sizes. The factors t are `size_factors`, and
-    `log_size_prior` are the logs of their prior weights. `gram` and `score` are as in `log_evidence_of_coefficients`.
+    The prior of a coefficient is N(0, (t size)^2) with its plausible size. The factors t are `size_factors`, and
+    `log_size_prior` are the logs of their prior weights. `gram` (k, k), `score` (k,) and `plausible_sizes` (k,) are as
+    in `log_evidence_of_coefficients`.
     """
     eigenvalues, eigenvectors = _scaled_eigen_decomposition(gram, plausible_sizes)
     z = eigenvectors.T @ score
@@ -216,20 +221,19 @@ def _scaled_eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[
 
 
 MAX_AVERAGED_HYPOTHESES = 12
-"""Largest number of hypotheses, the most probable first, over which an estimate is averaged, to limit the computing
-time."""
+"""Number of the most probable hypotheses over which an estimate is averaged; a limit of the computing time."""
 N_EXACTLY_EVALUATED = 7
 """Number of hypotheses of each kind (catalogue effects, changes of the noise, laws) that are evaluated without
-approximation, to limit the computing time. They are those with the largest approximate log evidence. A screening
-returns the same number of laws for each place.
+approximation; a limit of the computing time. The hypotheses with the largest approximate log evidence are evaluated. A
+screening returns the same number of laws for each place.
 """
 MAX_EVIDENCE_DEFICIT = 10.0
-"""Largest difference of approximate log evidence between the best hypothesis and another hypothesis that is evaluated
-without approximation: a local optimum of a family, or a product of a law and a second factor.
+"""Difference of approximate log evidence from the largest value, up to which another hypothesis is evaluated without
+approximation: a local optimum of a family, or a product of a law and a second factor.
 """
 WIDE_PRIOR_SIGMA_FACTOR = 30.0
-"""Prior standard deviation of reported sizes, as a multiple of their plausible sizes. A prior this wide hardly shrinks
-the estimates, but keeps undetermined combinations finite."""
+"""Prior standard deviation of reported sizes, divided by their plausible sizes. Such a wide prior hardly shrinks the
+estimates, but keeps undetermined combinations finite."""
 
 
 def wide_prior_posterior(gram: Floats, score: Floats, plausible_sizes: Floats) -> tuple[Floats, Floats, float]:
@@ -241,9 +245,10 @@ def wide_prior_posterior(gram: Floats, score: Floats, plausible_sizes: Floats) -
 
 
 def log_positivity_factor(posterior_mean: float, sigma: float) -> float:
-    """Log factor on the evidence of a parameter that cannot be negative, from its posterior mean and deviation.
+    """Log of the factor on the evidence of a parameter that cannot be negative.
 
-    The factor is twice the posterior probability of a positive size.
+    The factor is twice the posterior probability of a positive value, for a normal posterior with the mean
+    `posterior_mean` and the standard deviation `sigma`.
     """
     return float(np.log(2.0) + log_ndtr(posterior_mean / max(sigma, 1e-300)))
 
@@ -260,15 +265,15 @@ def log_evidence_of_effect(effect: CandidateEffect, gram: Floats, score: Floats)
 
 
 MAX_SIZE_FACTOR = 1e4
-"""Largest factor on a plausible size of an error of a tracker. It raises a tenth of a micrometre to a
+"""Largest factor by which the plausible size of an error of a tracker is raised, as from a tenth of a micrometre to a
 millimetre."""
 
 
 def size_factor_to_noise_level(effects_in_sigmas: Floats) -> float:
-    """Factor, at least 1, that raises a plausible size to the noise level, because smaller effects are not detectable.
+    """Factor, at least 1, that raises the plausible size of an effect to the noise, below which it is not detectable.
 
-    `effects_in_sigmas` (n,) is the change of each of n pointings by an effect of plausible size, divided by the noise.
-    With the factor its median over the affected pointings is at least 1.
+    `effects_in_sigmas` (n,) is the change of each of n pointings by the effect with its plausible size, divided by the
+    noise. After multiplication by the factor, its median over the affected pointings is at least 1.
     """
     positive = np.sort(effects_in_sigmas[effects_in_sigmas > 0])
     if not len(positive):
@@ -278,11 +283,11 @@ def size_factor_to_noise_level(effects_in_sigmas: Floats) -> float:
 
 
 MIN_SQUARED_SHIFT_FRACTION = 0.01
-"""Smallest fraction of the squared shift that is in an observable on which an effect is reported to act."""
+"""Smallest fraction of the squared shift by an effect that an observable has if the effect is reported to act on it."""
 MIN_SQUARED_PROJECTED_SHIFT_FRACTION = 0.1
-"""Smallest fraction of the squared projected shift that is in an observable on which an effect is reported to act. It
-is larger than `MIN_SQUARED_SHIFT_FRACTION`, because the adjustment spreads a shift of one observable over the
-others."""
+"""Smallest fraction of the squared projected shift by an effect that an observable has if the effect is reported to act
+on it. It is larger than `MIN_SQUARED_SHIFT_FRACTION`, because the adjustment spreads a shift of one observable over the
+other observables."""
 
 
 def active_observables(is_used_reading: Bools, shift: Floats, projected_shift: Floats) -> tuple[str, ...]:
@@ -298,9 +303,9 @@ def active_observables(is_used_reading: Bools, shift: Floats, projected_shift: F
 
 
 def _squared_shift_fractions(is_used_reading: Bools, shift: Floats) -> Floats:
-    """Fraction (3,) in each observable of the squares of a shift (r,) of r readings.
+    """Fraction (3,) of the squared `shift` (r,) of r readings that is in each observable.
 
-    `is_used_reading` (n, 3) flags these readings.
+    `is_used_reading` (n, 3) flags these readings among those of n pointings.
     """
     kind = np.nonzero(is_used_reading)[1]
     squares = np.bincount(kind, shift**2, minlength=len(OBSERVABLES))
@@ -309,8 +314,8 @@ def _squared_shift_fractions(is_used_reading: Bools, shift: Floats) -> Floats:
 
 
 DISCREPANCY_RATIOS = np.geomspace(0.05, 1.0, 9)
-"""Grid of the difference between an unmodelled cause and the best hypothesis, as a fraction of the change by the
-hypothesis. It is log-uniform from a hardly visible difference to 1, a difference as large as the change.
+"""Grid of the difference between the change of readings by an unmodelled cause and the change by a hypothesis, as a
+fraction of the latter. It is log-uniform from a hardly visible difference to 1, a difference as large as the change.
 """
 
 
@@ -319,8 +324,8 @@ def log_bayes_factor_discrepancy(space: ResidualSpace, shift: Floats, residual: 
 
     Such a cause differs from the hypothesis by a random shift of each reading. The standard deviation of this shift is
     delta times the rms shift by the hypothesis in the observable, with delta log-uniform over `DISCREPANCY_RATIOS`. The
-    restricted likelihood of the added variance tells whether the residuals support it. For a weak effect the factor is
-    near 1.
+    restricted likelihood of the added variance shows whether the residuals support the unmodelled cause. For a weak
+    effect the Bayes factor is near 1.
 
     Parameters
     ----------

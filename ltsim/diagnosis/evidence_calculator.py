@@ -1,7 +1,7 @@
 """Gram matrices, scores and log evidence of effects given a model, without approximation, for many effects at a time.
 
 The residuals and the basis of a model lie in the residual space. A design matrix therefore has to be projected only for
-its products with itself, which are the same for every model.
+its Gram matrix (its products with itself), which is the same for every model.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,14 +22,14 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 CandidateEffectT = TypeVar("CandidateEffectT", bound=CandidateEffect)
 PlaceKey = tuple[tuple[str, ...], tuple[str, ...]]
-"""Place of an effect: the names of its stations, and of its targets."""
+"""Place of an effect: names of the stations, and names of the targets, where it acts; empty for all."""
 
 
 class AffectedRows(NamedTuple):
     """Rows of the residual space on which an effect acts."""
 
     row_indices: Ints | slice
-    """Indices of the rows, or their slice."""
+    """Indices of the affected rows of the residual space, or a slice of these rows."""
     pointing_indices: Ints
     """Index (r,) of the pointing of each of the r rows that are readings."""
 
@@ -47,10 +47,9 @@ class EvidenceCalculator:
     def grams_and_scores(
         self, effects: Sequence[CandidateEffect], conditioning_model: Model
     ) -> list[tuple[Floats, Floats]]:
-        """Gram matrix (k, k) and score (k,) of each effect, given the adjustment and a model.
+        """Gram matrix (k, k) and score (k,) of each effect with k parameters, given the adjustment and a model.
 
-        They are the products of the projected design columns of its k parameters with each other and with the
-        residuals.
+        They are the products of the projected design columns of the effect with each other, and with the residuals.
         """
         moments: dict[int, tuple[Floats, Floats]] = {}
         for rows, members in self._batches_with_same_rows(effects):
@@ -85,11 +84,10 @@ class EvidenceCalculator:
     def refine_locally(
         self, effects: Sequence[CandidateEffectT], conditioning_model: Model
     ) -> list[tuple[CandidateEffectT, float]]:
-        """Pairs of the best effect of a local search, one search from each given effect, and a log evidence.
+        """Results of a local search from each given effect: pairs of the effect with the largest evidence and a value.
 
-        The search moves to neighbours of an effect. The evidence is the mean over the best effect and its neighbours,
-        not the maximum. The search ends where steps
-        increase the log evidence by no more than its rounding error.
+        The search moves from an effect to its neighbours (similar effects), until a step increases the log evidence by
+        no more than its rounding error. The value is the log of the mean evidence of the effect and its neighbours.
         """
         best, values = list(effects), self.log_evidence(effects, conditioning_model)
         means, moving_indices = values.copy(), list(range(len(best)))
@@ -114,7 +112,7 @@ class EvidenceCalculator:
         return list(zip(best, means.tolist(), strict=True))
 
     def whitened_design(self, effect: CandidateEffect) -> Floats:
-        """Whitened design matrix (m, k) of an effect with k parameters, on all m rows of the residual space."""
+        """Whitened design matrix (m, k) of an effect with k parameters, for all m rows of the residual space."""
         affected_rows = self._affected_rows(effect)
         design_columns = np.zeros((self.space.n_rows, len(effect.parameters)))
         design_columns[affected_rows.row_indices] = self._stacked_designs([effect], affected_rows)[0]
@@ -135,7 +133,7 @@ class EvidenceCalculator:
             yield from ((rows, part.tolist()) for part in parts)
 
     def _affected_rows(self, effect: CandidateEffect) -> AffectedRows:
-        """Rows on which an effect acts: those at the places of a law, and all rows for an effect of the catalogue."""
+        """Rows on which an effect acts: for a law those of its stations and targets, otherwise all rows."""
         place = (effect.stations, effect.targets) if isinstance(effect, EmpiricalLaw) else (("",), ("",))
         if place not in self._rows:
             if not isinstance(effect, EmpiricalLaw):
@@ -148,9 +146,10 @@ class EvidenceCalculator:
         return self._rows[place]
 
     def _stacked_designs(self, effects: Sequence[CandidateEffect], affected_rows: AffectedRows) -> tuple[Floats, Ints]:
-        """Whitened design columns of effects side by side, (r, q) on r rows, and the index of the first column of each.
+        """Whitened design columns (r, q) of several effects side by side on r rows, and the limits of the effects.
 
-        The q columns are the parameters of all effects. The indices end with q.
+        There is one column for each parameter of each effect, q in all. The limits are the indices of the first column
+        of each effect, followed by q.
         """
         column_edges = np.append(0, np.cumsum([len(effect.parameters) for effect in effects]))
         if not isinstance(effects[0], EmpiricalLaw):
@@ -171,7 +170,7 @@ class EvidenceCalculator:
         return designs, column_edges
 
     def _response_changes(self, name: str) -> Floats:
-        """Whitened change (m, c) of the readings per unit of each of c components of a changed quantity, cached."""
+        """Whitened change (m, c) of the readings per unit of each of the c components of a response, by its name."""
         if name not in self._changes_by_response:
             self._changes_by_response[name] = self.space.whiten(
                 RESPONSE_AND_DESIGN_BY_NAME[name][1](self.space.sightings)
@@ -183,8 +182,7 @@ class EvidenceCalculator:
     ) -> None:
         """Computation of the Gram matrices of the projected design columns of new effects, which are then cached.
 
-        `column_edges` are the indices of the first column of each effect in `designs`, followed by the number of
-        columns.
+        `designs` and `column_edges` are the results of `_stacked_designs`.
         """
         new_indices = sorted({effect: i for i, effect in enumerate(effects) if effect not in self._grams}.values())
         if not new_indices:

@@ -1,4 +1,4 @@
-"""Writing of a diagnosis: diagnosis.json, targets.csv, residuals and recording, completely or not at all."""
+"""Output of a diagnosis: diagnosis.json, targets.csv, residuals and recording, written completely or not at all."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ COMPANION_FILES = (
 
 
 def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | None = None) -> Diagnosis:
-    """Writing of a diagnosis and its companion files to a folder; returns the diagnosis with their digests.
+    """Diagnosis with the digests of its companion files, after all files have been written to a folder.
 
     `targets.csv` contains the coordinates adjusted with the findings in the model, and `targets.covariance.csv` their
     joint covariance with the variance between explanations. `residuals.csv` contains the residuals of this adjustment,

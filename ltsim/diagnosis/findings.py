@@ -1,4 +1,4 @@
-"""Reported findings of a selected model, each with its place, size, probability and sentence."""
+"""Findings of a selected model for the report, each with place, size, probability and sentence."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -44,7 +44,7 @@ from ltsim.physics.laws.text_form import law_suffix, regressor_text
 from ltsim.recordings.recording import OBSERVABLES
 
 MIN_LISTED_CHI2_FRACTION = 0.8
-"""Smallest fraction of the chi-square decrease of a finding that the listed readings have together."""
+"""Fraction of the chi-square decrease of a finding that the readings listed in its sentence have together, at least."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class SelectedModelFit:
     state: SelectionState
     """State of the model selection at its end."""
     global_test: GlobalTestResult
-    """Result of the global tests."""
+    """Result of the global tests of the recording."""
     model: Model
     """Selected model of effects."""
     refit: Refit
@@ -62,7 +62,7 @@ class SelectedModelFit:
     has_test_findings: bool = False
     """True if findings of tests, or of the noise, are reported in addition to the effects in the model."""
     held_out_log_odds: float = 0.0
-    """Log odds of the model against no effect if held-out readings contradict it; otherwise 0."""
+    """Log odds of the model against no effect if held-out readings contradict the model; otherwise 0."""
 
     def _ranking_of_alternatives(self, member_index: int) -> Ranking:
         """Ranking of all alternatives to an effect in the model, with changes of the noise and an unmodelled cause."""
@@ -82,9 +82,10 @@ class SelectedModelFit:
         return ranking.with_held_out_evidence(self.held_out_log_odds)
 
     def p_same_name(self, member_index: int) -> float:
-        """Posterior probability that an effect with the same name as this effect in the model is the cause.
+        """Posterior probability that the cause is an effect with the same name as the given effect in the model.
 
-        For an unknown effect it is the probability that an unknown effect acts on the same observables.
+        `member_index` is the index of the effect in the model. For an unknown effect the result is the probability that
+        an unknown effect acts on the same observables.
         """
         hypothesis, ranking = self.model.members[member_index], self.rankings[member_index]
         if hypothesis.is_catalogued:
@@ -97,26 +98,26 @@ class SelectedModelFit:
 
     @cached_property
     def rankings(self) -> list[Ranking]:
-        """Rankings of all alternatives to each effect in the model."""
+        """Ranking of all alternatives to each effect in the model, one per effect."""
         return [self._ranking_of_alternatives(i) for i in range(len(self.model.members))]
 
     @cached_property
     def p_located(self) -> list[float]:
-        """Probability, for each effect in the model, that any effect acts on the same observables at the same place."""
+        """Probability, for each effect in the model, that an effect of any name acts on its observables and place."""
         return [self._p_located_of(i) for i in range(len(self.model.members))]
 
     @cached_property
     def squared_residual_decreases(self) -> list[Floats]:
-        """Decrease of the squared whitened residuals (m,) by each effect in the model, given the others."""
+        """Decrease of the m squared whitened residuals by each effect in the model, given the other effects."""
         reduced_models = (self.state.searcher.model_without(self.model, i) for i in range(len(self.model.members)))
         return [others.residual**2 - self.model.residual**2 for others in reduced_models]
 
     @cached_property
     def withheld_effect_keys(self) -> tuple[str, ...]:
-        """Keys of improbable effects, which are in the model but are not reported.
+        """Keys (`Hypothesis.key`) of the effects in the model that are too improbable to be reported.
 
-        The effect in the model with the largest chi-square decrease is reported nevertheless, if there is no other
-        finding, or if it is certain that there is a cause.
+        The effect with the largest chi-square decrease is reported nevertheless if there is no other finding, or if it
+        is certain that there is a cause.
         """
         members, gains = self.model.members, [gain.sum() for gain in self.squared_residual_decreases]
         is_doubtful = [
@@ -127,7 +128,7 @@ class SelectedModelFit:
         return tuple(member.key for member, doubt in zip(members, is_doubtful, strict=True) if doubt)
 
     def p_real(self, member_index: int) -> float:
-        """Probability that an effect in the model is real under any name, and not a number of wrong readings.
+        """Probability that an effect in the model is real under any name, and not the result of several wrong readings.
 
         It is 0 if neither a size nor the decrease of chi-square is significant. It is also 0 if neither the place, nor
         the observable, nor the form of the effect is determined.
@@ -144,11 +145,11 @@ class SelectedModelFit:
         return max(self.p_same_name(member_index), p_located) * (1.0 - self._p_wrong_readings(member_index))
 
     def p_any_cause(self, member_index: int) -> float:
-        """Probability of any cause in place of an effect in the model, other than a number of wrong readings."""
+        """Probability that an effect in the model has any cause other than several wrong readings."""
         return (1.0 - self.rankings[member_index].p_none) * (1.0 - self._p_wrong_readings(member_index))
 
     def _p_wrong_readings(self, member_index: int) -> float:
-        """Probability that several wrong readings with separate errors are the cause, not an effect in the model."""
+        """Probability that several wrong readings, with separate errors, are the cause of an effect in the model."""
         searcher, model = self.state.searcher, self.model
         other_model = searcher.model_without(model, member_index)
         if isinstance(model.members[member_index].effect, Outlier):
@@ -159,7 +160,7 @@ class SelectedModelFit:
         return float(expit(rival - (model.penalised_log_evidence - other_model.penalised_log_evidence)))
 
     def finding_of_member(self, member_index: int) -> Finding:
-        """Finding of an effect in the model, given the other effects in it."""
+        """Finding that reports an effect in the model, given the other effects in the model."""
         searcher, model, ranking = self.state.searcher, self.model, self.rankings[member_index]
         space, others = searcher.space, searcher.model_without(model, member_index)
         hypothesis = replace(model.members[member_index], effect=self.refit.effects[member_index])
@@ -221,7 +222,10 @@ class SelectedModelFit:
         ).with_values(**further_values)
 
     def _decisive_readings_sentence(self, chi2_decreases: Floats) -> str:
-        """Sentence on the readings with most of the decrease of chi-square (m,) by row; empty for many readings."""
+        """Sentence on the readings that have most of the decrease of chi-square; empty for many readings.
+
+        `chi2_decreases` (m,) is the decrease by row of the residual space.
+        """
         use, recording = self.state.searcher.space.is_used_reading, self.state.recording
         reading_gain = chi2_decreases[: int(use.sum())]
         order = np.argsort(-reading_gain)
@@ -241,10 +245,10 @@ class SelectedModelFit:
         return f" Most of the decrease of chi-square is in the {', the '.join(names)}."
 
     def _p_located_of(self, member_index: int) -> float:
-        """Sum of the probabilities of all explanations with the observables, place and covariates of the given effect.
+        """Sum of the probabilities of all hypotheses with the observables, place and covariates of the given effect.
 
-        Effects that act on one target only have the same scope, because a target that moved, is badly seated or was
-        read wrongly changes the same readings.
+        All effects that act on the same single target count as having these in common, because a target that moved, is
+        badly seated or was read wrongly changes the same readings.
         """
         effect = self.model.members[member_index].effect
 
@@ -258,7 +262,10 @@ class SelectedModelFit:
         return self.rankings[member_index].posterior_probability_of(lambda h: scope_of(h.effect) == scope)
 
     def _scope(self, effect: CandidateEffect, default_observables: tuple[str, ...] = ()) -> FindingScope:
-        """Scope of an effect. An effect at all set-ups of one of several instruments has this instrument as place."""
+        """Scope of an effect; for an effect at all set-ups of one of several instruments it names the instrument.
+
+        `default_observables` are named if the effect does not restrict its observables.
+        """
         scope = effect_scope(effect, default_observables)
         for tracker in instrument_places(self.state.searcher.space.sightings, self.state.recording.instruments):
             if set(scope.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
@@ -266,7 +273,7 @@ class SelectedModelFit:
         return scope
 
     def _plausibility_sentence(self, effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> str:
-        """Sentence on the declared prior of a constant, or on a size that is implausible for its cause; else empty."""
+        """Sentence on the declared prior of an instrument constant, or on a size that is implausible; else empty."""
         recording = self.state.recording
         if isinstance(effect, ORDINARY_CALIBRATION_EFFECT_TYPES):
             name = recording.instruments[self._instrument_index(effect)]
@@ -278,7 +285,7 @@ class SelectedModelFit:
         return implausible if _is_implausible_size(effect, estimates) else ""
 
     def _constant_estimates_without_prior(self, effect: CandidateEffect) -> tuple[ParameterEstimate, ...]:
-        """Estimates of the constants of an effect of the ordinary calibration without their prior.
+        """Estimates of the instrument constants of an effect of the ordinary calibration, without their prior.
 
         All other constants of the instrument have their prior.
         """
@@ -301,7 +308,10 @@ class SelectedModelFit:
     def _estimates_of(
         self, member_index: int, hypothesis: Hypothesis, reduced_model: Model
     ) -> tuple[ParameterEstimate, ...]:
-        """Estimates of the sizes and shape constants of an effect. Without a clock, its times are numbers of rows."""
+        """Estimates of the sizes and shape constants of an effect; without a clock its times are numbers of pointings.
+
+        `reduced_model` is the model without the effect.
+        """
         refitted = [
             ParameterEstimate.from_si(*estimate)
             for estimate in self.refit.estimates[member_index]
@@ -314,7 +324,10 @@ class SelectedModelFit:
 
 
 def law_text(law: EmpiricalLaw, regressor_phrase: str) -> str:
-    """Text of a law from that of its regressor (`regressor_phrase`): ``distance correction follows cos(3 azimuth)``."""
+    """Description of a law, such as ``distance correction follows cos(3 azimuth)``.
+
+    `regressor_phrase` is the text form of its regressor.
+    """
     phrase = f"{law.response.name} correction" if law.response.kind == "reading" else law.response.name
     suffix = law_suffix(law)
     return (
@@ -325,7 +338,7 @@ def law_text(law: EmpiricalLaw, regressor_phrase: str) -> str:
 
 
 def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> bool:
-    """True if a size is much larger than plausible, or negative for a parameter that must be positive."""
+    """True if any size is much larger than plausible, or negative for a parameter that must be positive."""
     parameter_scales = zip(effect.parameters, effect.size_scales.tolist(), strict=True)
     matches = [(e, p, size) for p, size in parameter_scales for e in estimates if e.name == p.name]
     is_large = any(

@@ -1,4 +1,4 @@
-"""Findings from tests, which need no search: blunders, reference values and constants that contradict the readings."""
+"""Findings from tests, which need no search: blunders, wrong reference values, contradicting instrument constants."""
 
 import numpy as np
 
@@ -18,11 +18,11 @@ from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.recordings.recording import OBSERVABLES
 
 DECLARED_COORDINATES_TEXT = "reference coordinates"
-"""Text for the erroneous quantity of a point whose declared coordinates define the axes."""
+"""Name for users of the wrong quantity, in a finding on a point whose declared coordinates define the axes."""
 
 
 def blunder_finding(blunder: IdentifiedBlunder) -> Finding:
-    """Finding of a blunder whose size the network determines."""
+    """Finding that reports a blunder whose size the network determines."""
     return Finding(
         effect=blunder.effect_name,
         known=True,
@@ -39,7 +39,7 @@ def blunder_finding(blunder: IdentifiedBlunder) -> Finding:
 
 
 def axes_point_finding(test: ReferenceTest) -> Finding:
-    """Finding of a point whose declared coordinates contradict the axes that the other points define."""
+    """Finding that reports a point whose declared coordinates contradict the axes that the other points define."""
     estimates = [
         ParameterEstimate(name=f"off along {axis}", value=e / MILLIMETRE, sigma=s / MILLIMETRE, unit="mm")
         for axis, e, s in zip(test.declared_components, test.error.tolist(), test.sigma_error.tolist(), strict=True)
@@ -60,7 +60,10 @@ def axes_point_finding(test: ReferenceTest) -> Finding:
 
 
 def contradicting_constant_finding(contradiction: ConstantContradiction) -> Finding:
-    """Finding of a constant that contradicts the other instruments, its history or its declared correction."""
+    """Finding that reports an instrument constant that contradicts its reference.
+
+    The reference is the other instruments, earlier calibrations, or a declared correction.
+    """
     p, off = contradiction.parameter, 1.0 / (1.0 + float(np.exp(-contradiction.log_evidence)))
     p_by_effect_name: dict[str, float] = {}
     for constant, share in contradiction.evidence_shares.items():
@@ -94,7 +97,7 @@ def contradicting_constant_finding(contradiction: ConstantContradiction) -> Find
 
 
 def _effect_name_of_constant(constant: Parameter) -> str:
-    """Name of the effect of the ordinary calibration to which a constant belongs."""
+    """Name of the effect of the ordinary calibration to which an instrument constant belongs."""
     return next(e.name for e in MISALIGNMENT_EFFECTS if constant.name in {q.name for q in e.parameters})
 
 
@@ -118,12 +121,12 @@ EFFECT_NAME_BY_CAUSE = {
     ("unit", "position"): "wrong-unit",
     ("height", "position"): "outlier",
 }
-"""Name of the catalogue effect that a test's cause is reported as, by the kind of the cause and what it acts on. Other
-outliers are reported as `outlier`, and all other causes as `unknown`."""
+"""Name of the catalogue effect as which the cause of a test is reported, by the kind of the cause and the quantity on
+which it acts. Other outliers are reported as `outlier`, and all other causes as `unknown`."""
 
 
 def cause_test_finding(test: CauseTest) -> Finding:
-    """Finding of a test that was accepted as a cause."""
+    """Finding that reports the cause that a test accepted."""
     name = "outlier" if test.kind == "outlier" else EFFECT_NAME_BY_CAUSE.get((test.kind, test.acts_on), "unknown")
     observables = (test.acts_on,) if test.acts_on in OBSERVABLES else ()
     estimates: tuple[ParameterEstimate, ...] = ()

@@ -1,7 +1,7 @@
 """Functional forms of a law: curve, formulas, steps and ramps, common to all set-ups or separate for each.
 
-The screening evaluates each law in one form only. The best few laws are evaluated here in all forms, without
-approximation.
+The screening evaluates each law in one form only. The few laws with the largest evidence are evaluated here in all
+forms, without approximation.
 """
 
 from collections.abc import Sequence
@@ -30,14 +30,15 @@ from ltsim.scene.sightings import Sightings
 RIGID_MOTION_REGRESSOR = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
 """Regressor of a group of targets that moves and tilts as a rigid body."""
 MAX_ABSORBED_EVIDENCE_DIFFERENCE = 0.5
-"""Difference of log evidence up to which a law at all set-ups counts as equal to the same law at one set-up. The poses
-of the other set-ups then absorb it, and only the law at the one set-up is kept."""
+"""Difference of log evidence up to which a law at all set-ups counts as equivalent to the same law at one set-up. The
+poses of the other set-ups then absorb the law, and only the law at the one set-up is retained."""
 
 
 def min_promising_evidence(best_evidence: float) -> float:
     """Log evidence in the screening, above which a law is evaluated in all forms.
 
-    It is about half that of the best law, because another form may double the evidence.
+    It is about half of `best_evidence`, the largest log evidence of a law, because another form may double the log
+    evidence.
     """
     return 0.5 * best_evidence - 5.0
 
@@ -50,9 +51,10 @@ def evaluate_forms(
     *,
     with_steps_and_switches: bool,
 ) -> list[Hypothesis]:
-    """Best form of a law for each name of an effect, with the summed evidence of all forms with that name.
+    """Forms of a law: for each name of an effect, the form with the largest evidence among those with this name.
 
-    Steps, ramps and switches are tried only if `with_steps_and_switches`.
+    The evidence of a result is the sum over all forms with its name. `log_prior` is the log prior of the law. Steps,
+    ramps and switches are tried only if `with_steps_and_switches`.
     """
     sightings = calculator.space.sightings
     law = law.equivalent_vertical_index_law(sightings)
@@ -110,7 +112,7 @@ def _index_of_best(forms: Sequence[Hypothesis]) -> int:
 def _functional_forms(
     calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, conditioning_model: Model
 ) -> list[Hypothesis]:
-    """Forms of a law as a curve, a formula and the like, at the place of the law and with their log evidence."""
+    """Forms of a law as a curve, a formula, a piecewise function or a product, with the log evidence of each."""
     forms = law.candidate_forms(calculator.space.sightings)
     weight_sum = sum(FORM_WEIGHTS[kind] for kind in forms)
     shares = {
@@ -131,7 +133,7 @@ def _functional_forms(
 
 
 def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model) -> list[Hypothesis]:
-    """Form of a law and the same form with a fixed ratio of its components, if these have several coefficients each."""
+    """List of a form of a law and, if its components have several coefficients, the form with a fixed ratio of them."""
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
     if law.n_components == 1 or law.regressor.n_columns == 1 or law.direction:
@@ -154,9 +156,9 @@ def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, conditio
 def _forms_at_single_set_ups(
     calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model
 ) -> list[Hypothesis]:
-    """Form of a law, and its forms at a single set-up, in a list.
+    """List of a form of a law at all set-ups, and of the same form at single set-ups.
 
-    If the poses of all other set-ups absorb the law, the list contains only its form at the one set-up.
+    If the poses of all set-ups except one absorb the law, the list contains only the form at this set-up.
     """
     law, stations = form.effect, calculator.space.sightings.station_names
     assert isinstance(law, EmpiricalLaw)
@@ -205,12 +207,12 @@ def _forms_at_single_set_ups(
 def _piecewise_forms(
     calculator: EvidenceCalculator, law: EmpiricalLaw, log_prior: float, conditioning_model: Model
 ) -> list[Hypothesis]:
-    """Form of a law as a sum of steps and ramps, from a forward selection while the evidence increases, in a list.
+    """List of one form of a law as a sum of steps and ramps, from a forward selection while the evidence increases.
 
     The list is empty for a law without a curve, and for a law of a single target.
     """
     atoms = law.candidate_pieces(calculator.space.sightings)
-    if not atoms or len(law.targets) == 1:  # a target that moves, or sits badly, is in the catalogue
+    if not atoms or len(law.targets) == 1:  # the catalogue has effects for it
         return []
     full_law = law.with_pieces(atoms)
     gram, score = calculator.grams_and_scores([full_law], conditioning_model)[0]
@@ -221,7 +223,7 @@ def _piecewise_forms(
         0,
         -np.inf,
         float(np.log(2 * len(atoms))),
-    )  # the choice of a piece, and that there is a further piece
+    )  # prior of the choice of a piece, and of a further piece
     while len(atom_indices) < min(n_selected + N_INTERVALS_AFTER_MAXIMUM, MAX_PIECES, len(atoms)):
         values = np.full(len(atoms), -np.inf)
         remaining = [i for i in range(len(atoms)) if i not in atom_indices]
@@ -253,10 +255,10 @@ MAX_CURVE_POINTS = 600
 def response_curve(
     law: EmpiricalLaw, sightings: Sightings, coefficient_mean: Floats, coefficient_covariance: Floats
 ) -> ResponseCurve | None:
-    """Curve of a law over its covariate, at the set-up and in the direction where its effect is largest.
+    """Curve of a law over its covariate, at the set-up and in the direction in which its effect is largest.
 
-    None for a law with several covariates, or with a separate size at each visit. The k coefficients of the law have a
-    `coefficient_mean` (k,) and a `coefficient_covariance` (k, k) [SI].
+    The result is None for a law with several covariates, or with a separate size at each set-up. The k coefficients of
+    the law have the mean `coefficient_mean` (k,) and the covariance `coefficient_covariance` (k, k) [SI].
     """
     regressor = law.regressor
     if len(regressor.covariates) != 1 or regressor.kind in ("amounts", "passage"):

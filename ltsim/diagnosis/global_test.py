@@ -1,8 +1,8 @@
-"""Global test of whether a recording agrees with the model and the declared noise, for the complete search.
+"""Global test of the agreement of a recording with the ordinary model and the declared noise.
 
-The statistic is the log of the summed evidence of all hypotheses with their priors (effects of the catalogue, laws, and
-changes of the noise) relative to no effect. Its null distribution is computed from simulated residuals of the same
-network. The false-alarm rate is therefore valid for any number of hypotheses.
+The test statistic is the log of the sum of the evidence, with priors, of all hypotheses of the search (effects of the
+catalogue, laws, and changes of the noise) relative to no effect. Its null distribution is computed from simulated
+residuals of the same network. The false-alarm rate is therefore valid for any number of hypotheses.
 """
 
 from dataclasses import dataclass
@@ -22,23 +22,23 @@ class GlobalTestResult:
     """Result of the global tests of a recording."""
 
     statistic: float
-    """Log of the summed evidence of all hypotheses of the search."""
+    """Test statistic: log of the sum of the evidence of all hypotheses of the search."""
     chi2_p_value: float
     """p-value of the chi-square test of the ordinary adjustment; NaN without redundancy."""
     null_statistics: Floats
-    """Statistic of each simulated recording without any effect, (recordings,)."""
+    """Test statistics of simulated recordings without any effect, one per recording."""
 
     @property
     def p_value(self) -> float:
-        """p-value of the search, corrected for the number of hypotheses."""
+        """p-value of the recording in the complete search, corrected for the number of hypotheses."""
         return self.p_value_of(self.statistic)
 
     def critical_value(self, alpha: float) -> float:
-        """Value of the statistic that a recording without effects exceeds with the probability `alpha`."""
+        """Value of the test statistic that a recording without effects exceeds with the probability `alpha`."""
         return float(np.quantile(self.null_statistics, 1.0 - alpha))
 
     def p_value_of(self, statistic: float) -> float:
-        """p-value of a statistic in the complete search: (k + 1) / (n + 1) if k of n simulated recordings reach it.
+        """p-value of a value of the test statistic: (k + 1) / (n + 1) if k of n simulated recordings reach this value.
 
         A recording without effects is exchangeable with the simulated recordings. Its p-value is therefore at most p
         with a probability of at most p. The smallest p-value is 1 / (n + 1).
@@ -49,7 +49,7 @@ class GlobalTestResult:
 
 
 def run_global_test(searcher: Searcher, noise_hypotheses: NoiseHypothesisSet) -> GlobalTestResult:
-    """Joint test of the residuals of an adjustment for all effects, laws and changes of the noise."""
+    """Result of the joint test of the residuals of an adjustment for all effects, laws and changes of the noise."""
     space = searcher.space
     noise_evidence = noise_hypotheses.log_evidence_by_family(space.residuals[:, None], space.redundancy)[:, 0]
     simulated_evidence = noise_hypotheses.log_evidence_by_family(

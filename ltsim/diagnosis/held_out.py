@@ -3,13 +3,14 @@
 Pointings are divided at random into five folds. Let P be the projector of the whole network onto the residual space, r
 its whitened residuals, and F a fold. An adjustment without the readings of the fold predicts them with the error e =
 P_FF^-1 r_F, whose covariance is P_FF^-1. Then effects, places, shapes and sizes are estimated without the fold, their
-changes are subtracted from all readings, and the fold is predicted again. The measure of both errors is e' P_FF e. Its
-expectation is 1 per reading if the model and the noise are correct. A false finding does not predict held-out readings.
-Half of the decrease of this measure is the gain of log score by the model; a negative gain is evidence against it.
+changes are subtracted from all readings, and the fold is predicted again. Each of the two predictions has the
+normalised squared error e' P_FF e. Its expectation is 1 per reading if the model and the noise are correct. A false
+finding does not predict held-out readings. Half of the decrease of the normalised squared error is the gain of log
+score by the model; a negative gain is evidence against the model.
 
 To exclude readings is equivalent to estimating a separate error for each of them. The residual space without a fold is
-therefore that of the network extended by the unit columns of the readings of the fold. Only the weights of the
-readings, which changes of the noise affect, are those of the whole recording.
+therefore that of a design matrix with additional unit columns, one for each reading of the fold. Only the weights of
+the readings, which changes of the noise affect, are those of the whole recording.
 """
 
 from collections.abc import Sequence
@@ -26,16 +27,16 @@ from ltsim.diagnosis.evidence import wide_prior_posterior
 from ltsim.diagnosis.search import Searcher
 
 N_FOLDS = 5
-"""Number of folds, a usual value in cross-validation. Each search uses 80 % of the readings."""
+"""Number of folds, a usual value in cross-validation; each search uses 80 % of the readings."""
 
 
 class HeldOutErrors(NamedTuple):
-    """Root mean square errors of predicted readings, in standard deviations of the prediction."""
+    """Root mean square errors of predicted held-out readings, in standard deviations of the prediction."""
 
     rms_without_model: float | None = None
-    """Error with the ordinary adjustment; None if no reading can be predicted."""
+    """Rms error of predictions by the ordinary adjustment; None if no reading can be predicted."""
     rms_with_model: float | None = None
-    """Error with the model that was selected without the fold; None also without a search."""
+    """Rms error of predictions with the model that was selected without the fold; None also without a search."""
     log_score_gain: float = 0.0
     """Increase of the log score (log density) of the held-out readings by the model; 0 without a search."""
     log_score_gain_sigma: float = 0.0
@@ -44,11 +45,11 @@ class HeldOutErrors(NamedTuple):
 
     @property
     def log_odds_of_model(self) -> float:
-        """Log odds of the model against no effect, if held-out readings contradict it; otherwise 0.
+        """Log odds of the model against no effect if held-out readings contradict the model; otherwise 0.
 
-        It is the log score gain plus `MIN_SIGNIFICANT_SIGMAS` standard errors if that is negative (pseudo-Bayes factor;
-        Geisser and Eddy 1979, J. Am. Stat. Assoc. 74, 153). An effect that few other readings predict, at one target or
-        set-up, has a gain near zero, which contradicts nothing.
+        It is the log score gain plus `MIN_SIGNIFICANT_SIGMAS` standard errors if this sum is negative (pseudo-Bayes
+        factor; Geisser and Eddy 1979, J. Am. Stat. Assoc. 74, 153). An effect at one target or set-up, which few other
+        readings predict, has a gain near zero, which is no contradiction.
         """
         return min(0.0, self.log_score_gain + MIN_SIGNIFICANT_SIGMAS * self.log_score_gain_sigma)
 
@@ -56,18 +57,18 @@ class HeldOutErrors(NamedTuple):
 def cross_validated_errors(
     space: ResidualSpace, seed: int, searcher: Searcher | None = None, min_evidence_gain: float = 0.0
 ) -> HeldOutErrors:
-    """Prediction errors on held-out readings.
+    """Prediction errors of held-out readings by 5-fold cross-validation.
 
     Parameters
     ----------
     space : ResidualSpace
-        Residual space, whose whitening defines the unit of the errors.
+        Residual space of the recording; the whitening with its noise defines the unit of the errors.
     seed : int
         Seed of the random folds.
     searcher : Searcher, optional
-        Search on the same readings. Without a search, `after` of the result is None.
+        Search on the same readings. Without a search, `rms_with_model` of the result is None.
     min_evidence_gain : float
-        Smallest log evidence by which a further effect in a model increases it.
+        Smallest increase of the log evidence for which a further effect is added to a model.
     """
     before, after, count = np.zeros(len(space.sightings)), np.zeros(len(space.sightings)), 0
     groups, pointing = fold_rows(space, seed), np.nonzero(space.is_used_reading)[0]
@@ -85,13 +86,13 @@ def cross_validated_errors(
     rms_before = float(np.sqrt(before.sum() / count))
     if searcher is None:
         return HeldOutErrors(rms_before)
-    gains = 0.5 * (before - after)[np.unique(pointing)]  # of normal readings with the covariance of the prediction
+    gains = 0.5 * (before - after)[np.unique(pointing)]  # for normal readings with the covariance of the prediction
     sigma = float(np.sqrt(len(gains)) * gains.std())
     return HeldOutErrors(rms_before, float(np.sqrt(after.sum() / count)), float(gains.sum()), sigma)
 
 
 def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
-    """Rows of the used readings of each fold, drawn at random: all pointings of a target from a set-up together."""
+    """Rows of the used readings of each random fold; all pointings of a target from a set-up are in the same fold."""
     pointing, sightings = np.nonzero(space.is_used_reading)[0], space.sightings
     pair = np.unique(np.stack([sightings.station, sightings.target]), axis=1, return_inverse=True)[1]
     fold_of_pair = random_stream(seed, "diagnose", "folds").permutation(int(pair.max(initial=-1)) + 1) % N_FOLDS
@@ -100,10 +101,10 @@ def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
 
 
 def _normalised_errors_on_fold(residual: Floats, eigenvalues: Floats, eigenvectors: Floats) -> Floats:
-    """Normalised prediction errors (f,) of a fold: (1 - H)^-1/2 r with its residuals r (f,) and its hat matrix H.
+    """Normalised prediction errors (f,) of the f readings of a fold: (1 - H)^-1/2 r.
 
-    `eigenvectors` (f, e) are those of the e nonzero `eigenvalues` (e,) of H. Directions that the network determines
-    only with the fold are left out.
+    Here r is `residual` (f,), and H is the submatrix of the hat matrix for these readings, with e nonzero `eigenvalues`
+    (e,) and `eigenvectors` (f, e). Directions that the network determines only with the fold are left out.
     """
     along = eigenvectors.T @ residual
     is_predicted = eigenvalues < 1.0 - MAX_SOLUTION_ROUNDING_ERROR
@@ -113,7 +114,7 @@ def _normalised_errors_on_fold(residual: Floats, eigenvalues: Floats, eigenvecto
 
 
 def _reading_shift_by_selected_model(space: ResidualSpace, searcher: Searcher, min_evidence_gain: float) -> Floats:
-    """Change (m,) of the whitened readings by the model that the search selects; 0 for the other rows of `space`."""
+    """Change (m,) of the whitened readings by the model that the search selects; 0 for rows that are no readings."""
     model = searcher.select_model(min_evidence_gain, requires_member=True)
     if not model.members:
         return np.zeros(space.n_rows)

@@ -21,19 +21,23 @@ from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.linear_effect import CandidateEffect
 
 MAX_EQUIVALENTS = 3
-"""Largest number of other effects that a finding lists because they cannot be excluded."""
+"""Largest number of equivalent effects, which cannot be excluded, that a finding lists."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Hypothesis: possible cause of a misfit, an effect at one place with one shape."""
+    """Hypothesis: possible cause of a misfit, an effect at one place with one shape.
+
+    The place is the stations and targets where the effect acts, the shape the values of its shape constants.
+    """
 
     effect: CandidateEffect
     """Effect of the catalogue, or empirical law, with its place and shape."""
     log_prior: float
     """Log prior probability of the effect at this place with this shape."""
     log_evidence: float
-    """Log evidence with the prior, given the model for which it was evaluated, averaged over neighbouring shapes."""
+    """Log evidence, including the prior, given the model for which the hypothesis was evaluated, averaged over
+    neighbouring shapes."""
     name: str
     """Name of the effect in the catalogue, or `unknown`."""
 
@@ -49,22 +53,22 @@ class Hypothesis:
 
     @property
     def key(self) -> str:
-        """Text that differs between any two effects, places or shapes."""
+        """Text that identifies the effect with its place and shape."""
         return repr(self.effect)
 
 
 @dataclass(frozen=True)
 class Model:
-    """Model: a set of hypotheses that hold together. Its basis and residuals are computed on demand."""
+    """Model: a set of hypotheses that are true at the same time; its basis and residuals are computed on demand."""
 
     members: tuple[Hypothesis, ...]
     """Hypotheses of the model."""
     projected_designs: tuple[Floats, ...]
-    """Change of the m whitened residuals by a unit of each of k coefficients of an effect, (m, k), for each effect."""
+    """Projected design matrix (m, k) of each effect: change of m whitened residuals per unit of its k coefficients."""
     design_column_norms: tuple[Floats, ...]
-    """Lengths (k,) of the design columns of each effect before the projection."""
+    """Norms (k,) of the design columns of each effect before the projection."""
     baseline_residual: Floats = field(repr=False)
-    """Whitened residuals (m,) of the empty model."""
+    """Whitened residuals (m,) of the adjustment without the effects of the model."""
 
     @classmethod
     def from_space(cls, members: Sequence[Hypothesis], space: ResidualSpace) -> Model:
@@ -80,20 +84,20 @@ class Model:
 
     @cached_property
     def basis(self) -> Floats:
-        """Orthonormal basis (m, e), with e columns, of the changes of the m whitened residuals by all effects."""
+        """Orthonormal basis (m, e) of the space of changes of the m whitened residuals by all effects in the model."""
         if not self.members:
             return np.zeros((len(self.baseline_residual), 0))
         return orthonormal_columns(np.hstack(self.projected_designs), np.concatenate(self.design_column_norms))
 
     @cached_property
     def residual(self) -> Floats:
-        """Whitened residuals (m,) with all effects of the model in it."""
+        """Whitened residuals (m,) of the adjustment with all effects of the model."""
         residual: Floats = self.baseline_residual - self.basis @ (self.basis.T @ self.baseline_residual)
         return residual
 
     @cached_property
     def gram_and_score(self) -> tuple[Floats, Floats]:
-        """Gram matrix (k, k) of all projected columns, and their products (k,) with the empty model's residuals."""
+        """Gram matrix (k, k) of all k projected columns, and their products (k,) with residuals of the empty model."""
         projected_design = np.hstack(self.projected_designs)
         return projected_design.T @ projected_design, projected_design.T @ self.baseline_residual
 
@@ -130,19 +134,19 @@ class Model:
 
 
 RELATIVE_MODEL_ERROR = 0.05
-"""Fraction of the chi-square decrease by an empirical law that a further effect must exceed. The form of a law is an
-approximation, and a second effect could otherwise describe what it leaves.
+"""Fraction of the chi-square decrease by an empirical law that the decrease by a further effect must exceed. The form
+of a law is an approximation, and a second effect could otherwise describe the error of this form.
 """
 
 
 @dataclass(frozen=True)
 class Ranking:
-    """Ranking of hypotheses given a model, in the order of their evidence."""
+    """Ranking of hypotheses given a model, in the order of decreasing evidence."""
 
     hypotheses: tuple[Hypothesis, ...]
-    """Hypotheses, the one with the largest log evidence first."""
+    """Hypotheses in the order of decreasing log evidence."""
     log_evidence_total: float
-    """Log of the sum of the evidence of all hypotheses. The first of them are evaluated without approximation."""
+    """Log of the sum of the evidence of all hypotheses; only the first ones are evaluated without approximation."""
     log_evidence_unmodelled: float = -np.inf
     """Log evidence of a cause that is no hypothesis of the ranking."""
     log_evidence_none: float = 0.0
@@ -150,7 +154,10 @@ class Ranking:
     or larger if held-out readings contradict the model."""
 
     def best_of_each_kind(self) -> list[Hypothesis]:
-        """Best hypothesis of each effect of the catalogue, and of the laws of each response, in their order."""
+        """Hypothesis with the largest evidence of each catalogue effect, and of the laws of each response.
+
+        They are in the order of the ranking.
+        """
         first: dict[tuple[str, str], Hypothesis] = {}
         for hypothesis in self.hypotheses:
             first.setdefault(
@@ -159,13 +166,13 @@ class Ranking:
         return list(first.values())
 
     def with_rivals(self, rivals: Sequence[Hypothesis]) -> Ranking:
-        """Ranking that also contains the hypotheses `rivals`."""
+        """Copy of the ranking that also contains the hypotheses `rivals`."""
         hypotheses = sorted([*self.hypotheses, *rivals], key=lambda h: -h.log_evidence)
         log_total = float(log_sum_exp(np.array([self.log_evidence_total, *(h.log_evidence for h in rivals)])))
         return Ranking(tuple(hypotheses), log_total)
 
     def with_unmodelled_cause(self, log_bayes_factor: float) -> Ranking:
-        """Ranking with an unmodelled cause, from its log Bayes factor against the best hypothesis."""
+        """Copy of the ranking with an unmodelled cause, given its log Bayes factor against the first hypothesis."""
         return replace(
             self,
             log_evidence_unmodelled=self.log_evidence_total
@@ -174,7 +181,7 @@ class Ranking:
         )
 
     def with_held_out_evidence(self, log_odds_of_model: float) -> Ranking:
-        """Ranking whose causes together have at most the odds that held-out readings give to the model.
+        """Copy of the ranking whose causes together have at most the odds that held-out readings give to the model.
 
         `log_odds_of_model` are the log odds of the model against no effect, 0 if held-out readings do not contradict
         the model.
@@ -185,12 +192,12 @@ class Ranking:
         return replace(self, log_evidence_none=max(self.log_evidence_none, total - log_odds_of_model))
 
     def most_probable_name(self) -> str:
-        """Most probable name of the cause; `unknown` if that is more probable than all effects of the catalogue."""
+        """Most probable name of the cause; `unknown` if it is more probable than all catalogue effects together."""
         return most_probable_name(self.probabilities_by_name())
 
     @cached_property
     def posterior_probabilities(self) -> Floats:
-        """Posterior probability of each hypothesis, (hypotheses,). The alternatives include that there is no cause."""
+        """Posterior probability of each hypothesis; an unmodelled cause and no cause are among the alternatives."""
         log_evidences = np.array([h.log_evidence for h in self.hypotheses])
         probabilities: Floats = np.exp(log_evidences - self._log_evidence_sum)
         return probabilities
@@ -203,7 +210,7 @@ class Ranking:
 
     @property
     def p_none(self) -> float:
-        """Posterior probability that there is no cause, neither a hypothesis of the ranking nor an unmodelled one."""
+        """Posterior probability that there is no cause: neither a hypothesis of the ranking nor an unmodelled cause."""
         return float(np.exp(self.log_evidence_none - self._log_evidence_sum))
 
     @cached_property
@@ -221,7 +228,7 @@ class Ranking:
         )
 
     def probabilities_by_name(self) -> dict[str, float]:
-        """Posterior probability by name of the effect, `unknown` included."""
+        """Sum of the posterior probabilities of the hypotheses with each name, including `unknown`."""
         p_by_name = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
         for hypothesis, weight in zip(self.hypotheses, self.posterior_probabilities.tolist(), strict=True):
             p_by_name[hypothesis.name] = min(p_by_name.get(hypothesis.name, 0.0) + weight, 1.0)
@@ -229,7 +236,10 @@ class Ranking:
 
 
 def most_probable_name(probabilities: Mapping[str, float]) -> str:
-    """Most probable name; `unknown` if that is more probable than all other names together."""
+    """Most probable name of a cause; `unknown` if it is more probable than all other names together.
+
+    `probabilities` are the probabilities by name.
+    """
     p_by_name = {name: p for name, p in probabilities.items() if name != "unknown"}
     return (
         "unknown"
@@ -239,7 +249,10 @@ def most_probable_name(probabilities: Mapping[str, float]) -> str:
 
 
 def probability_and_equivalents(probabilities: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
-    """Probability of a name, and the most probable other names that are not excluded."""
+    """Probability of the cause `name`, and the most probable other names that are not excluded.
+
+    `probabilities` are the probabilities by name.
+    """
     equivalents = [
         Equivalent(effect=other_name, probability=p)
         for other_name, p in probabilities.items()
@@ -253,8 +266,8 @@ def probability_and_equivalents(probabilities: Mapping[str, float], name: str) -
 def _size_averaged_log_evidence(model: Model) -> float:
     """Log evidence of a model, averaged over the size factors t of its effects.
 
-    The coefficients of an effect in the model have the prior N(0, (t size)^2) with their plausible sizes. For each
-    effect the sum covers only the factors near its best factor, while the other effects have their best factors.
+    The coefficients of an effect in the model have the prior N(0, (t size)^2) with their plausible sizes. The sum
+    covers only the factors near the combination of factors with the largest evidence.
     """
     gram, score = model.gram_and_score
     spread, owner = _plausible_sizes_and_effect_indices(model.members)
@@ -263,7 +276,7 @@ def _size_averaged_log_evidence(model: Model) -> float:
     unit_prior = np.diag(np.append(np.ones(len(score)), 0.0))
 
     def log_evidence_at_sizes(sizes: Ints) -> Floats:
-        """Log evidence (b,) with prior for b sets of sizes (b, effects), as indices in `RELATIVE_EFFECT_SIZES`."""
+        """Log evidence (b,), with prior, of b sets of sizes (b, effects), as indices of `RELATIVE_EFFECT_SIZES`."""
         scale = np.pad(RELATIVE_EFFECT_SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
         factor = np.linalg.cholesky(bordered_matrix * scale[:, :, None] * scale[:, None, :] + unit_prior)
         fit = 0.5 * np.sum(factor[:, -1, :-1] ** 2, axis=1)  # the last row of the factor holds the solved residual
@@ -287,15 +300,15 @@ def _size_averaged_log_evidence(model: Model) -> float:
 
 
 def _plausible_sizes_and_effect_indices(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
-    """Plausible sizes (k,) of the coefficients of all effects in the model, and index (k,) of the effect of each."""
+    """Plausible sizes (k,) of all k coefficients of the effects in a model, and index (k,) of each one's effect."""
     size_sets = [h.plausible_sizes for h in members]
     return np.concatenate(size_sets), np.repeat(np.arange(len(size_sets)), [len(spread) for spread in size_sets])
 
 
 def log_prior_odds_of_repetition(hypothesis: Hypothesis, other_members: Sequence[Hypothesis]) -> float:
-    """Log prior odds of a hypothesis with the same name as an effect in the model, if such effects rarely occur twice.
+    """Log prior odds of a second effect with the name of another effect in the model, which rarely occurs twice.
 
-    For all other hypotheses it is 0.
+    `other_members` are the other effects in the model. The result is 0 for all other hypotheses.
     """
     if hypothesis.name not in {h.name for h in other_members}:
         return 0.0

@@ -1,4 +1,4 @@
-"""Constants of each instrument from a recording, compared with other instruments and with earlier calibrations."""
+"""Instrument constants from a recording, compared with those of other instruments and with earlier calibrations."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.design import scale_to_unit_diagonal
 
 CHANGED_CONSTANT_PRIOR_VARIANCE = sum(share * size**2 for size, share in SIZE_PRIOR.items())
-"""Prior variance of a constant that is already selected as changed, in squares of the specification."""
+"""Prior variance of an instrument constant that is selected as changed, divided by the squared specification."""
 CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
-"""Text of the reference of a constant: of an instrument with a declared correction (True), and of others (False)."""
+"""Name for users of the reference of a constant: with a declared correction (True) or without it (False)."""
 
 
 def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
@@ -66,14 +66,15 @@ def _instrument_entry(adjustment: Adjustment, instrument_index: int) -> Instrume
 
 @dataclass(frozen=True)
 class ConstantContradiction:
-    """Contradiction between a constant of one or more instruments and its reference."""
+    """Contradiction between an instrument constant, of one or more instruments, and its reference."""
 
     instruments: tuple[str, ...]
-    """Names of the instruments."""
+    """Names of the instruments with this constant."""
     parameter: Parameter
     """Constant that contradicts its reference."""
     difference: float
-    """Difference [SI] from the other instruments, from zero for a corrected instrument, or from the history."""
+    """Difference [SI] of the constant from its reference: from the other instruments, from zero for a corrected
+    instrument, or from earlier calibrations."""
     sigma: float
     """Standard deviation [SI] of the difference."""
     log_evidence: float
@@ -81,9 +82,10 @@ class ConstantContradiction:
     p_value: float
     """Two-sided p-value of the difference, corrected for the number of constants that are compared."""
     reference_text: str
-    """Text of the reference."""
+    """Name of the reference for users, such as `the other instruments`."""
     evidence_shares: Mapping[Parameter, float]
-    """Shares of the evidence of this constant, and of those of the same instruments that may have changed instead."""
+    """Fractions of the evidence for this constant, and for constants of the same instruments that may have changed
+    instead."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ class ContradictingConstants:
     contradictions: tuple[ConstantContradiction, ...] = ()
     """Contradictions, the most significant first."""
     joint_log_evidence: float = 0.0
-    """Log evidence of all contradictions together against the prior of the adjustment, with prior odds; 0 for none.
+    """Log evidence, with prior odds, of all contradictions together; 0 without contradictions.
 
     It can be compared with the log evidence of a model of effects.
     """
@@ -104,13 +106,13 @@ class ConstantChange:
     """Possible change of a constant of one instrument, or of several instruments by the same amount."""
 
     instrument_indices: tuple[int, ...]
-    """Indices of the instruments."""
+    """Indices of the instruments whose constant may have changed."""
     constant_index: int
-    """Index of the constant."""
+    """Index of the constant among the p constants of an instrument."""
     reference_text: str
-    """Text of the reference with which the constant is compared."""
+    """Name for users of the reference with which the constant is compared."""
     added_variances: Floats | float = 0.0
-    """Possible variances (s,) of the constant in addition to its expected variance, in squares of the specification."""
+    """Possible variances (s,) in addition to the expected variance, divided by the squared specification."""
     log_variance_weights: Floats | float = 0.0
     """Natural logarithms (s,) of the prior weights of `added_variances`."""
 
@@ -120,19 +122,19 @@ class ExpectedConstants:
     """Expected values of the p constants of I instruments, in units of their specifications, and possible changes."""
 
     mean: Floats
-    """Expected values (I p,)."""
+    """Expected values (I p,) of the constants, divided by their specifications."""
     covariance: Floats
-    """Covariance (I p, I p) of the expected values."""
+    """Covariance (I p, I p) of the constants about `mean`, in the same units."""
     possible_changes: tuple[ConstantChange, ...]
     """Changes of instrument constants that are tested."""
 
 
 def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> ContradictingConstants:
-    """Constants that differ from those of the other instruments, or from zero for a corrected instrument.
+    """Instrument constants that differ from those of other instruments, or from zero for a corrected instrument.
 
-    If two instruments differ, the readings do not show which of them is in error. The constant that is farther from
-    zero is then the more probable. An offset common to all corrected instruments is one change, possibly of their
-    reference. A contradiction has a log evidence of more than `min_log_evidence`.
+    If two instruments differ, the readings do not show which instrument is in error. An error of the constant that is
+    farther from zero is then the more probable. An offset common to all corrected instruments is one change, possibly
+    of their reference. A contradiction has a log evidence of more than `min_log_evidence`.
     """
     recording = adjustment.recording
     setup, unit = recording.setup, prior_sigmas(recording, adjustment.construction)
@@ -161,12 +163,12 @@ def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> Cont
 def constants_contradicting_expectation(
     adjustment: Adjustment, expectation: ExpectedConstants, min_log_evidence: float
 ) -> ContradictingConstants:
-    """Constants that differ from their expectation, each with a log evidence above `min_log_evidence` given the others.
+    """Instrument constants that differ from their expectation, each with a log evidence above `min_log_evidence`.
 
-    They are selected by forward selection with exchange, in which selected constants have the prior variance
-    `CHANGED_CONSTANT_PRIOR_VARIANCE`. The readings without the prior of the adjustment give the normal equations N x =
-    b of the constants x. With the expectation x ~ N(m, V), the information on a change of constant k is (V +
-    N^-1)^-1[k, k].
+    The evidence of each is given the other selected constants. The constants are selected by forward selection with
+    exchange, in which selected constants have the prior variance `CHANGED_CONSTANT_PRIOR_VARIANCE`. The readings
+    without the prior of the adjustment give the normal equations N x = b of the constants x. With the expectation
+    x ~ N(m, V), the information on a change of constant k is (V + N^-1)^-1[k, k].
     """
     prior = adjustment.problem.prior.sigma
     unit = prior_sigmas(adjustment.recording, adjustment.construction)
@@ -255,10 +257,10 @@ def _contradiction_of_change(
     sigma: float,
     p_value: float,
 ) -> ConstantContradiction:
-    """Contradiction of the change with this index, with its alternatives.
+    """Contradiction for the change with the index `change_index`, with the alternatives to this change.
 
-    `log_evidences` are those of all changes, `difference` and `sigma` the difference from the reference and its
-    standard deviation [SI].
+    `log_evidences` are the log evidences of all changes, `difference` and `sigma` the difference from the reference and
+    its standard deviation [SI].
     """
     change, parameters = constant_changes[change_index], adjustment.construction.parameters
     evidence_shares = [
@@ -284,7 +286,7 @@ def _contradiction_of_change(
 def _log_evidence_of_change(
     difference: float, variances: Floats | float, log_variance_weights: Floats | float
 ) -> float:
-    """Log evidence of a change from its estimate `difference`, averaged over `variances` (s,) with log weights (s,)."""
+    """Log evidence of a change from its estimate `difference`, averaged over s variances with their log weights."""
     variances, log_variance_weights = np.atleast_1d(variances), np.atleast_1d(log_variance_weights)
     log_unchanged = log_variance_weights - 0.5 * (difference**2 / variances + np.log(variances))
     log_changed = log_unchanged + log_evidence(((difference / variances) ** 2)[:, None], 1.0 / variances[:, None])
@@ -292,7 +294,8 @@ def _log_evidence_of_change(
 
 
 VARIANCE_RATIO_GRID = np.geomspace(0.05, 1e4, 80)
-"""Grid of the ratio of the true variance of a constant between calibrations to the sample variance of a few of them."""
+"""Grid of the true variance of a constant between calibrations, divided by the sample variance of a few
+calibrations."""
 SAMPLE_VARIANCE_PRIOR_DOF = 4
 """Degrees of freedom that the sample variances of all constants add to that of one constant (Smyth 2004). They
 correspond to standard deviations that mostly agree within a factor of two."""
@@ -303,22 +306,24 @@ class HistoryExpectation:
     """Expected constants of a recording's instruments, from earlier calibrations."""
 
     earlier_calibrations: EarlierCalibrationPrior
-    """Earlier calibrations."""
+    """Earlier calibrations of the same instruments."""
     expected_constants: ParameterPrior
-    """Mean and covariance of the constants [SI], with their spread between calibrations."""
+    """Mean and covariance of the constants [SI]; the covariance includes their scatter between calibrations."""
     specification: Floats
-    """Specification of the manufacturer (I, p) [SI] for p constants of I instruments, the unit of all computations
-    here."""
+    """Specification of the manufacturer (I, p) [SI] for p constants of I instruments, the unit of computations."""
 
     @classmethod
     def from_calibrations(
         cls, calibrations: EarlierCalibrationPrior, recording: Recording, construction: GeometricErrorModel
     ) -> HistoryExpectation:
-        """Expectation from earlier calibrations; raises RecordError for other instruments or another error model."""
+        """Expected constants of the instruments of a recording, from earlier calibrations.
+
+        Raises RecordError for calibrations of other instruments or with another geometric error model.
+        """
         names = recording.instruments
         if len(calibrations.instruments) < min(len(names), 2):
             raise RecordError(
-                f"the earlier calibrations are of one instrument, but the recording is of {', '.join(names)}; expected "
+                f"the earlier calibrations are those of one instrument, but the recording has {', '.join(names)}; give "
                 "earlier calibrations of all these instruments"
             )
         nominal_prior = ParameterPrior.independent(prior_sigmas(recording, construction))
@@ -327,7 +332,7 @@ class HistoryExpectation:
         )
 
     def find_contradictions(self, adjustment: Adjustment, min_log_evidence: float) -> ContradictingConstants:
-        """Constants that changed since the earlier calibrations, each with a log evidence above `min_log_evidence`."""
+        """Constants that changed after the earlier calibrations, each with a log evidence above `min_log_evidence`."""
         parameters, unit = adjustment.construction.parameters, self.specification
         parameter_indices = [k for k, p in enumerate(parameters) if p.name in self.earlier_calibrations.parameters]
         names = [parameters[k].name for k in parameter_indices]
@@ -354,13 +359,13 @@ class HistoryExpectation:
     def _additional_variances_and_log_weights(
         self, expected_covariance: Floats, specification: Floats, constant_names: list[str]
     ) -> tuple[Floats, Floats]:
-        """Possible variances (k, s) of k constants in addition to their expected ones, and log weights (k, s).
+        """Possible variances (k, s) of k constants in addition to their expected variances, and log weights (k, s).
 
-        The spread of a few calibrations is uncertain. Their sample variance has a scaled chi-square distribution, with
-        one degree of freedom less than their number. The spreads of the other constants add `SAMPLE_VARIANCE_PRIOR_DOF`
-        degrees of freedom (Smyth, Statistical Applications in Genetics 3 (2004) 3). No spread exceeds the specification
-        of the manufacturer. `expected_covariance` (k, k) is the expected covariance, `specification` (k,) the
-        specification [SI], and `constant_names` are the names of the constants.
+        The sample variance of a few calibrations is uncertain. It has a scaled chi-square distribution, with one degree
+        of freedom less than the number of calibrations. The sample variances of the other constants add
+        `SAMPLE_VARIANCE_PRIOR_DOF` degrees of freedom (Smyth, Statistical Applications in Genetics 3 (2004) 3). No
+        standard deviation exceeds the specification of the manufacturer. `expected_covariance` (k, k) is the expected
+        covariance, `specification` (k,) [SI] the specification, and `constant_names` are the names of the constants.
         """
         n_calibrations = self.earlier_calibrations.n_calibrations
         if n_calibrations == 1:
@@ -368,7 +373,7 @@ class HistoryExpectation:
         spread = self._sigmas_between_calibrations(constant_names) ** 2 / specification**2
         precision = (
             np.diag(np.linalg.inv(expected_covariance - np.diag(spread))) - 1.0
-        )  # of the mean, without the specification of the manufacturer
+        )  # variance of the mean, without the specification of the manufacturer
         variances = n_calibrations / np.maximum(precision, MAX_ROUNDING_ERROR)
         usual_variance = variances + np.median(spread) - spread
         added_variance = np.minimum(
@@ -382,12 +387,12 @@ class HistoryExpectation:
         return np.maximum(added_variance * (1.0 + 1.0 / n_calibrations), -spread[:, None]), weights
 
     def _sigmas_between_calibrations(self, constant_names: Sequence[str]) -> Floats:
-        """Standard deviations (k,) [SI] between the earlier calibrations, of k constants."""
+        """Standard deviations (k,) [SI] of k constants between the earlier calibrations."""
         indices = [self.earlier_calibrations.parameters.index(name) for name in constant_names]
         return self.earlier_calibrations.between_calibration_sigma[indices]
 
     def _reference_phrase(self, parameter: Parameter) -> str:
-        """Text of the reference with which a constant is compared."""
+        """Name for users of the earlier calibrations with which a constant is compared."""
         n_calibrations = self.earlier_calibrations.n_calibrations
         if n_calibrations == 1:
             return "its calibration"

@@ -1,11 +1,11 @@
-"""Batch of empirical laws: all combinations of changed quantities, regressors and places, scored together.
+"""Batch of empirical laws: all combinations of responses (changed quantities), regressors and places, scored together.
 
-The score of a changed quantity c with a regressor d at a place is the sum over its pointings of (derivative of c) x
-(column of d) x (residual). Pointings that belong to the same places form a cell. One matrix product for each cell gives
-the sums for all hypotheses.
+A place is the stations, targets or instruments at which a law acts. The score of a response with a regressor at a place
+is the sum over the pointings of the place of (derivative of the response) x (column of the regressor) x (residual).
+Pointings that belong to the same places form a cell. One matrix product for each cell gives the sums for all laws.
 
-Shapes below: n pointings, P places, C responses with c components each, D regressors with k columns each (d of them in
-one step), and v vectors of the null ensemble.
+Sizes of arrays below: n pointings, P places, C responses with c components each, D regressors with k columns each, of
+which d are processed at a time, and v vectors of the null ensemble.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ from ltsim.physics.laws.responses import Response
 from ltsim.scene.sightings import Sightings
 
 MAX_CACHED_COLUMN_ENTRIES = 16_000_000
-"""Largest number of entries of columns of regressors that stay in memory, 64 MB: those that several batches share
-during a screening, and those of all batches between screenings. Computing them anew takes a sixth of a screening.
+"""Largest number of entries (64 MB) of regressor columns that stay in memory. The limit applies to the columns that
+several batches share during a screening, and to the columns of all batches between screenings. Computing them again
+takes a sixth of the time of a screening.
 """
 
 
@@ -42,11 +43,11 @@ class ScreenedLaw:
     response: Response
     """Quantity that the law changes."""
     regressor: Regressor
-    """Function of covariates on which the changed quantity depends."""
+    """Function of covariates on which the response depends."""
     place: LawPlace
-    """Place at which the law acts."""
+    """Stations, targets or instruments at which the law acts."""
     log_evidence: float
-    """Approximate log evidence, including the prior."""
+    """Approximate log evidence, including the log prior."""
     log_prior: float
     """Log prior of the law at this place."""
 
@@ -55,15 +56,15 @@ class ScreenedLaw:
 class PointingPartition:
     """Partition of the pointings into cells of pointings that belong to the same places.
 
-    The sum over a place is the sum over its cells.
+    A sum over the pointings of a place is a sum over the cells of the place.
     """
 
     pointing_order: Ints
     """Indices (n,) of the pointings, cell after cell."""
     cell_edges: Ints
-    """Start (cells + 1,) of each cell in `pointing_order`, and the end of the last cell."""
+    """Limits (cells + 1,) of the cells in `pointing_order`: start of each cell, and end of the last cell."""
     is_cell_in_place: sp.csr_array
-    """Indicator (P, cells) of the cells of each of P places."""
+    """Indicators (P, cells) of the cells that belong to each of P places."""
 
     @classmethod
     def from_places(cls, places: Sequence[LawPlace], n_pointings: int) -> PointingPartition:
@@ -89,12 +90,12 @@ class PointingPartition:
             yield part, self.pointing_order[part], here
 
     def sums_over_places(self, cell_sums: Any) -> Any:
-        """Sums over places, (P, ...), from the sums over cells, `cell_sums` (cells, ...)."""
+        """Sums (P, ...) over the pointings of each place, from the sums over each cell, `cell_sums` (cells, ...)."""
         return (self.is_cell_in_place @ cell_sums.reshape(len(cell_sums), -1)).reshape(-1, *cell_sums.shape[1:])
 
 
 class RegressorColumns:
-    """Columns of regressors with k columns each at all pointings, computed when they are needed.
+    """Design-matrix columns of regressors with k columns each at all pointings, computed on first use.
 
     Several batches share them. They stay in memory until they are released, or always if `is_cached`.
     """
@@ -110,10 +111,10 @@ class RegressorColumns:
         )
         self._all_columns: Singles | None = None
         self.is_cached = False
-        self.n_entries_per_regressor = regressors[0].n_columns * len(sightings)  # of one regressor
+        self.n_entries_per_regressor = regressors[0].n_columns * len(sightings)
 
     def columns_of(self, regressor_range: slice) -> Singles:
-        """Columns (n, d k) of a range of d regressors, with the pointings in the order of the cells."""
+        """Columns (n, d k) of the d regressors in a range, with the pointings in the order of the cells."""
         if self.n_entries_per_regressor * len(self._regressors) > MAX_CACHED_COLUMN_ENTRIES:
             return self._compute_columns(self._regressors[regressor_range])
         if self._all_columns is None:
@@ -143,19 +144,19 @@ class LawBatch:
     """
 
     responses: tuple[Response, ...]
-    """Quantities that the laws change, C of them, with c components each."""
+    """The C responses, with c components each."""
     regressors: tuple[Regressor, ...]
-    """Regressors, D of them, with k columns each."""
+    """The D regressors, with k columns each."""
     places: tuple[LawPlace, ...]
-    """Places, P of them."""
+    """The P places: stations, targets or instruments at which a law acts."""
     partition: PointingPartition
     """Partition of the pointings by these places."""
     whitened_response_designs: Singles
-    """Whitened change (n, 3, C, c) of the readings by a plausible size of each component of each changed quantity."""
+    """Whitened change (n, 3, C, c) of the readings by the plausible size of each component of each response."""
     columns: RegressorColumns
-    """Columns of the regressors, shared by batches with the same regressors and cells."""
+    """Columns of the regressors, which batches with the same regressors and cells share."""
     log_prior_by_place: Floats
-    """Log prior (P,) of one law (response, regressor and length scale) at each place."""
+    """Log prior (P,) of a single law (response, regressor and length scale) at each place."""
     _cached_eigen_decompositions: dict[int, list[tuple[Floats, Singles]]] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -168,9 +169,9 @@ class LawBatch:
         ]
 
     def best_laws_and_log_totals(self, null_ensemble: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
-        """Best laws of every place, the log of the summed evidence of all laws, and its null values (trials,).
+        """Laws with the largest evidence at each place, log of the evidence of all laws, and null values (trials,).
 
-        The null values are those of the simulated recordings of the null ensemble.
+        The null values are the same log for each simulated recording of the null ensemble.
         """
         count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.whitened_response_designs[0, 0].size * len(self.places)
@@ -193,11 +194,11 @@ class LawBatch:
         return hits, float(log_sum_exp(log_evidences.ravel())), null
 
     def _log_evidence_at_places(self, null_ensemble: NullEnsemble, regressor_range: slice) -> tuple[Floats, Floats]:
-        """Log evidence (P, C, d) with priors of the laws with a range of d regressors, and null values (trials,).
+        """Log evidence (P, C, d), with priors, of the laws with the d regressors in a range, and null values (trials,).
 
         The null values are logs of the summed evidence of these laws for simulated recordings. The Gram matrix of a law
-        is not reduced by the effects in the model, so that it is too large for a law that is correlated with these. The
-        best laws are evaluated again without this approximation.
+        is not reduced by the effects in the model, so that it is too large for a law that is correlated with them. The
+        laws with the largest evidence are evaluated again without this approximation.
         """
         columns = self.columns.columns_of(regressor_range)
         scores = self._products_with_ensemble_vectors(null_ensemble, columns)
@@ -222,10 +223,10 @@ class LawBatch:
         return log_sum_exp(np.stack(log_evidences)) + self.log_prior_by_place[:, None, None], log_sum_exp(null)
 
     def _scaled_eigen_decompositions(self, gram: Floats, regressor_range: slice) -> list[tuple[Floats, Singles]]:
-        """Eigenvalues (P, C, d, c k), and matrices (P, C, d, c k, c k), for each length scale.
+        """Eigenvalues (P, C, d, c k) of scaled Gram matrices, and matrices (P, C, d, c k, c k), for each length scale.
 
         The product of a matrix with the scores of a law gives the scores along its eigenvectors. `gram` has the shape
-        (P, C, d, c k, c k), and the regressors are a range of d.
+        (P, C, d, c k, c k), for the d regressors in a range.
         """
         transforms = []
         for spread in (spread[regressor_range] for spread in self._prior_sigmas):
@@ -237,7 +238,7 @@ class LawBatch:
     def _products_with_ensemble_vectors(self, null_ensemble: NullEnsemble, columns: Singles) -> Singles:
         """Products (P, C, d, c k, v) of the design matrices of laws with v vectors of the ensemble, at all places.
 
-        `columns` (n, d k) are those of d regressors.
+        `columns` (n, d k) are the columns of d regressors.
         """
         _, _, count, n_components = self.whitened_response_designs.shape
         vectors, d = null_ensemble.probe_vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
@@ -285,7 +286,7 @@ class LawBatch:
 def evaluate_law_batches(
     law_batches: Sequence[LawBatch], null_ensemble: NullEnsemble
 ) -> list[tuple[list[ScreenedLaw], float, Floats]]:
-    """Results of `LawBatch.best_laws_and_log_totals` in the order of the batches; shared columns are computed once."""
+    """Result of `LawBatch.best_laws_and_log_totals` for each batch, in order; shared columns are computed once."""
     by_columns: dict[int, list[int]] = {}
     for i, batch in enumerate(law_batches):
         by_columns.setdefault(id(batch.columns), []).append(i)

@@ -1,11 +1,12 @@
 """Search space of empirical laws, and their prior probabilities; a law is a response, a regressor and a place.
 
 The response is the quantity that the law changes, such as the vertical index. The regressor is a function of
-covariates, such as a curve over time, on which it depends.
+covariates, such as a curve over time, on which the response depends. The place is the stations, targets or instruments
+at which the law acts.
 
-The prior odds of a law are the product of the odds of its place, of its response and of its regressor. The odds of a
-kind of place, response or regressor are divided equally among all of this kind in the recording. The sum over all laws
-is then normalised to the prior probability of a law outside the catalogue.
+The prior odds of a law are the product of the odds of its place, its response and its regressor. The odds of a kind of
+place are divided equally among all places of this kind in the recording, and likewise for responses and regressors. The
+sum over all laws is then normalised to the prior probability of a law outside the catalogue.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,17 +43,17 @@ from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
 from ltsim.physics.laws.responses import Response, response_designs
 
 MAX_SEPARATE_PLACES = 400
-"""Largest number of set-ups, or of targets, for which each is a separate place of a law. With more, such laws are not
-tried, to limit the computing time."""
+"""Number of set-ups, or of targets, up to which laws that act at a single set-up, or a single target, are tried; a
+limit of the computing time."""
 GROUPED_TARGET_COUNTS = range(12, 101)
-"""Numbers of targets in a network for which groups of targets are places of laws. Fewer targets hardly form a group,
-and more take too much computing time."""
+"""Numbers of targets in a network for which laws that act at a group of targets are tried. Fewer targets hardly form a
+group, and more targets take too much computing time."""
 MIN_POINTINGS_PER_FINE_COEFFICIENT = 4
 """Number of pointings of a set-up per coefficient, above which a curve of one set-up has `N_MODES_DEFAULT`
 eigenfunctions. With fewer pointings it has `N_MODES_IN_PRODUCT`."""
 MIN_POINTINGS_PER_COEFFICIENT = 2
-"""Smallest number of pointings per coefficient at the places of a law; otherwise the law is not tried. The adjustment
-absorbs about half of the information of the pointings.
+"""Smallest number of pointings per coefficient, at the stations and targets of a law, for which the law is tried. The
+adjustment absorbs about half of the information of the pointings.
 """
 PER_SETUP_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "memory", "lag", "state", "latch")
 """Kinds of regressors that a search tries for a law of one instrument, or of one set-up."""
@@ -61,23 +62,24 @@ REGION_REGRESSOR_KINDS = ("passage", "lever", "passage for a time", "lever for a
 RESPONSE_KINDS_BY_REGRESSOR_KIND = dict.fromkeys(("product", *REGION_REGRESSOR_KINDS), ("reading",)) | {
     "room": ("target",)
 }
-"""Kinds of changed quantities with which a kind of regressor is combined; other regressors are combined with all. Other
-combinations would be many, and hardly physical.
+"""Kinds of responses with which a kind of regressor is combined; regressors of other kinds are combined with all. The
+omitted combinations would be many, and hardly physical.
 """
 NON_READING_WAVE_COVARIATES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
-"""Covariates of waves for changed quantities that are not readings: times, and accumulated rotations of the axes."""
+"""Covariates of waves for responses that are not readings: times, and accumulated rotations of the axes."""
 JOINT_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
-"""Kinds of regressors for laws that change several observables together. Others would have too many coefficients."""
+"""Kinds of regressors for laws that change several observables together; other kinds have too many coefficients."""
 RegressorsByKind = Mapping[str, Sequence[Regressor]]
 """Regressors by kind, such as `curve` or `wave`."""
 
 
 def law_batches(space: ResidualSpace, *, tests_ordinary_constants: bool = True) -> list[LawBatch]:
-    """Batches of laws of a recording, whose prior probabilities add up to that of a law outside the catalogue.
+    """Batches of laws that a search tries in a recording.
 
-    Constant changes of the instruments' constants are included if `tests_ordinary_constants`. They are left out if the
-    constants are compared with earlier calibrations. A constant displacement of a target is not included, because its
-    coordinates are estimated.
+    Their prior probabilities add up to the prior probability of a law outside the catalogue. Changes of instrument
+    constants that are the same for all readings are included if `tests_ordinary_constants`. They are left out if the
+    constants are compared with earlier calibrations. A constant displacement of a target is not included, because the
+    coordinates of targets are estimated.
     """
     builder = _LawBatchBuilder(space)
     for place, places, regressors in _kinds_of_places(space):
@@ -89,7 +91,10 @@ def law_batches(space: ResidualSpace, *, tests_ordinary_constants: bool = True) 
 
 
 def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ...], RegressorsByKind]]:
-    """Kinds of places of laws, each as a tuple of its name, its places, and the regressors by kind tried there."""
+    """Kinds of places of laws, each as a tuple of its name, its places, and the regressors by kind for these places.
+
+    A place is the stations, targets or instruments at which a law acts.
+    """
     s = space.sightings
     everywhere = (LawPlace((), (), np.arange(len(s))),)
     stations = tuple(
@@ -141,12 +146,12 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
 
 
 def _names_of_separate_places(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the stations or targets that are separate places; empty for one name, and for too many names."""
+    """Names of stations or targets at which separate laws are tried; empty for one name, and for too many names."""
     return names if 1 < len(names) <= MAX_SEPARATE_PLACES else ()
 
 
 class _LawBatchBuilder:
-    """Builder of batches of laws. Laws that differ only in their place are in the same batch."""
+    """Builder of batches of laws; laws that differ only in the place where they act are in the same batch."""
 
     def __init__(self, space: ResidualSpace) -> None:
         self._sightings = space.sightings
@@ -169,15 +174,16 @@ class _LawBatchBuilder:
         regressors_by_kind: RegressorsByKind,
         excluded_kinds: tuple[str, ...],
     ) -> None:
-        """Addition of the laws at places of one kind, with all admissible changed quantities and regressors.
+        """Addition of the laws at places of one kind, with all admissible responses and regressors.
 
-        Responses of the kinds `excluded_kinds` are not combined with the constant regressor.
+        `place_kind` is a key of `PLACE_PRIOR`. Responses of the kinds `excluded_kinds` are not combined with the
+        constant regressor.
         """
         kinds = RESPONSE_PRIOR_AT_TARGETS if place_kind in ("target", "group") else RESPONSE_PRIOR
         for (kind, n_components), kind_responses in self._responses.items():
             n_joint_observables = len(
                 kind_responses[0][0].component_units
-            )  # observables of a joint response; 0 for all others
+            )  # number of observables of a joint response; 0 for other responses
             n_responses = sum(
                 len(same)
                 for (other, n), same in self._responses.items()
@@ -215,9 +221,10 @@ class _LawBatchBuilder:
         weight: float,
         n_components: int,
     ) -> None:
-        """Registration of laws with prior `weight` per changed quantity, divided equally among regressors and places.
+        """Registration of laws with the prior `weight` per response, divided equally among regressors and places.
 
-        Places with too few pointings for the coefficients of a regressor are left out.
+        `n_components` is the number of components of the responses. Places with too few pointings for the coefficients
+        of a regressor are left out.
         """
         by_shape: dict[tuple[int, int], list[Regressor]] = {}
         for regressor in regressors if responses else ():
@@ -234,7 +241,7 @@ class _LawBatchBuilder:
     def law_batches(self) -> list[LawBatch]:
         """Batches of the registered laws.
 
-        A batch contains the same changed quantities and regressors at all their places.
+        A batch contains all combinations of its responses and regressors at all its places.
         """
         weights = {c: w for kind_responses in self._responses.values() for c, w in kind_responses}
         whole = sum(
@@ -279,27 +286,28 @@ class _LawBatchBuilder:
 
 
 def _may_change_in_region(regressor_kind: str, response: Response) -> bool:
-    """True if a law may change this quantity within a region of the hall; always for regressors without region.
+    """True if a law may change the `response` with a regressor of this kind; always for regressors without a region.
 
-    A range changes in proportion to the path in the region, and an angle in proportion to its lever.
+    A range changes in proportion to the length of the path in the region (`passage`), and an angle in proportion to
+    this length weighted by its lever (`lever`).
     """
     base_kind = regressor_kind.removesuffix(" for a time")
     return base_kind not in ("passage", "lever") or ("distance" in response.observables) == (base_kind == "passage")
 
 
 def _is_wave_tried_for(response_kind: str, wave: Regressor) -> bool:
-    """True if a search tries a wave for a kind of changed quantity.
+    """True if a search tries a wave for a kind of response.
 
-    All waves are tried for readings, and those of `NON_READING_WAVE_COVARIATES` for the other kinds.
+    All waves are tried for readings, and waves in `NON_READING_WAVE_COVARIATES` for the other kinds.
     """
     return response_kind == "reading" or wave.covariates[0] in NON_READING_WAVE_COVARIATES
 
 
 def with_size_raised_to_noise(response: Response, whitened_changes: Floats) -> Response:
-    """Changed quantity (response) whose plausible size is raised to the noise level if it is smaller.
+    """Copy of a response whose plausible size is raised to the noise of the readings if it is smaller.
 
-    `whitened_changes` (n, 3, c) are the whitened changes of the three readings of n pointings per unit of each
-    component.
+    `whitened_changes` (n, 3, c) are the whitened changes of the three readings of n pointings per unit of each of the c
+    components.
     """
     change_in_sigmas = response.plausible_size * np.sqrt(np.mean(np.sum(whitened_changes**2, axis=1), axis=1))
     return replace(response, plausible_size=response.plausible_size * size_factor_to_noise_level(change_in_sigmas))

@@ -17,12 +17,12 @@ from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.selection_state import SelectionState
 
 MAX_NOISE_CHANGES = 3
-"""Largest number of changes of the noise that are added to a model, each alternating with a selection of effects."""
+"""Largest number of changes of the noise that are added to a model; a selection of effects follows each of them."""
 MIN_EFFECT_LOG_EVIDENCE = 2.0
-"""Smallest log evidence of an additional effect. It represents a geometric prior on the number of effects, with prior
-odds of e^-2 (1 to 7) for each additional effect."""
+"""Smallest increase of the log evidence by an additional effect. It represents a geometric prior on the number of
+effects, with prior odds of e^-2 (1 to 7) for each additional effect."""
 ConstantComparisonFunction = Callable[[Adjustment, float], ContradictingConstants]
-"""Function that returns the constants of instruments that contradict their reference.
+"""Function whose results are the instrument constants that contradict their reference.
 
 Its arguments are an adjustment, and the smallest log evidence of a contradiction.
 """
@@ -31,12 +31,13 @@ Its arguments are an adjustment, and the smallest log evidence of a contradictio
 def select_model(
     state: SelectionState, min_evidence_gain: float, compare_with_reference: ConstantComparisonFunction
 ) -> Model:
-    """Selected model of effects, after a selection of changes of the noise and of changed constants.
+    """Selected model of effects, after a selection of changes of the noise and of changed instrument constants.
 
     `state` is updated with the changes of the noise and the constants. The kind of hypothesis with the largest evidence
-    is selected first, and the selection ends when the evidence does not increase. The order matters, because a law that
-    is selected with a wrong noise level absorbs noise, and noise that is estimated before a law absorbs the law. Noise
-    is therefore estimated with those effects in the model that are among the simple causes of the network.
+    is selected first, and the selection ends when the evidence increases by less than `min_evidence_gain`. The order
+    matters, because a law that is selected with a wrong noise level absorbs noise, and noise that is estimated before a
+    law absorbs the law. Noise is therefore estimated with the effects in the model that are among the simple causes of
+    the network.
     """
     noise = state.ranked_noise_changes(state.empty_model)[0][0]
     shifts = state.searcher.lower_bound_model(min_evidence_gain, noise).penalised_log_evidence
@@ -71,9 +72,9 @@ def _select_noise_changes(
 ) -> None:
     """Forward selection of changes of the noise, which are added to `state`.
 
-    The model contains the effects of `start_hypotheses`. The first change is always selected, because the global test
-    has failed. Effects with the log evidence `log_evidence_of_effects` count among its alternatives. Each further
-    change must increase the log evidence by `min_evidence_gain`.
+    The noise is estimated with the effects of `start_hypotheses` in the model. The first change is always selected,
+    because the global test has failed. Effects, with the log evidence `log_evidence_of_effects`, count among the
+    alternatives to it. Each further change must increase the log evidence by `min_evidence_gain`.
     """
     effects = [hypothesis.effect for hypothesis in start_hypotheses]
     for further in range(MAX_NOISE_CHANGES):
@@ -90,11 +91,11 @@ def _select_noise_changes(
 def _select_effects_given_noise(
     state: SelectionState, min_evidence_gain: float, start_hypotheses: Sequence[Hypothesis]
 ) -> Model:
-    """Model of effects in addition to the selected changes of the noise; the empty model if these suffice.
+    """Model of effects in addition to the selected changes of the noise; the empty model if the latter suffice.
 
     The search begins with the hypotheses `start_hypotheses` in the model. Noise that is estimated without an effect
-    includes this effect. The noise is therefore estimated again with each of the best hypotheses, and the best of these
-    together with its noise is compared with the noise alone by their evidence.
+    includes this effect. The noise is therefore estimated again with each of the hypotheses with the largest evidence.
+    The most probable of them, with its noise, is compared with the noise alone by their evidence.
     """
     alone, searcher = copy(state), state.searcher
     model = searcher.select_model(min_evidence_gain, requires_member=True, start_hypotheses=start_hypotheses)
@@ -115,8 +116,8 @@ def _select_effects_given_noise(
 def _alternate_noise_and_effects(state: SelectionState, model: Model, min_evidence_gain: float) -> Model:
     """Model after alternating selections of changes of the noise and of effects, while the evidence increases.
 
-    Each change of the noise is tried in addition to `model`, in place of one effect in the model, and in place of all
-    of them.
+    Each change of the noise is tried in addition to `model`, in place of one of the effects in the model, and in place
+    of all effects.
     """
     for _ in range(MAX_NOISE_CHANGES):
         searcher, members = state.searcher, model.members
@@ -150,8 +151,8 @@ def _most_probable_noise_change(
 ) -> NoiseHypothesis:
     """Most probable change of the noise, with its probability among all hypotheses.
 
-    `ranked_noise_changes` are pairs of log evidence and a change of the noise. `log_evidence_of_effects` is the log of
-    the summed evidence of all other hypotheses.
+    `ranked_noise_changes` are pairs of a log evidence and a change of the noise. `log_evidence_of_effects` is the log
+    of the summed evidence of all hypotheses that are no changes of the noise.
     """
     log_evidences = np.array([value for value, _ in ranked_noise_changes])
     weights = np.exp(log_evidences - log_sum_exp(np.array([0.0, log_evidence_of_effects, *log_evidences])))

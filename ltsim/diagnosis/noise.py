@@ -1,15 +1,15 @@
-"""Hypotheses of the noise: some readings scatter more (or less) than declared.
+"""Hypotheses on the noise: some readings scatter more (or less) than declared.
 
 Let r be the whitened residuals, Q an orthonormal basis of the estimated parameters, s the variance factors, and W the
 diagonal matrix of 1 - 1/s. The restricted likelihood ratio is exactly
     log L = [ r' W r + c' N^-1 c - log|N| - sum log s ] / 2,   N = 1 - Q' W Q,   c = Q' W r.
 All hypotheses are screened by the diagonal form, the sum of (r^2 W - k log s) / 2 over readings with redundancy k. The
-same form is used for the recording and for simulated recordings. The best hypotheses are evaluated without
-approximation, if the network is small enough for a basis. The evidence is an average over a grid of sizes, a fine one
-for the best hypotheses. It can therefore be compared with the evidence of effects that shift readings.
+same form is used for the recording and for simulated recordings. The hypotheses with the largest evidence are evaluated
+without approximation, if the network is small enough for a basis. The evidence is an average over a grid of sizes,
+which is finer for these hypotheses. It can therefore be compared with the evidence of effects that shift readings.
 
-Shapes below: m rows of the residual space, g means of repeated readings, h hypotheses, and trials (the recording, or
-simulated recordings).
+Sizes of arrays below: m rows of the residual space, g means of repeated readings, h hypotheses, and trials (the
+recording, or simulated recordings).
 """
 
 from __future__ import annotations
@@ -52,13 +52,14 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MIN_COMPARABLE_EVIDENCE_FRACTION = 0.2
-"""Fraction of the largest log evidence. Noise in windows of time with more evidence is also sought at single places."""
+"""Fraction of the largest log evidence, above which larger noise in intervals of time is also tried at single stations,
+groups of targets and regions of the hall."""
 N_FINE_SIZES = 48
-"""Number of sizes of the fine grid over which the evidence of the best hypotheses is averaged."""
+"""Number of sizes on the fine grid over which the evidence of the most probable hypotheses is averaged."""
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
-    """Changes of the noise that have one size, each at the sizes of a grid.
+    """Changes of the noise with one size for all affected readings, each with the sizes of a grid.
 
     `instruments` are the names of the instruments, each of which may have separate noise if there are several.
     """
@@ -74,23 +75,24 @@ def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> l
 class NoiseHypothesisSet:
     """Noise hypotheses on a residual space, with their evidence for the recording and for simulated recordings.
 
-    The evidence is a linear form of squared residuals, and of squared means of repeated readings.
+    In the diagonal form the evidence depends linearly on squared residuals and on squared means of repeated readings.
     """
 
     hypotheses: list[NoiseHypothesis]
-    """Hypotheses with one size, h of them."""
+    """The h hypotheses with one size for all affected readings."""
     families: tuple[str, ...]
     """Names of the kinds of noise change (families) of these hypotheses."""
     family_indices: Ints
     """Index (h,) of the family of each hypothesis."""
     variance_factors: VarianceFactors
-    """Variance factors of the m rows, and of the g means of repeated readings for errors that these have in common."""
+    """Variance factors of the m rows, and of the g means of repeated readings for errors that repetitions share."""
     averaging_matrix: sp.csr_array
     """Matrix (g, m) of the means of repeated readings, first in each face and then in both faces."""
     basis: Floats | None
     """Orthonormal basis (m, u) of u estimated parameters; None in a network that is too large for a basis."""
     group_noise_changes: tuple[GroupNoiseChange, ...]
-    """Hypotheses with a size for each group: the noise level first, then noise by target and station, and windows."""
+    """Hypotheses with a size for each group of readings: noise level, noise by target and by station, noise in
+    intervals of time."""
     space: ResidualSpace
     """Residual space of the adjustment."""
 
@@ -98,7 +100,7 @@ class NoiseHypothesisSet:
     def from_space(
         cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, allows_quieter: bool = True
     ) -> NoiseHypothesisSet:
-        """Noise hypotheses on a residual space. The noise level may be less than declared only if `allows_quieter`."""
+        """Noise hypotheses on a residual space; the noise level may be below the declared one if `allows_quieter`."""
         repeat_patterns = [normalised_sum_matrix_of_repeats(space, faces) for faces in REPETITION_KINDS]
         averaging_matrix = sp.csr_array(sp.vstack(repeat_patterns))
         pattern_counts = space.n_rows - int(space.is_used_reading.sum()), *(m.shape[0] for m in repeat_patterns)
@@ -121,7 +123,7 @@ class NoiseHypothesisSet:
         )
 
     def log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log likelihood ratio (h, trials) in the diagonal form.
+        """Log likelihood ratios (h, trials) of the hypotheses in the diagonal form.
 
         `residual` (m, trials) are whitened residuals, and `redundancy` (m,) the redundancy numbers.
         """
@@ -130,9 +132,10 @@ class NoiseHypothesisSet:
         return self.variance_factors.log_likelihood_ratios(squares, share)
 
     def log_evidence_by_family(self, residual: Floats | Singles, redundancy: Floats) -> Floats:
-        """Log evidence (families, trials) with priors of all families of noise changes, in the diagonal form.
+        """Log evidence (families, trials), with priors, of all families of noise changes, in the diagonal form.
 
-        The first rows are those of `families`, the others those of `group_noise_changes`.
+        The first rows belong to `families`, the others to `group_noise_changes`. `residual` (m, trials) are whitened
+        residuals, and `redundancy` (m,) the redundancy numbers.
         """
         slices = batches(residual.shape[1], len(residual))
         return np.hstack(
@@ -153,18 +156,18 @@ class NoiseHypothesisSet:
         return change.log_evidence(residual, redundancy) + self.log_prior_of_family(change.name)
 
     def log_prior_of_family(self, family: str) -> float:
-        """Log prior of a kind of change of the noise: an effect of the catalogue, or an `unknown` one outside it."""
+        """Log prior of a family of noise changes: an effect of the catalogue, or an `unknown` one outside it."""
         return log_prior_of_noise_family(
             family, (*self.families, *(change.name for change in self.group_noise_changes))
         )
 
     def _log_evidence_from_ratios(self, ratio: Floats) -> Floats:
-        """Log evidence (families, trials) with priors from the log likelihood ratios (h, trials)."""
+        """Log evidence (families, trials), with priors, of `families` from log likelihood ratios (h, trials)."""
         share = np.array([self.log_prior_of_family(family) for family in self.families])
         return log_mean_exp_by_group(ratio, self.family_indices, len(self.families)) + share[:, None]
 
     def log_restricted_likelihood_ratio(self, hypothesis_index: int, residual: Floats, model_basis: Floats) -> float:
-        """Log restricted likelihood ratio of one hypothesis, without approximation.
+        """Log restricted likelihood ratio of the hypothesis with the index `hypothesis_index`, without approximation.
 
         `residual` (m,) are the whitened residuals given a model, and `model_basis` (m, e) is the basis of the model.
         """
@@ -182,9 +185,9 @@ class NoiseHypothesisSet:
     def _excess_over_diagonal_form(
         self, hypothesis_index: int, diagonal_log_ratio: float, residual: Floats, model_basis: Floats
     ) -> float:
-        """Log restricted likelihood ratio of a hypothesis minus that of the diagonal form, `diagonal_log_ratio`.
+        """Log restricted likelihood ratio of a hypothesis minus its value in the diagonal form, `diagonal_log_ratio`.
 
-        In a large network it is 0.
+        In a large network the result is 0.
         """
         return (
             0.0
@@ -195,11 +198,11 @@ class NoiseHypothesisSet:
     def _log_evidence_on_fine_grid(
         self, member_indices: Ints, best_index: int, log_likelihood_ratios: Floats, residual: Floats, redundancy: Floats
     ) -> float:
-        """Log evidence of a kind of noise change, with a fine grid of sizes of its best effect.
+        """Log evidence of a family of noise changes, with a fine grid of sizes of its most probable effect.
 
-        `member_indices` are the indices of the family's hypotheses, `best_index` is the best of them, and
-        `log_likelihood_ratios` contains their log likelihood ratios. For an effect with several parameters, each alone
-        and all together are averaged.
+        `member_indices` are the indices of the family's hypotheses, `best_index` is the one with the largest
+        likelihood, and `log_likelihood_ratios` are their log likelihood ratios. For an effect with several parameters,
+        the evidence is averaged over each parameter alone and all parameters together.
         """
         effect = self.hypotheses[best_index].effect
         is_same = np.array([self.hypotheses[i].effect == effect for i in member_indices.tolist()])
@@ -218,9 +221,9 @@ class NoiseHypothesisSet:
     def ranked_noise_changes(
         self, residual: Floats, redundancy: Floats, model_basis: Floats
     ) -> list[tuple[float, NoiseHypothesis]]:
-        """Pairs of log evidence (with prior) and best hypothesis of each kind of noise change, the best kind first.
+        """Pairs of log evidence (with prior) and most probable hypothesis of each family, by decreasing evidence.
 
-        `residual` (m,), `redundancy` (m,) and the basis `model_basis` (m, e) are those of a model.
+        `residual` (m,), `redundancy` (m,) and the basis `model_basis` (m, e) are given a model.
         """
         ratio = self.log_likelihood_ratios(residual[:, None], redundancy)
         evidence = self._log_evidence_from_ratios(ratio)[:, 0]
@@ -240,7 +243,7 @@ class NoiseHypothesisSet:
         return sorted(ranking, key=lambda entry: -entry[0])
 
     def expected_variance_factors(self) -> Floats:
-        """Posterior mean (n, 3) of the variance factors of the readings over all hypotheses and no change.
+        """Posterior mean (n, 3) of the variance factors of the readings, over all hypotheses including no change.
 
         The mean of a variance s has the smallest expected loss s/t - 1 - log(s/t) of an estimate t (Stein's loss).
         """
@@ -259,7 +262,7 @@ class NoiseHypothesisSet:
         return np.nan_to_num(mean_factors, nan=1.0)
 
     def _ranked_patterns(self, residual: Floats, redundancy: Floats) -> list[tuple[NoiseHypothesis, float]]:
-        """Most probable patterns of noise, each at its best size, with the log evidence summed over its sizes."""
+        """Most probable patterns of noise, each with its most probable size, and the log evidence summed over sizes."""
         ratio = self.log_likelihood_ratios(residual[:, None], redundancy)[:, 0]
         prior = np.array([self.log_prior_of_family(name) for name in self.families])
         prior -= np.log(np.bincount(self.family_indices))
@@ -278,9 +281,10 @@ class NoiseHypothesisSet:
     def ranked_group_noise(
         self, residual: Floats, redundancy: Floats, rival_log_evidence: float
     ) -> list[tuple[GroupNoiseChange, float]]:
-        """Pairs of a change of the noise of groups or in windows of time, and its log evidence.
+        """Pairs of a change of the noise, of groups or in intervals of time, and its log evidence.
 
-        Changes limited to one place are included if their log evidence is not far below `rival_log_evidence`.
+        Changes limited to some targets, a station or a region are included if their log evidence is not far below
+        `rival_log_evidence`.
         """
         ranked_hypotheses = [
             (change, self._group_noise_log_evidence_of_residuals(change, residual, redundancy))
@@ -306,11 +310,11 @@ class NoiseHypothesisSet:
 def _noise_patterns(
     space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], averaging_matrices: Sequence[sp.csr_array]
 ) -> Iterator[PatternWithSizes]:
-    """Iterator over patterns: the added variance of the readings per unit of the size, and the sizes.
+    """Iterator over patterns of the hypotheses: added variance of the readings per unit of the size, and the sizes.
 
-    For errors that repeated readings have in common, the pattern contains the means of these readings
-    (`averaging_matrices`). A variance function has one pattern, because it is linear in its size. A catalogue effect
-    has one pattern for each size.
+    For errors that repeated readings share, the pattern contains the means of these readings (`averaging_matrices`). A
+    variance function has one pattern, because it is linear in its size. A catalogue effect has one pattern for each
+    size.
     """
     used, variance = space.is_used_reading, space.sigma**2
     for effect, same in groupby(hypotheses, key=lambda h: h.effect):

@@ -1,9 +1,10 @@
 """Centring errors of all targets as changes of the noise, in recordings that distinguish occupations of a target.
 
-Occupations are those of a column, the days, or the set-ups if pointings repeat in one face: errors that these repeats
-share are displacements for each set-up.
+An occupation is one placement of the reflector. Occupations are declared in a column of the recording, or they are the
+days, or the set-ups if pointings repeat in one face: an error that these repeats share is then a displacement for each
+set-up.
 
-Their log evidence is the restricted likelihood ratio of the variance component of the displacements
+The log evidence of centring errors is the restricted likelihood ratio of the variance component of the displacements
 (`adjustment.identification.centring_errors`), with the Occam factor of its uncertainty.
 """
 
@@ -26,12 +27,12 @@ from ltsim.recordings.occupations import days_of_pointings, target_occupations
 from ltsim.recordings.recording import Recording
 
 MAX_CENTRING_OCCUPATIONS = 200
-"""Largest number of occupations for which centring errors are a hypothesis, to limit the computing time. They have 600
-columns in the residual space."""
+"""Largest number of occupations for which centring errors are a hypothesis, to limit the computing time. 200
+occupations have 600 columns in the design matrix."""
 
 
 def centring_hypotheses_with_evidence(space: ResidualSpace) -> list[tuple[float, NoiseHypothesis]]:
-    """Pairs of log evidence, without prior, and a hypothesis of centring errors, one for each kind of occupation."""
+    """Pairs of a log evidence, without prior, and a hypothesis of centring errors, for each kind of occupation."""
     recording, used = space.adjustment.recording, np.asarray(space.is_used_reading.any(axis=1))
     hypotheses = []
     for kind in _distinguished_occupation_kinds(recording):
@@ -46,8 +47,8 @@ def centring_hypotheses_with_evidence(space: ResidualSpace) -> list[tuple[float,
 def with_estimated_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
     """Hypothesis of centring errors with the estimated standard deviation of the displacements, and its uncertainty.
 
-    The adjustment of `space` does not contain these centring errors. `chi2_drop` of the result is twice the gain of log
-    evidence.
+    The adjustment of `space` does not contain these centring errors. `chi2_drop` of the result is twice the increase of
+    the log evidence.
     """
     effect = hypothesis.effect
     assert isinstance(effect, CentringVariance)
@@ -58,7 +59,7 @@ def with_estimated_centring(space: ResidualSpace, hypothesis: NoiseHypothesis) -
 
 
 def with_declared_centring(recording: Recording, noise_changes: Sequence[NoiseHypothesis]) -> Recording:
-    """Recording whose set-up declares those of the given changes of the noise that are centring errors."""
+    """Recording whose set-up declares the centring errors among the given changes of the noise."""
     further: list[CentringUncertainty] = [
         change.effect.uncertainty(change.sizes[0])
         for change in noise_changes
@@ -71,7 +72,7 @@ def with_declared_centring(recording: Recording, noise_changes: Sequence[NoiseHy
 
 
 def _distinguished_occupation_kinds(recording: Recording) -> list[Occupation]:
-    """Occupations of targets that a recording distinguishes: by set-up, by a column, or by its days."""
+    """Kinds of occupations of targets that a recording distinguishes: by set-up, by a column, or by day."""
     declared = {c.occupation for c in recording.setup.centring if not c.stations and not c.targets}
     columns: tuple[Occupation, ...] = ("instrument_setup", "target_setup")
     kinds: list[Occupation] = ["station", *(column for column in columns if column in recording.labels)]
@@ -80,10 +81,10 @@ def _distinguished_occupation_kinds(recording: Recording) -> list[Occupation]:
 
 
 def _determines_centring(recording: Recording, occupation_indices: Ints, *, requires_repeats_in_face: bool) -> bool:
-    """True if occupations (n,) are few, recur at the targets, and have repeated pointings.
+    """True if a recording determines centring errors: occupations are few, recur at targets, and have repetitions.
 
-    With `requires_repeats_in_face` the pointings must repeat in one face: displacements for each set-up would otherwise
-    fit any error of the model that recurs in both faces.
+    `occupation_indices` (n,) are the occupations of n pointings. With `requires_repeats_in_face` the pointings must
+    repeat in one face: displacements for each set-up would otherwise fit any error that recurs in both faces.
     """
     occupied_rows = np.flatnonzero(occupation_indices >= 0)
     count, targets = len(np.unique(occupation_indices[occupied_rows])), len(np.unique(recording.target[occupied_rows]))

@@ -1,6 +1,6 @@
 """Estimation of the sizes of a change of the noise, by restricted likelihood.
 
-Shapes below: m rows of the residual space, n pointings, k variance parameters.
+Sizes of arrays below: m rows of the residual space, n pointings, k variance parameters.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from ltsim.physics.laws.centring import CentringVariance
 N_VARIANCE_GRID_VALUES = 7
 """Number of points of each grid on which the posterior distribution of a size is summed."""
 N_GRID_ZOOMS = 9
-"""Number of grids, each narrower, on which the posterior of a size is summed. The sum over a normal density is accurate
-for spacings of up to 1.5 standard deviations."""
+"""Number of successively narrower grids on which the posterior distribution of a size is summed. The sum over a normal
+density is accurate for spacings of up to 1.5 standard deviations."""
 
 
 def reml_gain_function(
     space: ResidualSpace, sigma: Floats, effect: CandidateNoiseEffect, residual: Floats, redundancy: Floats
 ) -> Callable[[Floats], Floats]:
-    """Function from the sizes (k,) of k variance parameters to the gain (k,) of restricted log likelihood by each.
+    """Function from the values (k,) of k variance parameters to the gain (k,) of restricted log likelihood by each.
 
-    Each reading depends on one parameter at most. The effect changes the standard deviations `sigma` (n, 3), while the
-    residuals (m,) are whitened by the standard deviations of the space.
+    Each reading depends on at most one parameter. The effect changes the standard deviations `sigma` (n, 3), while the
+    residuals (m,) are whitened by the standard deviations of the residual space.
     """
     faces, used, scale = getattr(effect, "repetition", ""), space.is_used_reading, effect.size_scales
     means = normalised_sum_matrix_of_repeats(space, faces) if faces else None
@@ -67,32 +67,36 @@ def reml_gain_function(
 
 
 def _log_ratios_of_groups(reml_gain: Callable[[Floats], Floats], n_groups: int, variance_factors: Floats) -> Floats:
-    """Log restricted likelihood ratio (f, k) of each of k groups of readings, for each of f variance factors."""
+    """Log restricted likelihood ratios (f, k) of k groups of readings for f variance factors."""
     base_gain = reml_gain(np.zeros(n_groups))
     return np.stack([reml_gain(np.full(n_groups, factor - 1.0)) - base_gain for factor in variance_factors])
 
 
 def _log_likelihood_by_fraction(log_ratios: Floats) -> Floats:
-    """Log likelihood (q,) of each fraction of noisy groups, from log ratios (f, k) of k groups and f variance factors.
+    """Log likelihood (q,) of each of the q fractions of noisy groups in `NOISY_GROUP_FRACTIONS`.
 
-    The variance factors of a noisy group have equal prior probabilities.
+    `log_ratios` (f, k) are the log likelihood ratios of k groups for f variance factors, which have equal prior
+    probabilities for a noisy group.
     """
     noisy = log_sum_exp(log_ratios) - np.log(len(log_ratios))
     return np.stack([np.logaddexp(np.log1p(-q), np.log(q) + noisy).sum() for q in NOISY_GROUP_FRACTIONS])
 
 
 def _with_occam_factor(hypothesis: NoiseHypothesis, log_ratios: Floats) -> NoiseHypothesis:
-    """Hypothesis of separate noise of groups with its Occam factor, from log ratios (f, k) as above."""
+    """Hypothesis of separate noise of k groups with its Occam factor.
+
+    `log_ratios` (f, k) are the log likelihood ratios of the groups for f variance factors.
+    """
     log_evidence = log_sum_exp(_log_likelihood_by_fraction(log_ratios)) - np.log(len(NOISY_GROUP_FRACTIONS))
     return replace(hypothesis, log_occam_factor=float(log_evidence) - 0.5 * hypothesis.chi2_drop)
 
 
 def _heavy_tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[[Floats], Floats]) -> NoiseHypothesis:
-    """Hypothesis of a heavy tail with the variance of each reading, which is the inverse of its expected weight.
+    """Hypothesis of a heavy tail with an estimated variance of each reading, the inverse of its expected weight.
 
     Let p be the probability that a reading is in the tail, where its variance is multiplied by a factor f. Its expected
     weight is (1 - p) + p E[1 / f], as in the EM algorithm for scale mixtures (Little 1988, Applied Statistics 37, 23).
-    The fraction of readings in the tail is the one with the largest likelihood.
+    The fraction of readings in the tail is the fraction with the largest likelihood.
     """
     n_readings = len(hypothesis.effect.parameters)
     log_ratios = _log_ratios_of_groups(reml_gain, n_readings, TAIL_VARIANCE_FACTORS)
@@ -102,14 +106,14 @@ def _heavy_tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[
     values = 1.0 / weight - 1.0
     drop, sigma = (
         2.0 * float((reml_gain(values) - reml_gain(np.zeros(n_readings))).sum()),
-        np.sqrt(2.0) * (1.0 + values),  # one reading each
+        np.sqrt(2.0) * (1.0 + values),  # standard deviation of the variance of a single reading
     )
     estimated = replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
     return _with_occam_factor(estimated, log_ratios)
 
 
 def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
-    """Hypothesis with estimated sizes, their standard deviations, and twice the log restricted likelihood ratio.
+    """Copy of a hypothesis with estimated sizes, their standard deviations, and its `chi2_drop`.
 
     The hypothesis changes the standard deviations `nominal_sigma` (n, 3). The estimates are posterior means and
     standard deviations with a log-uniform prior of the variance factor, because the likelihood of a variance is skew.
@@ -147,7 +151,7 @@ def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis
     values = np.where(felt, np.sum(weight * sizes, axis=0), 0.0)
     sigma = np.where(felt, np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0)), np.inf)
     gain = reml_gain(values) - reml_gain(0.0 * scale)
-    if getattr(effect, "group_kind", ""):  # most groups have none: weighted by the probability that there is one
+    if getattr(effect, "group_kind", ""):  # most groups have no added variance: weight by its probability
         values = values * expit(gain + np.log(NOISY_GROUP_FRACTIONS.min() / (1.0 - NOISY_GROUP_FRACTIONS.min())))
         gain = reml_gain(values) - reml_gain(0.0 * scale)
     drop = 2.0 * float(gain.sum())

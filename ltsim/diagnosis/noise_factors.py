@@ -14,15 +14,15 @@ import scipy.sparse as sp
 from ltsim.core.arrays import Floats, Ints, Singles, batches, stack_and_release
 
 MIN_DENSE_FRACTION = 0.5
-"""Fraction of nonzero elements from which a pattern is stored as a dense row, which limits the memory. The fraction
+"""Fraction of nonzero elements above which a pattern is stored as a dense row, which limits the memory. The fraction
 refers to the rows of the kinds of observations that the pattern changes."""
 
 
 @dataclass(frozen=True)
 class PatternGroup:
-    """Patterns of added variance, and hypotheses that are one pattern times a size.
+    """Patterns of added variance, and hypotheses, each of which is a pattern times a size.
 
-    All patterns are sparse, or all are dense on the same rows of the residual space.
+    Either all patterns are sparse, or all are dense on the same rows of the residual space.
     """
 
     hypothesis_indices: Ints
@@ -30,7 +30,7 @@ class PatternGroup:
     pattern_indices: Ints
     """Index (h,) of the pattern of each hypothesis, in ascending order."""
     sizes: Singles
-    """Size (h,) of each hypothesis. Its variance factor is 1 plus the size times the added variance."""
+    """Size (h,) of each hypothesis; the variance factor of a row is 1 plus the size times the added variance."""
     row_indices: Ints | slice
     """Indices (r,) of the rows of dense patterns; all rows for sparse patterns."""
     added_variance: Singles | sp.csr_array
@@ -39,12 +39,13 @@ class PatternGroup:
     def log_likelihood_ratios(self, squares: Singles, redundancy: Floats) -> Iterator[tuple[Ints, Floats]]:
         """Iterator over batches: indices (b,) of b hypotheses, and their log likelihood ratios (b, trials).
 
-        The log likelihood ratio is half the sum over rows of (1 - 1/s) r^2 - k log s, with the variance factors s.
+        The log likelihood ratio is half the sum over rows of (1 - 1/s) r^2 - k log s, with the variance factors s,
+        residuals r and redundancy numbers k.
 
         Parameters
         ----------
         squares : (m, trials) float32
-            Squares r^2 of the whitened residuals on all m rows, of the recording or of simulated ones.
+            Squares r^2 of the whitened residuals on all m rows, of the recording or of simulated recordings.
         redundancy : (m,) float
             Redundancy numbers k.
         """
@@ -56,7 +57,10 @@ class PatternGroup:
             yield self.hypothesis_indices[part], 0.5 * (fit - (logs @ redundancy)[:, None])
 
     def affected_rows_and_log_factors(self, member_index: int) -> tuple[Ints, Floats]:
-        """Indices (r,) of the rows on which a member changes the noise, and the logs (r,) of its variance factors."""
+        """Indices (r,) of the rows whose noise a hypothesis changes, and the logs (r,) of its variance factors there.
+
+        `member_index` is the index of the hypothesis in this group.
+        """
         log_factors = self._log_variance_factors_of(slice(member_index, member_index + 1))
         if not isinstance(log_factors, np.ndarray):
             return log_factors.indices, log_factors.data.astype(np.float64)
@@ -65,7 +69,7 @@ class PatternGroup:
         return row_indices[changed_indices], log_factors[0, changed_indices].astype(np.float64)
 
     def _log_variance_factors_of(self, member_range: slice) -> Singles | sp.csr_array:
-        """Log variance factors (h, r) of a range of h members."""
+        """Logs (h, r) of the variance factors of the h hypotheses in a range of this group."""
         added_variance, sizes = (
             self.added_variance[self.pattern_indices[member_range]],
             self.sizes[member_range],
@@ -87,18 +91,18 @@ def _relative_precision_loss(log_variance_factors: Singles | sp.csr_array) -> Si
 
 
 PatternWithSizes = tuple[Floats, tuple[float, ...]]
-"""Pattern: the added variance of the first rows per unit of the size, and the sizes of the hypotheses with this
-pattern."""
+"""Pattern of added variance: its values for the first rows of the residual space per unit of the size, and the sizes of
+the hypotheses with this pattern."""
 
 
 @dataclass(frozen=True)
 class VarianceFactors:
-    """Variance factors of hypotheses, each of which is in one group of patterns."""
+    """Variance factors of noise hypotheses, each of which is in one `PatternGroup`."""
 
     n_hypotheses: int
     """Number h of hypotheses."""
     groups: tuple[PatternGroup, ...]
-    """Groups of patterns."""
+    """Groups of patterns, to one of which each hypothesis belongs."""
 
     @classmethod
     def from_patterns(cls, patterns: Iterable[PatternWithSizes], observation_kinds: Ints) -> VarianceFactors:
@@ -153,9 +157,9 @@ class VarianceFactors:
         return ratio
 
     def affected_rows_and_log_factors(self, hypothesis: int) -> tuple[Ints, Floats]:
-        """Indices (r,) of the rows on which a hypothesis changes the noise, and the logs (r,) of its variance factors.
+        """Indices (r,) of the rows whose noise a hypothesis changes, and the logs (r,) of its variance factors there.
 
-        `hypothesis` is the index of the hypothesis.
+        `hypothesis` is the index of the hypothesis among all h hypotheses.
         """
         group = next(group for group in self.groups if hypothesis in group.hypothesis_indices)
         return group.affected_rows_and_log_factors(int(np.flatnonzero(group.hypothesis_indices == hypothesis)[0]))

@@ -1,4 +1,4 @@
-"""Reported findings on changes of the noise, each with its place, sizes, probability and sentence."""
+"""Findings on changes of the noise for the report, each with place, sizes, probability and sentence."""
 
 import numpy as np
 
@@ -16,13 +16,13 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MAX_REPORTED_NOISE_SIZES = 12
-"""Largest number of targets, set-ups or readings whose sizes a finding on separate noise reports."""
+"""Largest number of targets, set-ups or readings whose noise a finding reports separately."""
 
 
 def noise_finding(
     hypothesis: NoiseHypothesis, sightings: Sightings, global_test: GlobalTestResult, *, has_clock: bool = True
 ) -> Finding:
-    """Finding on a change of the noise, limited to the observables in which the change is significant."""
+    """Finding that reports a change of the noise, limited to the observables in which the change is significant."""
     effect = hypothesis.effect
     scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
     size_estimates = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)

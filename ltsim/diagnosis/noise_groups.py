@@ -1,7 +1,7 @@
 """Noise that differs between groups of readings: the whole recording, targets, set-ups, or readings in a heavy tail.
 
-Shapes below: m rows of the residual space, g groups, and a number of trials (recordings whose residuals are evaluated
-together: the recording itself, or simulated ones).
+Sizes of arrays below: m rows of the residual space, g groups, and a number of trials (recordings whose residuals are
+evaluated together: the recording itself, or simulated recordings).
 """
 
 from __future__ import annotations
@@ -24,19 +24,20 @@ from ltsim.physics.laws.variance import VarianceFunction, noise_groups
 from ltsim.recordings.recording import OBSERVABLES
 
 GROUP_VARIANCE_FACTORS = np.geomspace(0.05, 400.0, 96)
-"""Factors on a variance, in steps of 10 %, over which the evidence is averaged."""
+"""Factors on the variance of a group, in steps of 10 %, over which the evidence is averaged."""
 COARSE_VARIANCE_FACTORS = np.geomspace(1.5, 400.0, 15)
-"""Factors on the variance of one of many groups over which the evidence is averaged. Only clearly larger variances are
+"""Factors on the variance of one of many groups, over which the evidence is averaged; only clearly larger variances are
 tried."""
 NOISY_GROUP_FRACTIONS = np.array([0.05, 0.15, 0.5])
 """Fractions of targets, set-ups or readings with larger noise than declared, over which the evidence is averaged."""
 MIN_TAIL_READINGS = 60
-"""Smallest number of readings in a recording for which the search tries a heavy tail of their distribution."""
+"""Smallest number of readings in a recording for which the search tries a heavy tail of their error distribution."""
 MAX_TAIL_READINGS = 4000
-"""Largest number of readings in a recording for which the search tries a heavy tail, to limit the computing time."""
+"""Largest number of readings in a recording for which the search tries a heavy tail of their error distribution, to
+limit the computing time."""
 TAIL_VARIANCE_FACTORS = np.array([4.0, 12.0, 36.0, 100.0])
-"""Factors on the variance of a reading in the tail over which the evidence is averaged. The standard deviation is two
-to ten times the declared one."""
+"""Factors on the variance of a reading in the tail, over which the evidence is averaged. The standard deviation is then
+two to ten times the declared one."""
 NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSERVABLES), OBSERVABLES[1:], OBSERVABLES)
 """Sets of observables that may have larger noise together."""
 
@@ -69,11 +70,14 @@ class GroupNoiseChange:
         return log_totals - np.log(len(self.variance_factor_grid))
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) for residuals (m, trials)."""
+        """Log evidence (trials,) of the change, for residuals (m, trials) with redundancy numbers (m,)."""
         raise NotImplementedError
 
     def limited_to_best_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoiseChange, ...]:
-        """Change of the noise limited to the best of several places; empty if it cannot be limited to places."""
+        """Change of the noise limited to the targets, station or region with the largest evidence.
+
+        The result is empty for a change that cannot be limited in this way.
+        """
         del residual, redundancy
         return ()
 
@@ -87,7 +91,10 @@ class GroupNoiseChange:
         raise NotImplementedError
 
     def _added_variance_if_noisy(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each group, if its noise differs from the declared noise."""
+        """Posterior mean (g,) of the added variance of each group, provided that its noise is not as declared.
+
+        The added variance is divided by the declared variance.
+        """
         log_ratios = log_restricted_likelihood_ratio(
             self.group_indicators @ residual**2, self.group_indicators @ redundancy, self.variance_factor_grid[:, None]
         )
@@ -97,17 +104,20 @@ class GroupNoiseChange:
         return mean_added_variance
 
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> CandidateNoiseEffect:
-        """Change of the noise whose sizes are to be estimated for whitened residuals (m,)."""
+        """Change of the noise with the most probable observables and time windows for whitened residuals (m,).
+
+        Its sizes are estimated afterwards.
+        """
         del residual, redundancy
         return self.effect
 
 
 class RecordingNoiseLevel(GroupNoiseChange):
-    """Noise level of the whole recording: a common factor of all observables, or separate factors of some of them."""
+    """Noise level of the whole recording: one variance factor for all observables, or separate factors for some."""
 
     @classmethod
     def from_space(cls, space: ResidualSpace, *, allows_quieter: bool) -> RecordingNoiseLevel:
-        """Noise level in a residual space. It may be below the declared one only if `allows_quieter`."""
+        """Noise level in a residual space; it may be below the declared level only if `allows_quieter`."""
         level, kind = NoiseLevel(), np.nonzero(space.is_used_reading)[1]
         group_indicators = sp.csr_array(
             (np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.n_rows)
@@ -133,7 +143,10 @@ class RecordingNoiseLevel(GroupNoiseChange):
     def _log_evidence_of_common_and_separate_factors(
         self, residual: Floats, redundancy: Floats
     ) -> tuple[Floats, Floats]:
-        """Log evidence (trials,) of a common factor, and that of separate factors for at least one observable."""
+        """Log evidence (trials,) of a common factor, and log evidence (trials,) of separate factors of observables.
+
+        With separate factors the noise of at least one observable differs from the declared noise.
+        """
         together = self._with_common_group.log_evidence_by_group(residual, redundancy)[0]
         any_observable = np.logaddexp(0.0, self.log_evidence_by_group(residual, redundancy)).sum(axis=0)
         separate = (

@@ -1,4 +1,4 @@
-"""Hypothesis of a change of the noise."""
+"""Hypothesis of a change of the noise: the readings scatter more or less than declared."""
 
 from __future__ import annotations
 
@@ -12,45 +12,45 @@ from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 
 @dataclass(frozen=True)
 class NoiseHypothesis:
-    """Hypothesis of a change of the noise. The sizes of its parameters are one point of a grid, or estimates."""
+    """Hypothesis of a change of the noise; the sizes of its parameters are one point of a grid, or estimates."""
 
     family: str
-    """Name of the kind of noise change. It begins with `unknown` for a kind outside the catalogue."""
+    """Name of the kind of noise change; it begins with `unknown` for a kind outside the catalogue."""
     effect: CandidateNoiseEffect
     """Effect that changes the noise."""
     sizes: tuple[float, ...]
-    """Sizes of its parameters [SI]."""
+    """Values [SI] of the parameters of the effect."""
     size_sigmas: tuple[float, ...] = ()
     """Standard deviations of estimated sizes [SI]; empty for a point of a grid."""
     chi2_drop: float = 0.0
-    """Twice the log restricted likelihood ratio of the estimates."""
+    """Twice the log restricted likelihood ratio of the noise with the estimated sizes to the declared noise."""
     log_evidence: float = 0.0
     """Log evidence of this change of the noise, with its prior."""
     log_occam_factor: float = 0.0
-    """Log evidence of the sizes of many groups minus the log likelihood ratio of their estimates; 0 for other changes.
-    """
+    """Log of the Occam factor of separate noise of many groups: log evidence minus log likelihood ratio of the
+    estimates; 0 for other changes."""
     probability: float = 0.0
-    """Posterior probability that the effect is the cause."""
+    """Posterior probability that this change of the noise is the cause of the misfit."""
     equivalents: tuple[Equivalent, ...] = ()
-    """Other effects that cannot be excluded."""
+    """Other effects that cannot be excluded as the cause of the misfit."""
 
     @property
     def log_prior(self) -> float:
-        """Log prior probability of a change of the noise, in the catalogue or outside it, among all explanations."""
+        """Log prior probability of any change of the noise of this kind: of the catalogue, or outside it."""
         return log_prior_of_each_explanation("scatter" if self.family.startswith("unknown") else "noise", 1)
 
     @property
     def log_prior_times_occam_factor(self) -> float:
         """Log of the prior times the Occam factor: log evidence minus log likelihood ratio of the estimated sizes.
 
-        It is at most the log prior. A log evidence without approximation may exceed a log likelihood ratio in the
-        diagonal form.
+        It is limited to the log prior, because a log evidence without approximation may exceed a log likelihood ratio
+        in the diagonal form.
         """
         return min(self.log_evidence - 0.5 * self.chi2_drop, self.log_prior)
 
 
 def log_prior_of_noise_family(family: str, families: Collection[str]) -> float:
-    """Log prior of a family of noise changes among `families`, in the catalogue or outside it (`unknown`).
+    """Log prior of the family of noise changes `family` among `families`, in the catalogue or outside it (`unknown`).
 
     The probability of a change in the catalogue is divided in proportion to the base rates of the effects.
     """

@@ -1,4 +1,4 @@
-"""Changes of the noise outside the catalogue: with a covariate, in a band of it, at targets, or in a region."""
+"""Changes of the noise outside the catalogue: with a covariate, in an interval of it, at targets, or in a region."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -15,20 +15,20 @@ from ltsim.scene.regions import candidate_regions
 from ltsim.scene.sightings import Sightings
 
 ADDED_VARIANCES_OF_ALL = (0.25, 0.6, 1.5, 4.0, 12.0)
-"""Added variances of all readings that a search tries, divided by the declared variance."""
+"""Added variances, divided by the declared variance, that a search tries for all readings."""
 ADDED_VARIANCES_AT_MAXIMUM = (2.0, 6.0, 20.0)
-"""Added variances at the maximum of a pattern that a search tries, divided by the declared variance."""
+"""Added variances, divided by the declared variance, that a search tries at the maximum of a pattern."""
 ADDED_VARIANCES_OF_TARGETS = (3.0, 15.0, 75.0)
-"""Added variances of the readings to a target that a search tries, divided by the declared variance."""
+"""Added variances, divided by the declared variance, that a search tries for the readings to a target."""
 MAX_POINTINGS_WITH_BANDS = 2000
-"""Largest number of pointings for which a search tries larger noise in bands of a covariate, to limit the computing
+"""Largest number of pointings for which a search tries larger noise in intervals of a covariate, to limit the computing
 time."""
 SECTOR_WIDTHS = (np.pi / 4.0, np.pi / 2.0)
 """Widths [rad] of the sectors of horizontal directions in which the noise may be larger."""
 THRESHOLD_QUANTILES = (0.25, 0.5, 0.75)
-"""Thresholds of other covariates above or below which the noise may be larger, as quantiles of the covariate."""
+"""Thresholds above or below which the noise may be larger, as quantiles of a covariate other than a direction."""
 MIN_SECTOR_FRACTION = 0.05
-"""Smallest fraction of the pointings inside a sector, and smallest fraction outside. Other sectors are not tried."""
+"""Smallest fraction of the pointings inside a sector, and also outside it, for which the sector is tried."""
 NOISY_REGION_SHAPES = ("xyz", "xy", "x", "y")
 """Shapes, as bounded axes, of the regions of the hall in which lines of sight may have larger noise."""
 
@@ -36,9 +36,9 @@ NOISY_REGION_SHAPES = ("xyz", "xy", "x", "y")
 def candidate_variance_functions(
     sightings: Sightings, instrument_places: Sequence[LawPlace]
 ) -> Iterator[tuple[str, VarianceFunction, tuple[float, ...]]]:
-    """Changes of the noise outside the catalogue, one by one: name, variance function, and the sizes to be tried.
+    """Changes of the noise outside the catalogue, each as a tuple of name, variance function, and sizes to be tried.
 
-    `instrument_places` are the places of laws of single instruments.
+    `instrument_places` has the set-ups of each instrument, if there are several instruments.
     """
     regressors = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
     regressors += ["incidence"] if np.isfinite(sightings.incidence_angle).any() else []
@@ -80,7 +80,7 @@ def candidate_variance_functions(
 
 
 def _covariate_bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
-    """Iterator over covariates, each with two of its values between which the noise may be larger."""
+    """Iterator over pairs of a covariate and an interval (two values) of it in which the noise may be larger."""
     for name, width in product(("azimuth", "bearing"), SECTOR_WIDTHS):
         for start in np.arange(0.0, 2.0 * np.pi, 0.5 * width).tolist():
             band = start, start + width

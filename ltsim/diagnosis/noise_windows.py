@@ -1,9 +1,9 @@
-"""Noise that is larger in windows of time, such as while a machine runs: two states of a hidden Markov chain.
+"""Noise that is larger in intervals of time (time windows), such as while a machine runs: a hidden Markov chain.
 
-Each step of the chain is a pointing, or several pointings in a large recording. Its states are quiet and noisy. The
-evidence is the sum over all sequences of states, by the forward recursion. The windows are those of the most probable
-sequence (Rabiner 1989, Proceedings of the IEEE 77, 257). Shapes below: m rows of the residual space, a sets of
-observables, f variance factors.
+Each step of the chain is a pointing, or several pointings in a large recording. The two states are quiet and noisy. The
+evidence is the sum over all sequences of states, by the forward recursion. The time windows are the noisy intervals of
+the most probable sequence (Rabiner 1989, Proceedings of the IEEE 77, 257). Sizes of arrays below: m rows of the
+residual space, a sets of observables, f variance factors.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import candidate_regions
 
 WINDOW_VARIANCE_FACTORS = np.geomspace(2.0, 100.0, 7)
-"""Factors on the variance in the noisy state over which the evidence is averaged."""
+"""Factors on the variance in the noisy state, over which the evidence is averaged."""
 DENSE_WINDOW_VARIANCE_FACTORS = np.geomspace(1.5, 150.0, 33)
 """Factors on the variance in the noisy state, in steps of 15 %, over which its posterior mean is computed."""
 MEAN_WINDOW_COUNTS = np.array([1.5, 6.0])
-"""Expected numbers of noisy windows in a recording over which the evidence is averaged."""
+"""Expected numbers of noisy time windows in a recording, over which the evidence is averaged."""
 MAX_STEP_LOG_LIKELIHOOD_RATIO = float(np.log(np.sqrt(np.finfo(np.float64).max)))
-"""Limit to which the log likelihood ratio of a step is clipped, 355, so that the product of two is a floating-point
-number.
+"""Limit, 355, to which the log likelihood ratio of a step of the chain is clipped, so that the product of two
+likelihood ratios is a finite floating-point number.
 """
 MAX_CHAIN_STEPS = 200
-"""Largest number of steps of the chain. In a recording with more pointings a step contains several of them."""
+"""Largest number of steps of the chain; in a recording with more pointings a step contains several pointings."""
 WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
 """Shapes of the regions of the hall in which noise may be larger for a time."""
 OBSERVABLE_SET_INDICATORS = np.array(
@@ -45,18 +45,19 @@ OBSERVABLE_SET_INDICATORS = np.array(
 
 @dataclass(frozen=True)
 class NoiseWindows(GroupNoiseChange):
-    """Larger noise in windows of time. Each observable in each step of the chain is a group."""
+    """Larger noise in time windows; a group of readings is one observable in one step of the chain."""
 
     step_edge_times: Floats
-    """Start [s] of each step, and the end of the last step, (steps + 1,)."""
+    """Start [s] of each step of the chain, and end of the last step, (steps + 1,)."""
     space: ResidualSpace
     """Residual space of the adjustment."""
     n_tried_places: int = 1
-    """Number of places among which this one was selected; 1 for all places together."""
+    """Number of places (groups of targets, set-ups, regions) from which the place of this noise was selected; 1 for
+    noise in the whole network."""
 
     @classmethod
     def from_space(cls, space: ResidualSpace) -> tuple[NoiseWindows, ...]:
-        """Hypothesis of windows in a residual space; empty for few readings, and for a recording without times."""
+        """Hypothesis of larger noise in time windows; empty for few readings, and for a recording without times."""
         time, (pointing, kind) = space.sightings.time, np.nonzero(space.is_used_reading)
         distinct = np.unique(time)
         if space.n_rows < MIN_TAIL_READINGS or len(distinct) < 2:
@@ -101,11 +102,14 @@ class NoiseWindows(GroupNoiseChange):
 
     @property
     def _state_change_probabilities(self) -> Floats:
-        """Probability of a change of state from a step to the next, for each of `MEAN_WINDOW_COUNTS`."""
+        """Probability of a change of state from one step of the chain to the next, for each of `MEAN_WINDOW_COUNTS`."""
         return np.minimum(2.0 * MEAN_WINDOW_COUNTS / len(self.step_edge_times), 0.5)
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) for residuals (m, trials), averaged over observables, factors and window numbers."""
+        """Log evidence (trials,) for residuals (m, trials) with redundancy numbers (m,).
+
+        It is averaged over sets of observables, variance factors, and expected numbers of time windows.
+        """
         gains = np.exp(self._log_likelihood_ratios(residual, redundancy))
         p_change = self._state_change_probabilities[:, None, None, None]
         quiet = noisy = np.full((len(p_change), *gains.shape[1:]), 0.5)
@@ -151,7 +155,10 @@ class NoiseWindows(GroupNoiseChange):
         return added.ravel()
 
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> VarianceFunction:
-        """Change of the noise with the observables and windows of the most probable sequence (Viterbi's algorithm)."""
+        """Change of the noise with the observables and time windows of the most probable sequence of states.
+
+        The sequence is computed by Viterbi's algorithm.
+        """
         ratios = self._log_likelihood_ratios(residual[:, None], redundancy)[..., 0].reshape(
             len(self.step_edge_times) - 1, -1
         )
@@ -161,7 +168,7 @@ class NoiseWindows(GroupNoiseChange):
         return replace(self.effect, observables=acts, covariate_band=self._window_edge_times(states))
 
     def limited_to_best_place(self, residual: Floats, redundancy: Floats) -> tuple[NoiseWindows, ...]:
-        """Windows of larger noise at the best place: a group of targets, a set-up or a region of the hall."""
+        """Time windows of larger noise limited to the group of targets, set-up or region with the largest evidence."""
         s, windows = self.space.sightings, self.most_likely_effect(residual, redundancy)
         places = [
             replace(windows, targets=tuple(s.target_names[t] for t in group)) for group in sorted(target_clusters(s))
@@ -185,7 +192,7 @@ class NoiseWindows(GroupNoiseChange):
         return (replace(self, effect=whole, group_indicators=group_indicators, n_tried_places=len(places)),)
 
     def _log_evidence_of_effect(self, effect: VarianceFunction, residual: Floats, redundancy: Floats) -> float:
-        """Log evidence of a change of the noise with given windows and place, averaged over variance factors."""
+        """Log evidence of a change of the noise with given time windows and place, averaged over variance factors."""
         space = self.space
         added = (effect.variance(space.sightings, space.sigma, np.ones(1)) / space.sigma**2)[
             space.is_used_reading
@@ -198,16 +205,16 @@ class NoiseWindows(GroupNoiseChange):
         return float(log_sum_exp(log_likelihood_ratios) - np.log(len(log_likelihood_ratios)))
 
     def _window_edge_times(self, states: Bools) -> tuple[float, ...]:
-        """Times [s] at which the noise becomes larger and smaller, alternately; `states` (steps,) are true if noisy."""
+        """Times [s] at which the noise becomes larger and smaller, alternately; `states` (steps,) flag noisy steps."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], states, [False]]).astype(int)))
         return tuple(self.step_edge_times[edges].tolist())
 
 
 def _most_probable_states(log_likelihood_ratios: Floats, change_probability: float) -> tuple[int, Bools]:
-    """Index of the chain with the most probable sequence of states, and this sequence (steps,), true if noisy.
+    """Index of the chain with the most probable sequence of states, and flags (steps,) of its noisy steps.
 
-    At least one state is noisy. `log_likelihood_ratios` (steps, c) are the log likelihood ratios of the noisy state in
-    c chains, and `change_probability` is the probability of a change of state from a step to the next.
+    At least one step is noisy. `log_likelihood_ratios` (steps, c) are the log likelihood ratios of the noisy to the
+    quiet state in c chains, and `change_probability` is the probability of a change of state from a step to the next.
     """
     score, stays = np.zeros((log_likelihood_ratios.shape[1], 2)), []
     for ratio in log_likelihood_ratios:

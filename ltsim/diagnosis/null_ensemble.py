@@ -1,10 +1,11 @@
 """Null ensemble: residuals of simulated recordings without any effect, and the basis that projects design matrices.
 
 A design matrix g has the Gram matrix g' P g in the residual space with projector P. It is g' g minus the squared
-products of g with an orthonormal basis of the estimated parameters. In a large network it is instead the mean squared
-product with simulated residuals, whose covariance is P (Monte Carlo). These residuals are independent of the simulated
-recordings that give the p-value (trials). The recording and the trials are scored by the same function, and without any
-effect they are exchangeable. Gram matrices and scores are sums over the pointings of g times a few vectors.
+products of g with an orthonormal basis of the estimated parameters. In a large network the Gram matrix is instead the
+mean squared product of g with simulated residuals, whose covariance is P (Monte Carlo). These residuals are independent
+of the simulated recordings that give the p-value (trials). The recording and the trials are scored by the same
+function, and without any effect they are exchangeable. Gram matrices and scores are sums over the pointings of g times
+a few vectors.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ from ltsim.solve.projection import BasisResidualProjector
 MIN_SIMULATED_RECORDINGS = 300
 """Smallest number of simulated recordings without any effect. The smallest p-value is then 1 / 301."""
 MIN_SIMULATED_RECORDINGS_IN_LARGE_NETWORK = 99
-"""Smallest number of simulated recordings of a large network, which limits the computing time. The smallest p-value is
-then 1 / 100."""
+"""Smallest number of simulated recordings of a large network, smaller to limit the computing time. The smallest p-value
+is then 1 / 100."""
 N_GRAM_DRAWS = 200
-"""Number of simulated residuals for Monte-Carlo Gram matrices. Their relative standard deviation is sqrt(2 / 200), 10
-%."""
+"""Number of simulated vectors of residuals for Monte-Carlo Gram matrices. The relative standard deviation of such a
+matrix is sqrt(2 / 200), 10 %."""
 
 
 @dataclass(frozen=True)
 class NullEnsemble:
-    """Residual space with random vectors, whose products with design matrices give scores and Gram matrices."""
+    """Residual space with vectors whose products with design matrices give scores and Gram matrices."""
 
     space: ResidualSpace
     """Residual space with m rows."""
@@ -44,7 +45,7 @@ class NullEnsemble:
     n_trials: int
     """Number t of simulated recordings that give the p-value of a search; 0 for a search without p-value."""
     model_basis: Floats
-    """Orthonormal basis (m, e) of the design columns of the model's effects."""
+    """Orthonormal basis (m, e) of the projected design columns of the model's effects."""
     has_empty_model: bool
     """True while the model is empty."""
     uses_monte_carlo_gram: bool
@@ -55,7 +56,7 @@ class NullEnsemble:
 
     @classmethod
     def from_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
-        """Ensemble of a residual space with `n_trials` simulated recordings, for the empty model."""
+        """Ensemble of a residual space for the empty model, with `n_trials` recordings simulated from `seed`."""
         basis = basis_of_small_network(space)
         n_basis_vectors = N_GRAM_DRAWS if basis is None else basis.shape[1]
         vectors = np.empty((space.n_rows, 1 + n_trials + n_basis_vectors), dtype=np.float32)
@@ -71,7 +72,7 @@ class NullEnsemble:
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
         """Ensemble for a model with the residuals `residual` (m,) and the orthonormal basis `model_basis` (m, e).
 
-        It has no simulated recordings, because Gram matrices and null statistics of the empty model are used again.
+        It has no simulated recordings, because Gram matrices and null values of the empty model are used again.
         """
         vectors = residual[:, None].astype(np.float32)
         return replace(self, probe_vectors=vectors, n_trials=0, model_basis=model_basis, has_empty_model=False)
@@ -90,19 +91,19 @@ class NullEnsemble:
         return row_of_reading
 
     def vectors_at(self, pointings: Ints) -> Singles:
-        """Elements (p, 3, v) of the v vectors at p pointings; meaningless for readings that are not used."""
+        """Elements (p, 3, v) of the v vectors for the readings of p pointings; undefined for readings not in use."""
         return self.probe_vectors[self._row_of_reading[pointings]]
 
     def split_products(self, scores: Floats | Singles) -> tuple[Any, Any, Any]:
-        """Products with the residuals (..., k), with the trials (..., k, t) and with the basis (..., k, u).
+        """Products of k columns with the residuals (..., k), the trials (..., k, t) and the basis (..., k, u).
 
-        They are the parts of `scores` (..., k, v), the products of k columns with all v vectors.
+        They are the parts of `scores` (..., k, v), the products of the columns with all v vectors.
         """
         edge = 1 + self.n_trials
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]
 
     def projected_gram(self, scores: Floats | Singles, unprojected_gram: Floats) -> Floats:
-        """Gram matrices (..., k, k) of k projected design columns of an effect.
+        """Gram matrices (..., k, k) of the k design columns of an effect after projection onto the residual space.
 
         Parameters
         ----------
@@ -135,12 +136,12 @@ def n_simulated_recordings(space: ResidualSpace, level: float) -> int:
 
 
 def _simulate_residuals(space: ResidualSpace, rng: np.random.Generator, residuals: Singles) -> None:
-    """Simulation of recordings without any effect; their residuals are written to `residuals` (m, recordings)."""
+    """Simulation of recordings without any effect; their whitened residuals fill `residuals` (m, recordings)."""
     white = rng.standard_normal(residuals.shape)
     for part in batches(white.shape[1], len(white)):
         residuals[:, part] = space.project(white[:, part])
 
 
 def row_gram(rows: Any) -> Any:
-    """Gram matrices (..., k, k) of k rows with v elements each, `rows` (..., k, v)."""
+    """Gram matrices (..., k, k) of the products of k rows with v elements each, `rows` (..., k, v)."""
     return rows @ np.swapaxes(rows, -1, -2)

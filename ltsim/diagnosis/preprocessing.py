@@ -32,19 +32,19 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import OBSERVABLES, Recording
 
 MIN_FAR_OUTLIER_SIGMAS = 8.0
-"""Difference of an outlier from its prediction, in standard deviations, above which it may be a single error. Readings
-with twice the declared noise do not reach it.
+"""Difference of an outlier from its prediction, in standard deviations, above which the outlier may be a single error.
+Readings with twice the declared noise do not reach this difference.
 """
 MAX_SINGLE_OUTLIERS = 2
-"""Largest number of outliers of one observable at a station, and at a target, that count as single errors."""
+"""Largest number of outliers of one observable at a station, or at a target, that count as single errors."""
 
 
 def blunders_to_correct(selection: CauseSelection) -> list[Hypothesis]:
     """Selected simple causes with sufficient evidence that are corrected before the search for effects.
 
     They are blunders in rows of the recording, and reference values that contradict the readings. Shifts of readings
-    are included only if one of them is gross, because a search that is linear in the effects cannot explain it. Then
-    all shifts are included, because each was tested given the others. Changes of the noise are not included.
+    are included only if any shift is gross, because a search that is linear in the effects cannot explain a gross one.
+    Then all shifts are included, because each was tested given the others. Changes of the noise are not included.
     """
     fit, chosen = (
         selection.fit,
@@ -59,7 +59,7 @@ def blunders_to_correct(selection: CauseSelection) -> list[Hypothesis]:
 
 
 def identified_effects(selection: CauseSelection) -> tuple[CandidateEffect, ...]:
-    """Effects of the catalogue among the simple causes that are not corrected before the search, the surest first."""
+    """Catalogue effects among the simple causes that are not corrected before the search, the most certain first."""
     corrected = blunders_to_correct(selection)
     changes = (
         c.hypothesis.model_change
@@ -71,9 +71,10 @@ def identified_effects(selection: CauseSelection) -> tuple[CandidateEffect, ...]
 
 
 def is_single_error(fit: NetworkFit) -> Bools:
-    """Flags (n, 3) of the outliers that no effect explains: gross errors, and large errors that are single.
+    """Flags (n, 3) of the outliers that count as single errors and not as results of an effect.
 
-    If several readings of an observable are wrong at one station or at one target, an effect may be the cause.
+    They are gross errors, and large errors that are single. If several readings of an observable are wrong at one
+    station or at one target, an effect may be the cause.
     """
     error = np.where(fit.is_outlier, np.abs(fit.whitened_residuals), 0.0) / fit.outlier_prediction_sigmas
     far, single = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_SIGMAS)
@@ -84,7 +85,7 @@ def is_single_error(fit: NetworkFit) -> Bools:
 
 
 def is_consistent_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Bools:
-    """Flags (n, 3) of the readings `is_omitted` whose residuals are small in an adjustment with effects."""
+    """Flags (n, 3) of the omitted readings (`is_omitted`) whose residuals are small in an adjustment with effects."""
     whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
     return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)
 
@@ -98,8 +99,8 @@ def adjustment_without_blunders(
 ) -> tuple[Adjustment, Bools, list[Finding]]:
     """Adjustment of the recording without its blunders, flags (n, 3) of the readings in it, and findings on blunders.
 
-    The readings are corrected by the estimated blunders, whose uncertainty is in the model. `readmitted_mask` (n, 3)
-    flags readings that are used although they were taken for single errors.
+    The readings are corrected by the estimated blunders, whose uncertainty is in the model. `selection` has the simple
+    causes of the recording. `readmitted_mask` (n, 3) flags readings that are used although they count as single errors.
     """
     fit, mistakes = selection.fit, blunders_to_correct(selection)
     errors = is_single_error(fit)

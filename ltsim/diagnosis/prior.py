@@ -1,12 +1,12 @@
-"""Prior probabilities of a diagnosis, in one table that is normalised over all explanations of a recording.
+"""Prior probabilities of a diagnosis, normalised over all explanations of a recording.
 
-A cause, and no cause, have equal prior probabilities. The probability of a cause is divided
-among kinds of explanations, and each part among all explanations of its kind that are possible in a recording. These
-are effects of the catalogue in proportion to their base rates (`Effect.base_rate`), each divided equally among its
-places and shapes, and laws with their responses, regressors and places. Each operator of a regressor has the factor
-`laws.regressor_library.ODDS_PER_OPERATOR`. `prior_table_rows` is the table on the theory page. The numbers are
-judgements of how often a cause occurs in service. Several were revised after experiments with known causes. A factor of
-two in one of them changes the log evidence by 0.7.
+A cause, and no cause, have equal prior probabilities. The probability of a cause is divided among kinds of
+explanations, and the probability of a kind among all explanations of this kind that are possible in a recording.
+Effects of the catalogue have probabilities in proportion to their base rates (`Effect.base_rate`), divided equally
+among the places and shapes of each. Laws have probabilities by their responses, regressors and places. Each operator of
+a regressor has the factor `laws.regressor_library.ODDS_PER_OPERATOR`. `prior_table_rows` is the table on the theory
+page. The numbers are judgements of how often a cause occurs in service. Several were revised after experiments with
+known causes. A factor of two in one of them changes the log evidence by 0.7.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,18 +28,18 @@ CAUSE_TEXTS = {
         "a constant of an instrument that contradicts the other instruments, its history or a declared correction"
     ),
 }
-"""Phrase that names each kind of cause in an output, by the keys of `CAUSE_PRIOR`."""
+"""Description for users of each kind of cause, by the keys of `CAUSE_PRIOR`."""
 P_UNMODELLED = 0.2
 """Prior probability that a cause is neither in the catalogue nor a law, but resembles one of these."""
 P_EVEN_ODDS = 0.5
-"""Prior probability of each of two alternatives that are equally probable: an unmodelled cause acts on the
-observable of the effect or law that it resembles; the components of a law have a fixed ratio.
+"""Prior probability of a statement that is as probable as its contrary: an unmodelled cause acts on the observable of
+the effect or law that it resembles; the components of a law have a fixed ratio.
 """
 MAX_P_OF_TEST_FINDINGS = 1.0 - P_UNMODELLED * P_EVEN_ODDS
 """Largest probability that is reported for findings of tests, whose probabilities do not include an unmodelled cause.
 """
 PLACE_PRIOR = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
-"""Prior probability of each kind of place at which a law outside the catalogue acts."""
+"""Prior probability of each kind of place (set-up, instrument, target and so on) at which a law acts."""
 RESPONSE_PRIOR = {
     "reading": 0.5,
     "instrument": 0.17,
@@ -49,44 +49,44 @@ RESPONSE_PRIOR = {
     "reflector": 0.02,
     "air": 0.04,
 }
-"""Prior probability of each kind of quantity that a law changes (its response). An unknown error mostly affects only a
+"""Prior probability of each kind of response, the quantity that a law changes. An unknown error mostly affects only a
 reading. If all targets seem to move, it is more probable that the stands move."""
 RESPONSE_PRIOR_AT_TARGETS = {"reading": 0.15, "target": 0.75, "reflector": 0.1}
-"""Prior probability of each kind of quantity that a law changes, for a law that acts at some targets only. Mostly the
-target itself changes, because an error of the instrument does not depend on the target."""
+"""Prior probability of each kind of response of a law that acts at some targets only. Mostly the target itself changes,
+because an error of the instrument does not depend on the target."""
 FORM_WEIGHTS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
-"""Prior weights of the forms that a law may have. They are divided by their sum over the forms that are possible for
-the law. The most probable forms are a curve and a formula."""
+"""Prior weights of the forms that a law may have. The weights are divided by their sum over the forms that are possible
+for the law. The most probable forms are a curve and a formula."""
 P_RARE_FORM = 0.1
 """Prior probability of each rarer form of a law: a few steps and ramps; a law that is switched on and off; separate
-coefficients at each set-up; a law at one set-up alone, except for the kinds of quantities in
+coefficients at each set-up; a law at one set-up alone, except for the kinds of responses in
 `P_SINGLE_SET_UP_BY_RESPONSE_KIND`."""
 P_SINGLE_SET_UP_BY_RESPONSE_KIND = {"stand": 0.5}
-"""Prior probability that a law acts at only one set-up, by the kind of quantity that it changes. It is large for
-stands, which differ between set-ups more than instruments do."""
+"""Prior probability that a law acts at only one set-up, by the kind of its response. It is large for stands, which
+differ between set-ups more than instruments do."""
 MAX_MODEL_MEMBERS = 5
-"""Largest number of members of a model, and of reported constants of instruments."""
+"""Largest number of effects in a model, and of reported instrument constants."""
 LOG_PRIOR_ODDS_OF_REPETITION = float(np.log(0.03))
-"""Log prior odds of a second effect with the same name (two windows, two unknown laws), relative to a second effect
+"""Log prior odds of a second effect with the same name (two glass panes, two unknown laws), relative to a second effect
 with another name. They apply to effects that rarely occur twice."""
 
 
 def log_prior_of_each_explanation(cause_kind: str, n_explanations: int) -> float:
-    """Log prior probability of each of `n_explanations` explanations of the same kind, one of `CAUSE_PRIOR`."""
+    """Log prior probability of each of `n_explanations` explanations of one kind, a key of `CAUSE_PRIOR`."""
     return float(np.log(CAUSE_PRIOR[cause_kind] / max(n_explanations, 1)))
 
 
 def log_prior_by_base_rate(cause_kind: str, names: Sequence[str]) -> Floats:
-    """Log prior probabilities (n,) of n effects of the catalogue, in proportion to their base rates.
+    """Log prior probabilities (n,) of n effects of the catalogue, given by name, in proportion to their base rates.
 
-    `cause_kind` is the key of their common probability in `CAUSE_PRIOR`.
+    `cause_kind` is the key of `CAUSE_PRIOR` with the probability that is divided among them.
     """
     rates = np.array([find_effect(name).base_rate for name in names])
     return log_prior_of_each_explanation(cause_kind, 1) + np.log(rates / rates.sum())
 
 
 def prior_table_rows() -> Iterator[tuple[str, float]]:
-    """Pairs of text and prior probability, for every kind of explanation. The probabilities add up to one."""
+    """Pairs of description and prior probability of every kind of explanation; the probabilities add up to one."""
     for kind, part in CAUSE_PRIOR.items():
         if kind != "law":
             yield CAUSE_TEXTS[kind], part

@@ -1,4 +1,4 @@
-"""Entries of `diagnosis.json`, and tables of a diagnosis."""
+"""Entries of `diagnosis.json`, and data tables of a diagnosis."""
 
 from dataclasses import replace
 from typing import Self
@@ -29,16 +29,19 @@ RESIDUALS_BEFORE_TABLE = replace(
 
 
 class FindingScope(Entry):
-    """Scope of a finding: what it changes, and where. An empty list means that there is no limit of this kind."""
+    """Scope of a finding: the observables that it changes, and the stations, targets and instruments where it acts.
+
+    An empty list means no restriction of this kind.
+    """
 
     observables: tuple[str, ...] = ()
     """Names of the observables: `distance`, `azimuth`, `elevation`."""
     stations: tuple[str, ...] = ()
-    """Names of the stations."""
+    """Names of the stations where the effect acts."""
     targets: tuple[str, ...] = ()
-    """Names of the targets."""
+    """Names of the targets where the effect acts."""
     instruments: tuple[str, ...] = ()
-    """Names of the instruments."""
+    """Names of the instruments where the effect acts."""
     covariates: tuple[str, ...] = ()
     """Names of the covariates on which the effect depends, such as time, angles, or an additional column of the
     recording."""
@@ -48,43 +51,43 @@ class FindingEvidence(Entry):
     """Strength of the evidence for a finding."""
 
     chi2_drop: Finite
-    """Decrease of chi-square by the finding in the model."""
+    """Decrease of chi-square by the inclusion of the finding in the model."""
     parameters: int
     """Number of parameters of the finding."""
     p_value: OptionalFloat = None
-    """p-value of the finding, corrected for the complete search. It follows from n simulated recordings without
-    effects, and is never below 1 / (n + 1)."""
+    """p-value of the finding, corrected for the number of hypotheses of the complete search. It follows from n
+    simulated recordings without effects, and is never below 1 / (n + 1)."""
     probability: Finite = 1.0
     """Posterior probability of this effect against all other explanations."""
     p_located: OptionalFloat = None
-    """Posterior probability of any effect on the same observables, at the same place and with the same covariates."""
+    """Posterior probability of any effect with the same scope: observables, stations, targets and covariates."""
 
     @property
     def p_real(self) -> float:
-        """Probability that the finding is real: that of the named effect, or of any effect with the same scope."""
+        """Probability that the finding is real: the larger of `probability` and `p_located`."""
         return max(self.probability, self.p_located or 0.0)
 
 
 class Equivalent(Entry):
-    """Another effect that cannot be excluded."""
+    """Other effect that cannot be excluded as the cause of a finding."""
 
     effect: str
     """Identifier of the effect in the catalogue."""
     probability: Finite = 0.0
-    """Posterior probability of this effect."""
+    """Posterior probability that this effect is the cause."""
 
 
 class ParameterEstimate(Entry):
-    """Estimate, as a correction (truth minus reading), of a parameter of a finding or a constant of an instrument."""
+    """Estimate, as a correction (true value minus reading), of a parameter of a finding or an instrument constant."""
 
     name: str
     """Name of the parameter."""
     value: Finite
-    """Estimated size."""
+    """Estimated value of the parameter."""
     sigma: Finite = 0.0
-    """Standard deviation of the size."""
+    """Standard deviation of the estimated value."""
     unit: str = ""
-    """Unit of the value and the standard deviation."""
+    """Unit of the value and of the standard deviation."""
 
     @classmethod
     def from_si(cls, parameter: Parameter | ShapeParameter, value: float, sigma: float) -> Self:
@@ -109,34 +112,34 @@ class ResponseCurve(Entry):
 
 
 class Finding(Entry):
-    """Finding: an effect that is missing from the model."""
+    """Finding: an unmodelled cause that explains a part of the misfit."""
 
     effect: str
     """Identifier of the effect in the catalogue, or `unknown`."""
     is_catalogued: bool = Field(default=True, alias="known")
     """True for an effect of the catalogue."""
     sentence: str = ""
-    """Sentences on the finding for people."""
+    """Description of the finding in a few sentences."""
     where: FindingScope = FindingScope()
-    """Scope of the finding."""
+    """Observables, stations, targets, instruments and covariates to which the finding is limited."""
     parameters: tuple[ParameterEstimate, ...] = ()
-    """Estimated sizes of the effect."""
+    """Estimated parameters and shape constants of the effect."""
     target_shift_rms_um: OptionalFloat = None
-    """Displacement of the targets if the finding is not modelled [um]: rms after the best rigid fit."""
+    """Displacement of the targets if the finding is not modelled [um]: rms after a rigid least-squares fit."""
     evidence: FindingEvidence
-    """Strength of the evidence."""
+    """Strength of the evidence for the finding."""
     equivalents: tuple[Equivalent, ...] = ()
-    """Other effects that cannot be excluded."""
+    """Other effects that cannot be excluded as the cause."""
     separate_by: str = ""
     """Measurement that would discriminate the effect from its equivalents."""
     formula: str = ""
     """Formula of an effect outside the catalogue, as text."""
     carrier: str = ""
-    """Reading or constant that an effect outside the catalogue changes."""
+    """Reading or instrument constant that an effect outside the catalogue changes."""
     driver: str = ""
     """Regressor: the quantity or function on which an effect outside the catalogue depends."""
     curve: ResponseCurve | None = None
-    """Curve of the changed quantity; null if it does not depend on a single covariate."""
+    """Curve of the changed quantity over its covariate; null if it does not depend on a single covariate."""
 
     @property
     def concerns_reference_value(self) -> bool:
@@ -150,10 +153,10 @@ class GlobalTest(Entry):
     statistic: OptionalFloat
     """Chi-square of the ordinary adjustment."""
     dof: int
-    """Degrees of freedom."""
+    """Degrees of freedom of the ordinary adjustment."""
     p_value: OptionalFloat
-    """p-value: probability of a chi-square at least this large if the model is correct. Reports display the
-    two-sided p-value."""
+    """One-sided p-value of chi-square: probability of at least this chi-square if the model is correct. Reports display
+    the two-sided p-value."""
     search_p_value: OptionalFloat = None
     """p-value of the complete search for effects."""
 
@@ -164,10 +167,10 @@ class Misfit(Entry):
     chi2: Finite
     """Chi-square, the weighted sum of squared residuals."""
     dof: int
-    """Degrees of freedom."""
+    """Degrees of freedom of the adjustment."""
     held_out_rms: OptionalFloat = None
-    """Root mean square error of held-out readings, divided by the larger of the declared and the estimated noise. The
-    readings of each of five folds of pointings are predicted by a search and an adjustment without the fold.
+    """Root mean square prediction error of held-out readings, divided by the larger of the declared and the estimated
+    noise. The readings of each of five folds of pointings are predicted by a search and an adjustment without the fold.
     """
 
 
@@ -175,9 +178,9 @@ class MisfitBeforeAfter(Entry):
     """Misfit of the adjustments without and with the findings in the model."""
 
     before: Misfit
-    """Misfit without the findings."""
+    """Misfit of the adjustment without the findings in the model."""
     after: Misfit
-    """Misfit with the findings."""
+    """Misfit of the adjustment with the findings in the model."""
 
 
 class UndetectableEntry(Entry):
@@ -188,9 +191,9 @@ class UndetectableEntry(Entry):
     reason: str = ""
     """Reason why the effect is not detectable in these readings."""
     undetected_target_error_um: OptionalFloat = None
-    """Error of the targets caused by a large but plausible size of the effect."""
+    """Error of the target coordinates [um] by a large but plausible size of the effect."""
     detectable_at_factor: OptionalFloat = None
-    """Multiple of a large but plausible size from which the effect is detectable; null if no size is detectable."""
+    """Smallest detectable size divided by a large but plausible size; null if no size is detectable."""
     cure: str = ""
     """Measurement that would make the effect detectable."""
 
@@ -201,7 +204,7 @@ class DetectableEntry(Entry):
     effect: str
     """Identifier of the effect in the catalogue."""
     parameter: str = ""
-    """Name of the parameter."""
+    """Name of the parameter of the effect to which the size refers."""
     size: OptionalFloat
     """Smallest detectable size, in `unit`."""
     unit: str = ""
@@ -209,7 +212,7 @@ class DetectableEntry(Entry):
 
     @classmethod
     def from_minimal_size(cls, minimal_size: MinimalSize) -> Self:
-        """Entry of a minimal detectable size at a median place."""
+        """Entry from a smallest detectable size, the median over the stations and targets where the effect may act."""
         displayed_size = minimal_size.median_size / SI_PER_UNIT[minimal_size.unit]
         return cls(
             effect=minimal_size.effect, parameter=minimal_size.parameter, size=displayed_size, unit=minimal_size.unit
@@ -222,9 +225,9 @@ class InstrumentEntry(Entry):
     name: str
     """Name of the instrument."""
     parameters: tuple[ParameterEstimate, ...] = ()
-    """Estimated constants."""
+    """Estimated instrument constants."""
     determined: tuple[DeterminedEntry, ...] = ()
-    """Combinations that the recording determines."""
+    """Linear combinations of the instrument constants that the recording determines."""
 
 
 FINDINGS_TABLE = Table(

@@ -10,7 +10,7 @@ from ltsim.recordings.recording import OBSERVABLES
 
 
 def effect_scope(effect: CandidateEffect, default_observables: tuple[str, ...] = ()) -> FindingScope:
-    """Scope of an effect. `default_observables` are its observables if the effect itself does not specify them."""
+    """Scope of an effect; `default_observables` are its observables if the effect itself does not restrict them."""
     observables, stations = tuple(effect.observables), effect.stations
     if isinstance(effect, NoiseEffect | VarianceFunction):
         observables = default_observables or observables
@@ -28,5 +28,5 @@ def effect_scope(effect: CandidateEffect, default_observables: tuple[str, ...] =
 
 
 def confined_scope(**names_by_kind: tuple[str, ...]) -> FindingScope:
-    """Scope with the given names by kind, such as `stations`. All other kinds are empty."""
+    """Scope with the given names by kind, such as `stations`; all other kinds are empty."""
     return FindingScope(**dict.fromkeys(FindingScope.model_fields, ()) | names_by_kind)

@@ -1,9 +1,10 @@
 """Model selection by forward, backward and exchange steps.
 
-All effects of the catalogue and all laws are screened given the model. The best few are evaluated without
-approximation: shapes are integrated on a grid around the optimum, and laws are compared with formulas. The best
-hypothesis is added to the model. Then each effect in the model is tested again given the others, and is replaced or
-removed if the evidence of the model increases. Pairs of effects are also exchanged for a single one.
+All effects of the catalogue and all laws are screened given the model. The few with the largest evidence are evaluated
+without approximation: the evidence is integrated over shape constants on a grid around the optimum, and curves of laws
+are compared with formulas. The hypothesis with the largest evidence is added to the model. Then each effect in the
+model is tested again given the others, and is replaced or removed if the evidence of the model increases. Pairs of
+effects are also exchanged for a single effect.
 """
 
 from __future__ import annotations
@@ -50,14 +51,14 @@ from ltsim.physics.laws.sizes import displayed_sizes
 
 MAX_COEFFICIENTS_OF_SIMPLE_EFFECT = 10
 """Number of coefficients above which an effect may imitate several effects. If the selected model has such an effect, a
-second search starts from the best hypothesis with fewer coefficients. A curve in one covariate has this number: a slope
-and `N_MODES_DEFAULT` eigenfunctions."""
+second search starts from the most probable hypothesis with fewer coefficients. A curve in one covariate has this number
+of coefficients: a slope and `N_MODES_DEFAULT` eigenfunctions."""
 N_EXACTLY_EVALUATED_IN_LARGE_NETWORK = 3
 """Number of catalogue effects, and of laws, that a step evaluates without approximation in a large network."""
 MAX_RANKED_LAWS = 400
-"""Largest number of screened laws in a ranking."""
+"""Largest number of laws in a ranking of hypotheses."""
 MIN_SIGMA_INCREASE_RATIO = 1.15
-"""Ratio of the standard deviation of a parameter with its shape integrated to that of the refit (Laplace's
+"""Ratio of two standard deviations of a parameter: integrated over shape constants, and from the refit (Laplace's
 approximation). Above this ratio the integrated posterior is reported."""
 
 
@@ -69,15 +70,15 @@ class ScreeningResult(NamedTuple):
     family_log_evidence: Floats
     """Log evidence (families,) of each catalogue effect, averaged over its places and shapes, with prior."""
     laws: list[ScreenedLaw]
-    """Best laws of each place."""
+    """Laws with the largest evidence at each place (stations, targets or instruments)."""
     statistic: float
-    """Log of the summed evidence of all hypotheses."""
+    """Test statistic: log of the summed evidence of all hypotheses."""
     null_statistics: Floats
-    """Values (trials,) of the statistic for the simulated recordings of the null ensemble."""
+    """Values (trials,) of the test statistic for the simulated recordings of the null ensemble."""
 
 
 class Searcher:
-    """Search over effects of the catalogue and laws in one residual space."""
+    """Search for effects of the catalogue and laws in one residual space."""
 
     def __init__(
         self,
@@ -90,8 +91,9 @@ class Searcher:
     ) -> None:
         """Search whose p-value follows from `n_trials` simulated recordings.
 
-        `catalogue_designs` are those of another search on the same readings, which saves their computation. If
-        `tests_ordinary_constants`, the constants of the ordinary calibration are hypotheses too.
+        `catalogue_designs` are the design matrices of another search on the same readings, which saves their
+        computation. If `tests_ordinary_constants`, changes of the constants of the ordinary calibration are hypotheses
+        too.
         """
         self.space = space
         self.null_ensemble = NullEnsemble.from_space(space, seed, n_trials)
@@ -120,10 +122,11 @@ class Searcher:
         return N_EXACTLY_EVALUATED_IN_LARGE_NETWORK if self.is_large_network else N_EXACTLY_EVALUATED
 
     def without_rows(self, rows: Ints) -> Searcher:
-        """Search without some `rows` (f,) of the residual space, with fewer evaluations, as in large networks.
+        """Search without the rows `rows` (f,) of the residual space, with as few evaluations as in large networks.
 
-        A separate error of each row is equivalent. The best law of each kind is not evaluated, because that would take
-        most of the time and hardly change predictions. The screening still uses the Gram matrices of all rows.
+        The estimation of a separate error of each of these rows is equivalent. The laws with the largest evidence of
+        each kind are not evaluated, because that would take most of the time and hardly change predictions. The
+        screening still uses the Gram matrices of all rows.
         """
         unit = np.zeros((self.space.n_rows, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
@@ -137,7 +140,7 @@ class Searcher:
         return reduced
 
     def ranking(self, conditioning_model: Model) -> Ranking:
-        """Ranking of all hypotheses given a model: all are screened, and the best are evaluated exactly."""
+        """Ranking of all hypotheses given a model: all are screened, and the most probable are evaluated exactly."""
         key = frozenset(h.key for h in conditioning_model.members)
         if key not in self._rankings:
             self._rankings[key] = self._compute_ranking(conditioning_model)
@@ -193,9 +196,10 @@ class Searcher:
         *,
         is_exact: bool,
     ) -> Hypothesis:
-        """Best place and shape of a catalogue effect, with its log evidence averaged over all places and shapes.
+        """Most probable place and shape of a catalogue effect, with its log evidence averaged over places and shapes.
 
-        Without `is_exact` they are those of the screening.
+        Unless `is_exact`, they are results of the screening: `effect_log_evidence` (h,) of all effects, and
+        `family_log_evidence` of this catalogue effect.
         """
         designs = self.catalogue_designs
         members = np.flatnonzero(designs.family_indices == family_index)
@@ -213,10 +217,10 @@ class Searcher:
         return best
 
     def _law_hypotheses(self, laws: Sequence[ScreenedLaw], conditioning_model: Model) -> list[Hypothesis]:
-        """Hypotheses of the screened `laws`, of which the best are evaluated in all forms.
+        """Hypotheses of the screened `laws`; those with the largest evidence are evaluated in all forms.
 
-        In small networks these include the best law of each changed quantity and kind of regressor. The screening is
-        coarser for some kinds than for others: a local search for a region can increase the evidence several times.
+        In small networks the latter include the most probable law of each response and kind of regressor. The screening
+        is coarser for some kinds than for others: a local search for a region can increase the evidence several times.
         """
         entries, evaluated = [], set[tuple[object, ...]]()
         kinds = set[tuple[str, str, bool]]()
@@ -245,7 +249,11 @@ class Searcher:
     def estimates(
         self, hypothesis: Hypothesis, reduced_model: Model, refit_estimates: Sequence[ParameterEstimate]
     ) -> tuple[ParameterEstimate, ...]:
-        """Estimates for a hypothesis: those of the refit, or means over all shapes if these have much larger sigmas."""
+        """Estimates of the parameters and shape constants of a hypothesis.
+
+        They are the estimates of the refit, or means over all values of the shape constants if these means have much
+        larger standard deviations (`MIN_SIGMA_INCREASE_RATIO`).
+        """
         effect = hypothesis.effect
         if isinstance(effect, EmpiricalLaw):
             sizes = displayed_sizes(effect, self.space.sightings, *self.law_coefficients(effect, reduced_model))
@@ -263,7 +271,7 @@ class Searcher:
         return (*estimates, *region_centre_estimates(self.evidence_calculator, effect, reduced_model))
 
     def law_coefficients(self, law: EmpiricalLaw, reduced_model: Model) -> tuple[Floats, Floats]:
-        """Posterior mean (k,) and covariance (k, k) of the k coefficients of a law, given the other effects."""
+        """Posterior mean (k,) and covariance (k, k) of the k coefficients of a law, given the effects of a model."""
         gram, score = self.evidence_calculator.grams_and_scores([law], reduced_model)[0]
         return coefficient_posterior(gram, score, law.size_scales)[:2]
 
@@ -279,7 +287,7 @@ class Searcher:
         return self.model_of(model.members[:member_index] + model.members[member_index + 1 :])
 
     def _projected_design(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Projected design matrix (m, k), and cached lengths (k,) of its columns before the projection."""
+        """Projected design matrix (m, k) of a hypothesis, and norms (k,) of its columns before the projection."""
         key = hypothesis.key
         if key not in self._projected_designs:
             whole = self.evidence_calculator.whitened_design(hypothesis.effect)
@@ -296,7 +304,8 @@ class Searcher:
 
         The search begins with the hypotheses `start_hypotheses` in the model. With `requires_member` the result has at
         least one effect. If it has a curve with many coefficients, which can imitate several effects, the search starts
-        again with the best hypothesis that has few coefficients. The model with the larger evidence is selected.
+        again with the most probable hypothesis that has few coefficients. The model with the larger evidence is
+        selected.
         """
         begin = self.reexamined_model(self.model_of(start_hypotheses))
         best_model = self._forward_selection(begin, min_evidence_gain, requires_member=requires_member)
@@ -318,11 +327,11 @@ class Searcher:
         return self._pruned_and_renamed_model(best_model, min_evidence_gain)
 
     def lower_bound_model(self, min_evidence_gain: float, rival_log_evidence: float) -> Model:
-        """Model from forward steps alone, whose log evidence is a lower bound of that of a complete search.
+        """Model from forward steps alone, whose log evidence is a lower bound of the result of a complete search.
 
         The steps end when the log evidence exceeds `rival_log_evidence`, the log evidence of an alternative. They also
-        end when the log evidence would not exceed `rival_log_evidence` even if all further effects increased it as much
-        as the last effect did.
+        end when the log evidence would not exceed `rival_log_evidence` even if all further effects increased the
+        evidence as much as the last effect did.
         """
         return self._forward_selection(
             self.empty_model, min_evidence_gain, requires_member=True, rival_log_evidence=rival_log_evidence
@@ -331,7 +340,10 @@ class Searcher:
     def _forward_selection(
         self, model: Model, min_evidence_gain: float, *, requires_member: bool, rival_log_evidence: float | None = None
     ) -> Model:
-        """Forward selection from `model`; without `rival_log_evidence` its effects are tested again after each step."""
+        """Model after a forward selection that starts with `model`.
+
+        Without `rival_log_evidence` the effects in the model are tested again after each step.
+        """
         again = rival_log_evidence is None
         for depth in range(len(model.members), MAX_MODEL_MEMBERS):
             ranking, least = self.ranking(model), min_evidence_gain + model.discrepancy_penalty
@@ -352,7 +364,7 @@ class Searcher:
         return self.reexamined_model(model) if again and self.is_large_network else model
 
     def _pruned_and_renamed_model(self, model: Model, min_evidence_gain: float) -> Model:
-        """Model without effects that the others explain, and with the most probable name of each effect."""
+        """Model without the effects that its other effects explain, and with the most probable name of each effect."""
         for member in model.members[::-1]:
             others = self.model_without(model, model.members.index(member))
             ranking = self.ranking(others)
@@ -364,7 +376,7 @@ class Searcher:
         return model
 
     def reexamined_model(self, model: Model) -> Model:
-        """Model after backward and exchange steps, in which effects in the model are replaced, removed or merged."""
+        """Model after backward and exchange steps, in which its effects are replaced, removed or merged."""
         for turn in range(2):
             before = model.penalised_log_evidence
             for size in (1,) if turn or self.is_large_network else (1, 2):
@@ -381,6 +393,6 @@ class Searcher:
 
 
 def _best_model(models: Sequence[Model]) -> Model:
-    """Model with the largest log evidence, the first of several equal ones."""
+    """Model with the largest log evidence; the first one if several are equal."""
     most = max(model.penalised_log_evidence for model in models)
     return next(model for model in models if model.penalised_log_evidence >= most - MAX_SOLUTION_ROUNDING_ERROR)

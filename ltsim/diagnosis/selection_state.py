@@ -28,7 +28,7 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 
 N_VARIANCE_ITERATIONS = 2
-"""Number of adjustments with new weights in which the variance components converge."""
+"""Number of adjustments with new weights, after which the variance components have converged."""
 
 
 @dataclass
@@ -36,17 +36,18 @@ class SelectionState:
     """State of the model selection on a recording without blunders."""
 
     baseline_adjustment: Adjustment
-    """Ordinary adjustment, from which all others start."""
+    """Ordinary adjustment, from which all other adjustments start."""
     is_used_reading: Bools
     """Flags (n, 3) of the readings that are used, for n pointings."""
     seed: int
-    """Root of the random draws."""
+    """Seed of the random draws of simulated recordings."""
     level: float | None = 0.05
     """False-alarm rate of the search; None for a search without p-value."""
     tests_ordinary_constants: bool = True
-    """True if constants of the ordinary calibration are also hypotheses."""
+    """True if changes of the constants of the ordinary calibration are also hypotheses."""
     identified_effects: tuple[CandidateEffect, ...] = ()
-    """Effects among the simple causes of the network, from which a second search starts if the noise is larger."""
+    """Catalogue effects among the simple causes of the network, from which a second search starts if the noise is
+    larger than declared."""
     reading_sigmas: Floats = field(init=False)
     """Standard deviations (n, 3) of the readings, with the selected changes of the noise."""
     noise_changes: list[NoiseHypothesis] = field(default_factory=list)
@@ -54,9 +55,9 @@ class SelectionState:
     space: ResidualSpace = field(init=False)
     """Residual space of the present adjustment."""
     noise_hypotheses: NoiseHypothesisSet = field(init=False)
-    """Hypotheses of the noise in this residual space."""
+    """Hypotheses of changes of the noise in this residual space."""
     _searcher: Searcher | None = None
-    """Search in this residual space, if it was used."""
+    """Search in this residual space; None before its first use."""
     _previous_searcher: Searcher | None = None
     """Search in the previous residual space, whose projected design matrices can be used again."""
 
@@ -93,7 +94,7 @@ class SelectionState:
 
     @property
     def recording(self) -> Recording:
-        """Recording without blunders, in which centring errors that were selected are declared."""
+        """Recording without blunders, whose set-up declares the centring errors among the selected noise changes."""
         return with_declared_centring(self.baseline_adjustment.recording, self.noise_changes)
 
     def refit(
@@ -101,9 +102,9 @@ class SelectionState:
     ) -> Refit:
         """Nonlinear adjustment with effects in the model, and readings with the standard deviations `sigma` (n, 3).
 
-        Without effects and changes of the noise it is the ordinary adjustment. Parameters have a prior of
-        `WIDE_PRIOR_SIGMA_FACTOR` times their plausible size, because the readings may not determine some combinations.
-        Centring errors are those of the changes of the noise in `noise_changes`, by default of all selected ones.
+        Without effects and changes of the noise it is the ordinary adjustment. Parameters have a prior standard
+        deviation of `WIDE_PRIOR_SIGMA_FACTOR` times their plausible size, because the readings may not determine some
+        combinations. The centring errors among `noise_changes`, by default among all selected ones, are in the model.
         """
         noise_changes = self.noise_changes if noise_changes is None else noise_changes
         if not (effects or noise_changes):
@@ -126,7 +127,7 @@ class SelectionState:
         return refit_with_effects(with_causes if old.effects else adjusted, effects, start_state=old.state)
 
     def release_priors(self, contradictions: Sequence[ConstantContradiction]) -> None:
-        """Removal of the prior of constants that contradict their reference, with a new adjustment."""
+        """Removal of the prior of instrument constants that contradict their reference, followed by an adjustment."""
         old = self.baseline_adjustment
         freed = np.zeros(old.state.instrument_parameters.shape, dtype=bool)
         for contradiction in contradictions:
@@ -154,7 +155,10 @@ class SelectionState:
         self.noise_hypotheses = self._noise_hypotheses(self.space)
 
     def ranked_noise_changes(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
-        """Pairs of log evidence and a change of the noise, given a model: the best of each kind, the best first."""
+        """Pairs of a log evidence and the most probable noise change of each kind, given a model.
+
+        They are sorted by decreasing evidence.
+        """
         redundancy = self.space.redundancy - np.sum(model.basis**2, axis=1)
         ranked = self.noise_hypotheses.ranked_noise_changes(model.residual, redundancy, model.basis)
         for gain, hypothesis in centring_hypotheses_with_evidence(self.space.with_effects(model.effects)):
@@ -162,7 +166,7 @@ class SelectionState:
         return sorted(ranked, key=lambda entry: -entry[0])
 
     def add_noise_change(self, new_hypothesis: NoiseHypothesis) -> None:
-        """Addition of a change of the noise. The sizes of an equal change that was selected before are increased."""
+        """Addition of a change of the noise; the sizes of an equal change that was selected before are increased."""
         for i, change in enumerate(self.noise_changes):
             if change.effect == new_hypothesis.effect:
                 values = tuple(a + b for a, b in zip(change.sizes, new_hypothesis.sizes, strict=True))
@@ -183,17 +187,18 @@ class SelectionState:
     def log_evidence_of_noise(self) -> float:
         """Log evidence of the selected changes of the noise without effects, up to a constant of the recording.
 
-        It is the restricted log likelihood of the present adjustment, and for each change the difference of its log
-        evidence from its log likelihood ratio when it was selected.
+        It is the restricted log likelihood of the present adjustment, plus for each change its log evidence minus its
+        log likelihood ratio at the time of its selection.
         """
         return log_restricted_likelihood(self.space.adjustment) + sum(
             n.log_prior_times_occam_factor for n in self.noise_changes
         )
 
     def log_evidence_with_effects(self, members: Sequence[Hypothesis]) -> float:
-        """Log evidence of hypotheses together with the selected changes of the noise, estimated with them in the model.
+        """Log evidence of hypotheses together with the selected changes of the noise.
 
-        It is comparable with `log_evidence_of_noise`, the log evidence without them.
+        The changes of the noise are estimated with the hypotheses in the model. The result is comparable with
+        `log_evidence_of_noise`, the log evidence without the hypotheses.
         """
         state = copy(self)
         state.space = ResidualSpace.from_adjustment(state.estimate_variance_components([h.effect for h in members]))
@@ -218,7 +223,9 @@ class SelectionState:
         return self.refit((), self.reading_sigmas).adjustment
 
     def _noise_estimates(self, effects: Sequence[CandidateEffect]) -> list[NoiseHypothesis]:
-        """Selected changes of the noise, the sizes of each estimated given the others and `effects` in the model.
+        """Selected changes of the noise with new estimates of their sizes, with `effects` in the model.
+
+        The sizes of each change are estimated given the other changes.
 
         Centring errors are estimated in an adjustment without centring errors. In an adjustment with them, the
         displacements have absorbed part of an effect.
@@ -246,7 +253,7 @@ class SelectionState:
         return factors
 
     def _noise_hypotheses(self, space: ResidualSpace) -> NoiseHypothesisSet:
-        """Hypotheses of the noise in a residual space."""
+        """Hypotheses of changes of the noise in a residual space."""
         quieter = not any(getattr(change.effect, "repetition", "") for change in self.noise_changes)
         return NoiseHypothesisSet.from_space(
             space, noise_hypotheses(space.sightings, self.recording.instruments), allows_quieter=quieter

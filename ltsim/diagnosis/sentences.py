@@ -1,4 +1,4 @@
-"""Sentences of a diagnosis for reports and the terminal."""
+"""Sentences of a diagnosis for reports and for the terminal."""
 
 from collections.abc import Sequence
 
@@ -11,22 +11,22 @@ from ltsim.diagnosis.schema import Finding, FindingScope, InstrumentEntry, Misfi
 from ltsim.physics.effects import catalogue_entry, effect_title, find_effect, parameter_text
 
 MIN_PROBABLE = 0.5
-"""Smallest probability at which a name or an effect is reported as probable. It is then more probable than not."""
+"""Smallest probability at which a cause is reported as probable: it is then more probable than not."""
 CONTRADICTED_MODEL_SENTENCE = (
     " Held-out readings are predicted worse with the effects in the model than without them. These effects are "
     "therefore improbable. Look for single wrong pointings and for repeats that share errors."
 )
 """Sentence for users if held-out readings contradict the effects in the model."""
 COVARIATE_TEXTS = {
-    "approach": "the move before the pointing",
-    "place": "the place in the room",
+    "approach": "the motion of the head before the pointing",
+    "place": "the position in the hall",
     "incidence": "the direction from which the reflector is seen",
 }
-"""Texts for users of covariates whose name in files is not understood in a sentence."""
+"""Phrases for users in place of names of covariates that a sentence does not explain."""
 
 
 def estimates_phrase(parameters: Sequence[ParameterEstimate]) -> str:
-    """Phrase with the most significant estimates, without those that are smaller than their standard deviations."""
+    """Phrase with the most significant estimates; estimates below their standard deviation are left out."""
     significant = [p for p in parameters if abs(p.value) > p.sigma]
     largest = sorted(significant, key=lambda p: -abs(p.value) / max(p.sigma, 1e-300))[:MAX_LISTED_ITEMS]
     chosen = [p for p in parameters if p in largest]
@@ -46,7 +46,7 @@ def finding_title(finding: Finding) -> str:
 
 
 def _estimate_text(parameter: ParameterEstimate) -> str:
-    """Text of an estimate. For an added variance it is the factor on the declared standard deviation."""
+    """Text of an estimate with sigma and unit; for an added variance, the factor on the declared standard deviation."""
     name, value, sigma = parameter.name, parameter.value, parameter.sigma
     if name.startswith("noise-"):
         factor = float(np.sqrt(max(1.0 + value, 0.0)))
@@ -55,7 +55,7 @@ def _estimate_text(parameter: ParameterEstimate) -> str:
 
 
 def place_text(scope: FindingScope) -> str:
-    """Text of the place and the observables of a finding, such as ``at station S3 in distance``."""
+    """Text of stations, targets, instruments and observables of a finding, such as ``at station S3 in distance``."""
     kinds = ("at station", scope.stations), ("of instrument", scope.instruments), ("at target", scope.targets)
     place_texts = [f"{kind}{'s' if len(names) > 1 else ''} {listing(names)}" for kind, names in kinds if names]
     if scope.observables:
@@ -64,7 +64,7 @@ def place_text(scope: FindingScope) -> str:
 
 
 def percent_text(probability: float) -> str:
-    """Text of a probability in percent."""
+    """Text of a probability in percent, at most ``> 99 %``."""
     return "> 99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
 
 
@@ -78,7 +78,7 @@ def catalogue_effect_sentence(
 ) -> str:
     """Sentences on an effect of the catalogue: its size, place and usual cause, and two probabilities.
 
-    `probability` is that of the effect, and `p_located` that of any effect at the same place.
+    `probability` is the probability of this effect, and `p_located` the probability of any effect with the same scope.
     """
     entry = catalogue_entry(find_effect(effect_name))
     place_name = place_text(scope).removeprefix("at ").removeprefix("in the ")
@@ -88,7 +88,7 @@ def catalogue_effect_sentence(
         size_text = f" ({sizes_text})" if sizes_text else ""
         return (
             f"An unidentified systematic effect is present ({place_name}). "
-            f"The best candidate is {lower_title}{size_text}, with a probability of {percent_text(probability)}."
+            f"The most probable cause is {lower_title}{size_text}, with a probability of {percent_text(probability)}."
         )
     place_phrase = place_text(scope.model_copy(update={"observables": ()}))
     located = (
@@ -104,7 +104,7 @@ def catalogue_effect_sentence(
 def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p_located: float, law_text: str) -> str:
     """Sentences on a law outside the catalogue: changed quantity, regressor, place, size, probability.
 
-    `law_text` is the text of the law, and `p_located` the probability of any such effect at the same place.
+    `law_text` is the description of the law, and `p_located` the probability of any effect with the same scope.
     """
     sizes_text = estimates_phrase(parameters)
     size_phrase = f" ({sizes_text})" if sizes_text else ""
@@ -124,24 +124,24 @@ def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p
 
 
 def unknown_noise_sentence(scope: FindingScope, noise_text: str) -> str:
-    """Sentences on a change of the noise outside the catalogue: place, covariates, description (`noise_text`)."""
+    """Sentences on a change of the noise outside the catalogue: place, covariates, and description `noise_text`."""
     covariates = listing([COVARIATE_TEXTS.get(name, name) for name in scope.covariates])
     dependence = f" The effect depends on {covariates}." if covariates else ""
     present = f"An effect outside the catalogue is present{_place_suffix(scope)}."
-    return f"{present}{dependence} The best description is {noise_text}."
+    return f"{present}{dependence} The most probable description is {noise_text}."
 
 
 def _place_suffix(scope: FindingScope) -> str:
-    """Text of the place and the observables with a leading blank; empty for the whole recording."""
+    """Text of the scope of a finding (`place_text`) with a leading blank; empty for the whole recording."""
     confined = scope.stations or scope.targets or scope.observables or scope.instruments
     return f" {place_text(scope)}" if confined else ""
 
 
 def significant_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[str]:
-    """Texts of the best-determined constants of the instruments, the most significant first.
+    """Texts of the significant instrument constants of all instruments, the most significant first.
 
-    A combination of constants has the name of its first constant, which is then an effective value over the angles of
-    the recording.
+    If only a combination of constants is determined, it has the name of its first constant. The value is then an
+    effective value over the angles of the recording.
     """
     ranked: list[tuple[float, str]] = []
     for entry in instruments:
@@ -161,12 +161,13 @@ def significant_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[
 
 
 ROW_UNITS_BY_TIME_UNIT = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
-"""Units that replace those of time if a recording has no clock, each with its factor. A row then stands for a second.
+"""Replacement of each unit of time, for a recording without a clock: unit ``rows`` and a factor on the value. One row
+of the recording then stands for one second.
 """
 
 
 def estimate_without_clock(parameter: ParameterEstimate) -> ParameterEstimate:
-    """Estimate for a recording without a clock, with rows in place of times in its unit."""
+    """Estimate for a recording without a clock, in which its unit of time is replaced by numbers of rows."""
     per, _, rate = parameter.unit.partition("/")
     if rate in ROW_UNITS_BY_TIME_UNIT:
         factor, unit = 1.0 / ROW_UNITS_BY_TIME_UNIT[rate][1], f"{per}/row"
@@ -191,9 +192,9 @@ def diagnosis_summary(
 ) -> str:
     """Summary of a diagnosis in a few sentences.
 
-    `misfit_before` and `misfit_after` are those without and with the findings in the model, `noise_origin` is
-    `declared` or `assumed`, and `n_withheld` is the number of effects in the model that are not reported.
-    `is_contradicted` is true if held-out readings contradict the effects in the model.
+    `p_value` is the p-value of the global test, `misfit_before` and `misfit_after` are the misfits without and with the
+    findings in the model, `noise_origin` is `declared` or `assumed`, and `n_withheld` is the number of effects in the
+    model that are not reported. `is_contradicted` is true if held-out readings contradict the effects in the model.
     """
     if verdict == "consistent" and not misfit_before.dof:
         return "The recording cannot be tested: there is no redundancy. Measure targets repeatedly."
@@ -226,7 +227,10 @@ def diagnosis_summary(
 
 
 def _held_out_sentence(error_before: float | None, error_after: float | None) -> str:
-    """Sentence on the prediction error of held-out readings without and with the findings; empty if both are equal."""
+    """Sentence on the prediction error of held-out readings without (before) and with (after) the findings.
+
+    The sentence is empty if both errors are equal or missing.
+    """
     if error_before is None or error_after is None or error_before == error_after:
         return ""
     before_text, after_text = f"{error_before:.2f}", f"{error_after:.2f}"

@@ -1,6 +1,7 @@
-"""Posterior of the parameters and shape constants of an effect, over all its shapes and neighbouring places.
+"""Posterior distribution of the parameters and shape constants of an effect, on a grid of shape constants.
 
-A shape constant is a constant on which the effect does not depend linearly, such as a time constant.
+A shape constant is a constant on which the effect does not depend linearly, such as a time constant. The grid also
+includes neighbouring places, such as the time of a step in the next gap between pointings.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,22 +20,23 @@ from ltsim.physics.effects.linear_effect import CandidateEffect, ShapeParameter
 from ltsim.scene.sightings import Sightings
 
 REGION_CENTRE_STEP = 0.05
-"""Step [m] of the second differences of the log evidence over the position of a region of the hall."""
+"""Step [m] of the centre of a region of the hall for second differences of the log evidence."""
 MAX_CENTRE_SIGMA_IN_STEPS = 20.0
-"""Standard deviation of a coordinate that the readings do not determine, as a multiple of `REGION_CENTRE_STEP`."""
+"""Standard deviation, divided by `REGION_CENTRE_STEP`, of a coordinate that the readings do not determine."""
 N_SHAPE_GRID_POINTS = 11
-"""Number of grid points over which a shape constant is integrated, from one coarse step below to one above the best."""
+"""Number of grid points over which a shape constant is integrated, from one coarse step below its optimum to one coarse
+step above."""
 N_REFINEMENT_GRID_POINTS = 9
-"""Number of points of each refinement of the grid around its best point. The peak may be much narrower than a step."""
+"""Number of points of each refinement of the grid around its optimum, whose peak may be much narrower than a step."""
 N_GRID_REFINEMENTS = 2
-"""Number of refinements of the grid around its best point."""
+"""Number of refinements of the grid around its optimum."""
 
 
 def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: int) -> tuple[Floats, Floats]:
     """Grid of values (q,) of a shape constant within its bounds, and the widths (q,) of the cells of the grid.
 
     The grid has `n_nodes` values over the bounds, and is denser within four standard deviations `sigma` of `estimate`.
-    The widths are in the coordinate in which the grid is even: the value, its logarithm, or its reciprocal.
+    The widths are in the coordinate in which the grid is evenly spaced: the value, its logarithm, or its reciprocal.
     """
 
     def even_coordinate(x: Floats) -> Floats:
@@ -68,7 +70,7 @@ def interpolate_shape_constant(shape: ShapeParameter, lower: float, upper: float
 def integrate_over_shapes(
     calculator: EvidenceCalculator, effect: CandidateEffect, conditioning_model: Model
 ) -> tuple[CandidateEffect, float]:
-    """Effect with its shape at the optimum, and its log evidence averaged over a cell of the coarse grid."""
+    """Effect with the most probable shape constants, and log evidence averaged over a cell of the coarse grid."""
     effect, value = calculator.refine_locally([effect], conditioning_model)[0]
     for shape in type(effect).shape_parameters:
         now = getattr(effect, shape.name)
@@ -84,7 +86,10 @@ def _integrate_over_shape(
     conditioning_model: Model,
     log_evidence: float,
 ) -> tuple[CandidateEffect, float]:
-    """Effect with the best value of a shape constant, and log evidence averaged over a cell of the coarse grid."""
+    """Effect with the most probable value of one shape constant, and log evidence averaged over a coarse cell.
+
+    The cell extends over one step of the coarse grid on both sides. `log_evidence` is the log evidence of `effect`.
+    """
     now = float(getattr(effect, shape.name))
     low, high = shape.neighbouring_grid_interval(now)
     if not low < high:
@@ -112,7 +117,7 @@ def _integrate_over_shape(
 
 
 def are_distinct(effect: CandidateEffect, other_effect: CandidateEffect) -> bool:
-    """True if two effects differ in place, or in a shape constant by more than the range of the integration over it."""
+    """True if two effects differ in place, or in a shape constant by more than the interval of integration over it."""
     if (effect.stations, effect.targets) != (other_effect.stations, other_effect.targets):
         return True
     for shape in type(effect).shape_parameters:
@@ -123,24 +128,27 @@ def are_distinct(effect: CandidateEffect, other_effect: CandidateEffect) -> bool
 
 
 class ShapeConstantsNode(NamedTuple):
-    """Node of the grid of shape constants of an effect: a value of each, and estimates of the k parameters."""
+    """Node of the grid of shape constants of an effect: their values, and estimates of the k parameters."""
 
     effect: CandidateEffect
     """Effect with these shape constants."""
     log_weight: float
-    """Log of the evidence times the volume of the node's cell."""
+    """Log of the evidence times the volume of the node's cell of the grid."""
     constants: dict[str, float]
-    """Shape constants by name [SI], with the time of a change."""
+    """Values [SI] of the shape constants by name, including the time of a change."""
     mean: Floats
     """Posterior mean (k,) of the parameters [SI]."""
     variance: Floats
     """Posterior variance (k,) of the parameters [SI]."""
     gap_duration: float
-    """Time [s] between the pointings before and after a change, which may be at any time in between."""
+    """Time [s] between the pointings before and after a change, which may have happened at any time in between."""
 
 
 def _index_and_duration_of_gap(effect: CandidateEffect, sightings: Sightings) -> tuple[int, float]:
-    """Index of the gap between pointings in which an effect changes, and its duration [s]; -1 and 0 without change."""
+    """Index of the gap between pointings in which an effect changes, and duration [s] of the gap.
+
+    They are -1 and 0 for an effect without a change at one time.
+    """
     ordered = np.unique(sightings.time[effect.row_weights(sightings) > 0])
     time = vars(effect).get("time")
     if time is None or not np.isfinite(time) or len(ordered) < 2:
@@ -150,7 +158,7 @@ def _index_and_duration_of_gap(effect: CandidateEffect, sightings: Sightings) ->
 
 
 def _distinct_neighbours(effect: CandidateEffect, sightings: Sightings) -> list[CandidateEffect]:
-    """Effect and its neighbours, one for each place and gap, so that no gap has twice the weight."""
+    """Effect and its neighbours, one for each place and gap between pointings, so that each gap has the same weight."""
     by_gap = {}
     for instance in [*effect.neighbours(sightings), effect]:
         gap_index, _ = _index_and_duration_of_gap(instance, sightings)
@@ -166,7 +174,9 @@ def shape_constants_nodes(
     *,
     uses_search_prior: bool = False,
 ) -> list[ShapeConstantsNode]:
-    """Nodes of the grid of an effect over its shape constants and neighbouring places; empty if it has neither.
+    """Nodes of the grid of an effect over its shape constants and neighbouring places.
+
+    The result is empty for an effect with neither.
 
     The grid is finer around the shape constants of `effect`. `shape_constant_sigmas` are the standard deviations [SI]
     of these constants by name. The weights of the nodes use a wide prior of the sizes or, if `uses_search_prior`, the
@@ -219,7 +229,7 @@ def shape_constants_nodes(
 def region_centre_estimates(
     calculator: EvidenceCalculator, effect: CandidateEffect, conditioning_model: Model
 ) -> tuple[ParameterEstimate, ...]:
-    """Coordinates in the network frame of the centre of a region of the hall; empty for effects without a region.
+    """Estimated coordinates, in the network frame, of the centre of the region of an effect; empty without a region.
 
     The covariance is the inverse of the negative second differences of the log evidence at the centre (Laplace
     approximation). A coordinate that the readings do not determine has a standard deviation of 1 m.
@@ -263,9 +273,9 @@ def estimates_averaged_over_shapes(
 ) -> dict[str, ParameterEstimate]:
     """Posterior means and standard deviations of the parameters and shape constants of an effect, by name.
 
-    They are averages over a grid of shape constants that is densest at `estimates`. Unlike the Laplace approximation
-    they are valid for flat, skew, bounded and bimodal likelihoods. The result is empty for effects without shape
-    constants.
+    The posterior is summed over a grid of shape constants that is densest at `estimates`. Unlike the Laplace
+    approximation, the results are valid for flat, skew, bounded and bimodal likelihoods. The result is empty for
+    effects without shape constants.
     """
     nodes = shape_constants_nodes(
         calculator, effect, conditioning_model, {e.name: e.sigma * SI_PER_UNIT[e.unit] for e in estimates}

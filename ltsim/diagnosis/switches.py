@@ -1,9 +1,9 @@
-"""Laws with a constant effect that acts only at some times, or only in some bands of a covariate: a switch.
+"""Switches: laws with a constant effect that acts only at some times, or only in some intervals of a covariate.
 
-Given edges divide the covariate into spans. A search toggles intervals, from on to off or from off to on, while the
-evidence increases. Let H be the Gram matrix of the spans, o their states (0 or 1), and d = 1 - 2 o on the toggled
-interval. The Gram matrix after toggling is o'Ho + 2 o'Hd + d'Hd. Its sums over intervals are differences of cumulative
-sums. Shapes below: S spans, w coefficients.
+Given edges divide the covariate into spans. A search toggles intervals of neighbouring spans, from on to off or from
+off to on, while the evidence increases. Let H be the Gram matrix of the spans, o their states (0 or 1), and d = 1 - 2 o
+on the toggled interval. The Gram matrix after toggling is o'Ho + 2 o'Hd + d'Hd. Its sums over intervals are differences
+of cumulative sums. Sizes of arrays below: S spans, w coefficients.
 """
 
 from collections.abc import Sequence
@@ -24,20 +24,20 @@ from ltsim.physics.laws.regressors import Regressor, scalar_regressor
 from ltsim.scene.sightings import Sightings
 
 MIN_SWITCH_EDGES_BY_REGION_DEPENDENCE = {True: 1, False: 2}
-"""Smallest number of switching times within set-ups, at which a law turns on or off: for a law with a region of the
-hall (True), and for other laws (False). A single step without a region is an effect of the catalogue, or a form with
+"""Smallest number of times within set-ups at which a switched law turns on or off: for a law with a region of the hall
+(True), and for other laws (False). A single step without a region is an effect of the catalogue, or a form with
 steps."""
 MIN_TARGET_SWITCH_EDGES = 3
-"""Smallest number of switching times of a law that is on in some intervals and acts on one target. With one or two
-switching times the law equals a catalogue effect, such as a target that moved."""
+"""Smallest number of times at which a switched law that acts on one target turns on or off. With one or two such times
+the law equals a catalogue effect, such as a target that moved."""
 MAX_PIECES = 10
 """Largest number of steps and ramps of a law, and of intervals whose state is toggled."""
 N_INTERVALS_AFTER_MAXIMUM = 3
-"""Number of intervals that a search still toggles after the evidence has last increased, before it stops."""
+"""Number of intervals that a search toggles after the last increase of the evidence, before it stops."""
 
 MIN_SWITCHED_MEAN_SQUARE = 1e-3
-"""Smallest mean square of a switched regressor, as a fraction of that without the switch. The law then acts on about
-one pointing in a thousand."""
+"""Smallest mean square of a switched regressor, divided by its mean square without the switch. At this limit the law
+acts on about one pointing in a thousand."""
 
 
 class SpanGramAndScore(NamedTuple):
@@ -54,7 +54,8 @@ class SpanGramAndScore(NamedTuple):
 def n_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
     """Number of waves of the same covariate that the search tried, if the law has a wave; 1 for all other laws.
 
-    The law with the best of these waves represents any switch. The prior of the switch is multiplied by their number.
+    The law with the most probable of these waves represents any switch. The prior of the switch is therefore the prior
+    of the law multiplied by the number of waves.
     """
     swing = law.switchable_factor
     if swing is None or swing.kind != "wave":
@@ -72,7 +73,8 @@ def switched_forms(
 ) -> list[Hypothesis]:
     """Forms of a law that act only in some spans of its covariate; empty if the law cannot have such a form.
 
-    The region of a law is fitted by a local search before its times, unless `refines_region` is false.
+    If the law has a region of the hall, a local search fits the region before the times, unless `refines_region` is
+    false.
     """
     sightings = calculator.space.sightings
     edges = law.candidate_switch_steps(sightings)
@@ -85,7 +87,7 @@ def switched_forms(
     plausible_sizes = law.with_switch([always_on]).size_scales
     on, value, toggled = _best_span_states(spans, plausible_sizes)
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
-    starts_on = bool(on[0]) and law.depends_on_fixed_region  # elsewhere a constant is absorbed: on and off are alike
+    starts_on = bool(on[0]) and law.depends_on_fixed_region  # otherwise on and off are equivalent
     if not _is_identifiable_switch(law, chosen, sightings):
         return []
     refined, mean = calculator.refine_locally(
@@ -99,7 +101,7 @@ def switched_forms(
 def _forms_with_formula_as_second_factor(
     calculator: EvidenceCalculator, form: Hypothesis, conditioning_model: Model
 ) -> list[Hypothesis]:
-    """Law with a switch and a formula in place of the curve in its second factor, in a list; empty without a curve."""
+    """List of a law with a switch in which a formula replaces the curve in the second factor; empty without a curve."""
     law = form.effect
     assert isinstance(law, EmpiricalLaw)
     formulas = (
@@ -118,7 +120,7 @@ def _forms_with_formula_as_second_factor(
 def _span_gram_and_score(
     calculator: EvidenceCalculator, law: EmpiricalLaw, step_regressors: Sequence[Regressor], conditioning_model: Model
 ) -> SpanGramAndScore:
-    """Gram matrix and score of a law in the spans from each of `step_regressors` to the next."""
+    """Gram matrix and score of a law with separate coefficients in each span from one of the steps to the next."""
     sightings, count = calculator.space.sightings, len(step_regressors)
     x = sightings.covariate_values[step_regressors[0].covariates[0]]
     after = x[:, None] > [step.constant for step in step_regressors]
@@ -137,12 +139,12 @@ def _span_gram_and_score(
 
 
 def _span_differences(step_values: Floats) -> Floats:
-    """Values (S, ...) of the spans from the values (S, ...) of the steps: each step minus the next."""
+    """Values (S, ...) of S spans from the values (S, ...) of S steps: the value of each step minus that of the next."""
     return step_values - np.concatenate([step_values[1:], np.zeros_like(step_values[:1])])
 
 
 def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple[Bools, float, int]:
-    """Best states (S,) of the spans, their log evidence, and the number of toggled intervals.
+    """States (S,) of the spans, on or off, with the largest evidence, their log evidence, and the number of toggles.
 
     Each toggled interval reduces the log evidence by the log of the number of all intervals.
     """
@@ -186,7 +188,7 @@ def _cumulative_sums(step_values: Floats) -> Floats:
 
 
 def _is_identifiable_switch(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], sightings: Sightings) -> bool:
-    """True if a switch has enough `edge_regressors` that the poses of set-ups do not absorb."""
+    """True if a switch has enough edges, at which it turns on or off, that the poses of set-ups do not absorb."""
     least = (
         MIN_TARGET_SWITCH_EDGES
         if len(law.targets) == 1
@@ -200,13 +202,16 @@ def _is_identifiable_switch(law: EmpiricalLaw, edge_regressors: Sequence[Regress
 
 
 def _switches_targets(law: EmpiricalLaw, edge_regressors: Sequence[Regressor], sightings: Sightings) -> bool:
-    """True if a law is on for several targets and off for several. Otherwise the cause is an error of one target."""
+    """True if a switched law is on for several targets and off for several targets.
+
+    Otherwise the cause is an error of a single target.
+    """
     on = law.with_switch(edge_regressors).columns(sightings)[:, 0] != 0.0
     counts = [len(np.unique(sightings.target[acts])) for acts in (on, ~on)]
     return min(counts) > MIN_EFFECTIVE_TARGETS
 
 
 def _is_within_set_up(time: float, sightings: Sightings) -> bool:
-    """True if a set-up has pointings before and after a time [s]. The poses absorb changes between set-ups."""
+    """True if any set-up has pointings before and after a time [s]; poses absorb changes between set-ups."""
     stays = (sightings.time[sightings.station == station] for station in np.unique(sightings.station))
     return any(stay.min() < time < stay.max() for stay in stays)

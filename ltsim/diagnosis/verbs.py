@@ -19,22 +19,23 @@ def diagnose(
     history: Calibration | History | str | Path | None = None,
     held_out: bool | None = False,
 ) -> Diagnosis:
-    """Diagnosis of a recording: its agreement with the model, or probable causes with their places and probabilities.
+    """Diagnosis of a recording: agreement with the model, or probable causes of the mismatch with their probabilities.
 
     Parameters
     ----------
     recording : Recording, str or Path
     level : float
-        False-alarm rate of the whole search on a clean recording, at least 0.001.
+        False-alarm rate of the whole search on a recording without effects, at least 0.001.
     seed : int
-        Root of the random draws of simulated recordings, from which the p-value of the search follows.
+        Seed of the random draws of simulated recordings, from which the p-value of the search follows.
     history : Calibration, History, str or Path, optional
-        Earlier calibration of the instruments, or the history of an instrument, or the file of either. A constant that
-        differs from it by more than its usual spread and both uncertainties is reported.
+        Earlier calibration of the instruments, or the calibration history of an instrument, or the file of either. An
+        instrument constant that differs from its earlier values by more than their scatter and uncertainties explain is
+        reported.
     held_out : bool, optional
-        True for 5-fold cross-validation: the whole search is repeated without each fold of pointings, which is then
-        predicted. This takes five more searches. Effects that predict it worse than no effect are stated as improbable.
-        With None, cross-validation is done in small networks only.
+        True for 5-fold cross-validation: the whole search is repeated without each fold of pointings, and the selected
+        model predicts the fold. This takes five more searches. Effects that predict the folds worse than no effect are
+        reported as improbable. With None, cross-validation is done in small networks only.
 
     Raises
     ------

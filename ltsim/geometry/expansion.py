@@ -1,8 +1,9 @@
 """Thermal expansion of a body, L(T) = L_0 (1 + a (T - T_0)), and its uncertainty.
 
-a is the mean coefficient of linear expansion between T_0 and T. Both are temperatures of the body and not of the air.
-To first order the error of the factor is (T - T_0) da + a dT. Bodies of one material share the error da, and bodies
-whose temperature the same thermometer measures share the error dT.
+L is the length of the body at the temperature T, and L_0 its length at the reference temperature T_0. The coefficient a
+is the mean coefficient of linear expansion between T_0 and T. Both are temperatures of the body and not of the air. To
+first order the error of the ratio L(T) / L_0 is (T - T_0) da + a dT. Bodies of one material share the error da of the
+coefficient. Bodies whose temperature the same thermometer measures share the error dT.
 
 References
 ----------
@@ -21,9 +22,9 @@ class ThermalExpansion:
     length_ratio: float = 1.0
     """Length at the temperature of the body divided by the length at the reference temperature, 1 + a (T - T_0)."""
     ratio_change_per_coefficient_sigma: float = 0.0
-    """Change of the length ratio for one standard deviation of the coefficient."""
+    """Change of the length ratio if the coefficient of expansion is in error by one standard deviation."""
     ratio_change_per_temperature_sigma: float = 0.0
-    """Change of the length ratio for one standard deviation of the temperature."""
+    """Change of the length ratio if the temperature of the body is in error by one standard deviation."""
 
     @classmethod
     def from_temperature(
@@ -36,8 +37,8 @@ class ThermalExpansion:
         """Expansion of a body that is warmer than its reference temperature by `temperature_difference` [K].
 
         `coefficient_per_k` is the coefficient of linear expansion [1/K]. `sigma_coefficient` [1/K] and
-        `sigma_temperature` [K] are standard deviations of coefficient and difference; one that is not given counts as
-        zero.
+        `sigma_temperature` [K] are the standard deviations of the coefficient and of the temperature difference; None
+        counts as zero.
         """
         return cls(
             1.0 + coefficient_per_k * temperature_difference,

@@ -19,35 +19,36 @@ from ltsim.core.arrays import Floats
 from ltsim.core.units import QUARTER_TURN
 
 NominalFunction = Callable[[Floats], Floats]
-"""Function from raw readings (n, 3) to the nominal angle [rad] or length [m] (n,) of a motion."""
+"""Function from n raw readings of range, azimuth and elevation, (n, 3), to the nominal angle [rad] or length [m] of an
+elementary motion, (n,)."""
 
 
 @dataclass(frozen=True)
 class RotationStep:
-    """Rotation by the angle ``nominal_function(raw) + errors[error_slot]`` [rad] about an axis (0, 1, 2)."""
+    """Rotation by the angle ``sign * (nominal_function(raw_readings) + errors[error_slot])`` [rad] about an axis."""
 
     axis: int
-    """Index of the coordinate axis."""
+    """Coordinate axis of the rotation: 0 x, 1 y, 2 z."""
     error_slot: str = ""
-    """Name of the slot for its error; empty for none."""
+    """Key of the rotation's error in the mapping `errors`; empty for a rotation without error."""
     nominal_function: NominalFunction | None = None
-    """Nominal angle as a function of the readings; None for zero."""
+    """Nominal angle [rad] as a function of the raw readings; None for a nominal angle of zero."""
     sign: float = 1.0
-    """Sign of the angle."""
+    """Factor of nominal angle plus error: +1, -1, or a ratio such as `MIRROR_ROTATION_RATIO`."""
 
 
 @dataclass(frozen=True)
 class TranslationStep:
-    """Translation by the length ``nominal_function(raw) + errors[error_slot]`` [m] along an axis (0, 1, 2)."""
+    """Translation by the length ``sign * (nominal_function(raw_readings) + errors[error_slot])`` [m] along an axis."""
 
     axis: int
-    """Index of the coordinate axis."""
+    """Coordinate axis of the translation: 0 x, 1 y, 2 z."""
     error_slot: str = ""
-    """Name of the slot for its error; empty for none."""
+    """Key of the translation's error in the mapping `errors`; empty for a translation without error."""
     nominal_function: NominalFunction | None = None
-    """Nominal length as a function of the readings; None for zero."""
+    """Nominal length [m] as a function of the raw readings; None for a nominal length of zero."""
     sign: float = 1.0
-    """Sign of the length."""
+    """Factor of nominal length plus error, +1 or -1."""
 
 
 ElementaryMotion = RotationStep | TranslationStep
@@ -58,31 +59,37 @@ KinematicChain = tuple[ElementaryMotion, ...]
 
 @dataclass(frozen=True)
 class ConstantAmount:
-    """Nominal amount of a motion that does not depend on the readings."""
+    """Nominal angle [rad] or length [m] of an elementary motion that does not depend on the readings."""
 
     value: float
+    """The angle [rad] or length [m]."""
 
     def __call__(self, raw_readings: Floats) -> Floats:
-        """The constant amount (n,) for raw readings (n, 3)."""
+        """The constant angle [rad] or length [m], repeated for each of n raw readings, (n,)."""
         return np.full(len(raw_readings), self.value)
 
 
 @dataclass(frozen=True)
 class ReadingAmount:
-    """Nominal amount of a motion that is a raw reading (0 range, 1 azimuth, 2 elevation) plus `offset`."""
+    """Nominal angle [rad] or length [m] of an elementary motion that is a raw reading plus a fixed offset."""
 
-    column: int
+    reading_index: int
+    """Index of the reading: 0 range, 1 azimuth, 2 elevation."""
     offset: float = 0.0
+    """Offset [m or rad] that is added to the reading."""
 
     def __call__(self, raw_readings: Floats) -> Floats:
-        """The selected reading plus `offset`, (n,), of raw readings (n, 3)."""
-        return raw_readings[:, self.column] + self.offset
+        """The selected reading plus `offset`, (n,), for n raw readings of range, azimuth and elevation, (n, 3)."""
+        return raw_readings[:, self.reading_index] + self.offset
 
 
 def _motion_amount(
     elementary_motion: ElementaryMotion, raw_readings: Floats, errors: Mapping[str, Floats]
 ) -> Floats | None:
-    """Signed angle [rad] or length [m] of a motion, nominal amount plus error, (n,) or a number; None for no motion."""
+    """Signed angle [rad] or length [m] of a motion, nominal plus error, for n raw readings (n, 3).
+
+    The result is an array (n,) or one number; None for a motion with neither a nominal amount nor an error.
+    """
     motion_amount = (
         None if elementary_motion.nominal_function is None else elementary_motion.nominal_function(raw_readings)
     )
@@ -101,9 +108,10 @@ def _rotate(axis: int, angle: Floats, *vectors: Floats) -> None:
 
 
 def points_from_raw_readings(chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats]) -> Floats:
-    """Points (n, 3) [m] that raw readings (n, 3) measure.
+    """Coordinates (n, 3) [m], in the base frame of a chain, of the points that n raw readings (n, 3) measure.
 
-    `errors` has the error of each slot [rad or m], as an array (n,) or one number. A missing slot has no error.
+    `errors` has the error [rad or m] of each motion by its `error_slot`, as an array (n,) or one number. A motion
+    whose slot is missing has no error.
     """
     p: list[Any] = [0.0, 0.0, 0.0]  # one contiguous array per coordinate
     for motion in reversed(chain):
@@ -124,11 +132,12 @@ def points_from_raw_readings(chain: KinematicChain, raw_readings: Floats, errors
 def points_and_error_derivatives(
     chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats], error_slots: set[str]
 ) -> tuple[Floats, dict[str, Floats]]:
-    """Points (n, 3) [m] of raw readings (n, 3), and their derivatives (n, 3) by the error of each slot.
+    """Points (n, 3) [m] of n raw readings (n, 3), and their derivatives (n, 3) with respect to errors of the chain.
 
-    The dictionary of derivatives has one entry for each slot in `error_slots` that the chain contains. The computation
-    starts at the target and applies the motions towards the base. Point and derivatives are vectors of
-    the current frame: a rotation turns all of them, a translation moves the point alone.
+    `errors` is as for `points_from_raw_readings`. The dictionary of derivatives has one entry for each of the keys
+    `error_slots` that the chain contains. The computation starts at the target and applies the motions towards the
+    base. Point and derivatives are vectors of the current frame: a rotation turns all of them, a translation moves the
+    point alone.
     """
     p = np.zeros((len(raw_readings), 3))
     derivative_buffer, count = np.zeros((len(chain), len(raw_readings), 3)), 0
@@ -179,8 +188,8 @@ in the exact form (not the first-order one), from the base outwards:
     p = Rz(azimuth_t) { [tau, 0, 0] + Rx(kappa) [ Ry(-elevation_t) ( [0, b_y, b_z] + range_t * u ) ] }
     u = (cos c, sin c, 0)
 
-Signs: every slot is a correction, added to the raw reading or to the nominal zero (truth - reading). Raw face-2
-readings are used unchanged; the signs of the two faces follow from the geometry.
+Signs: every error is a correction (true value minus reading), added to the raw reading or to the nominal zero. Raw
+face-2 readings are used unchanged; the signs of the two faces follow from the geometry.
 """
 
 MIRROR_ZENITH_ROTATION = -0.5 * math.pi
@@ -237,7 +246,10 @@ doi:10.6028/jres.114.003. Written here in the exact form; signs as in `MISALIGNM
 
 
 def joint_error_motions(joint_name: str) -> tuple[ElementaryMotion, ...]:
-    """Error matrix E_Rot of a joint as six elementary motions, for joint J1 with slots ``J1.dX`` to ``J1.eZ``."""
+    """Error matrix E_Rot of a joint of `DH_CHAIN` as six elementary motions: three translations, then three rotations.
+
+    The keys of their errors begin with the name of the joint: ``J1.dX`` to ``J1.eZ`` for the joint J1.
+    """
     shifts = tuple(TranslationStep(i, f"{joint_name}.d{axis}") for i, axis in enumerate("XYZ"))
     turns = tuple(RotationStep(i, f"{joint_name}.e{axis}") for i, axis in enumerate("XYZ"))
     return shifts + turns
@@ -267,13 +279,13 @@ these frames. E_Trans is last and acts on a point, so that its rotation has no e
 coefficients of the paper are complete.
 
 Of the 78 coefficients 64 have an effect on a point: J2.eZ turns about the beam (5), T.eX, T.eY and T.eZ turn the point
-about itself (9). Of these, 53 differ even where stations and targets are known; the others repeat them: J1.dZ_c =
-J2.dY_c = T.dX_0 (lateral beam offset), J2.dX_c = T.dY_0 (vertical beam offset), J2.dZ_c = T.dZ_0 (range zero), J2.eX_c
-= T.dX_1 (beam tilt), J1.eZ_c = J2.eY_c = T.dY_1 (vertical index), J1.eX_c and J2.eX_sin (transit tilt), J1.eY_c and
-J2.eX_cos (azimuth index), J1.dX_c with J2.dZ_cos and J2.dX_sin (transit offset), J1.dY_c with J2.dZ_sin and J2.dX_cos
-(height of the transit axis). The pose of each station takes 6 more (height, yaw, one pair of first harmonics each of
-place and tilt), which leaves 47; the range scale T.dZ_1 is the scale of the network where no length is known, which
-leaves 46. `tests/physics/model/test_dh_count.py` counts them.
+about itself (9). Of the 64, 53 have distinct effects if stations and targets are known; the others repeat them:
+J1.dZ_c = J2.dY_c = T.dX_0 (lateral beam offset), J2.dX_c = T.dY_0 (vertical beam offset), J2.dZ_c = T.dZ_0 (range
+zero), J2.eX_c = T.dX_1 (beam tilt), J1.eZ_c = J2.eY_c = T.dY_1 (vertical index), J1.eX_c and J2.eX_sin (transit tilt),
+J1.eY_c and J2.eX_cos (azimuth index), J1.dX_c with J2.dZ_cos and J2.dX_sin (transit offset), J1.dY_c with J2.dZ_sin and
+J2.dX_cos (height of the transit axis). The pose of each station takes 6 more (height, yaw, one pair of first harmonics
+each of position and tilt), which leaves 47; the range scale T.dZ_1 is the scale of the network if no length is known,
+which leaves 46. `tests/physics/model/test_dh_count.py` counts them.
 
 The paper's azimuth is zero on +Y. The chain starts with a fixed quarter turn, so that all chains use
 one instrument frame (azimuth zero on +X); the harmonics are functions of the reading and do not change.

@@ -1,4 +1,4 @@
-"""Range, azimuth and elevation of points on either face, and their derivatives.
+"""Conversion between points and readings of range, azimuth and elevation in either face, and its derivatives.
 
 Face 1 is the front: elevation within +-90 deg. Face 2 holds raw encoder values: azimuth + 180 deg and
 180 deg - elevation.
@@ -10,19 +10,19 @@ from ltsim.core.arrays import Floats, Ints, stack_columns
 
 
 def wrap_angle(angle: Floats) -> Floats:
-    """Angle [rad] brought into (-pi, pi]."""
+    """Angles [rad] reduced by full turns to the interval (-pi, pi]."""
     return np.pi - np.mod(np.pi - angle, 2 * np.pi)
 
 
 def to_polar(points: Floats) -> Floats:
-    """Front-face range [m], azimuth and elevation [rad], (n, 3), of points (n, 3) [m]."""
+    """Front-face range [m], azimuth and elevation [rad], (n, 3), of points (n, 3) [m] in the instrument frame."""
     x, y, z = points.T
     horizontal = np.hypot(x, y)
     return stack_columns(np.hypot(horizontal, z), np.arctan2(y, x), np.arctan2(z, horizontal))
 
 
 def from_polar(readings: Floats) -> Floats:
-    """Points (n, 3) [m] of range, azimuth and elevation (n, 3).
+    """Points (n, 3) [m] in the instrument frame from range [m], azimuth and elevation [rad], (n, 3).
 
     Raw face-2 values give the same point as face-1 values.
     """
@@ -32,7 +32,7 @@ def from_polar(readings: Floats) -> Floats:
 
 
 def to_face(polar_coordinates: Floats, face: Ints) -> Floats:
-    """Raw readings (n, 3) on `face` (n,), 1 or 2, of front-face polar coordinates (n, 3).
+    """Raw readings (n, 3) in the face of each pointing, `face` (n,) with 1 or 2, from front-face coordinates (n, 3).
 
     The function is its own inverse: it also converts raw readings to front-face values.
     """
@@ -54,17 +54,22 @@ def unit_vectors(azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats, Fl
 
 
 def components_across_beam(vectors: Floats, points: Floats) -> Floats:
-    """Components (n, 2) of vectors (n, 3) to the left and upwards, across the beam from the origin to points (n, 3)."""
+    """Components (n, 2) of vectors (n, 3) perpendicular to the beam: to the left of it, and upwards across it.
+
+    The beam of each vector goes from the origin of the instrument to its point (n, 3) [m].
+    """
     _, azimuth, elevation = to_polar(points).T
     _, across, up = unit_vectors(azimuth, elevation)
     return stack_columns(np.einsum("ni,ni->n", vectors, across), np.einsum("ni,ni->n", vectors, up))
 
 
 def polar_jacobian(polar_coordinates: Floats, face: Ints) -> Floats:
-    """Derivative (n, 3, 3) of the raw readings on `face` with respect to the point, at front-face readings (n, 3).
+    """Derivative (n, 3, 3) of raw readings with respect to the coordinates of the measured point, instrument frame.
 
-    Axis 1 is the reading (range, azimuth, elevation), axis 2 the coordinate. On face 2 the raw elevation is 180 deg
-    minus the elevation, so that its row has the opposite sign.
+    `polar_coordinates` (n, 3) are the front-face range [m], azimuth and elevation [rad], `face` (n,) the face used.
+
+    Axis 1 of the result is the reading (range, azimuth, elevation), axis 2 the coordinate. On face 2 the raw elevation
+    is 180 deg minus the elevation, so that its row has the opposite sign.
     """
     range_, azimuth, elevation = polar_coordinates.T
     beam, across, up = unit_vectors(azimuth, elevation)

@@ -34,7 +34,7 @@ def matrix_from_rotation_vector(vectors: Floats) -> Floats:
 
 
 def rotation_about_z(angle: float) -> Floats:
-    """Rotation by `angle` [rad] about the z axis, counter-clockwise seen from above."""
+    """Rotation matrix (3, 3) for a rotation by `angle` [rad] about the z axis, counter-clockwise seen from above."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -67,7 +67,7 @@ MIN_RIGID_POINTS = 3
 
 
 def rigid_motion_design(points: Floats, centre: Floats | None = None) -> Floats:
-    """Displacement (3 k, 6) of points (k, 3) by unit translations and by unit rotations about `centre` (3,).
+    """Displacement (3 k, 6) of k points (k, 3) [m] by unit translations and unit small rotations about `centre` (3,).
 
     Without `centre` the rotations are about the origin.
     """
@@ -76,10 +76,10 @@ def rigid_motion_design(points: Floats, centre: Floats | None = None) -> Floats:
 
 
 def remove_rigid_motion(displacement: Floats, points: Floats, free_motions: Floats | None = None) -> Floats:
-    """Displacements (3 k, c) of k points in c cases, with the best-fitting rigid motion of each case removed.
+    """Displacements (3 k, c) of k points (k, 3) in c cases, minus the rigid motion that fits each case best.
 
-    If `free_motions` (6, f) is given, only combinations of its f columns are removed; each column is a rigid motion
-    with three translations and three rotations.
+    The fit is by least squares. If `free_motions` (6, f) is given, only combinations of its f columns are removed; each
+    column is a rigid motion with three translations and three rotations.
     """
     motion = rigid_motion_design(points)
     basis = np.linalg.qr(motion if free_motions is None else motion @ free_motions)[0]
@@ -94,7 +94,7 @@ def pose_design(point_derivatives: Floats, sight_vectors: Floats) -> Floats:
     Parameters
     ----------
     point_derivatives : (n, 3, 3) float
-        Derivative of the readings with respect to the target's coordinates.
+        Derivative of the readings with respect to the target's coordinates, network frame.
     sight_vectors : (n, 3) float, [m]
         Vectors from the station to the targets.
     """
@@ -108,19 +108,20 @@ def determines_pose(
     *,
     min_relative_width: float = MAX_COLLINEAR_RATIO,
 ) -> Bools:
-    """Flags (...) of stations whose pose (six parameters) is determined by the geometry of the targets they measure.
+    """Flags (...) of stations whose pose (six parameters) is determined by the positions of the targets they measure.
 
     Three targets that are not collinear are sufficient. A levelled station needs two that are not on one vertical.
 
     Parameters
     ----------
     points : (T, 3) float, [m]
+        Coordinates of the targets.
     is_sighted : (..., T) bool
         Targets that each station measures with range and both angles.
     plumb_direction : (..., 3) float, optional
         Unit vector of the plumb line that a level defines at each station, NaN without a level.
     min_relative_width : float
-        Distance of targets from a common line, as a fraction of their extent, up to which they count as collinear.
+        Distance of targets from a common line, divided by their extent, up to which they count as collinear.
     """
     n_sighted = np.maximum(is_sighted.sum(axis=-1), 1)
     centre = (is_sighted @ points) / n_sighted[..., None]
@@ -136,14 +137,14 @@ def determines_pose(
 
 
 MAX_ROBUST_PASSES = 8
-"""Largest number of reweightings of a robust alignment."""
+"""Largest number of reweighted least-squares fits in `align_robustly`."""
 MAX_NOISE_DISTANCE_RATIO = 8.0
 """Ratio of the largest to the median distance between aligned points and their goals, below which the alignment is not
 reweighted: the distances then contain noise only and no outlier."""
 MAX_OUTLIER_FREE_MISFIT = 1e-4
-"""Mean distance [m] between points and their goals after a least-squares alignment. Above it the alignment also starts
-from triples of points, because an outlier may have distorted the least-squares alignment. Start values need no more
-than 0.1 mm."""
+"""Mean distance [m] between points and their goals after a least-squares alignment, above which `align_robustly` also
+starts from triples of points: an outlier may have distorted the least-squares alignment. Start values of an adjustment
+need no smaller distance than this 0.1 mm."""
 MAX_POINTS_FOR_ALL_TRIPLES = 6
 """Number of points up to which every triple of points is a start of a robust alignment."""
 MAX_TRIPLES = 30
@@ -155,8 +156,8 @@ a third are."""
 def align_rigidly(points: Floats, goal_points: Floats, weights: Floats | None = None) -> tuple[Floats, Floats]:
     """Rotation (3, 3) and translation (3,) [m] that move `points` (n, 3) onto `goal_points` (n, 3) by least squares.
 
-    The fit is ``goal_points ~ points @ rotation.T + translation``. Parameters and errors are those of
-    `align_with_scale`.
+    The fit is ``goal_points ~ points @ rotation.T + translation``. `weights` (n,) are non-negative weights of the
+    points, by default equal. Raises NetworkError for fewer than three points, or for points on one line.
     """
     return align_with_scale(points, goal_points, weights)[:2]
 
@@ -164,19 +165,19 @@ def align_rigidly(points: Floats, goal_points: Floats, weights: Floats | None = 
 def align_with_scale(
     points: Floats, goal_points: Floats, weights: Floats | None = None, *, estimates_scale: bool = False
 ) -> tuple[Floats, Floats, Floats]:
-    """Rotation (..., 3, 3), shift (..., 3) and scale (...) that move points onto their goals by least squares.
+    """Rotation (..., 3, 3), shift (..., 3) [m] and scale (...) that move points onto their goals by least squares.
 
-    The fit is ``goal_points ~ scale * points @ rotation.T + shift``. The leading dimensions `...` are independent
-    point sets.
+    The fit is ``goal_points ~ scale * points @ rotation.T + shift``. The leading dimensions `...` count independent
+    sets of points.
 
     Parameters
     ----------
     points : (..., n, 3) float, [m]
         Points to move, at least three that are not on one line.
     goal_points : (..., n, 3) float, [m]
-        The corresponding points.
+        Points onto which they are moved, in the same order.
     weights : (n,) float, optional
-        Non-negative weights.
+        Non-negative weights of the points, by default equal.
     estimates_scale : bool
         True to estimate the scale; otherwise the scale is 1.
 
@@ -204,7 +205,7 @@ def align_with_scale(
 def _weighted_alignment(
     points: Floats, goal_points: Floats, weight: Floats, *, estimates_scale: bool = False
 ) -> tuple[Floats, Floats, Floats, Bools]:
-    """Rotation, shift and scale of `align_with_scale`, and flags (...) that the points determine the rotation."""
+    """Rotation, shift and scale as in `align_with_scale`, and flags (...) of point sets that determine the rotation."""
     weight = weight / weight.sum()
     centre, goal_centre = weight @ points, weight @ goal_points
     centred_points = points - centre[..., None, :]
@@ -227,7 +228,7 @@ def align_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats]
     several local minima. Reweighting therefore starts at the least-squares alignment or at the alignment of three of
     the points: at the one with the smallest sum of the logarithms of all distances.
 
-    Raises NetworkError under the conditions of `align_with_scale`.
+    Raises NetworkError for fewer than three points, or for points on one line.
     """
     best_alignment = align_rigidly(points, goal_points)
     if len(points) < 4:
@@ -254,15 +255,15 @@ def align_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats]
 
 
 def largest_alignment_distance(points: Floats, goal_points: Floats) -> float:
-    """Largest distance [m] between points of two sets (n, 3) after their least-squares alignment.
+    """Largest distance [m] between corresponding points of two sets (n, 3) [m] after their least-squares alignment.
 
-    Raises NetworkError under the conditions of `align_with_scale`.
+    Raises NetworkError for fewer than three points, or for points on one line.
     """
     return float(_alignment_residual_distances(points, goal_points, align_rigidly(points, goal_points)).max())
 
 
 def _alignment_residual_distances(points: Floats, goal_points: Floats, rigid_motion: tuple[Floats, Floats]) -> Floats:
-    """Distances (..., n) [m] between points (..., n, 3) after a rigid motion and their goals (..., n, 3).
+    """Distances (..., n) [m] between points (..., n, 3), moved by a rigid motion, and their goals (..., n, 3).
 
     `rigid_motion` is a pair: rotations (..., 3, 3) and shifts (..., 3) [m].
     """
@@ -272,7 +273,7 @@ def _alignment_residual_distances(points: Floats, goal_points: Floats, rigid_mot
 
 
 def _sum_of_log_distances(distances: Floats) -> Floats:
-    """Sum (...) of the logarithms of distances (..., n) [m]; shorter ones count as `MAX_OUTLIER_FREE_MISFIT`.
+    """Sum (...) of the logarithms of distances (..., n) [m], each at least `MAX_OUTLIER_FREE_MISFIT`.
 
     An alignment with a few large and many small distances has a smaller sum than one with all distances of medium size.
     """

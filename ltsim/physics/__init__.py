@@ -1,1 +1,1 @@
-"""Measurement model: physical effects (one module each), empirical laws, and the forward model for readings."""
+"""Measurement model: physical effects (one module each), empirical laws, and the forward model of the readings."""

@@ -2,7 +2,7 @@
 
 glTF defines metres and y up. STEP and IGES files declare their unit. STL, OBJ and PLY declare nothing and are read in
 millimetres with z up. The assumed unit and vertical axis are reported. If a body has an implausible size or position,
-an error asks the user to declare them.
+an error asks the user to declare unit and vertical axis.
 """
 
 import re
@@ -24,24 +24,24 @@ GLTF_SUFFIXES = (".glb", ".gltf")
 CAD_SUFFIXES = (*FACET_SUFFIXES, *GLTF_SUFFIXES, *EXACT_SUFFIXES)
 """Suffixes of all CAD files that are read."""
 UNIT_NAMES = {"mm": "millimetres", "m": "metres", "in": "inches"}
-"""Words for the units of CAD files."""
+"""Full names of the units of CAD files, for messages."""
 MAX_COORDINATE_SPACING_MM = 1.0
-"""Spacing [mm] of single-precision numbers at the position of a body above which a file is refused: halls are planned
-to the millimetre, and lines of sight pass bodies at a few centimetres.
+"""Spacing [mm] between neighbouring single-precision numbers at the position of a body, above which a CAD file is
+refused. Halls are planned to the millimetre, and lines of sight pass bodies at a few centimetres.
 """
 SINGLE_PRECISION_SUFFIXES = (".stl", *GLTF_SUFFIXES)
 """Suffixes of files whose coordinates may be in single precision."""
 MIN_RELATIVE_BODY_LENGTH = SI_PER_UNIT["mm"] / SI_PER_UNIT["in"]
-"""Smallest length of a body, divided by the length of the hall, at which the unit of a CAD file is not questioned: 1 /
-25.4. A body as long as the hall has this ratio if a file in inches is read in millimetres."""
+"""Length of a body divided by the length of the hall, below which the unit of a CAD file is questioned: 1 / 25.4. A
+body as long as the hall has this ratio if a file in inches is read in millimetres."""
 MAX_OVERHANG = 0.05
 """Largest distance [m] by which a body may extend beyond the hall or below its floor."""
 GRID_POINTS_PER_METRE = 1e5
-"""Grid points per metre to which corners of triangles are rounded (10 um). Single precision, as in STL and glTF,
-resolves no more over 40 m.
+"""Grid points per metre to which corners of triangles are rounded: a grid of 10 um. Single precision, as in STL and
+glTF, has no finer resolution over 40 m.
 """
 TRIANGLES_PER_BATCH = 1 << 16
-"""Number of triangles that are rounded to the grid at a time, to limit the memory for intermediate results."""
+"""Number of triangles whose corners are rounded to the grid at a time, to limit the memory for intermediate results."""
 Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Rotation matrix from y up to z up: x stays, y becomes z, z becomes -y."""
 
@@ -51,25 +51,26 @@ class CadFile:
     """Contents of a CAD file, with the unit and vertical axis used to read it."""
 
     file: Path
+    """Path of the CAD file."""
     triangles: Floats
     """Triangles of the body, (m, 3, 3) [m], z up."""
     unit: str
-    """Unit in which the numbers were read, `mm`, `m` or `in`; empty for a format that declares its unit."""
+    """Unit in which coordinates were read, `mm`, `m` or `in`; empty for a format that declares its unit."""
     vertical_axis: str
-    """Vertical axis of the file, `y` or `z`."""
+    """Vertical axis of the coordinates in the file, `y` or `z`."""
     has_declared_unit: bool
-    """True if the file or the user declares the unit."""
+    """True if the format of the file or the user declares the unit; False if the unit is assumed."""
 
     @property
     def interpretation_text(self) -> str:
-        """Description of the unit and the vertical axis in which the file was read, for users."""
+        """Description for users of the unit and the vertical axis with which the file was read."""
         kind = self.file.suffix[1:].upper()
-        unit = f"numbers taken for {UNIT_NAMES[self.unit]}" if self.unit else f"in the unit that {kind} declares"
+        unit = f"coordinates read as {UNIT_NAMES[self.unit]}" if self.unit else f"in the unit that {kind} declares"
         return f"{unit}, {self.vertical_axis} up"
 
     @property
     def with_other_vertical(self) -> Floats:
-        """Triangles (m, 3, 3) [m] of the same file, read with its other possible vertical axis (y or z)."""
+        """Triangles (m, 3, 3) [m] of the same file, read with z in place of y as vertical axis, or the reverse."""
         return self.triangles @ (Y_UP_TO_Z_UP if self.vertical_axis == "y" else Y_UP_TO_Z_UP.T)
 
 
@@ -98,7 +99,10 @@ def read_mesh(path: Path, unit: str | None = None, vertical_axis: str | None = N
 
 @lru_cache(maxsize=8)
 def _read_triangles(path: Path, _modification_time: int, metres_per_unit: float, vertical_axis: str) -> Floats:
-    """Triangles (m, 3, 3) [m], z up, of a file of any format with length unit `metres_per_unit` [m]."""
+    """Triangles (m, 3, 3) [m], z up, of a CAD file of any format whose length unit is `metres_per_unit` [m].
+
+    `_modification_time` is part of the cache key only, so that a changed file is read again.
+    """
     triangles = _triangles_in_file_units(path, metres_per_unit)
     if triangles.shape[1:] != (3, 3):
         raise SetupError(f"{path}: has points without three coordinates; export it again")
@@ -109,7 +113,7 @@ def _read_triangles(path: Path, _modification_time: int, metres_per_unit: float,
             for start in batch_starts
         ]
     )
-    del triangles  # each array of a large file takes a tenth of the memory
+    del triangles  # each array of a large file takes a tenth of the permitted memory
     if not len(corners):
         raise SetupError(
             f"{path}: has no triangle larger than {1e6 / GRID_POINTS_PER_METRE:g} um if its unit of length is "
@@ -136,9 +140,9 @@ def _grid_coordinates(triangles: Floats, vertical_axis: str) -> Ints:
 
 
 def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
-    """Triangles (m, 3, 3) in the axes and the unit of the file, or in metres for a format with exact surfaces.
+    """Triangles (m, 3, 3) in the axes and the unit of a CAD file, or in metres for a format with exact surfaces.
 
-    `metres_per_unit` is the length of the file's unit [m]. Raises SetupError for a file that cannot be read.
+    `metres_per_unit` is the length [m] of the file's unit. Raises SetupError for a file that cannot be read.
     """
     suffix = path.suffix.lower()
     if suffix in EXACT_SUFFIXES and not is_installed("cascadio"):
@@ -148,9 +152,9 @@ def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
         )
     if suffix == ".gltf" and (others := re.findall(rb'"uri"\s*:\s*"(?!data:)([^"]*)"', path.read_bytes())):
         raise SetupError(
-            f"{path}: keeps its surfaces in other files "
+            f"{path}: stores its surfaces in other files "
             f"({quoted_text(others[0].decode(errors='replace'))}); export it as "
-            ".glb, or as .gltf with everything in it"
+            ".glb, or as .gltf with embedded data"
         )
     triangles = read_triangles(path)
     _require_precision(path, triangles, metres_per_unit)
@@ -158,9 +162,9 @@ def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
 
 
 def _require_precision(path: Path, triangles: Floats, metres_per_unit: float) -> None:
-    """Check that neighbouring single-precision coordinates differ by at most `MAX_COORDINATE_SPACING_MM`.
+    """Check that single precision resolves the coordinates of triangles (m, 3, 3) to `MAX_COORDINATE_SPACING_MM`.
 
-    The unit of the triangles (m, 3, 3) is `metres_per_unit` [m]. Raises SetupError otherwise.
+    The unit of the coordinates is `metres_per_unit` [m]. Raises SetupError if the resolution is coarser.
     """
     single_precision = triangles.astype(np.float32)
     if path.suffix.lower() not in SINGLE_PRECISION_SUFFIXES or not np.array_equal(single_precision, triangles):
@@ -168,13 +172,13 @@ def _require_precision(path: Path, triangles: Floats, metres_per_unit: float) ->
     step = float(np.spacing(np.abs(single_precision).max())) * metres_per_unit / SI_PER_UNIT["mm"]
     if step > MAX_COORDINATE_SPACING_MM:
         raise SetupError(
-            f"{path}: its coordinates are in single precision and reach {np.abs(triangles).max():.4g}, where they have "
-            f"steps of {step:.4g} mm; export it with its origin near the body, or as OBJ"
+            f"{path}: its coordinates are in single precision and reach {np.abs(triangles).max():.4g}, where their "
+            f"resolution is {step:.4g} mm; export it with its origin near the body, or as OBJ"
         )
 
 
 def extent_text(triangles: Floats) -> str:
-    """Size and limits of the coordinates of triangles (m, 3, 3) [m], as text for users."""
+    """Size of triangles (m, 3, 3) [m] along x, y, z and the limits of their coordinates, as text for users."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     extents = " x ".join(f"{v:.3g}" for v in high - low)
     return (
@@ -183,9 +187,9 @@ def extent_text(triangles: Floats) -> str:
 
 
 def implausible_size_question(cad_file: CadFile, hall_size: Floats) -> str:
-    """Message that asks for the unit of a CAD file whose body has an implausible size in a hall (3,) [m].
+    """Message that asks for the unit of a CAD file whose body has an implausible size for a hall of size (3,) [m].
 
-    It is empty for a plausible size or a declared unit.
+    The message is empty for a plausible size or a declared unit.
     """
     length, least, most = (
         np.ptp(cad_file.triangles, axis=(0, 1)),
@@ -202,12 +206,15 @@ def implausible_size_question(cad_file: CadFile, hall_size: Floats) -> str:
     fitting = [unit for unit, size in size_by_unit.items() if least <= size <= most] or list(size_by_unit)
     size, other = " x ".join(f"{v:.3g}" for v in length), " or ".join(f'"{unit}"' for unit in fitting)
     return (
-        f"{cad_file.file}: is {size} m large if its numbers are {UNIT_NAMES[cad_file.unit]}, which it does not "
-        f'declare; set unit = {other}, or unit = "{cad_file.unit}" if this is correct'
+        f"{cad_file.file}: is {size} m large if its coordinates are {UNIT_NAMES[cad_file.unit]}, a unit that it does "
+        f'not declare; set unit = {other}, or unit = "{cad_file.unit}" if this is correct'
     )
 
 
 def is_inside_hall(triangles: Floats, hall_size: Floats) -> bool:
-    """True if triangles (m, 3, 3) [m] lie within a hall (3,) [m] that has a corner at the origin."""
+    """True if triangles (m, 3, 3) [m] lie within a hall of size (3,) [m] with a corner at the origin.
+
+    They may extend beyond the hall by `MAX_OVERHANG`.
+    """
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     return bool(np.all(low >= -MAX_OVERHANG) and np.all(high <= hall_size + MAX_OVERHANG))

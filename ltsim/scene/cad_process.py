@@ -29,15 +29,16 @@ from ltsim.core.limits import (
 from ltsim.recordings.files import quoted_text
 
 EXACT_SUFFIXES = (".step", ".stp", ".iges", ".igs")
-"""Suffixes of files with exact surfaces."""
+"""Suffixes of CAD files with exact surfaces."""
 FACET_SUFFIXES = (".stl", ".obj", ".ply")
-"""Suffixes of files with triangles or polygons."""
+"""Suffixes of CAD files with triangles or polygons."""
 MAX_TESSELLATION_DEVIATION_MM = 1.0
-"""Largest distance [mm] of a triangle from the exact surface when a curved surface is converted to triangles. Lines of
-sight need no smaller distance."""
+"""Largest distance [mm] of a triangle from the exact surface when a curved surface is converted to triangles. A smaller
+distance would not change which lines of sight are free."""
 _CHILD_PROCESS_CODE = "from ltsim.scene.cad_process import run_reader_process; run_reader_process()"
+"""Python code that the separate process runs."""
 _REFUSED_STATUS = 3
-"""Exit status of a process whose library raised an error; the error is on standard error."""
+"""Exit status of the separate process if a library raised an error; the name of the error is on standard error."""
 
 
 def read_triangles(path: Path) -> Floats:
@@ -52,7 +53,7 @@ def read_triangles(path: Path) -> Floats:
     if suffix == ".stl" or (suffix in FACET_SUFFIXES and len(content) <= MAX_IN_PROCESS_CAD_BYTES):
         try:
             triangles = parse_triangles(content, suffix)
-        except Exception as problem:  # readers of all these formats raise whatever they meet
+        except Exception as problem:  # the readers of these formats raise many kinds of errors
             raise _incomplete_file_error(path, type(problem).__name__) from None
     else:
         triangles = _read_in_process(path, len(content))
@@ -83,7 +84,10 @@ def _incomplete_file_error(path: Path, reason: str) -> SetupError:
 
 
 def _read_in_process(path: Path, file_size: int) -> Floats:
-    """Triangles read in a separate process; raises SetupError if it refuses the file, crashes or exceeds its limits."""
+    """Triangles (m, 3, 3) of a CAD file of `file_size` [bytes], read in a separate process.
+
+    Raises SetupError if the process refuses the file, crashes, or exceeds its limits of memory and time.
+    """
     limit_factor = max(1.0, file_size / MAX_FILE_BYTES)
     limits = [str(int(limit_factor * MAX_CAD_MEMORY)), str(int(limit_factor * MAX_CAD_SECONDS))]
     process_arguments = [sys.executable, "-P", "-c", _CHILD_PROCESS_CODE, str(path.resolve()), *limits]
@@ -105,7 +109,7 @@ def _read_in_process(path: Path, file_size: int) -> Floats:
 def run_reader_process() -> None:
     """Main function of the separate process: it writes the triangles of a file to standard output.
 
-    The command-line arguments are the file, the limit of memory [bytes] and the limit of processor time [s].
+    The command-line arguments are the path of the file, the limit of memory [bytes] and that of processor time [s].
     """
     path, memory_bytes, processor_seconds = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     limit_process_resources(memory_bytes, processor_seconds)
@@ -114,21 +118,21 @@ def run_reader_process() -> None:
             triangles = parse_triangles(stream.read(), path.suffix.lower())
         if len(triangles) > MAX_OBSTACLE_TRIANGLES:
             raise MemoryError
-    except Exception as problem:  # whatever the libraries raise
+    except Exception as problem:  # the libraries raise many kinds of errors
         sys.stderr.write(type(problem).__name__)
         sys.exit(_REFUSED_STATUS)
     sys.stdout.buffer.write(np.ascontiguousarray(triangles).tobytes())
 
 
 def limit_process_resources(memory_bytes: int, processor_seconds: int) -> None:
-    """Set limits of this process for memory and processor time, on operating systems that support them.
+    """Limitation of the memory and processor time of this process, on operating systems that support limits.
 
-    `memory_bytes` is the memory in addition to that of the imported libraries, `processor_seconds` the processor time.
+    `memory_bytes` [bytes] is the memory allowed in addition to that of the imported libraries.
     """
     with suppress(ImportError, ValueError, OSError):
         import resource
 
-        import trimesh  # noqa: F401  # its libraries reserve 300 MB of addresses, of which they use a third
+        import trimesh  # noqa: F401  # its libraries reserve 300 MB of addresses and use a third of them
 
         resource.setrlimit(resource.RLIMIT_CPU, (processor_seconds, processor_seconds))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -140,9 +144,9 @@ def limit_process_resources(memory_bytes: int, processor_seconds: int) -> None:
 def parse_triangles(file_content: bytes, suffix: str) -> Floats:
     """Triangles (m, 3, 3) from the bytes of a CAD file, whose suffix defines the format.
 
-    Errors of the libraries are not caught.
+    The unit is that of the file, or the metre for a format with exact surfaces. Errors of the libraries are not caught.
     """
-    import trimesh  # a third of a second that few need
+    import trimesh  # takes 0.3 s to import and is rarely needed
 
     if suffix in EXACT_SUFFIXES:
         import cascadio
@@ -157,7 +161,7 @@ def parse_triangles(file_content: bytes, suffix: str) -> Floats:
         file_type=suffix[1:],
         force="mesh",
         skip_materials=True,
-        process=False,  # corners are brought together by the caller
+        process=False,  # the caller merges equal corners
     )
     return np.asarray(mesh.triangles, dtype=np.float64)
 

@@ -1,4 +1,7 @@
-"""Areas of the floor for tripods, as in the table [floor] of a plan file; outlines are polygons seen from above."""
+"""Areas of the floor where tripods may stand, as in the TOML table [floor] of a plan file.
+
+Outlines are polygons seen from above.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +24,9 @@ PlanPoint = tuple[Finite, Finite]
 PlanOutline = Annotated[tuple[PlanPoint, ...], Field(min_length=3, max_length=500)]
 """Coordinates [mm] of the corners of a polygon on the floor, in order around it."""
 HeightRange = tuple[Positive, Positive]
-"""Lowest and highest height [mm]."""
+"""Lowest and highest height [mm] above the floor."""
 MIN_HEAD_ROOM = 0.3
-"""Free height [m] above the centre of an instrument's head."""
+"""Free height [m] that is required above the centre of an instrument's head."""
 N_DEFAULT_PLACES = 250
 """Number of grid positions for tripods on the floor if no grid spacing is given. The positions of stations are refined
 without the grid afterwards."""
@@ -82,19 +85,19 @@ class Floor(TomlSection):
     """Lowest and highest height of the centre of the instrument's head; default the range of the scenario's
     stations."""
     areas: tuple[FloorArea, ...] = ()
-    """Tables `[[floor.areas]]` that replace `corners_mm`: a tripod must stand in one of them."""
+    """TOML tables `[[floor.areas]]` that replace `corners_mm`: a tripod must stand in one of these areas."""
     keep_outs: tuple[FloorKeepOut, ...] = ()
-    """Tables `[[floor.keep_outs]]`: areas to be kept free of tripods."""
+    """TOML tables `[[floor.keep_outs]]`: areas to be kept free of tripods."""
     doors: tuple[Door, ...] = ()
-    """Tables `[[floor.doors]]`: doors with a free area in front."""
+    """TOML tables `[[floor.doors]]`: doors in front of which no tripod may stand."""
 
     @model_validator(mode="after")
-    def _fits(self) -> Floor:
+    def _check_heights_and_outline(self) -> Floor:
         for heights in (self.height_mm, *(area.height_mm for area in self.areas)):
             if heights is not None and heights[0] > heights[1]:
-                raise ValueError("it should give the lower height_mm first")
+                raise ValueError("height_mm must give the lower height first")
         if self.areas and self.corners_mm is not None:
-            raise ValueError("it should have either corners_mm or areas")
+            raise ValueError("the floor must have either corners_mm or areas, not both")
         return self
 
 
@@ -103,9 +106,9 @@ def areas_and_keep_outs(
 ) -> tuple[tuple[StandingArea, ...], tuple[KeepOutArea, ...]]:
     """Areas where tripods may stand, and keep-out areas, both in metres.
 
-    `heights` are the lowest and highest height [m] of the instrument's head, for areas whose heights neither the floor
-    nor the area declares. Raises SetupError for an outline that crosses itself or leaves the hall, and for a ceiling
-    that is too low for every height of the head.
+    `floor_spec` is the declared floor. `heights` are the lowest and highest height [m] of the instrument's head, for
+    areas whose heights neither the floor nor the area declares. Raises SetupError for an outline that crosses itself or
+    leaves the hall, and for a ceiling that is too low for every height of the head.
     """
     mm = MILLIMETRE
     default_heights = (
@@ -139,7 +142,7 @@ def areas_and_keep_outs(
 
 
 def _hall_outline(floor_spec: Floor, hall_size_mm: tuple[float, float, float]) -> tuple[PlanPoint, ...]:
-    """Corners [mm] of the floor of the hall without its margin along the walls.
+    """Corners [mm] of the floor of the hall without the margin along the walls.
 
     Raises SetupError for a margin that leaves no floor.
     """
@@ -152,12 +155,12 @@ def _hall_outline(floor_spec: Floor, hall_size_mm: tuple[float, float, float]) -
 def _outline_in_metres(
     outline_key: str, corners_mm: tuple[PlanPoint, ...], hall_size_mm: tuple[float, float, float] | None = None
 ) -> np.ndarray:
-    """Corners (k, 2) [m] of an outline, whose key in the plan file is `outline_key`.
+    """Corners (k, 2) [m] of an outline from its corners [mm]; `outline_key` is its key in the plan file, for messages.
 
     Raises SetupError if the outline crosses itself, or leaves the hall if `hall_size_mm` is given.
     """
     outline = np.array(corners_mm, dtype=np.float64) * MILLIMETRE
-    problem = outline_error(outline)
+    problem = invalid_outline_reason(outline)
     if problem:
         raise SetupError(f"{outline_key} is not an outline: {problem}")
     if hall_size_mm is not None:
@@ -179,24 +182,24 @@ class StandingArea:
     outline: Floats
     """Corners in order around the area, (k, 2) [m]."""
     heights: tuple[float, float]
-    """Lowest and highest centre of the instrument here [m]."""
+    """Lowest and highest height [m] of the centre of the instrument's head in this area."""
     holes: tuple[Floats, ...] = ()
-    """Outlines of the openings, each (k, 2) [m]."""
+    """Outlines of the openings in the area, each (k, 2) [m]."""
 
     def contains_instrument(self, position: Floats) -> Bools:
-        """Flags (N,) of the instrument positions (N, 3) [m] that lie in this area and its height limits."""
+        """Flags (N,) of the instrument positions (N, 3) [m] that lie over this area and within its limits of height."""
         low, high = self.heights
         return np.asarray(
-            self.covers_places(position[:, :2])
+            self.covers_positions(position[:, :2])
             & (position[:, 2] > low - EDGE_TOLERANCE)
             & (position[:, 2] < high + EDGE_TOLERANCE)
         )
 
-    def covers_places(self, places: Floats) -> Bools:
+    def covers_positions(self, positions: Floats) -> Bools:
         """Flags (N,) of the positions (N, 2) [m] on the floor that lie in the area and outside its openings."""
-        is_covered = is_inside_outline(self.outline, places)
+        is_covered = is_inside_outline(self.outline, positions)
         for hole in self.holes:
-            is_covered &= ~is_inside_outline(hole, places)
+            is_covered &= ~is_inside_outline(hole, positions)
         return is_covered
 
 
@@ -209,10 +212,10 @@ class KeepOutArea:
     clearance: float = 0.0
     """Distance [m] to be kept free around the outline."""
 
-    def contains_places(self, places: Floats) -> Bools:
+    def contains_positions(self, positions: Floats) -> Bools:
         """Flags (N,) of the positions (N, 2) [m] on the floor that lie in this keep-out area."""
-        is_near = distance_to_outline(self.outline, places) < self.clearance + EDGE_TOLERANCE
-        return is_near | is_inside_outline(self.outline, places) if len(self.outline) > 2 else is_near
+        is_near = distance_to_outline(self.outline, positions) < self.clearance + EDGE_TOLERANCE
+        return is_near | is_inside_outline(self.outline, positions) if len(self.outline) > 2 else is_near
 
     def is_crossed_by_path(self, path: Floats) -> bool:
         """True if the straight path between two positions (2, 2) [m] crosses the outline or the segment.
@@ -223,21 +226,21 @@ class KeepOutArea:
         return bool(shapely.intersects(shape, shapely.linestrings(path)))
 
 
-def distance_to_outline(outline: Floats, places: Floats) -> Floats:
+def distance_to_outline(outline: Floats, positions: Floats) -> Floats:
     """Distance (N,) [m] from N positions (N, 2) to the edges of an outline (k, 2), or to a line segment (2, 2)."""
     edges = shapely.linearrings(outline) if len(outline) > 2 else shapely.linestrings(outline)
-    return np.asarray(shapely.distance(edges, shapely.points(places)))
+    return np.asarray(shapely.distance(edges, shapely.points(positions)))
 
 
-def is_inside_outline(outline: Floats, places: Floats) -> Bools:
-    """Flags (N,) of the positions (N, 2) [m] inside an outline (k, 2) or within a nanometre of its edge."""
-    return np.asarray(shapely.distance(shapely.polygons(outline), shapely.points(places)) < EDGE_TOLERANCE)
+def is_inside_outline(outline: Floats, positions: Floats) -> Bools:
+    """Flags (N,) of the positions (N, 2) [m] inside an outline (k, 2) [m] or within `EDGE_TOLERANCE` of its edge."""
+    return np.asarray(shapely.distance(shapely.polygons(outline), shapely.points(positions)) < EDGE_TOLERANCE)
 
 
-def outline_error(outline: Floats) -> str:
+def invalid_outline_reason(outline: Floats) -> str:
     """Reason why corners (k, 2) [m] do not form a valid outline, as text.
 
-    It is empty for an outline that does not cross itself and whose area is not zero.
+    The text is empty for an outline that does not cross itself and whose area is not zero.
     """
     count, then = len(outline), np.roll(outline, -1, axis=0)
     same_rows = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE_TOLERANCE)
@@ -254,7 +257,7 @@ def outline_error(outline: Floats) -> str:
 
 
 def grid_step(standing_areas: Sequence[StandingArea], requested_step_mm: float | None) -> float:
-    """Spacing [m] of a grid of positions for tripods: the requested one, if there is one.
+    """Spacing [m] of the grid of positions for tripods: `requested_step_mm` [mm], or by default a suitable spacing.
 
     By default about `N_DEFAULT_PLACES` positions cover the areas, at least half a metre from each other.
     """
@@ -270,12 +273,15 @@ def is_allowed_position(
     obstacles: Obstacles | None,
     position: Floats,
 ) -> Bools:
-    """Flags (N,) of the instrument positions (N, 3) [m] under which a tripod may stand."""
+    """Flags (N,) of the instrument positions (N, 3) [m] under which a tripod may stand.
+
+    A permitted position is over a standing area, over no keep-out area and inside no obstacle.
+    """
     is_allowed = np.zeros(len(position), dtype=bool)
     for area in standing_areas:
         is_allowed |= area.contains_instrument(position)
     for place in keep_out_areas:
-        is_allowed &= ~place.contains_places(position[:, :2])
+        is_allowed &= ~place.contains_positions(position[:, :2])
     if obstacles is not None and is_allowed.any():
         is_allowed[is_allowed] = ~obstacles.is_setup_inside_body(position[is_allowed])
     return is_allowed
@@ -289,13 +295,13 @@ def refusal_reason(
 ) -> str:
     """Reason why no tripod may stand under an instrument position (3,) [m], as text for users.
 
-    It names the key of the plan file that forbids the position. The text is empty if a tripod may stand there.
+    The text names the key of the plan file that forbids the position. It is empty if a tripod may stand there.
     """
     if is_allowed_position(standing_areas, keep_out_areas, obstacles, position[None])[0]:
         return ""
     place, areas_below = (
         position[None, :2],
-        [area for area in standing_areas if area.covers_places(position[None, :2])[0]],
+        [area for area in standing_areas if area.covers_positions(position[None, :2])[0]],
     )
     if not areas_below:
         return "outside the permitted floor (floor.corners_mm, floor.areas, floor.margin_mm)"
@@ -303,15 +309,16 @@ def refusal_reason(
         low, high = min(area.heights[0] for area in areas_below), max(area.heights[1] for area in areas_below)
         span = f"{low / MILLIMETRE:g} to {high / MILLIMETRE:g} mm (floor.height_mm)"
         return f"with its head at {position[2] / MILLIMETRE:.0f} mm, expected {span}"
-    if any(free.contains_places(place)[0] for free in keep_out_areas):
-        return "on floor that is kept free (floor.keep_outs, floor.doors)"
+    if any(free.contains_positions(place)[0] for free in keep_out_areas):
+        return "in an area to be kept free (floor.keep_outs, floor.doors)"
     return "inside an obstacle (workshop.obstacles)"
 
 
 def grid_over_area(standing_area: StandingArea, grid_spacing: float, n_heights: int) -> Floats:
-    """Grid (N, 3) [m] of instrument positions over the bounding rectangle of an area.
+    """Grid (N, 3) [m] of instrument positions over the bounding rectangle of an area, with spacing `grid_spacing` [m].
 
-    `n_heights` is the number of heights between the lowest and the highest of the area; the lowest alone if both agree.
+    At each grid point there are `n_heights` positions from the lowest to the highest height of the area, or one
+    position if both heights agree.
     """
     low, high = standing_area.outline.min(axis=0), standing_area.outline.max(axis=0)
     n_grid_points = np.maximum(np.ceil((high - low) / grid_spacing).astype(int), 1)

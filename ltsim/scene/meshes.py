@@ -19,11 +19,11 @@ from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import perpendicular_vectors, rotation_about_z
 
 RAY_BUNDLE_RADIUS = 1e-4
-"""Half-width [m] of a bundle of rays around a line of sight. If the results of its rays differ, the line passes close
-to an edge and is tested again in double precision. Single precision has errors of 1e-6 m at 10 m.
+"""Half-width [m] of a bundle of rays around a line of sight. If only some rays of the bundle are blocked, the line
+passes close to an edge and is tested again in double precision. Single precision has errors of 1e-6 m at 10 m.
 """
 RAY_END_MARGIN = 1e-6
-"""Length [m] at both ends of a ray that is not tested, so that a surface does not hide a point on it."""
+"""Length [m] at both ends of a ray that is not tested, so that a surface does not hide the points that lie on it."""
 MAX_RAY_TRIANGLE_PAIRS = 2_000_000
 """Largest number of pairs of ray and triangle that are tested together."""
 TEST_RAY_DIRECTION = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.norm([0.01234567, 0.02345678, 1.0])
@@ -37,15 +37,15 @@ NEST_FOOT_RADIUS = 0.025
 MAX_NEST_UNEVENNESS = 0.002
 """Largest deviation [m] of the surface from a plane under the foot of a nest."""
 MIN_NORMAL_Z = -0.5
-"""Vertical component of the unit normal of a surface at or below which it carries no nest, because it faces downwards
-too much (60 deg from straight down)."""
+"""Vertical component of the unit normal of a surface at or below which the surface carries no nest: its normal is then
+60 deg or less from straight down."""
 N_DRAWS_PER_PLACE = 12.0
-"""Number of random points that are drawn on an area of the squared spacing of nests. Of points that are too near to
-each other only the first is used."""
+"""Number of random points that are drawn per area of one squared spacing of nests. Of points that are too near to each
+other only the first is used."""
 MAX_DRAWN_PLACES = 20_000
-"""Largest number of random points on a body."""
+"""Largest number of random points that are drawn on a body as positions of nests."""
 MERGE_DECIMALS = 8
-"""Number of decimals [m] to which corners are rounded when equal corners are merged."""
+"""Number of decimals of coordinates in metres to which corners of triangles are rounded to merge equal corners."""
 UNIT_CUBE = np.array(list(product((-0.5, 0.5), repeat=3)))[
     [1, 3, 0, 4, 1, 0, 0, 3, 2, 2, 4, 0, 1, 7, 3, 5, 1, 4, 5, 7, 1, 3, 7, 2, 6, 4, 2, 2, 7, 6, 6, 5, 4, 7, 5, 6]
 ].reshape(12, 3, 3)
@@ -69,8 +69,8 @@ class Obstacles:
         if not len(self.triangles):
             return None
         try:
-            import embreex  # noqa: F401  # what the next line needs and does not ask for
-            import trimesh  # a fifth of a second that few need
+            import embreex  # noqa: F401  # required by trimesh.ray.ray_pyembree, which does not check for it
+            import trimesh  # takes 0.2 s to import and is rarely needed
             from trimesh.ray.ray_pyembree import RayMeshIntersector
         except ImportError:
             return None
@@ -78,9 +78,9 @@ class Obstacles:
         return RayMeshIntersector(trimesh.Trimesh(self.triangles.reshape(-1, 3), faces, process=False))
 
     def is_blocked(self, origins: Floats, end_points: Floats) -> Bools:
-        """Flags (n,) of lines from origins (n, 3) to end points (n, 3) [m] that a triangle blocks.
+        """Flags (n,) of straight lines from origins (n, 3) to end points (n, 3) [m] that a triangle blocks.
 
-        A line that touches an edge is blocked.
+        A line that touches an edge of a triangle is blocked.
         """
         hit = self._is_ray_blocked(origins, end_points)
         if self._ray_caster is None or not hit.size:
@@ -98,7 +98,7 @@ class Obstacles:
 
         The instrument may be up to `position_tolerance` [m] from its origin. Rays therefore start at the four corners
         of a square around the circle with this radius, perpendicular to the line of sight. The end point is flagged if
-        any of the four is blocked.
+        any of the four rays is blocked.
         """
         sight = end_points - origins
         side, other = perpendicular_vectors(sight / np.linalg.norm(sight, axis=1, keepdims=True))
@@ -111,9 +111,9 @@ class Obstacles:
         return hit
 
     def _is_ray_blocked(self, origins: Floats, end_points: Floats) -> Bools:
-        """Flags (n,) of lines from origins to end points (n, 3) [m] that a triangle blocks.
+        """Flags (n,) of straight lines from origins (n, 3) to end points (n, 3) [m] that a triangle blocks.
 
-        The precision is single with Embree, double without it.
+        The intersections are computed in single precision with Embree and in double precision without it.
         """
         if not len(origins):
             return np.zeros(len(origins), dtype=bool)
@@ -150,9 +150,9 @@ class Obstacles:
     def _mesh_tolerances(self) -> Floats:
         """Largest distance (m,) [m] between each triangle and the curved surface that it approximates.
 
-        The distance is a third of the triangle's height over an edge times the angle to its neighbour at this edge,
-        the largest of its edges. This is exact for regular triangles on a sphere, and too large for strips on a
-        cylinder. Sharp edges do not contribute.
+        For each edge, a third of the triangle's height over the edge is multiplied by the angle to the neighbouring
+        triangle. The distance is the largest of these products. It is exact for regular triangles on a sphere, and too
+        large for strips on a cylinder. Sharp edges do not contribute.
         """
         points, place = np.unique(np.round(self.triangles.reshape(-1, 3), MERGE_DECIMALS), axis=0, return_inverse=True)
         faces = place.reshape(-1, 3)
@@ -171,7 +171,7 @@ class Obstacles:
 
     @cached_property
     def _moved_points_cache(self) -> dict[bytes, Floats]:
-        """Cache of the results of `moved_to_surface`, by the bytes of its points."""
+        """Cache of the results of `moved_to_surface`, by the bytes of the array of points."""
         return {}
 
     def moved_to_surface(self, points: Floats) -> Floats:
@@ -201,10 +201,10 @@ class Obstacles:
 
 
 def count_ray_hits(triangles: Floats, origins: Floats, ray_directions: Floats, ray_lengths: Floats) -> np.ndarray:
-    """Number (n,) of triangles (m, 3, 3) that each ray meets within its length (n,) [m], in double precision.
+    """Number (n,) of the m triangles (m, 3, 3) [m] that each of n rays meets within its length, in double precision.
 
-    Rays have origins (n, 3) [m] and unit vectors `ray_directions` (n, 3). Edges belong to a triangle. A ray in the
-    plane of a triangle does not meet it. Source: Moeller and Trumbore, Journal of Graphics Tools 2 (1997) 21-28.
+    `ray_directions` (n, 3) are unit vectors, `ray_lengths` are in metres. A ray through an edge meets the triangle, a
+    ray in its plane does not. Source: Moeller and Trumbore, Journal of Graphics Tools 2 (1997) 21-28.
     """
     n_hits = np.zeros(len(origins), dtype=np.int64)
     step = max(1, MAX_RAY_TRIANGLE_PAIRS // max(len(triangles), 1))
@@ -218,7 +218,10 @@ def count_ray_hits(triangles: Floats, origins: Floats, ray_directions: Floats, r
 
 
 def _does_ray_hit_triangle(triangles: Floats, origins: Floats, ray_directions: Floats, length: Floats | float) -> Bools:
-    """Flags (...) of rays that meet their triangle (..., 3, 3) within `length` (...) [m]."""
+    """Flags (...) of rays that meet their triangle (..., 3, 3) [m] within `length` (...) [m].
+
+    Ray and triangle are paired by their leading dimensions. Rays have origins (..., 3) [m] and unit vectors (..., 3).
+    """
     first, second, third = np.moveaxis(triangles, -2, 0)
     along, across = second - first, third - first
     edge_product = np.linalg.norm(along, axis=-1) * np.linalg.norm(across, axis=-1)
@@ -245,15 +248,15 @@ def _normals_and_areas(triangles: Floats) -> tuple[Floats, Floats]:
 
 
 def nearest_points(triangles: Floats, point: Floats) -> Floats:
-    """Point (m, 3) [m] of each triangle (m, 3, 3) that is nearest to a given point (3,): inside it or on an edge."""
+    """Point (m, 3) [m] of each triangle (m, 3, 3) [m], in its interior or on its edge, nearest to `point` (3,) [m]."""
     edge, gap = np.roll(triangles, -1, axis=1) - triangles, point - triangles
     edge_fractions = np.clip(_dot_products(gap, edge) / np.maximum(_dot_products(edge, edge), 1e-300), 0.0, 1.0)
     on_edge = triangles + edge_fractions[..., None] * edge
     nearest_edge = np.linalg.norm(on_edge - point, axis=2).argmin(axis=1)
     normal, area = _normals_and_areas(triangles)
-    marked_indices = (_dot_products(np.cross(edge, gap), normal[:, None]) >= 0.0).all(axis=1) & (area > 0.0)
+    is_over_interior = (_dot_products(np.cross(edge, gap), normal[:, None]) >= 0.0).all(axis=1) & (area > 0.0)
     under = point - _dot_products(gap[:, 0], normal)[:, None] * normal
-    return np.where(marked_indices[:, None], under, on_edge[np.arange(len(nearest_edge)), nearest_edge])
+    return np.where(is_over_interior[:, None], under, on_edge[np.arange(len(nearest_edge)), nearest_edge])
 
 
 def _projected_along_upwards(points: Floats) -> Floats:
@@ -262,24 +265,24 @@ def _projected_along_upwards(points: Floats) -> Floats:
 
 
 def _dot_products(first_vectors: Floats, second_vectors: Floats) -> Floats:
-    """Inner products (...) of vectors (..., k)."""
+    """Inner products (...) of pairs of vectors (..., k)."""
     return np.asarray(np.einsum("...k,...k->...", first_vectors, second_vectors))
 
 
 def place_triangles(triangles: Floats, position: Floats, yaw: float) -> Floats:
-    """Triangles (m, 3, 3) turned by `yaw` [rad] about z and moved to `position` (3,) [m]."""
+    """Triangles (m, 3, 3) [m] rotated by `yaw` [rad] about the z axis, then shifted by `position` (3,) [m]."""
     return triangles @ rotation_about_z(yaw).T + position
 
 
 def box_triangles(edge_lengths: Floats) -> Floats:
-    """Triangles (12, 3, 3) of a box of edges (3,) [m] that stands on z = 0, centred over the origin."""
+    """Triangles (12, 3, 3) [m] of a box with edges (3,) [m] along x, y, z that stands on z = 0 around the z axis."""
     return UNIT_CUBE * edge_lengths + [0.0, 0.0, 0.5 * edge_lengths[2]]
 
 
 def cylinder_triangles(diameter: float, height: float) -> Floats:
-    """Triangles (m, 3, 3) [m] of an upright cylinder that stands on z = 0 over the origin.
+    """Triangles (m, 3, 3) [m] of an upright cylinder that stands on z = 0, centred on the z axis; sizes in metres.
 
-    Its flat sides are tangent to the cylinder of the given diameter [m].
+    The flat sides of the mesh are tangent to the cylinder.
     """
     radius, turn = (
         0.5 * diameter / np.cos(np.pi / N_CYLINDER_SIDES),
@@ -288,33 +291,21 @@ def cylinder_triangles(diameter: float, height: float) -> Floats:
     low = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(N_CYLINDER_SIDES)])
     up, foot = np.array([0.0, 0.0, height]), np.zeros_like(low)
     then = np.roll(low, -1, axis=0)
-    lateral_triangles = [
-        low,
-        foot,
-        then,
-        low,
-        then,
-        low + up,
-        low + up,
-        then,
-        then + up,
-        low + up,
-        then + up,
-        foot + up,
-    ]
-    return np.stack(lateral_triangles, axis=1).reshape(-1, 3, 3)
+    base, side, other_side = [low, foot, then], [low, then, low + up], [low + up, then, then + up]
+    return np.stack([*base, *side, *other_side, low + up, then + up, foot + up], axis=1).reshape(-1, 3, 3)
 
 
 def wall_triangles(hall_size: Floats) -> Floats:
-    """Triangles (8, 3, 3) of the walls of a hall (3,) [m] with a corner at the origin; normals inward."""
+    """Triangles (8, 3, 3) [m] of the walls of a hall of size (3,) [m] with a corner at the origin; normals inward."""
     body = (UNIT_CUBE + 0.5) * hall_size
     return body[np.ptp(body[..., 2], axis=1) > 0.0][:, ::-1]
 
 
 def join_obstacles(triangle_sets: Iterable[Floats], floor_height: float = 0.0) -> Obstacles:
-    """Obstacles of several sets of triangles; the same object as in the last call if triangles and floor are equal.
+    """Obstacles of several sets of triangles, each (m, 3, 3) [m], above a floor at `floor_height` [m].
 
-    Reuse saves memory: the ray caster takes 600 bytes a triangle, which only the garbage collection frees.
+    The object of the last call is returned again if triangles and floor are the same. Reuse saves memory: the ray
+    caster takes 600 bytes per triangle, which only garbage collection frees.
     """
     triangles = np.concatenate([np.zeros((0, 3, 3)), *triangle_sets])
     key = blake2b(triangles.ravel().data).digest(), floor_height
@@ -328,7 +319,7 @@ def join_obstacles(triangle_sets: Iterable[Floats], floor_height: float = 0.0) -
 
 
 _LATEST_OBSTACLES: dict[tuple[bytes, float], Obstacles] = {}
-"""Obstacles of the last call of `join_obstacles`, by a digest of their triangles and the height of their floor."""
+"""Obstacles of the last call of `join_obstacles`, by a digest of their triangles and the height of the floor."""
 
 
 def candidate_nest_places(
@@ -339,11 +330,11 @@ def candidate_nest_places(
     *,
     is_closed: bool = True,
 ) -> Floats:
-    """Possible positions (P, 3) [m] of reflector centres on the surfaces of a body with triangles (m, 3, 3) [m].
+    """Possible positions (P, 3) [m] of reflector centres over the surface of a body with triangles (m, 3, 3) [m].
 
     The centres are `surface_offset` [m] above the surface, at least `min_spacing` [m] from each other, and outside all
-    bodies of `obstacles`. If `is_closed`, the triangles enclose the body, and its outer side is found for any order of
-    their corners. Otherwise the outer side is that of the normals of the triangles.
+    bodies of `obstacles`. If `is_closed`, the triangles enclose the body, and its outer side is determined for any
+    order of their corners. Otherwise the normals of the triangles define the outer side.
     """
     drawn, normal = _random_surface_points(body_triangles, min_spacing)
     surface = Obstacles(body_triangles)
@@ -359,9 +350,10 @@ def candidate_nest_places(
 
 
 def _random_surface_points(body_triangles: Floats, mean_spacing: float) -> tuple[Floats, Floats]:
-    """Random points (n, 3) [m], uniform over the area of triangles (m, 3, 3), and the surface normals (n, 3) there.
+    """Random points (n, 3) [m], uniform over the area of triangles (m, 3, 3) [m], and surface normals (n, 3) there.
 
-    The number n is `N_DRAWS_PER_PLACE` per squared `mean_spacing` [m], within limits.
+    The number n of points is `N_DRAWS_PER_PLACE` per area of `mean_spacing` [m] squared, at least 200 and at most
+    `MAX_DRAWN_PLACES`.
     """
     normal, area = _normals_and_areas(body_triangles)
     rng = random_stream(0, "nests")
@@ -392,7 +384,7 @@ def _is_flat_enough(body_surface: Obstacles, places: Floats, surface_normals: Fl
 
 
 def _thinned_places(places: Floats, min_spacing: float) -> Floats:
-    """Positions in their order, without those that are closer than `min_spacing` [m] to an earlier retained one."""
+    """Positions `places` (n, 3) [m] without those closer than `min_spacing` [m] to an earlier retained position."""
     chosen: list[int] = []
     for i, place in enumerate(places):
         if not chosen or np.linalg.norm(places[chosen] - place, axis=1).min() >= min_spacing:

@@ -1,10 +1,10 @@
 """Regions of the hall that lines of sight pass (ball, column, height band, slab), fixed in the network frame.
 
 A region has a Gaussian weight in the axes that bound it, w(r) = exp(-|A (r - c)|^2 / (2 width^2)). Here r is a
-position, c the centre, and A selects the bounded axes. The integral of w along a line of sight of length d and unit
-vector b has a closed form. With a = |A b|^2, the nearest approach to the centre at the distance s0 along the line, and
-the distance rho of the line from the centre there, it is exp(-rho^2 / (2 width^2)) width sqrt(2 pi / a) [Phi((d - s0)
-sqrt(a) / width) - Phi(-s0 sqrt(a) / width)].
+position, c the centre of the region, and A selects the bounded axes. The integral of w along a line of sight of length
+d and unit vector b has a closed form. Let a = |A b|^2. Let the line be nearest to the centre at the distance s0 along
+the line, where it is at the distance rho from the centre. Then the integral is
+exp(-rho^2 / (2 width^2)) width sqrt(2 pi / a) [Phi((d - s0) sqrt(a) / width) - Phi(-s0 sqrt(a) / width)].
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,11 +25,12 @@ REGION_SHAPES = {
     "x": "slab across x",
     "y": "slab across y",
 }
-"""Names of the shapes of regions, by the axes in which they are bounded."""
+"""Name of the shape of a region, by the coordinate axes in which the region is bounded."""
 MIN_CENTRE_STEP = 0.5
-"""Smallest distance [m] between neighbouring centres of regions on the coarsest grid (limits the cost)."""
+"""Smallest spacing [m] of the centres of regions on the coarsest grid; it limits the number of candidate regions."""
 MAX_CENTRES_PER_AXIS = 10
-"""Largest number of centres of regions along an axis of the coarsest grid (limits the cost)."""
+"""Largest number of centres of regions along an axis of the coarsest grid; it limits the number of candidate
+regions."""
 GRID_SUBDIVISIONS = {1: (1, 4), 2: (1, 2), 3: (1,)}
 """Fineness of the grids of candidate regions, by the number of axes in which a region is bounded: each number divides
 the spacing of the coarsest grid. A finer grid detects disturbances much narrower than the coarsest spacing: a region
@@ -43,16 +44,17 @@ MIN_TARGETS_BEHIND = 2
 """Smallest number of targets whose lines of sight pass a candidate region. An error on the lines to a single target is
 an error of this target."""
 REFINED_CENTRE_STEPS = (0.5, 0.15)
-"""Shifts of the centre, divided by the width, that a local search of a region tries."""
+"""Shifts of the centre of a region, divided by its width, that a local search tries."""
 REFINED_WIDTH_FACTORS = (0.5, 0.7, 1.4, 2.0)
-"""Factors on the width that a local search of a region tries."""
+"""Factors on the width of a region that a local search tries."""
 MIN_REGION_WIDTH = 0.005
-"""Smallest width [m] of a region in a local search: that of a tracker's beam. A narrower one touches single lines."""
+"""Smallest width [m] of a region in a local search, the width of a tracker's beam. A narrower region would contain
+single lines of sight."""
 MAX_REGION_LINE_PAIRS = 300_000
-"""Largest number of pairs of region and line of sight in memory at a time, some tens of MB."""
+"""Largest number of pairs of region and line of sight that are processed at a time; they take some tens of MB."""
 MAX_PARALLEL_SINE_SQUARED = 1e-9
-"""Squared sine of the angle between a line of sight and the unbounded axes of a region. Up to it the line counts as
-parallel to them, and its weight as constant.
+"""Squared sine of the angle between a line of sight and the unbounded axes of a region, up to which the line counts as
+parallel to these axes and the weight of the region as constant along it.
 """
 
 
@@ -67,18 +69,18 @@ class HallRegion:
     centre : tuple of float
         Coordinates [m] along these axes, network frame.
     width : float
-        Standard deviation [m].
+        Standard deviation [m] of the Gaussian weight.
     """
 
     bounded_axes: str
     """Axes in which the region is bounded, such as `xy` for a column."""
     centre: tuple[float, ...]
-    """Centre along these axes [m]."""
+    """Coordinates [m] of the centre along the bounded axes, network frame."""
     width: float
     """Standard deviation [m] of its Gaussian weight."""
 
     def path_lengths(self, sightings: Sightings) -> Floats:
-        """Length (n,) [m] of each line of sight in the region: the integral of w."""
+        """Length (n,) [m] of the lines of sight of n pointings in the region: the integral of its weight w."""
         if self not in sightings.derived_cache:
             sightings.derived_cache[self] = region_paths(
                 sightings, self.bounded_axes, np.array([self.centre]), self.width
@@ -104,19 +106,19 @@ class HallRegion:
         return lever
 
     def n_effective_targets(self, sightings: Sightings) -> float:
-        """Effective number of targets in the region, (sum of w)^2 over the sum of w^2."""
+        """Effective number of targets in the region, (sum of w)^2 / (sum of w^2) over the weights w of all targets."""
         target_weights = self.target_weights(sightings)[np.unique(sightings.target, return_index=True)[1]]
         return float(target_weights.sum() ** 2 / max(np.sum(target_weights**2), 1e-300))
 
     def target_weights(self, sightings: Sightings) -> Floats:
-        """Weight w (n,) of the region at the target of each pointing."""
+        """Weight (n,) of the region, between 0 and 1, at the target of each of n pointings."""
         indices = ["xyz".index(axis) for axis in self.bounded_axes]
         gap = sightings.target_points[:, indices] - np.asarray(self.centre)
         near: Floats = np.exp(-0.5 * np.sum(gap**2, axis=1) / self.width**2)[sightings.target]
         return near
 
     def path_and_bending(self, sightings: Sightings) -> tuple[Floats, Floats]:
-        """Path length (n,) [m] of each line of sight in a region of the shape `xyz`, and its bending (n, 3) [m].
+        """Path length (n,) [m] of each line of sight in a region bounded in x, y and z, and its bending (n, 3) [m].
 
         The weight of the region at the point r is w = exp(-|r - c|^2 / (2 width^2)), with the centre c. A line of sight
         has the length d, and s is the distance along it. Its path length is the integral of w over s. Its bending is
@@ -132,7 +134,7 @@ class HallRegion:
         return path, -rho * (lever / width**2)[:, None]
 
     def neighbours(self) -> Iterator["HallRegion"]:
-        """Iterator over regions near this one for a local search: with a shifted centre or another width."""
+        """Iterator over regions for a local search that differ from this one by a shifted centre or by the width."""
         for i, move, sign in product(range(len(self.bounded_axes)), REFINED_CENTRE_STEPS, (1.0, -1.0)):
             centre = list(self.centre)
             centre[i] = round(centre[i] + sign * move * self.width, 6)
@@ -145,7 +147,8 @@ class HallRegion:
 def region_paths(sightings: Sightings, bounded_axes: str, region_centres: Floats, width: float) -> Floats:
     """Path lengths (r, n) [m] of n lines of sight in r regions of one shape and width [m].
 
-    `region_centres` (r, k) [m] are the coordinates of the centres in the k bounded axes.
+    `bounded_axes` is a key of `REGION_SHAPES`, `region_centres` (r, k) [m] are the coordinates of the centres in these
+    k axes, and `width` [m] is the standard deviation of the weight.
     """
     beam, length, start, a, crossing = _lines_relative_to_centres(sightings, bounded_axes, region_centres)
     path = length * np.exp(-0.5 * np.einsum("rni,rni->rn", start, start) / width**2)
@@ -174,7 +177,7 @@ def lever_weighted_region_paths(
 def _lines_relative_to_centres(
     sightings: Sightings, bounded_axes: str, region_centres: Floats
 ) -> tuple[Floats, Floats, Floats, Floats, Bools]:
-    """Lines of sight in the k coordinates `bounded_axes`, relative to the centres (r, k) of r regions.
+    """Lines of sight in the k bounded coordinates, relative to the centres (r, k) [m] of r regions.
 
     The results are the unit vectors of the n lines in these coordinates (n, k), the lengths of the lines (n,) [m], the
     start points minus the centres (r, n, k) [m], the squared lengths |A b|^2 of the unit vectors in these coordinates
@@ -190,7 +193,8 @@ def _lines_relative_to_centres(
 def _nearest_approach(start_points: Floats, beam: Floats, squared_beam_length: Floats) -> tuple[Floats, Floats]:
     """Distance (..., n) [m] along each line to its point nearest to the centre, and this point (..., n, k) [m].
 
-    Start points (..., n, k) and nearest points are relative to the centre.
+    Start points (..., n, k) and nearest points are relative to the centre, in the k bounded coordinates. `beam` (n, k)
+    are the components of the unit vectors of the lines in them, `squared_beam_length` (n,) their squared lengths.
     """
     nearest = -np.sum(start_points * beam, axis=-1) / squared_beam_length
     return nearest, start_points + nearest[..., None] * beam
@@ -221,13 +225,16 @@ def _line_integral(
 
 
 def coordinate_extent(sightings: Sightings) -> tuple[Floats, Floats]:
-    """Lowest and highest coordinates (3,) [m] of all stations and targets with a pointing."""
+    """Lowest and highest coordinates x, y, z of all stations and targets with a pointing, each (3,) [m]."""
     ends = np.vstack([sightings.station_positions[sightings.station], sightings.target_points[sightings.target]])
     return ends.min(axis=0, initial=np.inf), ends.max(axis=0, initial=-np.inf)
 
 
 def candidate_regions(sightings: Sightings, region_shapes: Sequence[str] = tuple(REGION_SHAPES)) -> list[HallRegion]:
-    """Regions of the given shapes on a grid over the hall that enough, but not almost all, lines of sight pass."""
+    """Regions of the given shapes on grids over the hall that enough, but not almost all, lines of sight pass.
+
+    `region_shapes` are keys of `REGION_SHAPES`, by default all.
+    """
     regions: list[HallRegion] = []
     for axes in region_shapes if len(sightings) else ():
         key = "regions", axes
@@ -238,7 +245,7 @@ def candidate_regions(sightings: Sightings, region_shapes: Sequence[str] = tuple
 
 
 def _regions_of_shape(sightings: Sightings, axes: str) -> list[HallRegion]:
-    """Candidate regions of one shape on all grids of `GRID_SUBDIVISIONS`."""
+    """Candidate regions bounded in `axes`, on the coarsest grid and on the finer grids of `GRID_SUBDIVISIONS`."""
     low, high = coordinate_extent(sightings)
     coarsest_spacing = max(MIN_CENTRE_STEP, float((high - low).max()) / MAX_CENTRES_PER_AXIS)
     return [
@@ -247,7 +254,7 @@ def _regions_of_shape(sightings: Sightings, axes: str) -> list[HallRegion]:
 
 
 def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: float) -> list[HallRegion]:
-    """Candidate regions of one shape with centres on a grid with the spacing `grid_spacing` [m]."""
+    """Candidate regions bounded in `bounded_axes`, with centres on a grid with the spacing `grid_spacing` [m]."""
     low, high = coordinate_extent(sightings)
     width, regions = round(0.5 * grid_spacing, 6), list[HallRegion]()
     grids = [
@@ -257,7 +264,7 @@ def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: floa
     centres = np.array(list(product(*grids))).reshape(-1, len(bounded_axes))
     for part in np.array_split(centres, 1 + len(centres) * len(sightings) // MAX_REGION_LINE_PAIRS):
         path_lengths = region_paths(sightings, bounded_axes, part, width)
-        chosen = np.flatnonzero(has_sights_inside_and_outside(path_lengths > width, sightings))
+        chosen = np.flatnonzero(separates_enough_sights(path_lengths > width, sightings))
         lever_integrals = lever_weighted_region_paths(
             sightings, bounded_axes, part[chosen], width, path_lengths[chosen]
         )
@@ -270,7 +277,7 @@ def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: floa
     return regions
 
 
-def has_sights_inside_and_outside(is_crossed: Bools, sightings: Sightings) -> Bools:
+def separates_enough_sights(is_crossed: Bools, sightings: Sightings) -> Bools:
     """Flags (r,) of the regions through which enough lines of sight to several targets pass, but not almost all lines.
 
     `is_crossed` (r, n) flags the lines of sight of n pointings that pass through each of r regions.

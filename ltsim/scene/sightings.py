@@ -17,9 +17,10 @@ MIN_AXIS_ROTATION = 1e-4
 
 @dataclass(frozen=True)
 class Sightings:
-    """Sightings of a network: station, target, face and time of each pointing, and its geometry.
+    """Sightings of a network: station, target, face and time of each pointing, and positions of stations and targets.
 
-    n pointings, S stations, T targets; SI units; the network frame unless a name says otherwise.
+    The arrays have n pointings, S stations and T targets. They are in SI units and in the network frame unless a name
+    says otherwise.
     """
 
     station: Ints
@@ -31,7 +32,7 @@ class Sightings:
     face: Ints
     """Face (1 or 2) of each pointing, (n,)."""
     repeat: Ints
-    """Number of the repeated round of measurements to which each pointing belongs, (n,)."""
+    """Number of the round of measurements to which each pointing belongs, (n,); a station may repeat its round."""
     time: Floats
     """Time of each pointing, (n,) [s]."""
     station_positions: Floats
@@ -41,34 +42,36 @@ class Sightings:
     target_points: Floats
     """Coordinates of the targets, (T, 3) [m]."""
     nest_normals: Floats
-    """Unit normal of each nest's open face, NaN if unknown, (T, 3)."""
+    """Unit normal of the open side of each nest, (T, 3); NaN if unknown."""
     is_reaimed: Bools
     """Flags (T,) of the targets whose reflector is turned towards the station before each pointing."""
     station_names: tuple[str, ...]
+    """Name of each station, S entries."""
     target_names: tuple[str, ...]
+    """Name of each target, T entries."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    """Additional columns of the recording by name, each (n,)."""
+    """Additional columns of the data table of the recording, such as a temperature, by name, each (n,)."""
     sight_vector_offsets: Floats | None = None
-    """Differences (n, 3) [m] of the sight vectors from the vectors between `station_positions` and `target_points`:
-    offset of the reflector from its target minus that of the instrument from its station. None if all are zero.
+    """Correction (n, 3) [m] of vectors from station to target to vectors from instrument to reflector: offset of the
+    reflector from its target minus offset of the instrument from its station. None if all are zero.
     """
     encoder_readings: Floats | None = None
-    """Raw readings (n, 3) that include the instrument's errors. Errors with a short period depend on them. If None,
-    ideal readings are used.
+    """Raw readings (n, 3) [m, rad] that include the instrument's errors, on which errors with a short period depend. If
+    None, ideal readings are used.
     """
 
     def __len__(self) -> int:
         return len(self.station)
 
     def with_geometry(self, position: Floats, rotation: Floats, points: Floats) -> Self:
-        """Copy with other station positions (S, 3), station rotations (S, 3, 3) and target coordinates (T, 3)."""
+        """Copy with other station positions (S, 3) [m], station rotations (S, 3, 3) and target points (T, 3) [m]."""
         return replace(
             self, station_positions=position, station_rotations=rotation, target_points=points, encoder_readings=None
         )
 
     @cached_property
     def derived_cache(self) -> dict[Hashable, Any]:
-        """Cache of quantities derived from this geometry, by keys that their callers choose."""
+        """Cache of quantities derived from these sightings, by keys that the functions using it choose."""
         return {}
 
     @cached_property
@@ -97,17 +100,17 @@ class Sightings:
 
     @cached_property
     def front_face_polar(self) -> Floats:
-        """Ideal range, azimuth, elevation on the front face, (n, 3)."""
+        """Ideal (error-free) range [m], azimuth and elevation [rad] of each pointing on the front face, (n, 3)."""
         return to_polar(self.local_points)
 
     @cached_property
     def raw_readings(self) -> Floats:
-        """Ideal raw readings on the face that was used, (n, 3)."""
+        """Ideal (error-free) range [m], azimuth and elevation [rad] on the face that was used, (n, 3)."""
         return to_face(self.front_face_polar, self.face)
 
     @property
     def instrument_readings(self) -> Floats:
-        """Raw readings (n, 3) of the instrument: `encoder_readings` if given, otherwise ideal readings."""
+        """Raw readings (n, 3) [m, rad] of the instrument: `encoder_readings` if given, otherwise ideal readings."""
         return self.raw_readings if self.encoder_readings is None else self.encoder_readings
 
     @property
@@ -127,7 +130,7 @@ class Sightings:
 
     @cached_property
     def face_sign(self) -> Floats:
-        """Sign of the face of each pointing, (n,): +1 front, -1 back."""
+        """Sign of the face of each pointing, (n,): +1 for the front face, -1 for the back face."""
         return np.where(self.face == 2, -1.0, 1.0)
 
     @cached_property
@@ -150,8 +153,8 @@ class Sightings:
         return beam, across, upward_part
 
     @cached_property
-    def slot_responses(self) -> dict[str, Floats]:
-        """Change (n, 3) of the raw readings per unit of each instrument error, by its slot in the misalignment chain.
+    def reading_change_by_error_slot(self) -> dict[str, Floats]:
+        """Change (n, 3) of the raw readings per unit of each instrument error, by its key in `MISALIGNMENT_CHAIN`.
 
         Instrument errors are corrections, which are added to a reading. For a fixed point a reading is therefore
         smaller by its correction, hence the minus sign.
@@ -169,34 +172,36 @@ class Sightings:
 
     @cached_property
     def elapsed_visit_fraction(self) -> Floats:
-        """Elapsed fraction (n,) of the visit of a station: 0 at its first pointing, 1 at its last."""
+        """Elapsed fraction (n,) of the time for which a station is occupied: 0 at its first pointing, 1 at its last."""
         duration = np.full(len(self.station_names), 1e-9)
         np.maximum.at(duration, self.station, self.station_time)
         return self.station_time / duration[self.station]
 
     @cached_property
     def measurement_order(self) -> Ints:
-        """Row indices (n,) in the order of measurement (by time, ties by row)."""
+        """Indices (n,) of the pointings in the order of measurement: by time, and by index at equal times."""
         return np.argsort(self.time, kind="stable")
 
     @cached_property
-    def order_by_setup(self) -> Ints:
-        """Row indices (n,), station by station, each in the order of measurement."""
+    def pointing_order_by_station(self) -> Ints:
+        """Indices (n,) of the pointings sorted by station, and within each station in the order of measurement."""
         return self.measurement_order[np.argsort(self.station[self.measurement_order], kind="stable")]
 
     @cached_property
-    def previous_rows(self) -> Ints:
-        """Row (n,) of the previous pointing of the same station, -1 for its first pointing."""
-        row_order = self.order_by_setup
+    def previous_pointings(self) -> Ints:
+        """Index (n,) of the previous pointing of the same station; -1 for the first pointing of a station."""
+        row_order = self.pointing_order_by_station
         before = np.full(len(self), -1)
         same = np.diff(self.station[row_order]) == 0
         before[row_order[1:][same]] = row_order[:-1][same]
         return before
 
     def _cumulative_sum(self, row_increments: Floats | Bools) -> Floats:
-        """Sum (n,) of increments (n,) over a set-up up to each pointing, without that of its first pointing."""
-        row_order = self.order_by_setup
-        first_indices = np.maximum.accumulate(np.where(self.previous_rows[row_order] < 0, np.arange(len(row_order)), 0))
+        """Sum (n,) of increments (n,) from the second pointing of a set-up up to each of its pointings."""
+        row_order = self.pointing_order_by_station
+        first_indices = np.maximum.accumulate(
+            np.where(self.previous_pointings[row_order] < 0, np.arange(len(row_order)), 0)
+        )
         cumulative_sums = np.cumsum(row_increments[row_order], dtype=np.float64)
         sums_by_row = np.empty_like(cumulative_sums)
         sums_by_row[row_order] = cumulative_sums - cumulative_sums[first_indices]
@@ -209,7 +214,7 @@ class Sightings:
         The change of azimuth is the shorter of the two rotations.
         """
         move: Floats = np.where(
-            self.previous_rows[:, None] >= 0, self.raw_readings - self.raw_readings[self.previous_rows], 0.0
+            self.previous_pointings[:, None] >= 0, self.raw_readings - self.raw_readings[self.previous_pointings], 0.0
         )
         move[:, 1] = wrap_angle(move[:, 1])
         return move
@@ -230,25 +235,25 @@ class Sightings:
             np.abs(self.reading_changes[:, 1:]) < MIN_AXIS_ROTATION, 0.0, np.sign(self.reading_changes[:, 1:])
         )
         for row in self.measurement_order:
-            before = self.previous_rows[row]
+            before = self.previous_pointings[row]
             if before >= 0:
                 sign[row] = np.where(sign[row] == 0.0, sign[before], sign[row])
         return sign
 
     @cached_property
     def seating_numbers(self) -> Ints:
-        """Number (n,) of changes of the target since the set-up began, at each of which the reflector was moved."""
-        return self._cumulative_sum(self.target != self.target[self.previous_rows]).astype(np.int64)
+        """Number (n,) of changes of the target since the set-up began; at each change the reflector was seated anew."""
+        return self._cumulative_sum(self.target != self.target[self.previous_pointings]).astype(np.int64)
 
     @cached_property
     def covariate_values(self) -> dict[str, Floats]:
-        """Covariates of the readings by name, each (n,) [SI, or the unit of the recording's column].
+        """Covariates of the readings by name, each (n,), in SI units or in the unit of the recording's column.
 
-        Unknown values are zero, and so are changes since the previous pointing at the first pointing of a station.
+        Unknown values are zero. Changes since the previous pointing are zero at the first pointing of a station.
         """
         place = self.target_points[self.target]
-        has_previous = self.previous_rows >= 0
-        previous_polar = np.where(has_previous[:, None], self.front_face_polar[self.previous_rows], 0.0)
+        has_previous = self.previous_pointings >= 0
+        previous_polar = np.where(has_previous[:, None], self.front_face_polar[self.previous_pointings], 0.0)
         covariate_values = {
             "azimuth": self.azimuth,
             "elevation": self.elevation,
@@ -273,7 +278,7 @@ class Sightings:
             "approach-elevation": self.approach_signs[:, 1],
             "wound-azimuth": self.cumulative_head_rotation,
             "count": self._cumulative_sum(has_previous),
-            "lapse": np.where(has_previous, self.time - self.time[self.previous_rows], 0.0),
+            "lapse": np.where(has_previous, self.time - self.time[self.previous_pointings], 0.0),
         }
         changing = dict(
             zip(
@@ -285,8 +290,8 @@ class Sightings:
         for name, column in self.covariates.items():
             x = np.nan_to_num(column)
             changing[name] = (
-                np.where(has_previous, x[self.previous_rows], x),
-                np.where(has_previous, x - x[self.previous_rows], 0.0),
+                np.where(has_previous, x[self.previous_pointings], x),
+                np.where(has_previous, x - x[self.previous_pointings], 0.0),
             )
         for name, (before, move) in changing.items():
             covariate_values |= {
@@ -298,7 +303,7 @@ class Sightings:
 
     @cached_property
     def _incidence_angle_and_direction(self) -> tuple[Floats, Floats]:
-        """Incidence angle at the reflector, and direction of incidence around the nest's normal, each (n,) [rad]."""
+        """Values of `incidence_angle` and `incidence_direction`, each (n,) [rad]."""
         x, y, z = self.nest_normals.T
         level = np.hypot(x, y)
         across_x = np.divide(-y, level, out=np.ones_like(y), where=~(level < 1e-6))
@@ -312,18 +317,21 @@ class Sightings:
 
     @property
     def incidence_angle(self) -> Floats:
-        """Incidence angle (n,) [rad] between the beam and the nest's normal; NaN if the nest is unknown."""
+        """Incidence angle (n,) [rad] between the beam and the nest's normal; NaN if the normal is unknown."""
         return self._incidence_angle_and_direction[0]
 
     @property
     def incidence_direction(self) -> Floats:
-        """Direction (n,) [rad] of the station around the nest's normal, 0 along the horizontal in the open face."""
+        """Direction (n,) [rad] to the station, as an angle around the nest's normal.
+
+        It is zero along the horizontal line in the plane of the nest's open side.
+        """
         return self._incidence_angle_and_direction[1]
 
 
 def _index_by_name(names: Sequence[str]) -> dict[str, list[int]]:
-    """Indices of all occurrences of each name."""
-    places: dict[str, list[int]] = {}
+    """Indices of all occurrences of each name in a sequence of names."""
+    indices: dict[str, list[int]] = {}
     for i, name in enumerate(names):
-        places.setdefault(name, []).append(i)
-    return places
+        indices.setdefault(name, []).append(i)
+    return indices

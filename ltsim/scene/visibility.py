@@ -1,6 +1,6 @@
 """Visibility between stations and targets: elevation limits and shadow cones, range, acceptance angles, obstacles.
 
-Tables have a row for each station and a column for each target. Only obstacles need ray casting (`scene.meshes`).
+Arrays have a row for each station and a column for each target. Only obstacles need ray casting (`scene.meshes`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ltsim.core.units import DEGREE
 from ltsim.scene.meshes import Obstacles
 
 DOWNWARD = np.array([0.0, 0.0, -1.0])
-"""Unit vector of the plumb line downwards."""
+"""Unit vector of the downward vertical in the frame of an upright instrument."""
 LIMIT_TOLERANCE = 1e-9
 """Tolerance [rad or m] of comparisons with the limits of angles and of distances, for rounding errors."""
 
@@ -51,24 +51,25 @@ REASON_TEXTS = (
 
 @dataclass(frozen=True)
 class SightLimits:
-    """Limits of visibility of an instrument and its reflectors [rad, m]."""
+    """Limits of elevation, range, incidence angle and shadow cone of an instrument and its reflectors."""
 
     elevation_min: float = -55.0 * DEGREE
     """Lowest elevation of the instrument [rad]."""
     elevation_max: float = 77.0 * DEGREE
     """Highest elevation of the instrument [rad]."""
     range_min: float = 0.5
-    """Shortest range [m]."""
+    """Shortest measurable range [m]."""
     range_max: float = 20.0
-    """Longest range [m]."""
+    """Longest measurable range [m]."""
     max_incidence: float = 30.0 * DEGREE
     """Largest incidence angle on a reflector [rad]."""
     declared_cone_opening: float | None = None
-    """Full angle [rad] of the shadow cone below the instrument; if None, it follows from `elevation_min`."""
+    """Full opening angle [rad] of the cone below the instrument in which its own stand hides targets; if None, the
+    angle follows from `elevation_min`."""
 
     @property
     def cone_opening(self) -> float:
-        """Full angle [rad] of the shadow cone: the declared angle, or the one that follows from `elevation_min`."""
+        """Full opening angle [rad] of the shadow cone: as declared, or by default derived from `elevation_min`."""
         return (
             shadow_cone_opening(self.elevation_min)
             if self.declared_cone_opening is None
@@ -83,12 +84,12 @@ class Visibility:
     reason_codes: NDArray[np.int8]
     """Value of `InvisibilityReason` for each pair of station and target, (S, T); 0 for a visible pair."""
     ranges: Floats
-    """Distance of each pair, (S, T) [m]."""
+    """Distance between station and target, (S, T) [m]."""
     elevations: Floats
     """Elevation of each target in the instrument frame, (S, T) [rad]."""
     incidence_angles: Floats
-    """Incidence angle on each reflector, (S, T) [rad]; 0 for a reflector that is turned to each station, NaN if the
-    normal of the nest is unknown."""
+    """Incidence angle of the beam on each reflector, (S, T) [rad]; 0 for a reflector that is turned to each station
+    before it is measured, NaN if the normal of the nest is unknown."""
     limits: tuple[SightLimits, ...]
     """Limits of each station's instrument, S entries."""
 
@@ -98,18 +99,18 @@ class Visibility:
         return np.asarray(self.reason_codes == InvisibilityReason.VISIBLE)
 
     def reason_texts(self) -> list[list[str]]:
-        """Text of the reason why each pair is invisible, S lists of T texts; '' for a visible pair."""
+        """Reason why each pair of station and target is invisible, as S lists of T texts; '' for a visible pair."""
         return [
             [self._reason_text(s, t) for t in range(self.reason_codes.shape[1])]
             for s in range(self.reason_codes.shape[0])
         ]
 
     def short_reason_texts(self) -> list[list[str]]:
-        """Texts as `reason_texts`, but without the values and limits of the pair."""
+        """Reasons as in `reason_texts` without measured values and limits: S lists of T entries of `REASON_TEXTS`."""
         return [[REASON_TEXTS[code] for code in line] for line in self.reason_codes.tolist()]
 
     def _reason_text(self, station: int, target: int) -> str:
-        """Text of the reason why a pair is invisible, with its value, the limit and the key of the limit, if any."""
+        """Reason why a pair is invisible, as text; for range and elevation with value, limit and key of the limit."""
         code, limits = self.reason_codes[station, target], self.limits[station]
         range_, elevation = self.ranges[station, target], self.elevations[station, target] / DEGREE
         key, number = {
@@ -129,7 +130,7 @@ class Visibility:
         return f"{REASON_TEXTS[code]} ({number}: instrument.limits.{key})" if key else REASON_TEXTS[code]
 
     def invisible_pair_sentences(self, stations: Sequence[str], targets: Sequence[str]) -> list[str]:
-        """Sentences about the pairs that do not see each other, one per pair."""
+        """Sentence about each pair that does not see each other; `stations` and `targets` are their names."""
         return [
             f"{stations[s]} does not see {targets[t]}: {self._reason_text(s, t)}"
             for s, t in np.argwhere(~self.is_visible).tolist()
@@ -137,14 +138,18 @@ class Visibility:
 
 
 def shadow_cone_opening(min_elevation: float) -> float:
-    """Full angle [rad] of the shadow cone under an instrument with a lowest elevation [rad]: 70 deg for -55 deg."""
+    """Full opening angle [rad] of the shadow cone under an instrument whose lowest elevation is `min_elevation` [rad].
+
+    The cone contains the directions below the lowest elevation: 70 deg for a lowest elevation of -55 deg.
+    """
     return float(np.pi + 2.0 * min_elevation)
 
 
 def shadow_radii(position: Floats, height: float, cone_angle: float) -> Floats:
-    """Radius (S,) [m] of the shadow circles at `height` [m] under upright instruments at `position` (S, 3).
+    """Radii (S,) [m] of the circles in which the shadow cones of S upright instruments intersect a horizontal plane.
 
-    The radius is zero for an instrument below `height`. The circles are centred under the positions.
+    `position` (S, 3) [m] are the instruments, `height` [m] is the height of the plane, `cone_angle` [rad] the full
+    opening angle of the cones. The radius is zero for an instrument below the plane.
     """
     above = np.maximum(position[:, 2] - height, 0.0)
     return above * np.tan(0.5 * cone_angle)
@@ -160,18 +165,18 @@ def compute_visibility(
     is_reaimed: Bools | None = None,
     obstacles: Obstacles | None = None,
 ) -> Visibility:
-    """Visibility tables from instrument origins (S, 3) [m] to points (T, 3) [m].
+    """Visibility of T points (T, 3) [m] from S instruments with origins `position` (S, 3) [m], all with equal limits.
 
     `rotation` (S, 3, 3) transforms the instrument frames to the network frame; by default the instruments are upright.
     `nest_normals` (T, 3) are the unit normals of the nests. In a row of NaN the normal is unknown, and every incidence
     angle is accepted. `is_reaimed` (T,) flags the reflectors that are turned to the station before each pointing, by
-    default all.
+    default all. Raises ModelError for a target at the origin of a station.
     """
     position, points = as_floats(position, (-1, 3), "position"), as_floats(points, (-1, 3), "points")
     sight = points - position[:, None, :]
     range_ = np.linalg.norm(sight, axis=2)
     if np.any(range_ < LIMIT_TOLERANCE):
-        raise ModelError("a target is at the origin of a station")
+        raise ModelError("a target has the same position as a station; check the coordinates")
     beam = sight / range_[:, :, None]
     down = np.broadcast_to(DOWNWARD, position.shape) if rotation is None else rotation @ DOWNWARD
     elevation = -np.arcsin(np.clip(np.einsum("stk,sk->st", beam, down), -1.0, 1.0))
@@ -193,9 +198,9 @@ def compute_visibility(
 
 
 def join_visibility_tables(tables: Sequence[Visibility], station_order: Ints) -> Visibility:
-    """Visibility table of all stations of several tables.
+    """Visibility of all stations of several `Visibility` objects of the same targets, as one object.
 
-    `station_order` (S,) gives for each station of the result its row in the concatenated tables.
+    `station_order` (S,) gives for each station of the result its row in the concatenated arrays.
     """
     columns = [(t.reason_codes, t.ranges, t.elevations, t.incidence_angles) for t in tables]
     reason, range_, elevation, incidence = (
@@ -208,7 +213,8 @@ def join_visibility_tables(tables: Sequence[Visibility], station_order: Ints) ->
 def _incidence_on_reflectors(beam: Floats, nest_normals: Floats | None, is_reaimed: Bools | None) -> Floats:
     """Incidence angle (S, T) [rad] between the direction to the station and the normal of the nest.
 
-    `beam` (S, T, 3) are the unit vectors from stations to targets. The angle is zero for re-aimed reflectors.
+    `beam` (S, T, 3) are the unit vectors from stations to targets. `nest_normals` (T, 3) and `is_reaimed` (T,) are as
+    in `compute_visibility`. The angle is zero for re-aimed reflectors.
     """
     if nest_normals is None or is_reaimed is None:
         return np.zeros(beam.shape[:2])
@@ -218,9 +224,10 @@ def _incidence_on_reflectors(beam: Floats, nest_normals: Floats | None, is_reaim
 
 
 def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Floats, obstacles: Obstacles) -> None:
-    """Addition of the reasons due to obstacles to a table (S, T), in place.
+    """Entry of the reasons due to obstacles in an array of reason codes (S, T), in place.
 
-    Rays are cast only for pairs that no other reason excludes.
+    `position` (S, 3) and `points` (T, 3) [m] are the instruments and targets. Rays are cast only for pairs that no
+    other reason excludes.
     """
     is_inside = obstacles.is_setup_inside_body(position)
     sight_pairs = np.argwhere((reason_table == InvisibilityReason.VISIBLE) & ~is_inside[:, None])
@@ -232,10 +239,11 @@ def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Flo
 
 
 def best_nest_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Best normals (T, 3) of fixed nests at `points` (T, 3), and the largest incidence angle (T,) [rad] of each.
+    """Normals (T, 3) of fixed nests with the smallest largest incidence angle over all stations, and this angle (T,).
 
-    The normal is the axis of the narrowest cone from the target that contains all stations, at `position` (S, 3) [m].
-    All stations see the reflector if its acceptance angle is at least the half-angle of this cone.
+    The nests are at `points` (T, 3) [m], the stations at `position` (S, 3) [m]. The normal is the axis of the narrowest
+    cone from the target that contains all stations; the angle [rad] is the half-angle of this cone. All stations see
+    the reflector if its acceptance angle is at least this angle.
     """
     directions_to_stations = position - points[:, None, :]
     directions_to_stations /= np.linalg.norm(directions_to_stations, axis=2, keepdims=True)
@@ -246,10 +254,11 @@ def best_nest_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]
 
 
 def narrowest_cone_axes(directions: Floats, n_steps: int = 1000) -> Floats:
-    """Axes (..., 3) of the narrowest cones that contain S unit vectors (..., S, 3) within a half space.
+    """Axes (..., 3) of the narrowest cones that contain S unit vectors (..., S, 3), which must lie in a half space.
 
     The axis points to the centre of the smallest ball around the vectors. In step i of the iteration of Badoiu and
-    Clarkson the centre moves by 1 / (i + 1) of the way to the farthest vector; its error decreases as 1 / i.
+    Clarkson (`n_steps` steps) the centre moves by 1 / (i + 1) of the way to the farthest vector; the error of the
+    centre decreases as 1 / i.
     """
     flattened = directions.reshape(-1, *directions.shape[-2:])
     centre, row_indices = flattened.mean(axis=-2), np.arange(len(flattened))

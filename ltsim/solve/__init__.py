@@ -1,1 +1,1 @@
-"""Least squares on matrices, independent of trackers: solvers, elimination, projections."""
+"""Least-squares solvers for general matrices, independent of trackers: elimination, iteration, projection."""

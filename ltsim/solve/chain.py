@@ -2,8 +2,8 @@
 
 Stations along a tunnel or round a ring are coupled to their neighbours only. Ordered by reverse Cuthill-McKee their
 normal matrix is block tridiagonal, with a dense border of the unknowns that everything shares (instrument parameters).
-The cost of factor and selected inverse is then proportional to the length of the chain and not to its cube. A matrix
-without such an order is one block, for which dense algebra is used.
+The cost of the factor and of the required parts of the inverse is then proportional to the length of the chain and not
+to its cube. A matrix without such an order is one block, for which dense algebra is used.
 """
 
 from dataclasses import dataclass
@@ -19,18 +19,18 @@ from ltsim.core.arrays import Floats, Ints
 MAX_SINGLE_BLOCK = 240
 """Number of columns up to which a matrix is treated as one block, because an ordering would cost more than it saves."""
 MIN_BORDER_COLUMN_DENSITY = 0.6
-"""Fraction of non-zero entries above which a column of the matrix belongs to the border."""
+"""Fraction of non-zero entries in a column of the matrix above which the column belongs to the border."""
 MIN_BLOCK_COLUMNS = 48
 """Smallest number of columns of a block. Smaller blocks would cost more in calls than they save in arithmetic."""
 
 INVERSE_COLUMNS_PER_BATCH = 512
-"""Number of columns of a complete inverse that are computed at a time: fewer temporary matrices of its size."""
+"""Number of columns of a complete inverse that are computed at a time, to limit the memory for temporary matrices."""
 
 
 def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
-    """Order (K,) of the columns as a chain of b blocks and a border, and the limits (b + 2,) of blocks and border.
+    """Order (K,) of the columns of a symmetric matrix as a chain of b blocks and a border, and their limits (b + 2,).
 
-    Block i has the positions from limit i to limit i + 1. The border is last.
+    In the new order block i has the positions from limit i to before limit i + 1. The border is last.
     """
     n_unknowns = matrix.shape[0]
     single_block = np.arange(n_unknowns), np.array([0, n_unknowns, n_unknowns])
@@ -52,13 +52,13 @@ def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
 
 
 @dataclass(frozen=True)
-class BlockWindow:
-    """Part (w, w) of the inverse matrix on the columns of two neighbouring blocks and the border."""
+class InverseSubmatrix:
+    """Submatrix of the inverse matrix on the w columns of two neighbouring blocks and the border."""
 
     positions_of_columns: Ints
-    """Position of each of the K columns of the whole matrix in this part, (K,); -1 for columns that are not in it."""
+    """Position in the submatrix of each column of the whole matrix, (K,); -1 for columns that are not in it."""
     inverse: Floats
-    """Part (w, w) of the inverse matrix."""
+    """Submatrix (w, w) of the inverse matrix."""
 
 
 class BlockChainFactor:
@@ -69,12 +69,12 @@ class BlockChainFactor:
     Parameters
     ----------
     matrix : (K, K) sparse
-        Symmetric.
+        Symmetric matrix.
 
     Attributes
     ----------
     block_of_column : (K,) int
-        Index of the block of each column. Columns of the border have the number of blocks as index.
+        Index of the block of each column, from 0; the number of blocks for columns of the border.
     """
 
     def __init__(self, matrix: sp.csr_array) -> None:
@@ -108,7 +108,7 @@ class BlockChainFactor:
 
     @property
     def n_blocks(self) -> int:
-        """Number of blocks."""
+        """Number of blocks of the chain, without the border."""
         return len(self._diagonal_factors)
 
     @property
@@ -119,7 +119,7 @@ class BlockChainFactor:
         )
 
     def solve(self, right_hand_sides: Floats) -> Floats:
-        """Solution (K, c) for right-hand sides (K, c)."""
+        """Solutions (K, c) of the linear systems with this matrix and c right-hand sides (K, c)."""
         x = right_hand_sides[self._column_order]
         border = self._block_limits[-2]
         for i, (root, after) in enumerate(zip(self._diagonal_factors, self._off_diagonal_factors, strict=True)):
@@ -142,9 +142,9 @@ class BlockChainFactor:
         return solved
 
     def inverse(self) -> Floats:
-        """Complete inverse (K, K)."""
+        """Complete inverse (K, K) of the matrix."""
         if self.n_blocks == 1:
-            return self.inverse_windows[0].inverse
+            return self.inverse_submatrices[0].inverse
         n_unknowns = len(self._column_order)
         column_slices = [
             slice(i, i + INVERSE_COLUMNS_PER_BATCH) for i in range(0, n_unknowns, INVERSE_COLUMNS_PER_BATCH)
@@ -158,12 +158,12 @@ class BlockChainFactor:
         return inverse
 
     @cached_property
-    def inverse_windows(self) -> list[BlockWindow]:
-        """Parts of the inverse matrix, one per block: on this block, the next block and the border.
+    def inverse_submatrices(self) -> list[InverseSubmatrix]:
+        """Submatrices of the inverse matrix, one per block: on the columns of the block, the next block and the border.
 
         References
         ----------
-        Takahashi, Fagan, Chin, Formation of a sparse bus impedance matrix (PICA 1973), in blocks.
+        Takahashi, Fagan, Chin, Formation of a sparse bus impedance matrix (PICA 1973), here with blocks for entries.
         """
         border, size = self._block_limits[-2], len(self._column_order)
         later_inverse = inverse_from_cholesky(self._border_factor)
@@ -182,13 +182,13 @@ class BlockChainFactor:
                 whole[:width, :width] += reach.T @ across
             place = np.full(size, -1)
             place[np.concatenate([self._column_order[low:far], self._column_order[border:]])] = np.arange(len(whole))
-            windows.append(BlockWindow(place, whole))
+            windows.append(InverseSubmatrix(place, whole))
             stay = np.concatenate([np.arange(width), np.arange(width + far - high, len(whole))])
             later_inverse = whole[np.ix_(stay, stay)]
         return windows[::-1]
 
     def _block_span(self, block_index: int) -> tuple[int, int, int]:
-        """First position of a block, end of the block, and end of the next block, in the order of the columns."""
+        """First position of a block, end of the block, and end of the next block, in the order of the chain."""
         last_block = len(self._block_limits) - 2
         return (
             int(self._block_limits[block_index]),

@@ -1,8 +1,9 @@
 """Design matrices of least squares (dense if small, otherwise sparse), and tests for undetermined unknowns.
 
-Fixed tolerances decide which unknowns are undetermined, and not the failure of a factorisation, because rounding errors
-of pivots grow with the number of unknowns in the undetermined combination. If a pivot is small, the length of the image
-of the weakest direction under the design is computed instead.
+Fixed tolerances decide which unknowns are undetermined. The failure of a factorisation is no criterion, because
+rounding errors of its pivots grow with the number of unknowns in the undetermined combination. If a pivot is small, the
+weakest direction is computed, which is the combination of unknowns that changes the observations least. The length of
+its product with the design decides.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,12 +15,12 @@ import scipy.sparse as sp
 from ltsim.core.arrays import Bools, Floats, Ints, median
 
 MAX_DENSE_ENTRIES = 600_000
-"""Number of entries up to which a design is stored as a dense array, because sparse bookkeeping would cost more."""
+"""Number of entries up to which a design matrix is stored as a dense array, which is then faster than a sparse one."""
 
 ROWS_PER_PIECE = 30_000
-"""Number of rows of a sparse design that are processed, and copied, at a time."""
+"""Number of rows of a sparse design matrix that are processed at a time."""
 ENTRIES_PER_PIECE = 1_000_000
-"""Number of entries of a sparse design that are processed at a time."""
+"""Number of entries of a sparse design matrix that are processed at a time."""
 
 DesignMatrix: TypeAlias = Floats | sp.csr_array
 """Design matrix: a dense array, or a sparse matrix in row format."""
@@ -31,8 +32,8 @@ class SparsityPattern:
     Parameters
     ----------
     columns : sequence of (r, w) int
-        Columns of the w entries in each of r rows, one array per block of rows, in the order of the design. Entries
-        of a row with the same column are added.
+        Column indices of the w entries in each of r rows. There is one array for each group of neighbouring rows with
+        equal w, in the order of the rows. Entries of a row with the same column index are added.
     n_columns : int
         Number of columns of the design.
     """
@@ -51,7 +52,7 @@ class SparsityPattern:
             self._column_indices, self._row_pointers = indices, pointers.astype(small)
 
     def fill(self, design_entries: Iterable[Floats]) -> DesignMatrix:
-        """Design matrix (m, n_columns) with these entries: one array per block of rows, shaped as in `columns`."""
+        """Design matrix (m, n_columns) with these entries: one array (r, w) per group of rows, as in `columns`."""
         entries, end = np.empty(self._n_entries), 0
         for kind in design_entries:
             begin, end = end, end + kind.size
@@ -66,12 +67,12 @@ class SparsityPattern:
 
 
 def to_dense(design: DesignMatrix) -> Floats:
-    """Design matrix, or some of its rows, as a dense array."""
+    """Design matrix, dense or sparse, as a dense array."""
     return design if isinstance(design, np.ndarray) else design.toarray()
 
 
 def inverse_column_norms(design: DesignMatrix) -> Floats:
-    """Reciprocal norm (u,) of each column of a design (m, u); 1 for a column of zeros."""
+    """Reciprocal norms (u,) of the columns of a design matrix (m, u); 1 for a column of zeros."""
     if isinstance(design, np.ndarray):
         squares = np.einsum("mu,mu->u", design, design)
     else:
@@ -83,7 +84,7 @@ def inverse_column_norms(design: DesignMatrix) -> Floats:
 
 
 def scale_columns(matrix_rows: sp.csr_array, column_factors: Floats) -> sp.csr_array:
-    """Rows (m, u) with each column multiplied by its factor (u,)."""
+    """Sparse matrix (m, u) with each column multiplied by its factor (u,)."""
     return sp.csr_array(
         (matrix_rows.data * column_factors[matrix_rows.indices], matrix_rows.indices, matrix_rows.indptr),
         matrix_rows.shape,
@@ -97,7 +98,7 @@ def iterate_row_pieces(design: sp.csr_array, column_factors: Floats) -> Iterator
 
 
 def gram_matrix(row_batches: Iterable[sp.csr_array], n_columns: int) -> sp.csr_array:
-    """Normal matrix A' A (n_columns, n_columns) of a sparse design A, given in batches of rows."""
+    """Normal matrix A' A (n_columns, n_columns) of a sparse design matrix A, which is given in batches of its rows."""
     gram = sp.csr_array((n_columns, n_columns))
     for part in row_batches:
         gram = gram + sp.csr_array(part.T @ part)
@@ -105,7 +106,7 @@ def gram_matrix(row_batches: Iterable[sp.csr_array], n_columns: int) -> sp.csr_a
 
 
 def weight_rows(design: DesignMatrix, weight: Floats) -> DesignMatrix:
-    """Design matrix with each row multiplied by its weight (m,)."""
+    """Design matrix (m, u) with each row multiplied by its weight (m,)."""
     if isinstance(design, np.ndarray):
         return np.asarray(design * weight[:, None])
     entry_weights = np.repeat(weight, np.diff(design.indptr))
@@ -117,26 +118,27 @@ MIN_RELIABLE_PIVOT = 1e-8
 """Pivot of a normal matrix with unit diagonal below which the pivot may be a rounding error. The weakest direction is
 then tested separately (`RANK_TOLERANCE`)."""
 RANK_TOLERANCE = 1e-14
-"""Squared length of the product of the design, scaled to unit columns, and a unit vector. At or below it the direction
-of this vector is undetermined.
+"""Squared length of the product of the design, scaled to unit columns, and a unit vector, at or below which the
+direction of this vector is undetermined.
 
-It is fifty times the rounding error of a Cholesky factorisation. The weakest direction of a chain of 2,000 set-ups,
-which is determined, has 1e-13.
+The tolerance is fifty times the rounding error of a Cholesky factorisation. The weakest direction of a chain of 2,000
+set-ups, which is determined, has the squared length 1e-13.
 """
 NORMAL_RANK_TOLERANCE = 1e-12
-"""Eigenvalue of a reduced normal matrix with unit diagonal at or below which a direction is undetermined. Rounding
-errors of the eigenvalues are about 1e-15.
+"""Eigenvalue of a reduced normal matrix with unit diagonal, at or below which the direction of its eigenvector is
+undetermined. Rounding errors of the eigenvalues are about 1e-15.
 """
 
 POINT_RANK_TOLERANCE = 1e-10
-"""Ratio of the smallest to the largest eigenvalue of a point's normal matrix below which a direction of the point is
-undetermined: its standard deviation is 100,000 times that of the other directions."""
+"""Ratio of the smallest to the largest eigenvalue of a point's normal matrix below which the position of the point is
+undetermined in one direction: the standard deviation in it is 100,000 times the smallest one."""
 
 
 def scale_to_unit_diagonal(symmetric_matrices: Floats, diagonals: Floats) -> tuple[Floats, Floats]:
     """Symmetric matrices (..., k, k) scaled to unit diagonal, and the scale factors (..., k).
 
-    `diagonals` (..., k) are the diagonals of the matrices. The factors are their reciprocal roots, 1 for a zero.
+    `diagonals` (..., k) are the diagonals of the matrices. A scale factor is the reciprocal square root of a diagonal
+    entry, or 1 for an entry of zero.
     """
     scale = 1.0 / np.sqrt(np.where(diagonals > 0.0, diagonals, 1.0))
     scaled: Floats = symmetric_matrices * scale[..., :, None] * scale[..., None, :]
@@ -146,7 +148,7 @@ def scale_to_unit_diagonal(symmetric_matrices: Floats, diagonals: Floats) -> tup
 def cholesky_where_determined(normal_matrices: Floats) -> tuple[Floats, Bools]:
     """Lower Cholesky factors (b, k, k) of b normal matrices with unit diagonal, and flags (b,) of the regular ones.
 
-    Factors of singular matrices are NaN. Eigenvalues are computed only for matrices with a doubtful pivot.
+    Factors of singular matrices are NaN. Eigenvalues are computed only if a pivot is below `MIN_RELIABLE_PIVOT`.
     """
     try:
         roots: Floats = np.asarray(np.linalg.cholesky(normal_matrices), dtype=np.float64)

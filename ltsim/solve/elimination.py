@@ -1,9 +1,9 @@
 """Linear least-squares step in which most unknowns are eliminated block by block.
 
-Unknowns are either *reduced* (K columns) or *eliminated* (E blocks of three columns, such as the coordinates of a
-target). No row of the design has entries in two blocks. The part of the normal equations for the eliminated unknowns is
-therefore block diagonal and inverted block by block. A system of size K remains, the Schur complement. The cost is
-linear in the number of blocks.
+Unknowns are either *eliminated* (E blocks of three columns, such as the coordinates of a target) or *reduced* (the K
+other columns). No row of the design has entries in two blocks. The part of the normal equations for the eliminated
+unknowns is therefore block diagonal and inverted block by block. A system of size K remains, the Schur complement. The
+cost is linear in the number of blocks.
 
 Columns are scaled to unit norm before any factorisation, so that ranks do not depend on units.
 
@@ -39,7 +39,10 @@ from ltsim.solve.threads import single_threaded
 
 
 class DenseElimination:
-    """Elimination with dense matrices, for a design (m, K + 3 E) with K reduced columns and E eliminated blocks."""
+    """Elimination with dense matrices, for a design (m, K + 3 E) with K reduced columns and E eliminated blocks.
+
+    `damping` is added to the diagonal of the normal matrix; raises LinAlgError if it is not positive definite.
+    """
 
     def __init__(self, design: Floats, n_reduced: int, damping: float) -> None:
         self._design, self._n_reduced = design, n_reduced
@@ -65,25 +68,26 @@ class DenseElimination:
 
     @property
     def reduced_inverse(self) -> Floats:
-        """Inverse (K, K) for the reduced unknowns."""
+        """Part (K, K) of the inverse normal matrix for the reduced unknowns."""
         return self._inverse[: self._n_reduced, : self._n_reduced]
 
     def inverses_of_sets(self, columns: Ints) -> Floats:
-        """Inverses (c, k, k) for sets (c, k) of reduced unknowns."""
+        """Parts (c, k, k) of the inverse normal matrix for c sets of k reduced unknowns, given by `columns` (c, k)."""
         return self._inverse[columns[:, :, None], columns[:, None, :]]
 
     @cached_property
     def inverse_blocks_and_leverage(self) -> tuple[Floats, Floats]:
-        """Inverse (E, 3, 3) for every block, and leverage (m,) of every row."""
+        """Part of the inverse normal matrix for every eliminated block, (E, 3, 3), and leverage (m,) of every row."""
         block_indices = np.arange(self._n_reduced, len(self._cholesky_factor)).reshape(-1, 3)
         scaled_rows = (self._design * self.column_scales).T
         whitened = scipy.linalg.solve_triangular(self._cholesky_factor, scaled_rows, lower=True, check_finite=False)
         return self.inverses_of_sets(block_indices), np.einsum("um,um->m", whitened, whitened)
 
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
-        """Matrices R N^-1 R', with R a group of neighbouring rows and N the normal matrix.
+        """Covariances R N^-1 R' of linear functions, for each group R of neighbouring rows of `function_rows`.
 
-        Group i has the rows from boundary i to boundary i + 1.
+        The rows are the coefficients of the functions, N is the normal matrix. Group i has the rows from entry i of
+        `group_boundaries` to before entry i + 1.
         """
         for low, high in pairwise(group_boundaries.tolist()):
             group = function_rows[low:high].toarray() * self.column_scales
@@ -91,7 +95,10 @@ class DenseElimination:
 
 
 class SparseElimination:
-    """Elimination with sparse matrices; the Schur complement is a chain of blocks if its structure permits."""
+    """Elimination with sparse matrices; parameters as of `DenseElimination`.
+
+    The Schur complement is arranged as a chain of blocks (`solve.chain`) if its structure permits.
+    """
 
     def __init__(self, design: sp.csr_array, n_reduced: int, damping: float) -> None:
         self.column_scales = inverse_column_norms(design)
@@ -123,15 +130,15 @@ class SparseElimination:
 
     @cached_property
     def reduced_inverse(self) -> Floats:
-        """Inverse (K, K) for the reduced unknowns."""
+        """Part (K, K) of the inverse normal matrix for the reduced unknowns."""
         return self._schur_factor.inverse()
 
     def inverses_of_sets(self, columns: Ints) -> Floats:
-        """Inverses (c, k, k) for sets (c, k) of reduced unknowns."""
+        """Parts (c, k, k) of the inverse normal matrix for c sets of k reduced unknowns, given by `columns` (c, k)."""
         inverses = np.full((*columns.shape, columns.shape[1]), np.nan)
         lowest = self._first_chain_block(columns, axis=1)
         for i in np.unique(lowest):
-            mine, window = np.flatnonzero(lowest == i), self._schur_factor.inverse_windows[i]
+            mine, window = np.flatnonzero(lowest == i), self._schur_factor.inverse_submatrices[i]
             places = window.positions_of_columns[columns[mine]]
             inverses[mine] = window.inverse[places[:, :, None], places[:, None, :]]
             inverses[mine[np.any(places < 0, axis=1)]] = np.nan
@@ -140,17 +147,17 @@ class SparseElimination:
         return inverses
 
     def _first_chain_block(self, columns: Ints, axis: int) -> Ints:
-        """Index of the first block of the chain to which any column of each set belongs."""
+        """Index of the first block of the chain to which any column of each set belongs; `axis` is that of the set."""
         return np.asarray(
             self._schur_factor.block_of_column[columns].min(axis=axis, initial=self._schur_factor.n_blocks - 1)
         )
 
     @cached_property
     def inverse_blocks_and_leverage(self) -> tuple[Floats, Floats]:
-        """Inverse (E, 3, 3) for every block, and leverage (m,) of every row.
+        """Part of the inverse normal matrix for every eliminated block, (E, 3, 3), and leverage (m,) of every row.
 
         Rows with entries in the same eliminated block are processed together, because all columns that this block
-        couples are in one `BlockWindow`. Rows without entries in eliminated blocks are processed singly.
+        couples are in one `InverseSubmatrix`. Rows without entries in eliminated blocks are processed singly.
         """
         blocks, leverage = self._block_inverses.copy(), np.zeros(self._design.shape[0])
         order, edges, back = _rows_sorted_by_block(self._design, self._n_reduced, len(blocks))
@@ -168,7 +175,7 @@ class SparseElimination:
                 reduced = dense_rows(front, low, high, columns)[0] - behind @ carry
             else:
                 carry, (reduced, columns) = None, dense_rows(front, low, high)
-            window = self._schur_factor.inverse_windows[int(self._first_chain_block(columns, axis=0))]
+            window = self._schur_factor.inverse_submatrices[int(self._first_chain_block(columns, axis=0))]
             at = window.positions_of_columns[columns]
             inverse = window.inverse[at[:, None], at]
             leverage[mine] += np.sum((reduced @ inverse) * reduced, axis=1)
@@ -177,7 +184,7 @@ class SparseElimination:
         return blocks, leverage
 
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
-        """Matrices R N^-1 R' for groups R of neighbouring rows, as `DenseElimination.covariances_of_functions`."""
+        """Covariances R N^-1 R' of linear functions, as `DenseElimination.covariances_of_functions`."""
         function_rows = scale_columns(function_rows, self.column_scales)
         back = sp.csr_array(function_rows[:, self._n_reduced :])
         reduced = sp.csr_array(function_rows[:, : self._n_reduced] - back @ self._elimination_coefficients.T)
@@ -194,10 +201,10 @@ class SparseElimination:
 
 
 def _rows_sorted_by_block(design: sp.csr_array, n_reduced: int, n_blocks: int) -> tuple[Ints, Ints, Floats]:
-    """Row indices (m,) sorted by eliminated block, limits of the groups of rows, and entries (m, 3) of each row.
+    """Row indices (m,) sorted by eliminated block, limits of the groups of rows in this order, and entries (m, 3).
 
-    The entries are those in the columns of the row's block. Rows without entries in a block are last, each as one
-    group.
+    A group has the rows of one block. The entries are those of each row in the three columns of its block. Rows without
+    entries in an eliminated block are last, each as a group.
     """
     rows, behind = np.repeat(np.arange(design.shape[0]), np.diff(design.indptr)), design.indices >= n_reduced
     block, back = np.full(design.shape[0], -1), np.zeros((design.shape[0], 3))
@@ -210,10 +217,10 @@ def _rows_sorted_by_block(design: sp.csr_array, n_reduced: int, n_blocks: int) -
 
 
 def dense_rows(matrix: sp.csr_array, first_row: int, end_row: int, columns: Ints | None = None) -> tuple[Floats, Ints]:
-    """Dense array (r, k) of the rows from `first_row` to before `end_row`, and the indices (k,) of its columns.
+    """Dense array (r, k) of the rows from `first_row` to before `end_row`, and the column indices (k,) of the array.
 
-    By default it has the columns with entries in these rows. If sorted `columns` are given, it has these columns, and
-    entries in other columns are ignored.
+    By default the array has the columns with entries in these rows. If sorted column indices `columns` are given, it
+    has these columns, and entries in other columns are ignored.
     """
     begin, end = matrix.indptr[first_row], matrix.indptr[end_row]
     indices = matrix.indices[begin:end]
@@ -230,7 +237,7 @@ def dense_rows(matrix: sp.csr_array, first_row: int, end_row: int, columns: Ints
 
 
 def block_inverse(blocks: Floats) -> tuple[Floats, float]:
-    """Inverses (E, 3, 3) of blocks (E, 3, 3), and their smallest pivot.
+    """Inverses (E, 3, 3) of symmetric blocks (E, 3, 3), and the smallest pivot of their Cholesky factorisations.
 
     Raises LinAlgError if a block is not positive definite.
     """
@@ -243,7 +250,7 @@ def block_inverse(blocks: Floats) -> tuple[Floats, float]:
 
 
 def _diagonal_blocks(matrix: sp.csr_array, n_blocks: int) -> Floats:
-    """Dense diagonal blocks (E, 3, 3) of a sparse matrix without other entries."""
+    """Dense diagonal blocks (E, 3, 3) of a sparse block-diagonal matrix (3 E, 3 E)."""
     nonzero_entries = matrix.tocoo()
     blocks = np.zeros((n_blocks, 3, 3))
     np.add.at(
@@ -264,30 +271,30 @@ def _block_diagonal(blocks: Floats) -> sp.csr_array:
 
 
 UNDETERMINED_MESSAGE = (
-    "the observations leave some unknowns undetermined: let stations share more targets, check the noise"
+    "the observations do not determine all unknowns; let stations share more targets, and check the declared noise"
 )
 """Error message for a system with undetermined unknowns."""
 
 
 @dataclass(frozen=True)
 class BlockSystem:
-    """Whitened linear least-squares problem: minimise |design @ step - whitened_residuals|^2."""
+    """Whitened linear least-squares problem with m observations: minimise |design @ step - whitened_residuals|^2."""
 
     design: DesignMatrix
-    """Design matrix (m, K + 3 E), reduced columns first."""
+    """Whitened design matrix (m, K + 3 E): K columns of reduced unknowns, then E blocks of eliminated unknowns."""
     whitened_residuals: Floats
-    """Observed minus predicted values divided by sigma, (m,)."""
+    """Observed minus predicted values, divided by their standard deviations, (m,)."""
     n_reduced: int
-    """Number K of unknowns that are not eliminated; it is the size of the Schur complement."""
+    """Number K of unknowns that are not eliminated, the size of the Schur complement."""
 
     @property
     def sum_of_squares(self) -> float:
-        """Sum of squared residuals."""
+        """Sum of squared whitened residuals."""
         return float(self.whitened_residuals @ self.whitened_residuals)
 
 
 class SingularSystemError(NetworkError):
-    """Error for a system that does not determine all unknowns or combinations of unknowns (`ltsim.solve.design`)."""
+    """Error for a linear system that leaves a combination of unknowns undetermined (`RANK_TOLERANCE`)."""
 
 
 class BlockFactor:
@@ -299,7 +306,7 @@ class BlockFactor:
     ----------
     block_system : BlockSystem
     damping : float
-        Added to the unit diagonal of the scaled normal matrix.
+        Levenberg-Marquardt damping, added to the unit diagonal of the scaled normal matrix.
     """
 
     @single_threaded
@@ -316,15 +323,15 @@ class BlockFactor:
         self._column_scales = self._elimination.column_scales
         if (
             self._elimination.smallest_pivot < MIN_RELIABLE_PIVOT
-            and damping + self._weakest_direction_length() <= RANK_TOLERANCE
+            and damping + self._weakest_direction_squared_length() <= RANK_TOLERANCE
         ):
             raise SingularSystemError(UNDETERMINED_MESSAGE)
 
     def __reduce__(self) -> tuple[type[BlockFactor], tuple[BlockSystem, float]]:
-        """Constructor and arguments for pickling: the system, which is smaller than its factor."""
+        """Constructor and its arguments for pickling: the linear system, which is smaller than its factor."""
         return BlockFactor, (self._system, self._damping)
 
-    def _weakest_direction_length(self) -> float:
+    def _weakest_direction_squared_length(self) -> float:
         """Squared length of the product of the scaled design and the unit vector of the weakest direction.
 
         The direction is computed by inverse iteration. The length is accurate even if it is near zero.
@@ -342,7 +349,7 @@ class BlockFactor:
 
     @single_threaded
     def reduced_covariance(self) -> Floats:
-        """Covariance (K, K) of the reduced unknowns."""
+        """Covariance matrix (K, K) of the reduced unknowns."""
         scale = self._column_scales[: self._system.n_reduced]
         covariance: Floats = np.outer(scale, scale)
         covariance *= self._elimination.reduced_inverse
@@ -359,13 +366,13 @@ class BlockFactor:
 
     @single_threaded
     def block_covariance(self) -> Floats:
-        """Covariance (E, 3, 3) of each eliminated block."""
+        """Covariance matrices (E, 3, 3) of the three unknowns of each eliminated block."""
         scale = self._column_scales[self._system.n_reduced :].reshape(-1, 3)
         return self._elimination.inverse_blocks_and_leverage[0] * scale[:, :, None] * scale[:, None, :]
 
     @single_threaded
     def covariance_columns(self, vectors: Floats) -> Floats:
-        """Product (K + 3 E, c) of the covariance and the vectors `vectors` (K + 3 E, c)."""
+        """Product (K + 3 E, c) of the covariance matrix of all unknowns and c `vectors` (K + 3 E, c)."""
         return self._column_scales[:, None] * self._elimination.solve(self._column_scales[:, None] * vectors)
 
     @property
@@ -374,9 +381,10 @@ class BlockFactor:
         return self._elimination.smallest_pivot
 
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
-        """Covariances R N^-1 R' of groups R of linear functions, rows (q, K + 3 E) of their coefficients.
+        """Covariance matrices R N^-1 R' of groups R of linear functions of the unknowns.
 
-        Group i has the rows from boundary i to boundary i + 1.
+        `function_rows` (q, K + 3 E) are the coefficients of q functions, N is the normal matrix. Group i has the rows
+        from entry i of `group_boundaries` to before entry i + 1.
         """
         return self._elimination.covariances_of_functions(function_rows, group_boundaries)
 

@@ -1,4 +1,4 @@
-"""Gauss-Newton iteration with Levenberg-Marquardt damping, for any problem that implements the protocol."""
+"""Gauss-Newton iteration with Levenberg-Marquardt damping, for any object with the methods of `LeastSquaresProblem`."""
 
 from __future__ import annotations
 
@@ -11,31 +11,35 @@ from ltsim.core.errors import ConvergenceError
 from ltsim.solve.elimination import BlockFactor, BlockSystem, SingularSystemError
 
 PointT = TypeVar("PointT")
+"""Type of one set of values of the unknowns."""
 MAX_ITERATIONS = 60
-"""Largest number of steps of an iteration that a tolerance ends. An error that each step multiplies by 0.74 or less is
-below `MAX_ROUNDING_ERROR` (1.5e-8) after 60 steps; an iteration with more steps does not converge.
+"""Largest number of steps of an iteration that otherwise ends when its error is below a tolerance. If each step reduces
+the error to 0.74 of the previous one or less, it is below `MAX_ROUNDING_ERROR` (1.5e-8) after 60 steps; an iteration
+that needs more steps counts as not convergent.
 """
 MAX_ALTERNATIONS = 6
 """Largest number of alternations between an estimate and a decision that depends on it: outliers, noise factors,
-widened priors, selected causes. They end when the decision does not change; of a cycle the last decision counts.
+widened priors, selected causes. The alternation ends when the decision does not change; if decisions repeat in a cycle,
+the last one counts.
 """
 MAX_CONVERGENCE_RATIO = 0.9
-"""Ratio of successive steps, or misclosures, up to which an iteration counts as converging. It also bounds the
-estimated ratio in a secant step, which is then at most ten times the last change.
+"""Ratio of the lengths of successive steps, or of successive misclosures, up to which an iteration counts as
+converging. It also bounds the estimated ratio in a secant step, which is then at most ten times the last change.
 """
 SQUARED_STEP_TOLERANCE = 1e-8
-"""Squared length of a step, in squared standard deviations of the unknowns, below which the iteration has converged.
-"""
+"""Squared length of a step, in units of the standard deviations of the unknowns, below which the iteration has
+converged."""
 MAX_SQUARED_STEP_FOR_REUSE = 1.0
-"""Squared length of a step, in squared standard deviations, below which the next step uses the same design matrix."""
+"""Squared length of a step, in units of the standard deviations of the unknowns, below which the next step uses the
+same design matrix."""
 MAX_PREDICTED_STEP_FRACTION = 1e-4
-"""Ratio of the predicted squared length of the next step to `SQUARED_STEP_TOLERANCE` below which this step is not
-computed. The length is then below a millionth of a standard deviation."""
+"""Ratio of the predicted squared length of the next step to `SQUARED_STEP_TOLERANCE` below which the next step is not
+computed. Its length is then below a millionth of a standard deviation."""
 MAX_NEGLIGIBLE_DAMPING = 1e-5
 """Levenberg-Marquardt damping up to which a short step counts as convergence. More damping itself shortens steps."""
 MAX_SQUARED_ROUNDING_STEP = 1e-4
-"""Squared length of a step, in squared standard deviations. Steps below it that no longer decrease are rounding errors,
-as with large coordinates, and end the iteration."""
+"""Squared length, in units of the standard deviations of the unknowns, below which steps that no longer decrease count
+as rounding errors and end the iteration. Such errors occur with large coordinates."""
 
 
 class LeastSquaresProblem(Protocol[PointT]):
@@ -45,17 +49,17 @@ class LeastSquaresProblem(Protocol[PointT]):
     """
 
     def linearise(self, x: PointT) -> BlockSystem:
-        """Whitened linear system at the point x."""
+        """Whitened linear system (design matrix and residuals) at the point x."""
 
     def whitened_residuals(self, x: PointT) -> Floats:
-        """Whitened residuals (m,) at the point x, without the design."""
+        """Whitened residuals (m,) at the point x, computed without the design matrix."""
 
     def retract(self, point: PointT, step: Floats) -> PointT:
-        """Point after a step of the unknowns (K + 3 E,) from `point`."""
+        """Point that results from `point` by a step (K + 3 E,) of the unknowns."""
 
 
 class TerminationStatus(Enum):
-    """Termination status of an iteration; the value is a sentence for the user."""
+    """Termination status of an iteration; the value of a member is its description for the user."""
 
     CONVERGED = "the last step was far below one standard deviation"
     STALLED = "no damped step reduces the sum of squares further"
@@ -74,9 +78,9 @@ class Solution(Generic[PointT]):
     sum_of_squares: float
     """Sum of squared whitened residuals at x."""
     n_iterations: int
-    """Number of iterations."""
+    """Number of iterations; 0 for planned observations."""
     status: TerminationStatus
-    """Reason for which the iteration ended."""
+    """Reason why the iteration ended."""
     factor: BlockFactor | None
     """Factorised undamped normal equations at x; None if they are singular."""
     system: BlockSystem
@@ -84,11 +88,11 @@ class Solution(Generic[PointT]):
 
     @property
     def has_converged(self) -> bool:
-        """True if x is the optimum, or the state for which observations are planned."""
+        """True if the iteration converged to an optimum x, or if x is the point for which observations are planned."""
         return self.status in (TerminationStatus.CONVERGED, TerminationStatus.PLANNED)
 
     def require_success(self) -> Solution[PointT]:
-        """Solution itself if it converged; raises `ConvergenceError` with the status sentence otherwise."""
+        """Solution itself if the iteration converged; otherwise raises `ConvergenceError` with the status."""
         if not self.has_converged:
             raise ConvergenceError(f"the adjustment did not converge: {self.status.value}", self)
         return self
@@ -123,7 +127,7 @@ def solve(problem: LeastSquaresProblem[PointT], start_point: PointT, *, max_iter
         length = _squared_step_length(system, step)
         if not damping and length < MAX_SQUARED_ROUNDING_STEP and length > previous_length / 4:
             return Solution(x, system.sum_of_squares, iteration, TerminationStatus.CONVERGED, factor, system)
-        # The next step is as much shorter than this one as this one was than the one before.
+        # The ratio of the next step to this one is predicted as the ratio of this step to the previous one.
         sure = length * length < MAX_PREDICTED_STEP_FRACTION * SQUARED_STEP_TOLERANCE * previous_length < float("inf")
         trial, previous_length, near = (
             problem.retract(x, step),
@@ -161,7 +165,7 @@ def solve(problem: LeastSquaresProblem[PointT], start_point: PointT, *, max_iter
 
 
 def _squared_step_length(block_system: BlockSystem, step: Floats) -> float:
-    """Squared length of a step in standard deviations."""
+    """Squared length of a `step` (K + 3 E,) of the unknowns, in units of their standard deviations."""
     prediction_change = block_system.design @ step
     return float(prediction_change @ prediction_change)
 
@@ -169,10 +173,10 @@ def _squared_step_length(block_system: BlockSystem, step: Floats) -> float:
 def _step_with_previous_design(
     problem: LeastSquaresProblem[PointT], point: PointT, block_system: BlockSystem, normal_equations: BlockFactor
 ) -> tuple[PointT, BlockSystem] | None:
-    """Last point and system after one more step with the previous design; None if the step is not below tolerance.
+    """Point and linear system after one more step with the previous design; None if the step is not below tolerance.
 
-    After a step of one standard deviation the design is the same to five digits. It is therefore used again, with the
-    residuals at the new point.
+    `block_system` is the previous system, `normal_equations` its factor. After a step of one standard deviation the
+    design matrix is the same to five digits. It is therefore used again, with the residuals at the new point.
     """
     residual = problem.whitened_residuals(point)
     step = normal_equations.step(residual)
@@ -182,12 +186,12 @@ def _step_with_previous_design(
 
 
 def _system_after_step(block_system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
-    """Linear system after a `step`, with the same design, and with the `residual` (m,) reduced by the linear change."""
+    """Linear system after a `step` with the same design matrix, and `residual` (m,) minus its linear change."""
     return BlockSystem(block_system.design, residual - block_system.design @ step, block_system.n_reduced)
 
 
 def _damped_factor(block_system: BlockSystem, damping: float) -> tuple[BlockFactor | None, float]:
-    """Factorised normal equations, and their damping: `damping`, or more if the normal matrix is singular.
+    """Factorised normal equations and their damping: `damping`, or a larger one if the normal matrix is singular.
 
     The factorisation is None if the matrix is singular even with a damping of 0.01.
     """
@@ -208,7 +212,10 @@ def _final_solution(
     *,
     had_regular_normals: bool,
 ) -> Solution[PointT]:
-    """Solution at a point with undamped normal equations; if they are singular, the status states the cause."""
+    """Solution at a point with undamped normal equations; if they are singular, its status states the cause.
+
+    `had_regular_normals` is True if the normal equations were regular at an earlier point of the iteration.
+    """
     try:
         factor = BlockFactor(block_system)
     except SingularSystemError:

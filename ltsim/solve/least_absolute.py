@@ -1,8 +1,9 @@
 """Exact solver for least absolute deviations: a linear program, solved by a descent from vertex to vertex.
 
 At a vertex as many residuals are zero as there are unknowns. Reweighted least squares approaches the optimum in a few
-passes. From there the solver moves along edges to neighbouring vertices until none is better (Barrodale and Roberts
-1973). The result is exact, unlike that of reweighted least squares, whose weights need a lower bound on the residuals.
+passes. From there the solver moves along edges to neighbouring vertices until no neighbour has a smaller sum of
+absolute residuals (Barrodale and Roberts 1973). The result is exact, unlike that of reweighted least squares, whose
+weights need a lower bound on the residuals.
 """
 
 import numpy as np
@@ -12,30 +13,32 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
 
 N_REWEIGHTING_PASSES = 12
-"""Number of passes of reweighted least squares that compute the start point. Their lower bound on residuals decreases
-from the median residual to a hundredth of it."""
+"""Number of passes of reweighted least squares that compute the start point. The lower bound on residuals decreases
+from pass to pass, from the median absolute residual to a hundredth of it."""
 CANDIDATE_ROWS_RATIO = 8
-"""Number of rows from which the first vertex is selected, divided by the number of unknowns. These are the rows with
-the smallest residuals."""
+"""Number of rows of the design from which the first vertex is selected, divided by the number of unknowns. The rows
+with the smallest residuals are used."""
 DATA_PERTURBATION = 1e-6
 """Size of the perturbation of the observations, divided by the median absolute residual. The perturbation ensures that
 at no vertex more residuals are zero than there are unknowns, where the descent could cycle."""
 MAX_DESCENT_EDGES = 2000
-"""Largest number of edges of one descent; after it the solver raises NetworkError."""
+"""Largest number of edges of one descent, after which the solver raises NetworkError."""
 ROUNDING_TOLERANCE = 1e-9
-"""Relative slope of the objective along an edge up to which the vertex counts as optimal (rounding)."""
+"""Relative slope of the sum of absolute residuals along an edge, up to which it counts as zero (rounding errors) and
+the vertex as optimal."""
 
 
 def solve_least_absolute(design: Floats, observations: Floats, *, start_solution: Floats | None = None) -> Floats:
-    """Solution x (k,) of ``min sum |observations - design @ x|``.
+    """Least-absolute-deviations solution (k,): the x that minimises ``sum |observations - design @ x|``.
 
-    Raises NetworkError if the descent does not end, which only rounding can cause.
+    Raises NetworkError if the descent does not end, which only rounding errors can cause.
 
     Parameters
     ----------
     design : (m, k) float
         Design matrix of full rank.
     observations : (m,) float
+        Observed values.
     start_solution : (k,) float, optional
         Start point of the descent. The solution does not depend on it.
     """
@@ -51,14 +54,17 @@ def solve_least_absolute(design: Floats, observations: Floats, *, start_solution
         for floor in median_residual * np.geomspace(1.0, 0.01, N_REWEIGHTING_PASSES):
             weighted = design / np.maximum(np.abs(observations - design @ x), floor)[:, None]
             x = np.asarray(np.linalg.solve(weighted.T @ design, weighted.T @ observations), dtype=np.float64)
-    # By the square of the row's number: multiples of the number itself add up, as differences of the same lengths do.
+    # The perturbation grows with the square of the row index. A linear one would cancel in differences of observations.
     perturbation = (0.6180339887498949 * np.arange(len(observations), dtype=np.float64) ** 2) % 1.0 - 0.5
     vertex_rows = _optimal_vertex(design, observations + DATA_PERTURBATION * median_residual * perturbation, x)
     return np.asarray(np.linalg.solve(design[vertex_rows], observations[vertex_rows]), dtype=np.float64)
 
 
 def _optimal_vertex(design: Floats, observations: Floats, start_solution: Floats) -> Ints:
-    """Indices (k,) of the rows with zero residual at the optimal vertex, by descent along the steepest edge."""
+    """Indices (k,) of the rows with zero residual at the optimal vertex, by descent along the steepest edge.
+
+    `start_solution` (k,) is the point near which the first vertex is selected.
+    """
     vertex_rows = _first_vertex(design, observations, start_solution)
     for _ in range(MAX_DESCENT_EDGES):
         inverse = np.linalg.inv(design[vertex_rows])
@@ -72,11 +78,13 @@ def _optimal_vertex(design: Floats, observations: Floats, start_solution: Floats
         edge_rates = design @ (np.sign(multipliers[leaving_index]) * inverse[:, leaving_index])
         edge_rates[vertex_rows] = 0.0
         vertex_rows[leaving_index] = _entering_row(residual, edge_rates, slope)
-    raise NetworkError(f"least absolute deviations: no solution after {MAX_DESCENT_EDGES} steps; check the readings")
+    raise NetworkError(
+        f"the minimisation of absolute deviations found no solution after {MAX_DESCENT_EDGES} steps; check the readings"
+    )
 
 
 def _first_vertex(design: Floats, observations: Floats, start_solution: Floats) -> Ints:
-    """Indices (k,) of linearly independent rows with the smallest residuals at a point near the optimum."""
+    """Indices (k,) of linearly independent rows with the smallest residuals at the point `start_solution` (k,)."""
     residual, count = np.abs(observations - design @ start_solution), design.shape[1]
     order = np.argsort(residual)[: CANDIDATE_ROWS_RATIO * count]
     scaled_design = design[order] / np.maximum(residual[order], residual[order].max() * 1e-6)[:, None]
@@ -85,11 +93,10 @@ def _first_vertex(design: Floats, observations: Floats, start_solution: Floats) 
 
 
 def _entering_row(residual: Floats, residual_rates_along_edge: Floats, objective_slope: float) -> int:
-    """Index of the row whose residual becomes zero at the optimum along an edge (a weighted median).
+    """Index of the row whose residual is zero at the point of an edge with the smallest sum of absolute residuals.
 
-    There the sum of absolute residuals stops decreasing. `residual_rates_along_edge` (m,) is the decrease of each
-    `residual` (m,) per unit of length along the edge, and `objective_slope` the initial decrease of the sum of absolute
-    residuals per unit of length.
+    The point is a weighted median. `residual_rates_along_edge` (m,) is the decrease of each `residual` (m,) per unit of
+    length along the edge, `objective_slope` the initial decrease of the sum of absolute residuals per unit of length.
     """
     ahead = np.flatnonzero(residual * residual_rates_along_edge > 0.0)
     order = ahead[np.argsort(residual[ahead] / residual_rates_along_edge[ahead])]

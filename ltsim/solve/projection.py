@@ -20,45 +20,48 @@ from ltsim.solve.design import DesignMatrix, inverse_column_norms, to_dense
 from ltsim.solve.elimination import BlockFactor, BlockSystem
 
 MAX_BASIS_ENTRIES = 2_000_000
-"""Number of entries of a design up to which an orthonormal basis is computed, because dense products are faster. A
-diagnosis of 1,200 pointings with 4 million entries takes 34 to 53 s and 540 MB with a basis, 28 to 36 s and 330 MB with
-the factor.
+"""Number of entries of a design up to which an orthonormal basis is computed, because dense products are then faster. A
+diagnosis of 1,200 pointings, whose design has 4 million entries, takes 34 to 53 s and 540 MB with a basis, and 28 to
+36 s and 330 MB with the factor.
 """
 MAX_UNPROJECTED_OVERLAP = 1e-10
-"""Inner product of a projected unit vector with a unit column of the design above which the vector is projected again.
-It is zero without rounding errors.
+"""Inner product of a projected unit vector with a unit column of the design, above which the vector is projected again.
+Without rounding errors the product is zero.
 """
 MAX_STORED_BLOCK_ROWS = 150
-"""Number of rows up to which the block of the projector on these rows is computed and stored, because many vectors on
-the same rows are projected.
+"""Number of rows up to which the submatrix of the projector on these rows is computed and stored. Many vectors that are
+non-zero on the same rows are projected.
 """
 MAX_STORED_BLOCK_ENTRIES = 3_000_000
-"""Largest number of entries of all stored blocks of the projector, 24 MB."""
+"""Largest total number of entries of the stored submatrices of the projector, 24 MB."""
 MAX_ZERO_EIGENVALUE = 1e-12
-"""Eigenvalue of a block of the hat matrix up to which it counts as zero. The others are between 0 and 1."""
+"""Largest eigenvalue of a submatrix of the hat matrix that counts as zero; all its eigenvalues are between 0 and 1."""
 
 
 @dataclass(frozen=True)
 class BasisResidualProjector:
-    """Projector onto the residual space, the complement of the column space of the design, by a basis of the latter."""
+    """Projector onto the residual space, from an orthonormal basis of the column space of the design.
+
+    The residual space is the orthogonal complement of the column space.
+    """
 
     basis: Floats
     """Orthonormal basis (m, u) of the column space of the design with m rows and u columns."""
 
     @classmethod
     def from_design(cls, design: DesignMatrix) -> BasisResidualProjector:
-        """Projector onto the residual space of a design."""
+        """Projector onto the residual space of a whitened design matrix (m, u)."""
         return cls(np.linalg.qr(to_dense(design) * inverse_column_norms(design))[0])
 
     def project(self, vectors: Floats) -> Floats:
-        """Component (m, q) of q vectors (m, q) in the residual space, which the design does not explain."""
+        """Components (m, q) of q vectors (m, q) in the residual space, which the design does not explain."""
         return vectors - self.basis @ (self.basis.T @ vectors)
 
     def gram_matrices(self, columns: Floats, group_boundaries: Ints, row_selection: Ints | slice) -> list[Floats]:
         """Gram matrices (k, k) of groups of k projected vectors: their inner products in the residual space.
 
-        The q vectors have the entries `columns` (r, q) on r rows, and zeros on all other rows. Group i has the columns
-        from boundary i to boundary i + 1.
+        The q vectors have the entries `columns` (r, q) on the r rows `row_selection`, and zeros on all other rows.
+        Group i has the columns from entry i of `group_boundaries` to before entry i + 1.
         """
         full_grams, explained_grams = (
             _group_gram_matrices(columns, group_boundaries),
@@ -71,9 +74,9 @@ class BasisResidualProjector:
         return np.einsum("mu,mu->m", self.basis, self.basis)
 
     def hat_matrix_spectra(self, row_groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
-        """Non-zero eigenvalues (k,) and their eigenvectors (f, k) of the block of the hat matrix on each group of rows.
+        """Non-zero eigenvalues (k,) and eigenvectors (f, k) of the submatrix of the hat matrix on each group of rows.
 
-        A group has f rows. Further eigenvalues are zero.
+        A group has the f row indices of one entry of `row_groups`. The other f - k eigenvalues are zero.
         """
         for rows in row_groups:
             part = self.basis[rows]
@@ -89,19 +92,19 @@ class FactorResidualProjector:
     """Projector onto the residual space, from the factorised normal equations of a sparse design."""
 
     design: sp.csr_array
-    """Sparse design matrix."""
+    """Whitened sparse design matrix (m, u)."""
     factor: BlockFactor
-    """Factorised normal equations."""
+    """Factorised normal equations of the design."""
     removed_columns: Floats
-    """Orthonormal vectors (m, e) of the residual space whose components are removed too."""
+    """Orthonormal vectors (m, e) of the residual space; components along them are removed too."""
     _transposed_design: sp.csr_array = field(repr=False)
     _inverse_column_norms: Floats = field(repr=False)
     _stored_blocks: dict[bytes, Floats] = field(default_factory=dict, repr=False)
-    """Stored blocks (r, r) of the projector, by the bytes of their row indices."""
+    """Stored submatrices (r, r) of the projector, by the bytes of their row indices."""
 
     @classmethod
     def from_design(cls, design: DesignMatrix, normal_equations: BlockFactor) -> FactorResidualProjector:
-        """Projector onto the residual space of a design."""
+        """Projector onto the residual space of a whitened design matrix (m, u) with factorised normal equations."""
         design = sp.csr_array(design)
         return cls(
             design,
@@ -112,14 +115,14 @@ class FactorResidualProjector:
         )
 
     def project(self, vectors: Floats) -> Floats:
-        """Component (m, q) of q vectors (m, q) in the residual space, as `BasisResidualProjector.project`."""
+        """Components (m, q) of q vectors (m, q) in the residual space, which the design does not explain."""
         return self._residual_part(vectors, slice(None))
 
     def gram_matrices(self, columns: Floats, group_boundaries: Ints, row_selection: Ints | slice) -> list[Floats]:
         """Gram matrices (k, k) of groups of projected vectors, as `BasisResidualProjector.gram_matrices`.
 
-        On at most `MAX_STORED_BLOCK_ROWS` rows they are computed from the block of the projector on these rows, which
-        is stored.
+        On at most `MAX_STORED_BLOCK_ROWS` rows they are computed from the submatrix of the projector on these rows,
+        which is stored.
         """
         block = self._stored_block(row_selection)
         if block is None:
@@ -129,7 +132,7 @@ class FactorResidualProjector:
         return [columns[:, low:high].T @ projected[:, low:high] for low, high in limits]
 
     def _stored_block(self, row_selection: Ints | slice) -> Floats | None:
-        """Block (r, r) of the projector on r rows, computed once; None on more than `MAX_STORED_BLOCK_ROWS` rows."""
+        """Submatrix (r, r) of the projector on r rows, computed once; None above `MAX_STORED_BLOCK_ROWS` rows."""
         if isinstance(row_selection, slice) or not 0 < len(row_selection) <= MAX_STORED_BLOCK_ROWS:
             return None
         key = row_selection.tobytes()
@@ -142,9 +145,9 @@ class FactorResidualProjector:
         return block
 
     def _residual_part(self, columns: Floats, rows: Ints | slice) -> Floats:
-        """Component (m, q) in the residual space of vectors with entries `columns` (r, q) on `rows`, 0 elsewhere.
+        """Components (m, q) in the residual space of vectors with entries `columns` (r, q) on `rows`, 0 elsewhere.
 
-        If rounding errors of the projection are visible, the result is projected a second time.
+        If rounding errors of the projection exceed `MAX_UNPROJECTED_OVERLAP`, the result is projected a second time.
         """
         design_products = (
             self._transposed_design if len(columns) == len(self.removed_columns) else self.design[rows].T
@@ -166,7 +169,7 @@ class FactorResidualProjector:
         return self.factor.leverage() + np.einsum("me,me->m", self.removed_columns, self.removed_columns)
 
     def hat_matrix_spectra(self, row_groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
-        """Eigenvalues and eigenvectors of blocks of the hat matrix, as `BasisResidualProjector.hat_matrix_spectra`."""
+        """Eigenvalues and eigenvectors of parts of the hat matrix, as `BasisResidualProjector.hat_matrix_spectra`."""
         edges = np.cumsum([0, *(len(rows) for rows in row_groups)])
         thick = edges[-1] == 0 or max(len(rows) for rows in row_groups) > self.design.shape[1] // 2
         if thick:
@@ -177,7 +180,10 @@ class FactorResidualProjector:
             yield np.linalg.eigh(hat + self.removed_columns[rows] @ self.removed_columns[rows].T)
 
     def _spectrum_from_covariance(self, row_indices: Ints) -> tuple[Floats, Floats]:
-        """Eigenvalues and eigenvectors of the hat matrix on many rows, from the covariance of the unknowns in them."""
+        """Non-zero eigenvalues and eigenvectors of the submatrix of the hat matrix on the rows `row_indices`.
+
+        They are computed from the covariance of the unknowns in these rows, which is smaller for many rows.
+        """
         part = self.design[row_indices]
         touched = np.unique(part.indices)
         group_edges = np.array([0, len(touched)])
@@ -202,9 +208,9 @@ ResidualProjector: TypeAlias = BasisResidualProjector | FactorResidualProjector
 
 
 def make_residual_projector(block_system: BlockSystem, normal_equations: BlockFactor | None) -> ResidualProjector:
-    """Projector onto the residual space of a system.
+    """Projector onto the residual space of a linear system.
 
-    It uses an orthonormal basis for a small system or if there is no factor, otherwise the factor.
+    It uses an orthonormal basis for a small system or without a factor `normal_equations`, otherwise this factor.
     """
     rows, columns = block_system.design.shape
     if normal_equations is None or rows * columns <= MAX_BASIS_ENTRIES:
@@ -213,7 +219,7 @@ def make_residual_projector(block_system: BlockSystem, normal_equations: BlockFa
 
 
 def _group_gram_matrices(columns: Floats, group_boundaries: Ints) -> list[Floats]:
-    """Gram matrices (k, k) of groups of k columns; group i has the columns from boundary i to boundary i + 1."""
+    """Gram matrices (k, k) of groups of k columns; group i has those from boundary i to before boundary i + 1."""
     column_groups = (columns[:, low:high] for low, high in pairwise(group_boundaries.tolist()))
     return [part.T @ part for part in column_groups]
 

@@ -8,7 +8,9 @@ from typing import ParamSpec, TypeVar
 from threadpoolctl import ThreadpoolController
 
 DecoratedParameters = ParamSpec("DecoratedParameters")
+"""Parameters of the decorated function."""
 DecoratedReturn = TypeVar("DecoratedReturn")
+"""Type of the result of the decorated function."""
 
 
 _IS_LIMITED: ContextVar[bool] = ContextVar("whether a caller has set the limit already", default=False)
@@ -23,9 +25,9 @@ def _thread_pool_controller() -> ThreadpoolController:
 def single_threaded(
     function: Callable[DecoratedParameters, DecoratedReturn],
 ) -> Callable[DecoratedParameters, DecoratedReturn]:
-    """Decorator that limits linear algebra in a function to one thread: faster for small matrices, and reproducible.
+    """Decorator that limits linear algebra in a function to one thread.
 
-    With one thread the order of summation does not change.
+    This is faster for small matrices, and results are reproducible because the order of summation does not change.
     """
 
     @wraps(function)

@@ -11,7 +11,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.physics.model.construction import ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel
-from ltsim.physics.model.nuisances import read_shared_errors
+from ltsim.physics.model.nuisances import shared_errors
 from ltsim.recordings import Recording, read, write
 from ltsim.recordings.recording import DISTANCE_KIND_COLUMN, OBSERVABLES
 from ltsim.solve.design import to_dense
@@ -34,7 +34,7 @@ def recording() -> Recording:
 
 def test_it_is_the_adjustment_by_their_covariance(recording: Recording) -> None:
     found = adjust(recording, tested_reference_kinds=())
-    (shared,) = read_shared_errors(recording)
+    (shared,) = shared_errors(recording)
     assert shared.reading_changes.shape == (len(recording), len(OBSERVABLES), 2)
     alone = recording.replace(covariates={n: c for n, c in recording.covariates.items() if not n.startswith("shared_")})
     plain = NetworkProblem.from_model(MeasurementModel(alone, ideal_construction()))
@@ -57,6 +57,6 @@ def test_columns_are_kept_and_are_no_circumstance(recording: Recording, tmp_path
     write(recording, tmp_path / "native", "native")
     again = read(tmp_path / "native")
     np.testing.assert_allclose(
-        read_shared_errors(again)[0].reading_changes, read_shared_errors(recording)[0].reading_changes, rtol=1e-9
+        shared_errors(again)[0].reading_changes, shared_errors(recording)[0].reading_changes, rtol=1e-9
     )
     assert not any(name.startswith("shared_") for name in again.regressor_covariates)

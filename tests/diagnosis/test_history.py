@@ -163,4 +163,4 @@ def test_a_wrong_file_is_refused_in_a_sentence(tmp_path: Path, capsys: pytest.Ca
     write(recording.replace(setup=several), tmp_path / "two")
     write_calibration(measured(2)[0], tmp_path / "one")
     assert run(["diagnose", str(tmp_path / "two"), "--history", str(tmp_path / "one"), "--quiet"]) == 2
-    assert "the recording is of A, B; expected" in capsys.readouterr().err
+    assert "the recording has A, B; give" in capsys.readouterr().err

@@ -72,7 +72,7 @@ def test_errors_of_a_known_size_are_in_the_budget() -> None:
     shared = 3e-3 * np.sin(np.arange(len(recording)))
     recording = recording.replace(covariates={**recording.covariates, f"shared_tripod_{UNIT_SUFFIXES[0]}": shared})
     inputs = evaluate_tasks(recording, tasks(type_b=[])).inputs
-    names = {"error of a reflector against incidence", "error that readings share"}
+    names = {"range error of a reflector as a function of incidence", "error that readings share"}
     type_b_names = {source.name for source in inputs.sources if source.evaluation_type == "B"}
     assert type_b_names == names | {PRIOR_SOURCE, LENGTHS_SOURCE}
     for i, name in enumerate(inputs.target_names):

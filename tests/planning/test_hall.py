@@ -22,7 +22,7 @@ from ltsim.planning.tolerances import PointTolerances, ToleranceCheck, error_rad
 from ltsim.planning.work_order import TapeDistance, station_instructions, tape_deficiency_sentence
 from ltsim.recordings.air import AirUncertainty
 from ltsim.reports.page import work_order_page
-from ltsim.scene.floor import Floor, areas_and_keep_outs, is_allowed_position, is_inside_outline, outline_error
+from ltsim.scene.floor import Floor, areas_and_keep_outs, invalid_outline_reason, is_allowed_position, is_inside_outline
 from ltsim.scene.meshes import cylinder_triangles, join_obstacles
 from ltsim.scene.visibility import compute_visibility
 from ltsim.simulation.scenario import scenario_to_toml
@@ -128,11 +128,11 @@ def test_what_is_wrong_with_a_hall_is_one_sentence(hall: Path, old: str, new: st
 
 
 def test_outlines_that_cross_touch_or_lie_in_a_line_are_told() -> None:
-    assert not outline_error(np.array([[0.0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]))
-    assert "cross or touch" in outline_error(np.array([[0.0, 0], [1, 1], [1, 0], [0, 1]]))
-    assert "cross or touch" in outline_error(np.array([[0.0, 0], [2, 0], [2, 2], [1, 0], [0, 2]]))
-    assert "line" in outline_error(np.array([[0.0, 0], [1, 1], [2, 2]]))
-    assert "corner 2 coincides" in outline_error(np.array([[0.0, 0], [0, 0], [2, 2]]))
+    assert not invalid_outline_reason(np.array([[0.0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]))
+    assert "cross or touch" in invalid_outline_reason(np.array([[0.0, 0], [1, 1], [1, 0], [0, 1]]))
+    assert "cross or touch" in invalid_outline_reason(np.array([[0.0, 0], [2, 0], [2, 2], [1, 0], [0, 2]]))
+    assert "line" in invalid_outline_reason(np.array([[0.0, 0], [1, 1], [2, 2]]))
+    assert "corner 2 coincides" in invalid_outline_reason(np.array([[0.0, 0], [0, 0], [2, 2]]))
     places = np.array([[0.2, 0.2], [0.5, 0.5], [0.6, 0.6]])
     assert is_inside_outline(np.array([[0.0, 0], [1, 0], [0, 1]]), places).tolist() == [
         True, True, False,

@@ -49,7 +49,7 @@ def test_every_verb_works_on_the_folder(made: Path, tmp_path: Path, monkeypatch)
     saved = json.loads((made / "plan.json").read_text())
     again = MovableLayout.from_plan(tmp_path / "elsewhere" / "plan.toml")
     assert [s["mm"] for s in again.hall_json()["stations"]] == [s["position_mm"] for s in saved["stations"]]
-    assert "machine (machine.stl, numbers taken for millimetres, z up): 2.5 x 1.5 x 2.2 m" in saved["bodies"][0]
+    assert "machine (machine.stl, coordinates read as millimetres, z up): 2.5 x 1.5 x 2.2 m" in saved["bodies"][0]
 
 
 def test_points_are_told_to_the_micrometre_with_uncertainty_and_stations(made: Path) -> None:

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from ltsim.adjustment.estimate import adjust
 from ltsim.core.errors import RecordError
 from ltsim.core.units import ARCSECOND, GON
-from ltsim.physics.model.nuisances import read_shared_errors
+from ltsim.physics.model.nuisances import shared_errors
 from ltsim.recordings import Recording, read, write
 from ltsim.recordings.setup import Gauge, Setup, Station, Target
 from tests.recordings.samples import outcome, shared, workshop
@@ -121,7 +121,7 @@ def test_observed_coordinates_and_covariances(tmp_path: Path) -> None:
     correlated = read(
         sample(tmp_path / "m.gkf", '<direction to="C" val="55" />', f'<direction to="C" val="55" />{matrix}')
     )
-    (shared,) = read_shared_errors(correlated)
+    (shared,) = shared_errors(correlated)
     reach = shared.reading_changes[2:5, 1]
     spread = np.diag(correlated.sigma()[2:5, 1] ** 2) + reach @ reach.T
     np.testing.assert_allclose(spread, np.array([[25, 1, 0], [1, 36, 0], [0, 0, 49]]) * (1e-4 * GON) ** 2, atol=1e-20)

@@ -94,7 +94,7 @@ def test_a_damaged_file_is_one_sentence_and_nothing_else(suffix: str, tmp_path: 
 def test_a_gltf_in_several_files_is_one_sentence(tmp_path: Path) -> None:
     for name, content in trimesh.creation.box().export(file_type="gltf").items():
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(SetupError, match=r"model.gltf: keeps its surfaces in other files \(.*bin\); export it as .glb"):
+    with pytest.raises(SetupError, match=r"gltf: stores its surfaces in other files \(.*bin\); export it as .glb"):
         read_mesh(tmp_path / "model.gltf")
 
 
@@ -197,7 +197,7 @@ PLACE = "position_mm = [0, 0, 0]"
     [
         ("fuselage.stl", None, 1e-3, PLACE, 'does not declare; set unit = "m", or unit = "mm" if this is correct'),
         ("fuselage.stl", None, 1 / 25.4, PLACE, 'does not declare; set unit = "in", or unit = "mm" if this is correct'),
-        ("fuselage.obj", None, 1e3, PLACE, "is 3e+04 x 4e+03 x 4e+03 m large if its numbers are millimetres"),
+        ("fuselage.obj", None, 1e3, PLACE, "is 3e+04 x 4e+03 x 4e+03 m large if its coordinates are millimetres"),
         ("fuselage.glb", np.eye(3), 1.0, PLACE, 'with up = "z" it is inside'),
         ("fuselage.stl", None, 1.0, "position_mm = [0, 0, -3000]", "reaches below the floor of 40 x 25 x 12 m"),
         ("fuselage.step", None, 1.0, "position_mm = [10000, 0, 0]", "reaches beyond the hall of 40 x 25 x 12 m"),
@@ -233,9 +233,9 @@ def test_single_precision_at_grid_coordinates_is_refused_where_it_is_lost(suffix
     if suffix == "obj":
         assert np.ptp(read_mesh(tmp_path / "far.obj").triangles, axis=(0, 1)) == pytest.approx([1.0, 0.8, 0.6])
         return
-    with pytest.raises(SetupError, match=r"in single precision .* steps of 512 mm; export it with its origin near"):
+    with pytest.raises(SetupError, match=r"single precision .* resolution is 512 mm; export it with its origin near"):
         read_mesh(tmp_path / "far.stl")
-    with pytest.raises(SetupError, match=r"steps of 5.12e\+05 mm"):
+    with pytest.raises(SetupError, match=r"resolution is 5.12e\+05 mm"):
         read_mesh(tmp_path / "far.stl", unit="m")
     near = trimesh.creation.box((1000.0, 800.0, 600.0))
     near.apply_translation((2.7e5, 5.3e5, 4.7e3))

@@ -133,7 +133,7 @@ def test_obstacles_and_stations_inside_them() -> None:
 
 
 def test_nonsense_is_refused() -> None:
-    with pytest.raises(ModelError, match="origin of a station"):
+    with pytest.raises(ModelError, match="same position as a station"):
         compute_visibility(HEAD, HEAD, LIMITS)
     with pytest.raises(ModelError, match="points has shape"):
         compute_visibility(HEAD, np.zeros((2, 2)), LIMITS)

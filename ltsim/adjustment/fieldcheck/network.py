@@ -94,7 +94,8 @@ def with_increased_noise_at_noisy_targets(
         covariates={**recording.covariates, **dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))}
     )
     names = tuple(recording.targets[t] for t in noisy_targets)
-    scatter_words = f"scatter {ratio:.2g} times the {noise_origin(recording.notes)} noise, other readings {ratio_elsewhere:.2g} times"
+    origin = noise_origin(recording.notes)
+    scatter_words = f"scatter {ratio:.2g} times the {origin} noise, other readings {ratio_elsewhere:.2g} times"
     sentence = f"readings to {', '.join(names)} {scatter_words}"
     return scaled_recording, (
         CheckItem.from_test("", "closure", False, f"{sentence}: these targets are unstable", targets=names),

@@ -1,4 +1,7 @@
-"""Catalogue of physical effects, one small module each. A new effect needs a module and an entry in its group."""
+"""Catalogue of physical effects, one module per effect.
+
+A new built-in effect needs a module and an entry in `EFFECT_NAMES_BY_GROUP`.
+"""
 
 from importlib import import_module
 
@@ -38,7 +41,7 @@ EFFECT_NAMES_BY_GROUP = {
 
 
 def _builtin_effect_class(effect_name: str) -> type[Effect]:
-    """Class of a built-in effect, from the module with its name."""
+    """Class of a built-in effect, from the module that is named after the effect."""
     module_members = vars(import_module(f"{__name__}.{effect_name.replace('-', '_')}")).values()
     return next(kind for kind in module_members if isinstance(kind, type) and vars(kind).get("name") == effect_name)
 
@@ -46,17 +49,17 @@ def _builtin_effect_class(effect_name: str) -> type[Effect]:
 EFFECT_CLASSES_BY_GROUP = {
     group: tuple(map(_builtin_effect_class, names.split())) for group, names in EFFECT_NAMES_BY_GROUP.items()
 }
-"""Classes of the built-in effects by group, in the order of the files."""
+"""Classes of the built-in effects by group, in the order of `EFFECT_NAMES_BY_GROUP`."""
 
 CATALOGUE = Catalogue(EFFECT_CLASSES_BY_GROUP)
-"""Catalogue of all effects: built-in ones, then those of installed packages (see `effects.catalogue`)."""
+"""Catalogue of all effects: built-in effects, then effects of installed packages (see `effects.catalogue`)."""
 
 find_effect = CATALOGUE.find
 """Class of an effect by its name; raises ModelError with the most similar names for an unknown one."""
 
 
 def effect_title(effect_name: str) -> str:
-    """Title of an effect, for use within a sentence; for an unknown name, the name without hyphens."""
+    """Title of an effect in lower case, for use within a sentence; for an unknown name, the name without hyphens."""
     try:
         title = catalogue_entry(find_effect(effect_name)).title
     except ModelError:
@@ -80,7 +83,10 @@ scale.
 
 
 def _instrument_parameter_text_by_name() -> dict[str, str]:
-    """Texts of the parameters of an ordinary calibration: titles of their effects, with the component if it has two."""
+    """Descriptions of the parameters of an ordinary calibration, by name.
+
+    A description is the title of the effect, with the component for effects of two parameters.
+    """
     texts = {}
     for effect in MISALIGNMENT_EFFECTS:
         title = (
@@ -95,13 +101,13 @@ def _instrument_parameter_text_by_name() -> dict[str, str]:
 
 
 COMPONENT_TEXT_BY_NAME_ENDING = {"cos": "cosine", "sin": "sine", "lateral": "lateral", "vertical": "vertical"}
-"""Texts of the components of effects with two parameters, by the end of the parameter's name."""
+"""Words for the component of an effect with two parameters, by the ending of the parameter's name."""
 INSTRUMENT_PARAMETER_TEXT_BY_NAME = _instrument_parameter_text_by_name()
-"""Texts of the names of an instrument's parameters."""
+"""Descriptions for users of the parameters of an ordinary calibration, by the name of the parameter."""
 
 
 def parameter_text(name: str) -> str:
-    """Text of the name of an effect's parameter, or ``NAME@INSTRUMENT``, for use within a sentence."""
+    """Description of a parameter for use within a sentence, from its name or from ``NAME@INSTRUMENT``."""
     name, _, instrument = name.partition("@")
     words = [name] if "." in name else name.replace("_", " ").replace("-", " ").split()  # J1.eX_c is a symbol
     text = INSTRUMENT_PARAMETER_TEXT_BY_NAME.get(name) or " ".join(

@@ -1,4 +1,4 @@
-"""Errors of readings from unmeasured properties of the air along the beams, included in budgets for long ranges.
+"""Errors of readings from unmeasured properties of the air along the beams, for uncertainty budgets of long ranges.
 
 There are three causes, each a catalogue effect: a temperature along the beams that differs from the measured one
 (`station-weather`: 0.95 ppm/K of a range), a vertical temperature gradient (`air-gradient`: the beam bends by
@@ -20,30 +20,36 @@ from ltsim.scene.sightings import Sightings
 
 
 def reading_changes_per_sigma(air: AirUncertainty, sightings: Sightings) -> Floats:
-    """Change (n, 3, 2) of the raw readings by one standard deviation of the air temperature and of its gradient."""
+    """Change (n, 3, 2) of the raw readings of n pointings by one standard deviation of the air's properties.
+
+    The last axis is the temperature along the beams and its vertical gradient.
+    """
     weather = StationWeather().design(sightings) * (relative_index_decrease_per_kelvin() * air.temperature_k)
     return np.concatenate([weather, AirGradient().design(sightings) * air.gradient_k_per_m], axis=2)
 
 
 def turbulence_variance(air: AirUncertainty, sightings: Sightings) -> Floats:
-    """Variance (n, 3) of the readings due to turbulence."""
+    """Variance (n, 3) [m2, rad2] of the range, azimuth and elevation of n pointings due to turbulence."""
     parameter_values = np.array([air.turbulence_um2_per_m3 * MICROMETRE**2, 0.0])
     return Turbulence().variance(sightings, np.zeros((len(sightings), 3)), parameter_values)
 
 
 def air_point_sigma_across_beam(air: AirUncertainty, range_: float) -> float:
-    """Standard deviation [m] of an observed point across the beam due to gradient and turbulence, at a range [m]."""
+    """Standard deviation [m] of a measured point across the beam, at `range_` [m].
+
+    It is due to the uncertainty of the vertical temperature gradient and to turbulence.
+    """
     bent = 0.5 * relative_index_decrease_per_kelvin() * air.gradient_k_per_m * range_**2
     return float(np.hypot(bent, np.sqrt(air.turbulence_um2_per_m3 * range_**3) * MICROMETRE))
 
 
 def air_point_sigma_along_beam(air: AirUncertainty, range_: float) -> float:
-    """Standard deviation [m] of the range due to the temperature along the beam, at a range [m]."""
+    """Standard deviation [m] of a measured range at `range_` [m], from the uncertainty of the air temperature."""
     return relative_index_decrease_per_kelvin() * air.temperature_k * range_
 
 
 def air_uncertainty_text(air: AirUncertainty, max_range: float) -> str:
-    """Text of the standard deviations of the air, and of the errors they cause at the longest range [m]."""
+    """Description for users of the uncertainty of the air, and of the errors it causes at the longest range [m]."""
     return (
         f"air: {air.temperature_k:g} K along the beams of a station, a vertical gradient of "
         f"{air.gradient_k_per_m:g} K/m and turbulence of {air.turbulence_um2_per_m3:g} um2/m3 (one sigma each), "

@@ -14,7 +14,8 @@ class AirGradient(WarmAirEffect):
     """Uniform vertical gradient of the air's temperature: warm air lies above cool air, and refraction bends the beam.
 
     Delta_elevation = -1/2 beta G d cos(el) (warm air above lifts the target's image), Delta_d = +beta G d ((z_station +
-    z_target) / 2 - z_sensor), with G = dT/dz and beta = -dn/dT. Both changes together are a conformal map of space.
+    z_target) / 2 - z_sensor), with the gradient G = dT/dz of the temperature, the sensitivity beta = -dn/dT of the
+    refractive index, and the heights z. Both changes together are a conformal map of space.
     Poses and targets therefore absorb the whole effect: the residuals do not change, while the coordinates of the
     targets are distorted (7 um rms at 1 K/m). A weather sensor on the head (`head`) measures at another height at each
     station, so that each station has another scale.
@@ -31,6 +32,7 @@ class AirGradient(WarmAirEffect):
     """
 
     sensor: Literal["room", "head"] = "room"
+    """Position of the weather sensor: at one height in the hall, or on the tracker head."""
 
     name = "air-gradient"
     stage = LightPathStage.AIR
@@ -39,11 +41,11 @@ class AirGradient(WarmAirEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates with a weather sensor in the hall, and with one on the head."""
+        """Effects that a diagnosis tries: with the weather sensor in the hall, and with it on the tracker head."""
         return [cls(sensor="room"), cls(sensor="head")]
 
     def _sensor_height(self, sightings: Sightings) -> Floats:
-        """Height (n,) [m] of the weather sensor at each pointing, at which the used temperature is correct."""
+        """Height (n,) [m] of the weather sensor at each pointing, at which the temperature used is correct."""
         if self.sensor == "head":
             return sightings.station_positions[sightings.station, 2]
         return np.full(len(sightings), float(sightings.target_points[:, 2].mean()))

@@ -9,7 +9,7 @@ from ltsim.physics.effects.rays import TemperatureField, WarmAirEffect
 from ltsim.scene.sightings import Sightings
 
 N_LAYER_HEIGHTS = 7
-"""Number of layer heights that a search tries, between the lowest and the highest point of the network."""
+"""Number of heights of the layer that a search tries, between the lowest and the highest point of the network."""
 TRANSITION_WIDTHS = (0.15, 0.5)
 """Widths [m] of the transition between the two temperatures that a search tries."""
 
@@ -23,7 +23,8 @@ def _point_heights(sightings: Sightings) -> Floats:
 class AirLayer(WarmAirEffect):
     """Layered air: a warm layer lies under the roof.
 
-    The temperature is T(z) = D / (1 + exp(-(z - height) / width)), with z counted from the lowest target or station.
+    The temperature excess is T(z) = D / (1 + exp(-(z - height) / width)), with z counted from the lowest target or
+    station and the temperature difference D between both layers.
     Along the path from the station, s = 0 to d, the corrections to the left and upward are (D_t, D_v) = integral of
     (d - s) grad_perp n ds, and Delta_d = -integral of (n - n_sensor) ds, with the refractive index n, which is n_sensor
     at the sensor. Residuals show only the curvature of the profile: targets in the layer are measured too near and too
@@ -32,30 +33,32 @@ class AirLayer(WarmAirEffect):
     Size: 2 to 6 K across the layer; it is detected from 12 K on in one face, from 4.5 K on in two faces.
     Like: elevation-second-order sine (correlation 0.59); a drift, if the targets at the ceiling are measured first.
     Separate by: a measured temperature profile; another time of day; stations at different heights.
-    Valid: steps of 1 to 10 K; the weather sensor is below the layer; height and width along the network's z
-    axis.
+    Valid: temperature differences of 1 to 10 K; the weather sensor is below the layer; height and width along the
+    network's z axis.
     Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
     doi:10.1364/AO.35.001566 (index).
     Status: first order validated against the integrated ray.
     """
 
     height: float = 4.0
+    """Height [m] of the middle of the transition above the lowest target or station."""
     width: float = 0.3
+    """Width [m] of the transition between the two temperatures."""
 
     name = "air-layer"
     stage = LightPathStage.AIR
     covariates = ("height",)
-    parameters = (Parameter("layer-step", "K", "temperature difference of the layer to the air below", 4.0),)
+    parameters = (Parameter("layer-step", "K", "temperature of the layer minus that of the air below", 4.0),)
     shape_parameters = (
         ShapeParameter(
-            "height", "m", "middle of the step above the lowest target or station", 0.0, 40.0, n_grid_values=41
+            "height", "m", "height of the transition above the lowest target or station", 0.0, 40.0, n_grid_values=41
         ),
-        ShapeParameter("width", "m", "width of the step", 0.05, 1.5, has_logarithmic_grid=True, n_grid_values=3),
+        ShapeParameter("width", "m", "width of the transition", 0.05, 1.5, has_logarithmic_grid=True, n_grid_values=3),
     )
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates with heights between the lowest and the highest target or station."""
+        """Layers that a diagnosis tries, with heights between the lowest and the highest target or station."""
         heights = np.linspace(0.0, float(np.ptp(_point_heights(sightings))), N_LAYER_HEIGHTS + 2)[1:-1]
         return [cls(height=float(z), width=w) for z in heights for w in TRANSITION_WIDTHS]
 

@@ -6,9 +6,10 @@ from ltsim.physics.effects.places import Drift
 class AzimuthDrift(Drift):
     """Drift of the azimuth zero: the base or the tripod head rotates, or the circle warms up.
 
-    Correction of the azimuth = r t (at every station, or at one) or A exp(-t / tau). The station's yaw absorbs the mean
-    of the correction. Residuals therefore show only the change while a station is measured, and a linear drift over the
-    recording equals one that restarts at every station.
+    Correction of the azimuth = r t (at every station, or at one) or A exp(-t / tau), with the time t, the rate r, the
+    amplitude A and the time constant tau. The station's yaw absorbs the mean of the correction. Residuals therefore
+    show only the change while a station is measured, and a linear drift over the recording equals a drift that restarts
+    at every station.
 
     Size: under 2 urad/h after the warm-up; tens of urad over two hours from cold, or on an unsteady stand.
     Like: transit-tilt (correlation 0.67 in one face, 0 in two) if targets are measured in the order of their heights.
@@ -16,16 +17,19 @@ class AzimuthDrift(Drift):
     Valid: the same drift at every station, or a drift at one station; time constants of 10 min to 4 h.
     Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); Dvořáček 2016, Acta Polytechnica 56,
     88-98 (tests of a Leica AT401).
-    Status: validated against the azimuth slot at a given time, and the equality of both linear laws up to yaw.
+    Status: validated against a constant azimuth correction at a given time, and the equality of both linear laws up to
+    yaw.
     """
 
     name = "azimuth-drift"
     stage = LightPathStage.ENCODERS
     observables = ("azimuth",)
     slot = "azimuth"
-    rate_parameter = Parameter("azimuth-drift", "urad/h", "growth of the correction", 20 * SI_PER_UNIT["urad/h"])
+    rate_parameter = Parameter(
+        "azimuth-drift", "urad/h", "growth rate of the azimuth correction", 20 * SI_PER_UNIT["urad/h"]
+    )
     amplitude_parameter = Parameter(
-        "azimuth-drift-amplitude", "urad", "correction at the start, decaying", 20 * MICRORADIAN
+        "azimuth-drift-amplitude", "urad", "azimuth correction at the start, which then decays", 20 * MICRORADIAN
     )
     parameters = (rate_parameter,)
 

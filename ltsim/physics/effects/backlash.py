@@ -9,14 +9,15 @@ from ltsim.scene.sightings import Sightings
 class Backlash(Effect):
     """Backlash: the reading of an axis depends on the direction of its last motion (hysteresis).
 
-    Correction of the raw angle = -h/2 sgn(last motion of that axis), for each axis. The last motion is that between two
-    pointings of a station in the order of measurement. The first pointing of a station has no correction.
+    Correction of the raw angle = -h/2 sgn(last motion of that axis), with the width h of the dead zone of each axis.
+    The last motion is the motion from the previous pointing of the station to the present one. The first pointing of a
+    station has no correction.
 
     Size: 0.1 to 0.3 urad in a good drive, 2 to 5 urad in a bad one.
     Like: encoder harmonics, if the targets are always measured in the same order.
     Separate by: the same targets in the reverse order.
     Valid: constant width; rows in the order of measurement. Cable drag that decays during the motion is not included.
-    Source: general knowledge of drives; the law is that of a play of constant width.
+    Source: general knowledge of drives; the equation is that of a mechanical play of constant width.
     Status: validated by reversing the order of measurement, which changes the sign.
     """
 
@@ -33,6 +34,7 @@ class Backlash(Effect):
     def design(self, sightings: Sightings) -> Floats:
         half_slack = -0.5 * sightings.approach_signs * self.row_weights(sightings)[:, None]
         columns = [
-            sightings.slot_responses[slot] * half_slack[:, [i]] for i, slot in enumerate(("azimuth", "elevation"))
+            sightings.reading_change_by_error_slot[slot] * half_slack[:, [i]]
+            for i, slot in enumerate(("azimuth", "elevation"))
         ]
         return np.stack(columns, axis=2)

@@ -6,8 +6,8 @@ class BeamOffset(SlotEffect):
     """Beam offset: the beam does not pass through the intersection of the axes.
 
     The corrections are constant lengths across the beam: D_t = f b_y to the left and D_v = f b_z upward, with the
-    offset (b_y, b_z) of the beam and f = +1 on face 1 and -1 on face 2. Those of the angles are therefore proportional
-    to 1/d at the range d, largest for the nearest targets. Both change their sign with the face.
+    offset (b_y, b_z) of the beam and f = +1 on face 1 and -1 on face 2. The corrections of the angles are therefore
+    proportional to 1/d at the range d, largest for the nearest targets. All change their sign with the face.
 
     Size: under 3 um in a good tracker, 20 to 100 um after a transport.
     Like: detector-offset, exactly; beam-tilt (correlation 0.46 in one face, 0.95 in two) and vertical-index (0.89,

@@ -13,7 +13,7 @@ BearingMotion = Literal["tilt", "radial", "transit"]
 
 
 SLOTS_BY_MOTION = {"tilt": ("standing-tilt-x", "standing-tilt-y"), "radial": ("standing-radial-x", "standing-radial-y")}
-"""Slots of the kinematic chain that each motion changes, for cosine and sine."""
+"""Errors of the kinematic chain (`error_slot`) that each kind of motion changes, along or about x and y."""
 CANDIDATE_MOTIONS: tuple[tuple[BearingMotion, int], ...] = (
     ("tilt", -1),
     ("tilt", 2),
@@ -22,18 +22,18 @@ CANDIDATE_MOTIONS: tuple[tuple[BearingMotion, int], ...] = (
     ("radial", 3),
     ("transit", 2),
 )
-"""Motions and orders that a search tries."""
+"""Kinds of motion and their orders that a search tries."""
 
 
 @dataclass(frozen=True)
 class BearingWobble(Effect):
     """Bearing error motion: tilt or run-out of the standing axis as it turns, tilt of the transit axis as it tips.
 
-    tilt, order n: w_x + i w_y = (A + i B) exp(i n x), x the raw azimuth, in the base frame;
+    tilt (w_x, w_y) of the standing axis, order n: w_x + i w_y = (A + i B) exp(i n x), x the raw azimuth, base frame;
         Delta_elevation = w_x sin(az) - w_y cos(az), Delta_azimuth = -tan(el) (w_x cos(az) + w_y sin(az)).
-        n = 0 equals a tilt of the station, n = 1 equals vertical index and transit tilt; the other orders are not in
-        other effects. For even n the error is the same on both faces.
-    radial, order n: the axis shifts by r_x + i r_y = (A + i B) exp(i n x), and D = r.
+        n = 0 equals a tilt of the station, n = 1 equals vertical index and transit tilt; the other orders equal no
+        other effect. For even n the error is the same on both faces.
+    radial, order n: the axis shifts by (r_x, r_y), r_x + i r_y = (A + i B) exp(i n x); this is the correction D.
     transit, order n: the transit axis yaws by eX = A cos(n y) + B sin(n y), y the raw elevation;
         Delta_azimuth = f eX / cos(el), f = +1 on face 1 and -1 on face 2.
     A tilt differs from errors of single angles because it changes both, in the ratio tan(el).
@@ -50,7 +50,7 @@ class BearingWobble(Effect):
     kind: BearingMotion = "tilt"
     """Kind of motion of the bearing."""
     order: int = 2
-    """Periods of the motion per turn."""
+    """Number of periods of the motion per turn."""
 
     name = "bearing-wobble"
     base_rate = 0.5
@@ -76,11 +76,11 @@ class BearingWobble(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates for all motions that are neither a station tilt nor another effect."""
+        """Bearing motions that a diagnosis tries, one for each kind and order in `CANDIDATE_MOTIONS`."""
         return [cls(kind=kind, order=order) for kind, order in CANDIDATE_MOTIONS]
 
     def design(self, sightings: Sightings) -> Floats:
-        acts, response = self.row_weights(sightings)[:, None], sightings.slot_responses
+        acts, response = self.row_weights(sightings)[:, None], sightings.reading_change_by_error_slot
         phase = self.order * sightings.instrument_readings[:, 2 if self.kind == "transit" else 1]
         c, s = np.cos(phase)[:, None], np.sin(phase)[:, None]
         if self.kind == "transit":

@@ -26,11 +26,11 @@ from ltsim.core.units import SI_PER_UNIT, permitted_units_text
 from ltsim.physics.effects.effect import Effect, LightPathStage
 
 ENTRY_POINT_GROUP = "ltsim.effects"
-"""Group of entry points with which an installed package provides effects."""
+"""Name of the group of entry points by which an installed package provides effects."""
 BUILTIN_PROVIDER = "ltsim"
-"""Provider of built-in effects in the catalogue."""
+"""Name of the provider of built-in effects in the catalogue."""
 SESSION_PROVIDER = "this session"
-"""Provider in the catalogue of effects that were registered in the running session."""
+"""Name of the provider, in the catalogue, of effects that were registered in the running session."""
 PACKAGE_EFFECTS_HEADING = "installed"
 """Heading in the catalogue of the effects that installed packages provide."""
 NO_MEASUREMENT = "no measurement is needed"
@@ -40,8 +40,8 @@ EFFECT_NAME_PATTERN = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 DOCSTRING_SECTIONS = ("Size", "Like", "Separate by", "Valid", "Source", "Status")
 """Sections of a catalogue entry after its equation, in this order. Size: sizes in a good and in a bad instrument or
 hall. Like: effects with similar residuals, with the correlation of the residuals in the reference workshop for one face
-and for two faces. Separate by: measurements that distinguish the effect from these. Valid: domain in which the equation
-holds. Source: literature. Status: how the equation was validated.
+and for two faces. Separate by: measurements that distinguish the effect from similar effects. Valid: domain in which
+the equation holds. Source: literature. Status: how the equation was validated.
 """
 _SECTION_START = re.compile(rf"^({'|'.join(DOCSTRING_SECTIONS)}): ", re.MULTILINE)
 """Pattern for the start of a section of a catalogue entry: its name and a colon."""
@@ -52,7 +52,7 @@ class CatalogueEntry:
     """Catalogue entry of an effect: its physical cause, its equation, and further sections of text."""
 
     title: str
-    """Name of the physical cause."""
+    """Title of the effect: the name of its physical cause."""
     cause_description: str
     """Description of the physical cause."""
     equation: str
@@ -64,17 +64,17 @@ class CatalogueEntry:
     def from_docstring(cls, docstring: str) -> Self:
         """Catalogue entry parsed from the docstring of an effect.
 
-        Raises ModelError that names a section that is missing, repeated or out of order.
+        Raises ModelError if a section is missing, repeated or out of order; the message names the sections.
         """
         head, _, rest = inspect.cleandoc(docstring).partition("\n\n")
         title, colon, cause = " ".join(head.split()).rstrip(".").partition(": ")
         if not colon or not cause:
             first_line = head.partition("\n")[0]
-            raise ModelError(f"the docstring of an effect begins with 'Title: cause.', found {first_line!r}")
+            raise ModelError(f"the docstring of an effect must begin with 'Title: cause.', found {first_line!r}")
         pieces = _SECTION_START.split(rest)
         if tuple(pieces[1::2]) != DOCSTRING_SECTIONS:
             wanted, present = ", ".join(DOCSTRING_SECTIONS), ", ".join(pieces[1::2]) or "none"
-            raise ModelError(f"the docstring of an effect has the sections {wanted} in this order, found {present}")
+            raise ModelError(f"the docstring of an effect must have the sections {wanted} in order, found {present}")
         law, *sections = (piece.strip() for piece in pieces[::2])
         for name, part in zip(("law", *DOCSTRING_SECTIONS), (law, *sections), strict=True):
             if not part:
@@ -83,7 +83,7 @@ class CatalogueEntry:
 
     @property
     def confirming_measurement(self) -> str:
-        """First measurement of the section `Separate by`; empty if the section begins with `NO_MEASUREMENT`."""
+        """First measurement named in the section `Separate by`; empty if no measurement is needed."""
         separating_text = dict(self.sections())["Separate by"]
         measurement = re.split("[;:]", separating_text, maxsplit=1)[0].rstrip(".")
         return "" if measurement.startswith(NO_MEASUREMENT) else measurement
@@ -106,23 +106,26 @@ def catalogue_entry(effect_class: type) -> CatalogueEntry:
 
 @dataclass(frozen=True)
 class ListedEffect:
-    """Effect class with its group in the catalogue and the package that provides it."""
+    """Effect class with its group in the catalogue and its provider."""
 
     effect_class: type[Effect]
     group: str
+    """Heading of the group in the catalogue."""
     provider: str
+    """Name and version of the package that provides the effect, or `BUILTIN_PROVIDER` or `SESSION_PROVIDER`."""
 
 
 def installed_entry_points() -> list[EntryPoint]:
-    """Entry points that provide effects; a package that occurs twice on the path counts once."""
+    """Entry points of installed packages that provide effects; a package that is found twice counts once."""
     points = {(_package_name(point), point.name, point.value): point for point in entry_points(group=ENTRY_POINT_GROUP)}
     return [points[key] for key in sorted(points)]
 
 
 class Catalogue(Sequence[type[Effect]]):
-    """Catalogue of all effects: built-in effects in their order, then effects of packages in the order of their names.
+    """Catalogue of all effects: built-in effects in their order, then other effects in the order of their names.
 
-    `built_in_effects` are the built-in effects by group. `find_entry_points` returns the entry points of packages.
+    `built_in_effects` are the built-in effects by group. `find_entry_points` returns the entry points of packages that
+    provide effects.
     """
 
     def __init__(
@@ -139,9 +142,9 @@ class Catalogue(Sequence[type[Effect]]):
 
     @cached_property
     def entries(self) -> Mapping[str, ListedEffect]:
-        """Effects by name, with group and provider.
+        """Effects by name, each with group and provider.
 
-        Raises ModelError, with package and reason, for an effect of a package that cannot be used.
+        Raises ModelError for an effect of a package that cannot be used; the message names the package and the reason.
         """
         added: dict[str, ListedEffect] = {}
         for point in self._find_entry_points():
@@ -155,16 +158,17 @@ class Catalogue(Sequence[type[Effect]]):
         return self._builtin_effects | {name: added[name] for name in sorted(added)}
 
     def add(self, effect_class: type[Effect]) -> type[Effect]:
-        """Registration of an effect class for this session; it replaces a class with the same name of this session.
+        """Registration of an effect class for this session; the class is returned, so that this can be a decorator.
 
-        A class without a complete docstring gets a catalogue entry without content. Raises ModelError if the class is
-        no valid effect, or if its name is that of a built-in effect or of an effect of a package.
+        It replaces a class that was registered under the same name in this session. A class without a complete
+        docstring gets a catalogue entry without content. Raises ModelError if the class is no valid effect, or if its
+        name is that of a built-in effect or of an effect of a package.
         """
         if why := invalid_effect_reason(effect_class):
             raise ModelError(f"{effect_class!r} cannot be an effect: {why}")
         earlier = self.entries.get(effect_class.name)
         if earlier is not None and earlier.group != SESSION_PROVIDER:
-            raise ModelError(f"{earlier.provider} has an effect '{effect_class.name}' already: take another name")
+            raise ModelError(f"{earlier.provider} already has an effect '{effect_class.name}'; use another name")
         try:
             catalogue_entry(effect_class)
         except ModelError:
@@ -179,7 +183,7 @@ class Catalogue(Sequence[type[Effect]]):
 
     @property
     def session_effects(self) -> tuple[type[Effect], ...]:
-        """Effect classes that were registered in this session; other processes do not have them."""
+        """Effect classes that were registered in this session; new processes do not know them."""
         return tuple(entry.effect_class for entry in self.entries.values() if entry.group == SESSION_PROVIDER)
 
     def find(self, name: str) -> type[Effect]:
@@ -207,7 +211,7 @@ def _package_name(entry_point: EntryPoint) -> str:
 
 
 def _unusable_effect_error(entry_point: EntryPoint, reason: str) -> ModelError:
-    """Error for an effect of a package that cannot be used, with the reason."""
+    """Error with the `reason` why the effect of a package, given by its entry point, cannot be used."""
     place = f"{entry_point.value} of {_package_name(entry_point)}"
     return ModelError(
         f"the effect '{entry_point.name}' ({place}) cannot be used: {reason}; repair or uninstall that package"
@@ -218,7 +222,7 @@ def _load_effect_class(entry_point: EntryPoint) -> ListedEffect:
     """Effect that an entry point of a package provides; raises ModelError if it cannot be used."""
     try:
         kind = entry_point.load()
-    except Exception as problem:  # whatever a stranger's module does when it is imported
+    except Exception as problem:  # importing a module of another package may raise any error
         raise _unusable_effect_error(entry_point, f"{type(problem).__name__}: {problem}") from problem
     if why := invalid_effect_reason(kind):
         raise _unusable_effect_error(entry_point, why)
@@ -236,7 +240,7 @@ def invalid_effect_reason(effect_class: object) -> str:
     if missing_methods := sorted(getattr(effect_class, "__abstractmethods__", ())):
         return f"its class lacks {', '.join(missing_methods)}"
     if not EFFECT_NAME_PATTERN.fullmatch(getattr(effect_class, "name", "")) or effect_class.name == "unknown":
-        return f"its name '{getattr(effect_class, 'name', '')}' should be lower-case words joined by '-'"
+        return f"its name '{getattr(effect_class, 'name', '')}' must be lower-case words joined by '-'"
     if not isinstance(getattr(effect_class, "stage", None), LightPathStage) or not effect_class.parameters:
         return "its class lacks a stage or parameters"
     if not (isinstance(effect_class.base_rate, int | float) and 0.0 < effect_class.base_rate < math.inf):

@@ -1,4 +1,4 @@
-"""Refractive index of moist air by Ciddor's equation, phase index.
+"""Phase refractive index of moist air by Ciddor's equation.
 
 Reference: Ciddor, Applied Optics 35 (1996) 1566, with the vapour pressure and the compressibility that the NIST
 Engineering Metrology Toolbox uses (Stone and Zimmerman, NIST; Appendix A). Valid: 300 to 1700 nm, -40 to 100 C,
@@ -30,7 +30,10 @@ def saturation_vapour_pressure(temperature: Floats) -> Floats:
 
 
 def _compressibility(temperature: Floats, pressure: float, water_mole_fraction: Floats) -> Floats:
-    """Compressibility factor of moist air at temperature [C] and pressure [Pa] (Ciddor 1996, appendix A)."""
+    """Compressibility factor of moist air at temperature [C], pressure [Pa] and mole fraction of water vapour.
+
+    Source: Ciddor 1996, appendix A.
+    """
     kelvin = temperature + 273.15
     linear = 1.58123e-6 - 2.9331e-8 * temperature + 1.1043e-10 * temperature**2
     linear = (
@@ -54,7 +57,9 @@ def refractivity(
     Parameters
     ----------
     temperature : float array, [C]
+        Air temperature.
     pressure : float, [Pa]
+        Air pressure.
     humidity : float, [%]
         Relative humidity.
     wavelength : float, [m]
@@ -82,10 +87,10 @@ def refractivity(
 
 @lru_cache
 def refractive_index_sensitivity(temperature: float = 20.0) -> float:
-    """Sensitivity beta = -dn/dT [1/K] of the refractive index at `temperature` [C] (central difference).
+    """Sensitivity beta = -dn/dT [1/K] of the refractive index n to the temperature, at `temperature` [C].
 
-    Pressure and relative humidity are constant, with the default values of `refractivity`. The amount of water vapour
-    therefore increases with the temperature.
+    It is a central difference. Pressure and relative humidity are constant, with the default values of `refractivity`.
+    The amount of water vapour therefore increases with the temperature.
     """
     warm, cold = (float(refractivity(np.array(temperature + d))) for d in (0.5, -0.5))
     return cold - warm

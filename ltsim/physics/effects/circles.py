@@ -9,7 +9,7 @@ from ltsim.scene.sightings import Sightings
 CANDIDATE_ORDERS = range(3, 9)
 """Orders of harmonics that a search tries, in periods per turn."""
 READING_COLUMN_BY_CIRCLE = {"azimuth": 1, "elevation": 2}
-"""Column of a circle's angle in the array of readings."""
+"""Column of the reading of each circle in the array of readings (range, azimuth, elevation)."""
 
 
 def cos_sin_parameters(
@@ -17,7 +17,8 @@ def cos_sin_parameters(
 ) -> tuple[Parameter, ...]:
     """Parameters `name_stem-cos` and `name_stem-sin`, the amplitudes of cosine and sine of an angle.
 
-    `angle_text` describes the angle, `prior_sigma` [rad] is the prior standard deviation of each amplitude.
+    `angle_text` describes the angle for users, `prior_sigma` [rad] is the prior standard deviation of each amplitude,
+    `prior_kind` the entry of the instrument's specification that replaces it.
     """
     waves = ("cosine", "sine")
     return tuple(
@@ -27,7 +28,10 @@ def cos_sin_parameters(
 
 
 def cos_sin_terms(circle: str, order: int) -> tuple[SlotTerm, SlotTerm]:
-    """Terms with cosine and sine of `order` times the raw reading of a circle, as corrections of this reading."""
+    """Terms with the cosine and the sine of `order` times the raw reading of a circle, as corrections of this reading.
+
+    `circle` is a key of `READING_COLUMN_BY_CIRCLE`.
+    """
     return SlotTerm(circle, HarmonicBasis("cos", READING_COLUMN_BY_CIRCLE[circle], order)), SlotTerm(
         circle, HarmonicBasis("sin", READING_COLUMN_BY_CIRCLE[circle], order)
     )
@@ -38,7 +42,7 @@ class CircleHarmonic(SlotEffect):
     """Base class of harmonics of one circle: periodic errors of its graduation."""
 
     order: int = 3
-    """Periods per turn of the circle."""
+    """Number of periods of the error per turn of the circle."""
 
     @property
     def terms(self) -> tuple[SlotTerm, ...]:  # type: ignore[override]
@@ -46,5 +50,5 @@ class CircleHarmonic(SlotEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates for every order of `CANDIDATE_ORDERS`."""
+        """Harmonics that a diagnosis tries, one for each order in `CANDIDATE_ORDERS`."""
         return [cls(order=m) for m in CANDIDATE_ORDERS]

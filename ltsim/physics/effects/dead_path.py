@@ -8,15 +8,16 @@ from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, desi
 from ltsim.scene.sightings import Sightings
 
 TEMPERATURE_COLUMN = "air_temperature_c"
-"""Column of a recording with the air temperature [C] of each pointing."""
+"""Name of the column of a recording with the air temperature [C] of each pointing."""
 MIN_TEMPERATURE_RANGE = 0.05
-"""Range of temperatures [K] in a recording up to which the effect is not tried, because it cannot be estimated."""
+"""Difference [K] between the highest and the lowest temperature in a recording, up to which the effect is not tried
+because it cannot be estimated."""
 
 
 class DeadPath(Effect):
     """Dead path: a part of the reference path inside the head warms up with the air, without correction.
 
-    Delta_d = k (T - T_0), T the recorded air temperature, T_0 that of the first pointing. For an interferometer
+    Delta_d = k (T - T_0), T the recorded air temperature, T_0 the one at the first pointing. For an interferometer
     k = -beta D_0, with beta = 0.955 ppm/K the change of the refractive index of air and D_0 the length of the path. For
     an absolute distance meter k is a property of its fibre.
 
@@ -39,7 +40,7 @@ class DeadPath(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidate of the effect if the temperature varies; none otherwise."""
+        """List of this effect if the recorded temperature varies; otherwise empty, and a diagnosis does not try it."""
         temperature = sightings.covariates.get(TEMPERATURE_COLUMN)
         varies = (
             temperature is not None

@@ -6,7 +6,7 @@ from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, 
 
 
 def beam_deviation_basis(readings: Floats) -> Floats:
-    """Basis function (n,), 0.5 for all pointings: a shift of the return spot by 1 shifts the beam by 0.5."""
+    """Basis function (n,) with the value 0.5: the beam shifts by half the shift of the return spot on the detector."""
     return np.full(len(readings), 0.5)
 
 

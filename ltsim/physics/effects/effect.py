@@ -11,11 +11,11 @@ calibrator, planner and diagnosis use the same object:
   overrides this method.
 * `shape_parameters`: constants that enter nonlinearly, such as a time constant or a wavelength, with bounds. They are
   fields of the instance, and a diagnosis searches their values.
-* `stations`, `targets`: names of the places where the effect acts, empty for all. `candidates` lists the effects with
-  the places and constants that a search tries.
+* `stations`, `targets`: names of the stations and targets where the effect acts, empty for all. `candidates` lists the
+  effects with the stations, targets and constants that a search tries.
 
-Conventions of all catalogue entries: Delta = truth - reading is the correction to add to a reading. The change of a
-reading is therefore minus its correction. If a parameter is not a correction, its entry says so. Azimuth az counts
+Conventions of all catalogue entries: Delta = true value - reading is the correction to add to a reading. The change of
+a reading is therefore minus its correction. If a parameter is not a correction, its entry says so. Azimuth az counts
 counter-clockwise seen from above, elevation el from the horizontal plane; d is the range, f is +1 on face 1 and -1 on
 face 2. D_r, D_t, D_v are lengths along the beam, to its left and upward: Delta_d, d cos(el) Delta_azimuth and
 d Delta_elevation.
@@ -44,9 +44,9 @@ from ltsim.physics.effects.linear_effect import (
 )
 from ltsim.scene.sightings import Sightings
 
-PlaceScope = Literal["all", "station", "target", "pointing", "reading"]
-"""Kind of place at which candidates of an effect act: everywhere, or at single stations, targets, pointings or
-readings."""
+CandidateScope = Literal["all", "station", "target", "pointing", "reading"]
+"""Part of the recording in which one candidate of an effect acts: the whole recording, or a single station, target,
+pair of station and target (pointing) or reading."""
 
 
 class LightPathStage(IntEnum):
@@ -65,7 +65,7 @@ class LightPathStage(IntEnum):
 
 @dataclass(frozen=True)
 class Effect(CandidateEffect):
-    """Base class of all effects; the module docstring describes its interface."""
+    """Base class of all effects of the catalogue: physical causes that change readings (see the module docstring)."""
 
     stations: tuple[str, ...] = ()
     """Names of the stations at which the effect acts; empty for all."""
@@ -76,29 +76,35 @@ class Effect(CandidateEffect):
     tracker."""
 
     name: ClassVar[str]
+    """Name of the effect in the catalogue: lower-case words joined by hyphens."""
     stage: ClassVar[LightPathStage]
+    """Stage of the light path at which the effect acts."""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
+    """The p parameters of the effect, in which it is linear."""
     observables: ClassVar[tuple[str, ...]] = ("distance", "azimuth", "elevation")
+    """Names of the observables that the effect changes."""
     covariates: ClassVar[tuple[str, ...]] = ()
-    scope: ClassVar[PlaceScope] = "all"
+    """Names of the quantities on which the effect depends, such as `time` or `azimuth`."""
+    scope: ClassVar[CandidateScope] = "all"
+    """Part of the recording in which one candidate of the effect acts."""
     may_recur: ClassVar[bool] = False
     """True for an effect that commonly occurs several times in a recording: outliers, nests, targets."""
     base_rate: ClassVar[float] = 1.0
     """Relative frequency of the effect in practice, an expert judgement: 8 very common, 4 common, 2 frequent, 1
-    occasional, 0.5 rare. The prior probability that any effect of the catalogue shifts readings is divided among these
-    effects in proportion to their frequencies; that of a change of the noise is divided likewise."""
+    occasional, 0.5 rare. The prior probability that any effect of the catalogue shifts readings is divided among the
+    effects that do so, in proportion to their frequencies. The prior probability of a change of the noise is divided
+    likewise among the noise effects."""
 
     @property
     def size_scales(self) -> Floats:
-        """Plausible sizes (p,) of the parameters [SI]."""
+        """Plausible sizes (p,) of the parameters [SI], times `size_factor`."""
         return self.size_factor * super().size_scales
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Effects that a diagnosis tries: one for each place in the effect's scope and each value of its constants.
+        """Effects that a diagnosis tries: one per station, target or pair (see `scope`) and value of the constants.
 
-        An effect whose places depend on the recording, such as a change point between two pointings, overrides this
-        method.
+        An effect with other candidates, such as change points between two pointings, overrides this method.
         """
         places: list[dict[str, Any]] = [{}]
         if cls.scope == "station":
@@ -111,9 +117,11 @@ class Effect(CandidateEffect):
 
 
 def effect_parameter_names(effects: Iterable[tuple[str, str, Sequence[str]]]) -> list[str]:
-    """Unique names of the parameters of effects, each given by its name, its place and the names of its parameters.
+    """Unique names of the parameters of several effects.
 
-    They are ``head-sag:sag``, ``head-sag:sag S2`` with a place, and ``head-sag:sag S2 #2`` for a second equal effect.
+    Each effect is given by its name, the text of the stations and targets where it acts, and the names of its
+    parameters. The results are such as ``head-sag:sag``, ``head-sag:sag S2`` for the station S2, and
+    ``head-sag:sag S2 #2`` for a second equal effect.
     """
     names, counts = list[str](), Counter[str]()
     for effect_name, place_text, parameter_names in effects:
@@ -126,30 +134,30 @@ def effect_parameter_names(effects: Iterable[tuple[str, str, Sequence[str]]]) ->
 
 @dataclass(frozen=True)
 class NoiseEffect(CandidateNoiseEffect, Effect):
-    """Base class of effects that change the noise and not the mean."""
+    """Base class of effects that change the noise of readings and not their mean."""
 
 
 @dataclass(frozen=True)
 class Blunder(Effect):
     """Base class of blunders: another point was measured, or a correct reading was recorded wrongly.
 
-    The simulator reproduces the wrong action (`measured_sightings`, `recorded_readings`). Instrument errors and noise
-    are therefore those of the actual measurement, while `design` is the change of an ideal reading. Blunders are
+    The simulator reproduces the mistake (`measured_sightings`, `recorded_readings`). Instrument errors and noise are
+    therefore those of the measurement that was made, while `design` is the change of an ideal reading. Blunders are
     corrected before an adjustment, so that a search has no candidates.
     """
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Empty list, because a search does not try blunders; `possible_blunders` lists them."""
+        """Empty list, because a search tries no blunders; `possible_blunders` lists the blunders."""
         return []
 
     @classmethod
     def possible_blunders(cls, sightings: Sightings) -> list[Self]:
-        """List of all blunders of this kind that are possible in a network."""
+        """All blunders of this kind that are possible in a network."""
         raise NotImplementedError
 
     def measured_sightings(self, sightings: Sightings) -> Sightings:
-        """Sightings of the points that were actually measured."""
+        """Sightings of the pointings that were made, which the blunder may distinguish from the recorded ones."""
         return sightings
 
     def recorded_readings(self, sightings: Sightings, readings: Floats) -> Floats:
@@ -158,7 +166,7 @@ class Blunder(Effect):
 
 
 BasisFunction = Callable[[Floats], Floats]
-"""Function of the raw readings (n, 3) that multiplies a parameter, with values (n,)."""
+"""Function of n raw readings (n, 3) with values (n,), by which a parameter of a geometric error is multiplied."""
 
 
 def constant_basis(readings: Floats) -> Floats:
@@ -172,11 +180,12 @@ class HarmonicBasis:
 
     function: Literal["cos", "sin"]
     reading_column: int
+    """Column of the angle in the array of readings: 1 azimuth, 2 elevation."""
     order: float = 1
-    """Multiple of the reading."""
+    """Factor on the reading: number of periods per turn."""
 
     def __call__(self, readings: Floats) -> Floats:
-        """Values (n,) of the basis at raw readings (n, 3)."""
+        """Values (n,) of the basis function at n raw readings (n, 3)."""
         angle: Floats = self.order * readings[:, self.reading_column]
         return np.cos(angle) if self.function == "cos" else np.sin(angle)
 
@@ -188,33 +197,34 @@ class RangePowerBasis:
     exponent: int = 1
 
     def __call__(self, readings: Floats) -> Floats:
-        """Values (n,) of the basis at raw readings (n, 3)."""
+        """Values (n,) of the basis function at n raw readings (n, 3)."""
         return readings[:, 0] ** self.exponent
 
 
 @dataclass(frozen=True)
 class SlotTerm:
-    """Term of a geometric error: a parameter times a basis function, added to a slot of the kinematic chain."""
+    """Term of a geometric error: a parameter times a basis function, added to an error of the kinematic chain."""
 
     slot: str
-    """Name of the slot of the kinematic chain."""
+    """Key of the error in the kinematic chain, the `error_slot` of one of its motions."""
     basis: BasisFunction = constant_basis
     """Function of the raw readings that multiplies the parameter."""
 
 
 @dataclass(frozen=True)
 class SlotEffect(Effect):
-    """Base class of geometric errors of the instrument; each parameter acts on a slot of the kinematic chain.
+    """Base class of geometric errors of the instrument; each parameter changes one motion of the kinematic chain.
 
     `GeometricErrorModel` evaluates the error exactly; `design` is its first-order form.
     """
 
     terms: ClassVar[tuple[SlotTerm, ...]]
+    """Terms of the error, one per parameter."""
 
     def design(self, sightings: Sightings) -> Floats:
         acts = self.row_weights(sightings)
         columns = [
-            sightings.slot_responses[t.slot] * (acts * t.basis(sightings.instrument_readings))[:, None]
+            sightings.reading_change_by_error_slot[t.slot] * (acts * t.basis(sightings.instrument_readings))[:, None]
             for t in self.terms
         ]
         return np.stack(columns, axis=2)

@@ -24,7 +24,8 @@ CANDIDATE_SIGNAL_PERIODS = (
     32_768,
     36_000,
 )
-"""Signal periods per turn of encoders on the market: powers of two, and whole fractions of a degree."""
+"""Numbers of signal periods per turn that encoders on the market have, and that a search tries: powers of two, and
+whole fractions of a degree."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class EncoderInterpolation(SlotEffect):
 
     Size: 0.05 urad in a good encoder, 0.5 to 1 urad in a bad one.
     Like: white noise of that angle.
-    Separate by: a repeat with the base turned by a known fraction; a dense sweep of one target along an arc.
+    Separate by: a repeat with the base turned by a known fraction of the period; a target moved in small steps along an
+    arc.
     Valid: N known from the data sheet, or one of the usual numbers, which a search tries; some hundred pointings cannot
     determine N among all integers. An error e of x changes the phase by N e, for example 15 urad by 0.5 rad at N = 36
     000. The phase is therefore computed from readings that include the instrument's errors.
@@ -46,6 +48,7 @@ class EncoderInterpolation(SlotEffect):
     """
 
     circle: Literal["azimuth", "elevation"] = "azimuth"
+    """Circle of the encoder."""
     periods: int = 36_000
     """Signal periods of the encoder per turn."""
 
@@ -66,6 +69,6 @@ class EncoderInterpolation(SlotEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates for both circles with the usual numbers of periods."""
+        """Effects that a diagnosis tries: both circles with each number of periods in `CANDIDATE_SIGNAL_PERIODS`."""
         circles: tuple[Literal["azimuth", "elevation"], ...] = ("azimuth", "elevation")
         return [cls(circle=circle, periods=n) for circle in circles for n in CANDIDATE_SIGNAL_PERIODS]

@@ -10,10 +10,10 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class FaceConfusion(Blunder):
-    """Confused faces: readings of one face are stored as those of the other.
+    """Confused faces: readings of one face are stored as readings of the other face.
 
-    Rows that are stored with face `face` contain readings of the other face: the azimuth differs by 180 deg, and the
-    elevation is 180 deg minus the expected value.
+    Pointings that are stored with the face `face` contain readings of the other face: the azimuth differs by 180 deg,
+    and the elevation is 180 deg minus the expected value.
 
     Size: metres: a point lands behind the tracker.
     Like: nothing.
@@ -37,11 +37,11 @@ class FaceConfusion(Blunder):
 
     @classmethod
     def possible_blunders(cls, sightings: Sightings) -> list[Self]:
-        """Possible blunders: either face of every station."""
+        """Possible blunders of this kind: pointings in face 1, or in face 2, of each station."""
         return [cls((name,), face=face) for name in sightings.station_names for face in (1, 2)]
 
     def measured_sightings(self, sightings: Sightings) -> Sightings:
-        """Sightings with the other face in the affected rows."""
+        """Sightings with the other face in the affected pointings."""
         confused = (self.row_weights(sightings) > 0) & (sightings.face == self.face)
         return replace(sightings, face=np.where(confused, 3 - sightings.face, sightings.face))
 

@@ -9,7 +9,8 @@ from ltsim.scene.sightings import Sightings
 class GaugeScale(Effect):
     """Scale error of the gauge: its temperature or its expansion coefficient is wrong.
 
-    True length = declared length (1 + s). A declared length changes by -s L. No reading changes.
+    True length = declared length (1 + s), with the scale error s. A declared length L changes by -s L. No reading
+    changes.
 
     Size: 8 ppm if the tabulated coefficient of aluminium is wrong by 5 % and the temperature differs by 7 K from the
     reference; 23 ppm for an error of 1 K of the temperature of an aluminium gauge.

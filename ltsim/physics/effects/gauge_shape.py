@@ -13,9 +13,9 @@ from ltsim.scene.sightings import Sightings
 class GaugeShape(Effect):
     """Shape of the gauge: a nest moved, or the gauge bent, after its lengths were measured.
 
-    One nest moved by D after the lengths were determined: true length = declared length + D . unit vector towards the
-    nest. The parameters are the motion of the nest in the network frame (no correction of a reading). No reading
-    changes, because the readings refer to the present position.
+    One nest moved by D after the lengths were determined: true length = declared length + D . u, with the unit vector u
+    from the other end of the length towards the nest. The parameters are the motion of the nest in the network frame
+    (no correction of a reading). No reading changes, because the readings refer to the present position.
 
     Size: a difference of 1 K across a frame 20 mm thick with nests 40 mm above it changes 590 mm by 28 um; a nest moves
     by 5 to 50 um.
@@ -41,7 +41,7 @@ class GaugeShape(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates for every target; targets without a reference length have no influence and are dropped later."""
+        """Effects that a diagnosis tries, one per target; effects without influence are dropped later."""
         return [cls((), (name,), i) for i, name in enumerate(sightings.target_names)]
 
     def design(self, sightings: Sightings) -> Floats:

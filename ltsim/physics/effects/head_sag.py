@@ -7,8 +7,8 @@ from ltsim.scene.sightings import Sightings
 class HeadSag(Effect):
     """Gravity sag of the head: the scope bends under its own weight.
 
-    Delta_elevation = -g (e_up . vertical), e_up the upward unit vector across the beam; for an upright tracker -g
-    cos(el), the same on both faces.
+    Delta_elevation = -g (e_up . vertical), with the sag g and the upward unit vector e_up across the beam; for an
+    upright tracker it is -g cos(el), the same on both faces.
 
     Size: under 0.5 urad in a good head, 5 urad in a bad one; normally included in the manufacturer's correction.
     Like: elevation-eccentricity cosine, exactly for upright trackers; vertical-index (correlation 0.96 in one face, 0

@@ -10,9 +10,9 @@ from ltsim.scene.regions import HallRegion, candidate_regions
 from ltsim.scene.sightings import Sightings
 
 N_CANDIDATE_AZIMUTHS = 8
-"""Number of azimuths of candidate directions around a station or target."""
+"""Number of azimuths of the directions from a station or target to candidate centres of plumes."""
 CANDIDATE_ELEVATIONS = (-0.6, 0.0, 0.6)
-"""Elevations [rad] of candidate directions, in addition to zenith and nadir."""
+"""Elevations [rad] of the directions to candidate centres of plumes, in addition to zenith and nadir."""
 PLUME_DISTANCES_FROM_STATION = 0.5
 """Distance [m] of candidate centres of plumes from a station."""
 CENTRE_REFINEMENT_SHIFTS = (0.2, 0.08)
@@ -22,7 +22,7 @@ STATION_PLUME_RADIUS = 0.25
 TARGET_PLUME_RADIUS = 0.5
 """Radius [m] of candidate plumes near a target."""
 MAX_PLACES_TRIED_SINGLY = 40
-"""Number of stations, or of targets, above which a search does not try plumes at single stations, or single targets."""
+"""Number of stations above which a search tries no plumes at single stations; likewise for targets."""
 
 
 def _rounded_to_mm(offset: Floats) -> tuple[float, float, float]:
@@ -34,12 +34,12 @@ def _rounded_to_mm(offset: Floats) -> tuple[float, float, float]:
 class HeatPlume(WarmAirEffect):
     """Heat plume: a motor, a radiator or the tracker's exhaust warms a region of the air.
 
-    T = D exp(-|r - c|^2 / (2 radius^2)) at the position r, with the centre c at an offset from a station or a target,
-    or at a position in the hall. Along the path, s = 0 to d, the corrections to the left and upward are (D_t, D_v) =
-    integral of (d - s) grad_perp n ds, and Delta_d = -integral of (n - n_sensor) ds, with the refractive index n, which
-    is n_sensor at the sensor. Because of the weight (d - s), heat near the station changes the direction of the beam,
-    heat near a target hardly does. The range is too short by beta times the integral of T, wherever the plume is; beta
-    is the decrease of n per kelvin.
+    The temperature excess is T = D exp(-|r - c|^2 / (2 radius^2)) at the position r, with the excess D at the centre c.
+    The centre is at an offset from a station or a target, or at a position in the hall. Along the path, s = 0 to d, the
+    corrections to the left and upward are (D_t, D_v) = integral of (d - s) grad_perp n ds, and Delta_d = -integral of
+    (n - n_sensor) ds, with the refractive index n, which is n_sensor at the sensor. Because of the weight (d - s), heat
+    near the station changes the direction of the beam, while heat near a target hardly does. The range is too short by
+    beta times the integral of T, wherever the plume is; beta is the decrease of n per kelvin.
 
     Size: 5 K over 0.5 m changes a range by 2.3 um. At the head a gradient of 5 K in 0.2 m bends the beam by 7 urad.
     Like: near a station a tilt of the station and index-drift; near a target a constant error of its ranges.
@@ -61,7 +61,7 @@ class HeatPlume(WarmAirEffect):
     covariates = ("azimuth", "elevation", "place")
     scope = "station"
     n_neighbour_directions = 3
-    parameters = (Parameter("plume-temperature", "K", "excess temperature of the centre", 5.0, is_positive=True),)
+    parameters = (Parameter("plume-temperature", "K", "temperature excess of the centre", 5.0, is_positive=True),)
     shape_parameters = (
         ShapeParameter(
             "radius", "m", "standard deviation of the warm ball", 0.1, 1.0, has_logarithmic_grid=True, n_grid_values=4
@@ -74,7 +74,7 @@ class HeatPlume(WarmAirEffect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates around every station and target, and on a grid over the hall."""
+        """Plumes that a diagnosis tries: around every station and target, and on a grid over the hall."""
         angles = np.linspace(0.0, 2 * np.pi, N_CANDIDATE_AZIMUTHS, endpoint=False)
         directions = [
             (np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)) for a in angles for e in CANDIDATE_ELEVATIONS
@@ -95,7 +95,7 @@ class HeatPlume(WarmAirEffect):
         ]
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
-        """Plumes with a shifted centre, for a local search."""
+        """Copies of this plume with a shifted centre, for a local search."""
         if self.targets:
             return []
         offsets = [
@@ -109,7 +109,7 @@ class HeatPlume(WarmAirEffect):
         return () if self.stations or self.targets else self.offset
 
     def centred_at(self, centre: tuple[float, ...]) -> Self:
-        """Copy of the plume with another centre in the hall."""
+        """Copy of the plume with its centre at `centre` (3 coordinates [m], network frame)."""
         return self.with_constants(offset=centre)
 
     def _centre(self, sightings: Sightings) -> Floats:

@@ -6,8 +6,9 @@ from ltsim.physics.effects.places import Drift
 class IndexDrift(Drift):
     """Drift of the vertical index: the head warms up and the zero of the elevation circle changes.
 
-    Correction of the raw elevation = r t (over the recording, or from the start of every station) or A exp(-t / tau).
-    In front-face values it changes its sign with the face, as the vertical index does.
+    Correction of the raw elevation = r t (over the recording, or from the start of every station) or A exp(-t / tau),
+    with the time t, the rate r, the amplitude A and the time constant tau. In front-face values the correction changes
+    its sign with the face, as the vertical index does.
 
     Size: under 2 urad/h after the warm-up; tens of urad over two hours from cold.
     Like: vertical-index (correlation 0.63 in one face, 0.86 in two) and elevation-second-order cosine (0.84) if targets
@@ -25,8 +26,10 @@ class IndexDrift(Drift):
     stage = LightPathStage.ENCODERS
     observables = ("elevation",)
     slot = "elevation"
-    rate_parameter = Parameter("index-drift", "urad/h", "growth of the index", 20 * SI_PER_UNIT["urad/h"])
-    amplitude_parameter = Parameter("index-drift-amplitude", "urad", "index at the start, decaying", 20 * MICRORADIAN)
+    rate_parameter = Parameter("index-drift", "urad/h", "growth rate of the index error", 20 * SI_PER_UNIT["urad/h"])
+    amplitude_parameter = Parameter(
+        "index-drift-amplitude", "urad", "index error at the start, which then decays", 20 * MICRORADIAN
+    )
     parameters = (rate_parameter,)
 
     candidate_linear_laws = ("linear", "visit")

@@ -5,7 +5,7 @@
 `CandidateNoiseEffect` is a change of the variance of the readings. An effect of the catalogue (`effects.effect.Effect`)
 is a `CandidateEffect` with a physical cause that has a name.
 
-Sign: a parameter is a correction, truth - reading; the change of a reading is therefore its negative.
+Sign: a parameter is a correction, true value - reading; the change of a reading is therefore its negative.
 """
 
 from abc import abstractmethod
@@ -21,18 +21,21 @@ from ltsim.recordings.setup import Prior
 from ltsim.scene.sightings import Sightings
 
 PriorKind = Literal["angle", "offset", "range_scale", "range_offset"]
+"""Entry of an instrument's specification that gives prior standard deviations of parameters."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """Parameter of an effect."""
+    """Parameter of an effect, with display unit, description and prior."""
 
     name: str
     unit: str
-    """Unit of display, a key of `units.SI_PER_UNIT`; values are SI."""
+    """Display unit, a key of `units.SI_PER_UNIT`; values are in SI units."""
     description: str
+    """Description for users, such as `delay of the range`."""
     prior_sigma: float
-    """Standard deviation [SI] if the set-up gives none; also the scale of a plausible size."""
+    """Prior standard deviation [SI] if the specification of the instrument gives none; also the plausible size of the
+    parameter in a search."""
     prior_kind: PriorKind | None = None
     """Entry of the instrument's specification from which the prior standard deviation is taken (an angle, an offset).
 
@@ -42,7 +45,7 @@ class Parameter:
     """True for a quantity that is never negative, such as a thickness."""
 
     def prior_sigma_from(self, prior: Prior) -> float:
-        """Prior standard deviation [SI] from the specification of the instrument."""
+        """Prior standard deviation [SI] from the instrument's specification `prior`, by default `prior_sigma`."""
         if self.name in prior.parameters:
             return prior.parameters[self.name] * self.si_per_display_unit
         if self.prior_kind is None:
@@ -56,12 +59,12 @@ class Parameter:
 
     @property
     def si_per_display_unit(self) -> float:
-        """Size of the display unit in SI, such as 1e-6 for um."""
+        """Display unit in SI units, such as 1e-6 for um."""
         return SI_PER_UNIT[self.unit]
 
 
 def axis_parameters(name: str, unit: str, description: str, prior_sigma: float) -> tuple[Parameter, ...]:
-    """Parameters `name-x`, `name-y` and so on, along or about the axes of the network, in one unit.
+    """Parameters `name-x`, `name-y` and `name-z` along or about the axes of the network frame, with the display `unit`.
 
     `description` is the description without the axis, `prior_sigma` the prior standard deviation [SI] of each.
     """
@@ -75,13 +78,21 @@ class ShapeParameter:
     """Constant that enters an effect nonlinearly: a field of the effect, searched between bounds."""
 
     name: str
+    """Name of the field of the effect."""
     unit: str
+    """Display unit, a key of `units.SI_PER_UNIT`."""
     description: str
+    """Description for users, such as `width of the transition`."""
     lower_bound: float
+    """Smallest value [SI] of the search."""
     upper_bound: float
+    """Largest value [SI] of the search."""
     has_logarithmic_grid: bool = False
+    """True if the grid of the search is evenly spaced in the logarithm."""
     n_grid_values: int = 9
+    """Number of values on the grid."""
     has_reciprocal_grid: bool = False
+    """True if the grid of the search is evenly spaced in the reciprocal."""
 
     def grid(self) -> Floats:
         """Values (n_grid_values,) [SI] between the bounds that a search tries.
@@ -96,7 +107,7 @@ class ShapeParameter:
         return np.linspace(self.lower_bound, self.upper_bound, self.n_grid_values)
 
     def neighbouring_grid_interval(self, value: float) -> tuple[float, float]:
-        """Lower and upper end [SI] of the interval from one grid step below a value to one above, within the bounds."""
+        """Interval (lower, upper) [SI] from one grid step below `value` to one grid step above, within the bounds."""
         grid = np.sort(self.grid())
         if len(grid) < 2:
             return value, value
@@ -113,11 +124,11 @@ class Linearisation(NamedTuple):
     shift: Floats
     """Change (n, 3) of the raw readings."""
     parameter_derivatives: Floats
-    """Derivative (n, 3, p) with respect to the parameters."""
+    """Derivative (n, 3, p) of the change with respect to the p parameters."""
     geometry_derivatives: tuple[Floats, Floats] | None = None
-    """Derivatives with respect to the target's coordinates (n, 3, 3) and the station's motion (n, 3, 6).
+    """Derivatives of the change with respect to the target's coordinates (n, 3, 3) and the station's motion (n, 3, 6).
 
-    None if they are neglected, as for all changes that are small compared with the distance.
+    None if these derivatives are neglected, as for all changes that are small compared with the distance.
     """
 
 
@@ -127,12 +138,12 @@ class LinearEffect(Protocol):
     @property
     @abstractmethod
     def name(self) -> str:
-        """Name of the effect, such as that of its physical cause."""
+        """Name of the effect, such as `beam-tilt`."""
 
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
-        """The p parameters of the effect; `prior_sigma` of a parameter is the size of a large but plausible effect."""
+        """The p parameters of the effect; the `prior_sigma` of each is the value for a large but plausible effect."""
 
     @abstractmethod
     def design(self, sightings: Sightings) -> Floats:
@@ -162,10 +173,10 @@ class LinearEffect(Protocol):
         return Linearisation(self.reading_change(sightings, parameter_values), self.design(sightings))
 
     def gauge_design(self, first_targets: Ints, second_targets: Ints, points: Floats) -> Floats:
-        """Change (g, p) of g reference lengths per unit of each parameter; zero unless the effect changes lengths.
+        """Change (g, p) [m] of g reference lengths per unit of each parameter; zero unless the effect changes lengths.
 
-        `first_targets` and `second_targets` (g,) are the indices of the targets at their ends, `points` (T, 3) [m] the
-        coordinates of all targets.
+        `first_targets` and `second_targets` (g,) are the indices of the targets at the ends of the lengths, `points`
+        (T, 3) [m] are the coordinates of all targets.
         """
         return np.zeros((len(first_targets), len(self.parameters)))
 
@@ -187,9 +198,9 @@ class LinearEffect(Protocol):
 def _belongs_to_names(
     name_indices: Ints, indices_by_name: Mapping[str, Sequence[int]], permitted_names: Sequence[str]
 ) -> Bools:
-    """Flags (n,) of the indices `name_indices` (n,) that belong to one of `permitted_names`.
+    """Flags (n,) of the station or target indices `name_indices` (n,) whose name is one of `permitted_names`.
 
-    `indices_by_name` has the indices of every name.
+    `indices_by_name` has the indices that belong to each name.
     """
     ids = [i for name in permitted_names for i in indices_by_name.get(name, ())]
     return name_indices == ids[0] if len(ids) == 1 else np.isin(name_indices, ids)
@@ -211,15 +222,18 @@ class CandidateEffect(LinearEffect, Protocol):
     @property
     @abstractmethod
     def covariates(self) -> tuple[str, ...]:
-        """Covariates that the effect depends on."""
+        """Names of the quantities on which the effect depends, such as `time` or `azimuth`."""
 
     def neighbours(self, sightings: Sightings) -> Sequence[Self]:
-        """Similar candidates, which a search tries only if this candidate is significant."""
+        """Similar effects for a local search, which are tried only if this effect is significant."""
         return ()
 
     @property
     def source_position(self) -> tuple[float, ...]:
-        """Coordinates [m] of the centre of its region of the hall, network frame; empty if it has no region."""
+        """Coordinates [m] of the centre of the region of the hall where the effect acts, network frame.
+
+        Empty for an effect that is not confined to a region.
+        """
         return ()
 
     @property
@@ -228,16 +242,19 @@ class CandidateEffect(LinearEffect, Protocol):
         return "xyz"[: len(self.source_position)]
 
     def centred_at(self, centre: tuple[float, ...]) -> Self:
-        """Copy with its region of the hall centred at `centre` [m]."""
+        """Copy whose region of the hall is centred at `centre` [m]; the effect itself if it has no region."""
         return self
 
     def with_constants(self, **constants: Any) -> Self:
-        """Copy with other constants, which are fields of the dataclass."""
+        """Copy with other values of the constants, which are fields of the dataclass."""
         return replace(self, **constants)  # type: ignore[type-var]
 
 
 class CandidateNoiseEffect(CandidateEffect, Protocol):
-    """Change of the noise: parameters are added variances or factors on variances, not changes of the mean."""
+    """Change of the noise of readings: its parameters are added variances or factors on variances.
+
+    The mean of the readings does not change.
+    """
 
     min_relative_size: ClassVar[float] = 0.0
     """Smallest permitted value of a parameter, divided by its prior standard deviation. With 0 the effect can only
@@ -245,9 +262,9 @@ class CandidateNoiseEffect(CandidateEffect, Protocol):
 
     @abstractmethod
     def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
-        """Variance (n, 3) of the readings with declared standard deviations `sigma` (n, 3).
+        """Variance (n, 3) of readings with declared standard deviations `sigma` (n, 3), for `parameter_values` (p,).
 
-        It must be sigma^2 at zero values; each reading depends on at most one of the values.
+        It must be sigma^2 if all parameters are zero, and each reading must depend on at most one parameter.
         """
 
     def size_grid(self) -> list[tuple[float, ...]]:
@@ -259,7 +276,7 @@ class CandidateNoiseEffect(CandidateEffect, Protocol):
         ]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change of the mean: zeros (n, 3, p)."""
+        """Change of the mean of the readings: zeros (n, 3, p)."""
         return np.zeros((len(sightings), 3, len(self.parameters)))
 
 
@@ -270,10 +287,10 @@ def design_from_front_face_corrections(
     azimuth: Floats | float = 0.0,
     elevation: Floats | float = 0.0,
 ) -> Floats:
-    """Design (n, 3) or (n, 3, p) from corrections (truth - reading), (n,) or (n, p), of front-face coordinates.
+    """Change (n, 3) or (n, 3, p) of raw readings from corrections, (n,) or (n, p), of front-face coordinates.
 
-    On the back face the sign of the elevation is reversed, because its raw value decreases. All corrections are
-    negated: a reading changes by minus its correction.
+    `distance` [m], `azimuth` and `elevation` [rad] are corrections, true value minus reading. A reading changes by
+    minus its correction. On the back face the sign of the elevation is reversed, because its raw value decreases.
     """
     corrections = [np.asarray(c, dtype=np.float64) for c in (distance, azimuth, elevation)]
     design = np.empty((len(sightings), 3, *max((c.shape[1:] for c in corrections), key=len)))
@@ -294,7 +311,7 @@ def design_from_displacements(sightings: Sightings, displacement: Floats) -> Flo
 
 
 def n_constants(effect: CandidateEffect) -> int:
-    """Number of constants of an effect: its parameters, and the numbers that define its shape and place."""
+    """Number of constants of an effect: its parameters, and the numbers among its fields for shape and position."""
     constants = (value for name, value in vars(effect).items() if name != "size_factor")
     return len(effect.parameters) + sum(np.size(value) for value in constants if _is_number(value))
 

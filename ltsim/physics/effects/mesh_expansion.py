@@ -18,8 +18,9 @@ EXPANSION_WEIGHTS = {"uniform": np.ones(3), "vertical": np.array([0.0, 0.0, 1.0]
 class MeshExpansion(TargetMotion):
     """Thermal expansion of the mesh: walls and floor move the targets as the hall warms up.
 
-    P(t) = P + a t A (P - centroid), with t since the first pointing and A = 1 (uniform) or diag(0, 0, 1) (vertical).
-    The parameter is the growth rate of the structure (no correction of a reading).
+    P(t) = P + a t A (P - centroid), with the target's coordinates P, the time t since the first pointing, and A = 1
+    (uniform) or diag(0, 0, 1) (vertical). The parameter is the growth rate a of the structure (no correction of a
+    reading).
 
     Size: steel and concrete grow 11 to 12 ppm/K, 69 um over 6 m and 1 K: often more than all errors of the tracker.
     Like: refractivity-drift and station-weather (uniform mode, exactly if it grows only between stations), range-drift
@@ -40,11 +41,11 @@ class MeshExpansion(TargetMotion):
     base_rate = 2.0
     stage = LightPathStage.TARGET
     covariates = ("time", "place")
-    parameters = (Parameter("mesh-expansion", "ppm/h", "growth of the structure", 10 * SI_PER_UNIT["ppm/h"]),)
+    parameters = (Parameter("mesh-expansion", "ppm/h", "growth rate of the structure", 10 * SI_PER_UNIT["ppm/h"]),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates with a uniform and with a vertical expansion."""
+        """Effects that a diagnosis tries: uniform expansion, and vertical expansion."""
         return [cls(mode="uniform"), cls(mode="vertical")]
 
     def displacement(self, sightings: Sightings) -> Floats:

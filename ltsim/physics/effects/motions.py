@@ -1,4 +1,4 @@
-"""Changes of readings by motions of targets or stations, exact and to first order, and base classes of such effects."""
+"""Changes of readings by motions of targets or stations, exact and to first order, with base classes for effects."""
 
 from dataclasses import dataclass, replace
 
@@ -18,9 +18,9 @@ def exact_change_by_displacement(sightings: Sightings, displacement: Floats) -> 
 
 
 def exact_change_by_station_motion(sightings: Sightings, motion: Floats) -> Floats:
-    """Exact change (n, 3) of the raw readings by motions (n, 6) of the station of each pointing.
+    """Exact change (n, 3) of the raw readings of n pointings by `motion` (n, 6) of the station of each pointing.
 
-    `motion` is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
+    A motion is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
     """
     return reading_change(sightings, _apparent_sightings(sightings, motion).local_points)
 
@@ -36,7 +36,7 @@ def _sightings_with_displaced_targets(sightings: Sightings, displacement: Floats
 
 
 def _apparent_sightings(sightings: Sightings, motion: Floats) -> Sightings:
-    """Sightings with reflectors at the positions that they appear to have from stations that moved by (n, 6).
+    """Sightings with the reflectors at their apparent positions, as seen from stations that moved by `motion` (n, 6).
 
     A motion is a translation [m] and a rotation vector [rad] in the network frame.
     """
@@ -48,9 +48,10 @@ def _apparent_sightings(sightings: Sightings, motion: Floats) -> Sightings:
 def _linearised_change(
     sightings: Sightings, apparent_sightings: Sightings, displacement_derivatives: Floats
 ) -> Linearisation:
-    """Change of the readings by displaced apparent positions of reflectors, with its derivatives.
+    """Change of the readings by a displacement of the apparent positions of reflectors, with its derivatives.
 
-    `displacement_derivatives` (n, 3, p) is the derivative of the change with respect to the parameters.
+    `apparent_sightings` have the displaced positions. `displacement_derivatives` (n, 3, p) are the derivatives of the
+    change with respect to the p parameters.
     """
     by_target = apparent_sightings.target_derivatives - sightings.target_derivatives
     by_pose = station_motion_design(apparent_sightings) - station_motion_design(sightings)
@@ -60,7 +61,7 @@ def _linearised_change(
 
 
 def station_motion_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 6) of the raw readings per unit of the station's translation and rotation, to first order."""
+    """Change (n, 3, 6) of raw readings per unit translation [m] and rotation [rad] of the station, to first order."""
     return pose_design(sightings.target_derivatives, sightings.sight_vectors)
 
 
@@ -72,7 +73,7 @@ def reading_change(sightings: Sightings, local_points: Floats) -> Floats:
 
 
 class TargetDisplacement(LinearEffect):
-    """Base class of effects that displace targets, or their apparent positions."""
+    """Base class of linear effects that displace targets or their apparent positions; `reading_change` is exact."""
 
     def displacement(self, sightings: Sightings) -> Floats:
         """Motion (n, 3, p) [m] of each pointing's target in the network frame, per unit of each parameter."""
@@ -92,15 +93,18 @@ class TargetDisplacement(LinearEffect):
 
 @dataclass(frozen=True)
 class TargetMotion(TargetDisplacement, Effect):
-    """Base class of effects that move targets, or their apparent positions."""
+    """Base class of catalogue effects that move targets or change their apparent positions."""
 
 
 @dataclass(frozen=True)
 class StationMotion(Effect):
-    """Base class of effects that move stations."""
+    """Base class of catalogue effects that move stations."""
 
     def motion(self, sightings: Sightings) -> Floats:
-        """Motion (n, 6, p) of each pointing's station per unit of each parameter (`exact_change_by_station_motion`)."""
+        """Motion (n, 6, p) of each pointing's station, per unit of each parameter.
+
+        A motion is a translation [m] and a rotation vector [rad] in the network frame.
+        """
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:

@@ -13,8 +13,8 @@ from ltsim.scene.sightings import Sightings
 PLAUSIBLE_LIFT = 50 * MICROMETRE
 """Plausible lift [m] of a reflector in its nest."""
 MAX_PAIRS_WITH_SINGLE_SEATINGS = 600
-"""Number of pairs of station and target above which a search does not try single seatings, because the w-test detects
-them.
+"""Number of pairs of station and target above which a search does not try lifts of single seatings, because the w-test
+detects them.
 """
 
 
@@ -22,9 +22,9 @@ them.
 class NestLift(TargetMotion):
     """Badly seated reflector: dirt or a burr lifts it in its nest during one visit of a station.
 
-    D = h n along the nest's normal (kind `normal`), or in any direction (kind `free`, for a nest with a cone or three
-    balls). The parameters are the motion of the reflector (no correction of a reading). It is the same in all pointings
-    of the station to the target.
+    The displacement is D = h n with the lift h along the nest's normal n (kind `normal`), or in any direction (kind
+    `free`, for a nest with a cone or three balls). The parameters are the motion of the reflector (no correction of a
+    reading). It is the same in all pointings of the station to the target.
 
     Size: 4 um in a clean nest, 5 to 50 um with dirt.
     Like: outlier in one reading (correlation 0.85).
@@ -53,7 +53,7 @@ class NestLift(TargetMotion):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates for every pair of station and target: any direction and, for a known nest, along its normal."""
+        """Lifts that a diagnosis tries per pair of station and target: free, and along the normal of a known nest."""
         sight_pairs = station_target_pairs(sightings)
         if len(sight_pairs) > MAX_PAIRS_WITH_SINGLE_SEATINGS:
             return []

@@ -5,7 +5,7 @@ from ltsim.physics.effects.effect import LightPathStage, NoiseEffect, Parameter
 from ltsim.scene.sightings import Sightings
 
 MIN_VARIANCE_FACTOR = 0.01
-"""Smallest factor on a variance. A smaller factor is replaced by it, so that no variance is zero or negative."""
+"""Smallest factor on a variance. It replaces smaller factors, so that no variance is zero or negative."""
 
 
 class NoiseLevel(NoiseEffect):

@@ -9,6 +9,7 @@ from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter
 from ltsim.scene.sightings import Sightings
 
 Observable = Literal["distance", "azimuth", "elevation"]
+"""Name of an observable."""
 
 
 OBSERVABLE_COLUMN: dict[Observable, int] = {"distance": 0, "azimuth": 1, "elevation": 2}
@@ -30,11 +31,11 @@ class Outlier(Effect):
     Valid: any size below a millimetre; larger outliers are rejected before an adjustment. In large recordings
     `candidates` is empty, because the w-test of the residuals detects single readings.
     Source: Baarda 1968, A testing procedure for use in geodetic networks (data snooping).
-    Status: validated on a single row.
+    Status: validated on a single pointing.
     """
 
     row: int = 0
-    """Row number of the pointing."""
+    """Index of the pointing in the recording, from 0."""
     observable: Observable = "distance"
     """Observable whose reading is wrong."""
 
@@ -53,7 +54,7 @@ class Outlier(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates for every reading of a recording of moderate size."""
+        """Outliers that a diagnosis tries, one per reading; an empty list for a large recording."""
         if len(sightings) > MAX_SEARCHED_POINTINGS:
             return []
         places = [

@@ -1,4 +1,4 @@
-"""Places and times at which an effect may act, determined from the pointings; base class of drifts."""
+"""Stations, targets and times at which an effect may act, determined from the pointings; base class of drifts."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
@@ -12,13 +12,14 @@ from ltsim.scene.sightings import Sightings
 MAX_CHANGE_POINTS = 140
 """Largest number of candidate change points over all stations of a network."""
 N_NEIGHBOUR_GAPS = 6
-"""Number of gaps between pointings, on either side of a change point, in which a local search tries the change."""
+"""Number of gaps between pointings, on either side of a change point, to which a local search shifts the change."""
 
 
-def change_times(times: Floats, *, min_pointings: int, max_n_times: int) -> list[float]:
-    """Midpoints of the gaps between pointings at `times` [s] with at least `min_pointings` pointings on either side.
+def candidate_change_times(times: Floats, *, min_pointings: int, max_n_times: int) -> list[float]:
+    """Candidate change points [s]: midpoints of the gaps between pointings at the times `times` (n,) [s].
 
-    At most `max_n_times` midpoints are returned, spread evenly over the measurement.
+    At least `min_pointings` pointings are on either side of a change point. At most `max_n_times` change points are
+    returned, spread evenly over the measurement.
     """
     ordered = np.sort(times)
     middle, gap = 0.5 * (ordered[1:] + ordered[:-1]), np.diff(ordered)
@@ -29,30 +30,30 @@ def change_times(times: Floats, *, min_pointings: int, max_n_times: int) -> list
     return [float(t) for t in middles]
 
 
-def station_change_times(sightings: Sightings, *, min_pointings: int) -> list[tuple[str, float]]:
-    """Candidate change points within the visits of stations: pairs (station, time [s]).
+def candidate_change_times_by_station(sightings: Sightings, *, min_pointings: int) -> list[tuple[str, float]]:
+    """Candidate change points during the occupation of each station: pairs (station, time [s]).
 
-    At least `min_pointings` pointings of the visit are before and after each.
+    At least `min_pointings` pointings of the station are before and after each change point.
     """
     max_times = max(2, MAX_CHANGE_POINTS // max(len(sightings.station_names), 1))
     return [
         (name, time)
         for s, name in enumerate(sightings.station_names)
-        for time in change_times(
+        for time in candidate_change_times(
             sightings.time[sightings.station == s], min_pointings=min_pointings, max_n_times=max_times
         )
     ]
 
 
 def times_between_visits(sightings: Sightings, target_index: int, *, max_n_times: int) -> list[float]:
-    """Times [s] between pointings to a target from two successive stations, at most `max_n_times`.
+    """Times [s] between the pointings to a target from two successive stations, at most `max_n_times`.
 
-    If only one station measured the target, they are times between its pointings.
+    If only one station measured the target, the results are times between pointings of this station.
     """
     target_rows = sightings.measurement_order[sightings.target[sightings.measurement_order] == target_index]
     times, stations = sightings.time[target_rows], sightings.station[target_rows]
     if len(np.unique(stations)) < 2:
-        return change_times(times, min_pointings=2, max_n_times=max_n_times)
+        return candidate_change_times(times, min_pointings=2, max_n_times=max_n_times)
     change_rows = np.flatnonzero(np.diff(stations))
     middles = 0.5 * (times[change_rows] + times[change_rows + 1])
     if len(middles) > max_n_times:
@@ -61,7 +62,10 @@ def times_between_visits(sightings: Sightings, target_index: int, *, max_n_times
 
 
 def neighbouring_gap_times(times: Floats, time: float) -> list[float]:
-    """Midpoints [s] of the `N_NEIGHBOUR_GAPS` gaps between pointings at `times` on either side of `time`."""
+    """Midpoints [s] of the gaps between pointings at `times` (n,) [s] that are near `time` [s].
+
+    There are up to `N_NEIGHBOUR_GAPS` gaps on either side.
+    """
     ordered = np.unique(times)
     midpoints = 0.5 * (ordered[1:] + ordered[:-1])
     index = int(np.searchsorted(midpoints, time))
@@ -69,17 +73,18 @@ def neighbouring_gap_times(times: Floats, time: float) -> list[float]:
 
 
 def station_target_pairs(sightings: Sightings) -> list[tuple[str, str]]:
-    """Pairs of the names of station and target with at least one pointing."""
+    """Pairs (name of station, name of target) with at least one pointing."""
     index_pairs = np.unique(np.stack([sightings.station, sightings.target], axis=1), axis=0)
     return [(sightings.station_names[s], sightings.target_names[t]) for s, t in index_pairs]
 
 
 def first_pointing_time(sightings: Sightings) -> float:
-    """Time [s] of the first pointing."""
+    """Time [s] of the first pointing of a recording."""
     return float(sightings.time.min(initial=np.inf))
 
 
 TimeLaw = Literal["visit", "linear", "exponential"]
+"""Name of the law of time of a drift, see `Drift.law`."""
 
 WARM_UP_TIME_CONSTANT_PARAMETER = ShapeParameter(
     "time_constant", "min", "time constant of the warm-up", 600.0, 14_400.0, has_logarithmic_grid=True, n_grid_values=6
@@ -90,17 +95,17 @@ WARM_UP_TIME_CONSTANT_PARAMETER = ShapeParameter(
 MAX_TIME_CONSTANT_RATIO = 2.0
 """Largest time constant of a warm-up that a search tries, divided by the duration of the measurement."""
 SHORT_RECORDING_TIME_CONSTANT_FRACTIONS = (0.3, 1.0)
-"""Time constants of warm-ups, divided by the duration of the measurement, that a search tries if all others exceed
-`MAX_TIME_CONSTANT_RATIO`."""
+"""Time constants of warm-ups, divided by the duration of the measurement, that a search tries if all other time
+constants exceed `MAX_TIME_CONSTANT_RATIO`."""
 
 
 @dataclass(frozen=True)
 class Drift(Effect):
-    """Base class of drifts: corrections of one slot of the kinematic chain that depend on time."""
+    """Base class of drifts: corrections of one motion of the kinematic chain that depend on time."""
 
     law: TimeLaw = "linear"
-    """Law of time. ``visit``: rate times the time since the station's first pointing; ``linear``: rate times the time
-    since the recording's first pointing; ``exponential``: amplitude times exp(-t / time_constant) of the same time.
+    """Law of time. ``visit``: rate times the time since the station's first pointing; ``linear``: rate times the time t
+    since the recording's first pointing; ``exponential``: amplitude times exp(-t / time_constant).
     """
     time_constant: float = 3600.0
     """Time constant [s] of the exponential law."""
@@ -108,13 +113,14 @@ class Drift(Effect):
     covariates = ("time",)
     shape_parameters = (WARM_UP_TIME_CONSTANT_PARAMETER,)
     slot: ClassVar[str]
-    """Slot of the kinematic chain that drifts."""
+    """Key of the error of the kinematic chain that drifts, such as `azimuth`."""
     rate_parameter: ClassVar[Parameter]
     """Parameter of the laws ``visit`` and ``linear``: correction per time."""
     amplitude_parameter: ClassVar[Parameter]
     """Parameter of the law ``exponential``: correction at the start."""
     candidate_linear_laws: ClassVar[tuple[TimeLaw, ...]]
-    """Laws ``visit`` or ``linear`` that a search tries at all stations together; with one station only the first."""
+    """Laws, ``visit`` or ``linear``, that a search tries at all stations together; with one station only the first law
+    is tried."""
     tries_single_stations: ClassVar[bool] = False
     """True if a search also tries the law ``visit`` at single stations."""
 
@@ -124,7 +130,7 @@ class Drift(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates: linear drifts at all stations or at one, and exponential warm-ups.
+        """Drifts that a diagnosis tries: linear drifts at all stations or at one, and exponential warm-ups.
 
         Warm-ups with time constants far above the duration of the measurement are omitted, because they are constant or
         linear. In a recording without times, row numbers replace time.
@@ -140,7 +146,7 @@ class Drift(Effect):
         return [*linear, *single_station_drifts, *warm_ups]
 
     def time_law_values(self, sightings: Sightings) -> Floats:
-        """Value (n,) of the time law at each pointing, [s] or dimensionless."""
+        """Factor (n,) of the drift's parameter at each pointing: a time [s], or dimensionless for a decay."""
         if self.law == "visit":
             return sightings.station_time
         time_since_start = sightings.time - first_pointing_time(sightings)
@@ -148,5 +154,5 @@ class Drift(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         drift_per_unit = self.row_weights(sightings) * self.time_law_values(sightings)
-        column: Floats = sightings.slot_responses[self.slot] * drift_per_unit[:, None]
+        column: Floats = sightings.reading_change_by_error_slot[self.slot] * drift_per_unit[:, None]
         return column[:, :, None]

@@ -19,8 +19,8 @@ MIN_WAVELENGTH = 0.02
 MAX_WAVELENGTH = 2.0
 """Longest wavelength [m] that a search tries."""
 MAX_PHASE_ERROR = 0.125
-"""Largest phase error in periods of a wave with the nearest wavelength that a search tries. It occurs at the ends of
-the interval of ranges if the phase is correct in its middle."""
+"""Largest phase error [periods] between a wave and the wave with the nearest wavelength that a search tries. It occurs
+at the ends of the interval of ranges if the phase is correct in its middle."""
 MAX_WAVELENGTH_COUNT = 1200
 """Largest number of wavelengths that a search tries."""
 
@@ -29,8 +29,9 @@ MAX_WAVELENGTH_COUNT = 1200
 class RangeCyclic(Effect):
     """Cyclic range error: crosstalk of the modulation, periodic in the range with its unit length.
 
-    Delta_d = A cos(2 pi d / L) + B sin(2 pi d / L), the unit length L = c / (2 n f): 150 mm for a modulation of 1 GHz,
-    53.5 mm for 2.8 GHz. Ranges that differ by L have the same error.
+    Delta_d = A cos(2 pi d / L) + B sin(2 pi d / L), with the unit length L = c / (2 n f), the speed of light c, the
+    refractive index n and the modulation frequency f: L is 150 mm at 1 GHz and 53.5 mm at 2.8 GHz. Ranges that differ
+    by L have the same error.
 
     Size: under 1 um in a good meter, 5 to 10 um in a bad one.
     Like: noise that repeats. If the effect is not modelled, it biases the range zero.
@@ -43,6 +44,7 @@ class RangeCyclic(Effect):
     """
 
     wavelength: float = 0.15
+    """Unit length L [m], the period of the error in the range."""
 
     name = "range-cyclic"
     stage = LightPathStage.RANGE
@@ -66,7 +68,7 @@ class RangeCyclic(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates with wavelengths that the interval of measured ranges can distinguish, the longest first."""
+        """Effects that a diagnosis tries, with wavelengths that the interval of measured ranges can distinguish."""
         span = float(np.ptp(sightings.range_)) if len(sightings) else 0.0
         step = 4 * MAX_PHASE_ERROR / max(span, 0.5)
         highest = min(1 / MIN_WAVELENGTH, 1 / MAX_WAVELENGTH + MAX_WAVELENGTH_COUNT * step)

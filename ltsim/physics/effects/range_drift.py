@@ -6,7 +6,8 @@ from ltsim.physics.effects.places import Drift
 class RangeDrift(Drift):
     """Drift of the range zero: electronics and head warm up.
 
-    Delta_d = r t (over the recording, or from the start of every station) or A exp(-t / tau) (warm-up).
+    Delta_d = r t (over the recording, or from the start of every station) or A exp(-t / tau) (warm-up), with the time
+    t, the rate r, the amplitude A and the time constant tau.
 
     Size: 1 to 2 um/h after the warm-up; tenths of a millimetre over two hours from cold.
     Like: mesh-expansion (correlation 0.955), dead-path.
@@ -27,7 +28,7 @@ class RangeDrift(Drift):
     amplitude_parameter = Parameter(
         "range-drift-amplitude",
         "um",
-        "shortage of the ranges at the start, which then decays",
+        "length by which ranges are too short at the start, which then decays",
         20 * MICROMETRE,
     )
     parameters = (rate_parameter,)

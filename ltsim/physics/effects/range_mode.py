@@ -12,26 +12,28 @@ from ltsim.scene.sightings import Sightings
 class RangeMode(Effect):
     """Range zero by mode: the interferometer has another zero than the absolute distance meter.
 
-    Delta_d = rho for the ranges of the interferometer, in a recording with both modes (column `distance_mode`). It is
-    the difference of the two zeros. The zero that both modes share is range-offset.
+    Delta_d = rho for the ranges of the interferometer, in a recording with both modes (column `distance_mode`). The
+    parameter rho is the difference of the two zeros. The zero error that both modes share is range-offset.
 
     Size: 5 um in a good tracker, 20 to 50 um in a bad one.
     Like: range-step, if the mode changes once at a station; range-offset, if all ranges have the same mode.
     Separate by: the same targets in both modes.
     Valid: one zero per mode for the whole recording. A new homing gives an interferometer another zero (range-step).
     Source: the manual of a Brunson laser-tracker kit (both zeros are checked separately).
-    Status: validated on the rows of either mode, and by a recording with both.
+    Status: validated on the pointings of either mode, and by a recording with both.
     """
 
     name = "range-mode"
     stage = LightPathStage.RANGE
     observables = ("distance",)
     covariates = (DISTANCE_METER_COLUMN,)
-    parameters = (Parameter("interferometer-zero", "um", "missing length of interferometer ranges", 30 * MICROMETRE),)
+    parameters = (
+        Parameter("interferometer-zero", "um", "length by which interferometer ranges are too short", 30 * MICROMETRE),
+    )
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidate of the effect if both modes were used; none otherwise."""
+        """List of this effect if both distance modes were used; otherwise empty, and a diagnosis does not try it."""
         return [cls()] if DISTANCE_METER_COLUMN in sightings.covariates else []
 
     def design(self, sightings: Sightings) -> Floats:

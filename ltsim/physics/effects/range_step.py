@@ -4,7 +4,7 @@ from typing import Self
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
-from ltsim.physics.effects.places import neighbouring_gap_times, station_change_times
+from ltsim.physics.effects.places import candidate_change_times_by_station, neighbouring_gap_times
 from ltsim.scene.sightings import Sightings
 
 
@@ -12,7 +12,7 @@ from ltsim.scene.sightings import Sightings
 class RangeStep(Effect):
     """Step of the range zero: the beam is interrupted, and the zero has another value afterwards.
 
-    Delta_d = rho from the time of the step to the last pointing of the station.
+    Delta_d = rho, the size of the step, from the time of the step to the last pointing of the station.
 
     Size: 5 um in a current tracker, 20 to 50 um in a bad one.
     Like: reflector-constant (exactly) and station-weather (correlation 0.965), if the step is at the start of the
@@ -21,7 +21,7 @@ class RangeStep(Effect):
     Valid: one step per station; the step does not act at the next station.
     Source: general knowledge: an interferometer is homed again after each lost beam, an absolute distance meter
     keeps its zero.
-    Status: validated on rows before and after the step.
+    Status: validated on pointings before and after the step.
     """
 
     time: float = 0.0
@@ -38,16 +38,16 @@ class RangeStep(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates at the start of every visit, and in the gaps between its pointings."""
+        """Steps that a diagnosis tries: at the first pointing of each station, and between its pointings."""
         starts = [
             (name, float(sightings.time[sightings.station == s].min(initial=0.0)))
             for s, name in enumerate(sightings.station_names)
         ]
-        change_times = station_change_times(sightings, min_pointings=2)
-        return [cls((name,), time=time) for name, time in [*starts, *change_times]]
+        candidate_change_times = candidate_change_times_by_station(sightings, min_pointings=2)
+        return [cls((name,), time=time) for name, time in [*starts, *candidate_change_times]]
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
-        """Steps in the neighbouring gaps between pointings."""
+        """Copies of this step in the neighbouring gaps between pointings, for a local search."""
         times = sightings.time[self.row_weights(sightings) > 0]
         return [self.with_constants(time=t) for t in neighbouring_gap_times(times, self.time)]
 

@@ -3,7 +3,8 @@
 A temperature field is a function of points (m, 3) in the network frame. Its values are the temperature minus that of
 the weather sensor, (m,) [K], and the gradient of the temperature, (m, 3) [K/m].
 
-Ray equation d/ds (n dr/ds) = grad n. First order, s from the station (truth - reading):
+Ray equation d/ds (n dr/ds) = grad n. Corrections (true value - reading) to first order, with the distance s from the
+station:
 (D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds.
 """
 
@@ -21,21 +22,22 @@ from ltsim.physics.effects.motions import reading_change
 from ltsim.scene.sightings import Sightings
 
 TemperatureField = Callable[[Floats], tuple[Floats, Floats]]
-"""Function from points (n, 3) [m] to temperature differences (n,) [K] and their gradients (n, 3) [K/m]."""
+"""Function from points (n, 3) [m] to the temperature minus that of the weather sensor (n,) [K] and the gradient of the
+temperature (n, 3) [K/m]."""
 
 REFERENCE_TEMPERATURE = 20.0
 """Temperature [C] at the weather sensor for which beta = -dn/dT is computed; beta changes by 0.5 % per kelvin."""
 N_RAY_STEPS = 64
 """Number of Runge-Kutta steps along a ray."""
 QUADRATURE_NODES, QUADRATURE_WEIGHTS = (a for a in np.polynomial.legendre.leggauss(32))
-"""Weights of the Gauss-Legendre quadrature along a straight path, for the interval from -1 to 1."""
+"""Nodes and weights of the Gauss-Legendre quadrature along a straight path, for the interval from -1 to 1."""
 
 
 @lru_cache
 def _refractivity_polynomials() -> tuple[Polynomial, Polynomial]:
     """Polynomials of the refractivity (refractive index minus one) and of its derivative [1/K].
 
-    Their variable is the temperature minus that of the weather sensor, -15 to +40 K.
+    The variable of the polynomials is the temperature minus that of the weather sensor, -15 to +40 K.
     """
     excess = np.linspace(-15.0, 40.0, 56)
     law: Polynomial = Polynomial.fit(excess, refractivity(REFERENCE_TEMPERATURE + excess), 8).convert()
@@ -52,9 +54,9 @@ def relative_index_decrease_per_kelvin() -> float:
 def first_order_reading_change(
     sightings: Sightings, field: TemperatureField, row_weights: Bools | None = None
 ) -> Floats:
-    """Change (n, 3) of the raw readings to first order, by integrals along straight paths (Gauss-Legendre).
+    """Change (n, 3) of the raw readings by a temperature field, to first order: integrals along straight paths.
 
-    If flags `row_weights` (n,) are given, only flagged pointings are computed, and the change of the others is zero.
+    If flags `row_weights` (n,) are given, only flagged pointings are computed, and other changes are zero.
     """
     pointing_indices = np.arange(len(sightings)) if row_weights is None else np.flatnonzero(row_weights)
     beam, across, up = (way[pointing_indices] for way in sightings.beam_vectors)
@@ -80,10 +82,10 @@ def first_order_reading_change(
 
 
 def integrated_reading_change(sightings: Sightings, field: TemperatureField, *, n_steps: int = N_RAY_STEPS) -> Floats:
-    """Change (n, 3) of the raw readings by integration of the ray equation (Runge-Kutta, fourth order).
+    """Change (n, 3) of the raw readings by a temperature field, from the ray equation (Runge-Kutta, fourth order).
 
-    The ray starts in the first-order direction. This direction is then corrected by the distance between the end of the
-    ray and the target.
+    The ray starts in the direction of the first-order solution. The direction is then corrected for the distance
+    between the end of the ray and the target. `n_steps` is the number of Runge-Kutta steps.
     """
     start, target = sightings.station_positions[sightings.station], sightings.target_points[sightings.target]
     ray_lengths = sightings.range_
@@ -112,9 +114,9 @@ def _apparent_directions(sightings: Sightings, field: TemperatureField) -> Float
 def _trace_rays(
     origins: Floats, direction: Floats, ray_lengths: Floats, field: TemperatureField, n_steps: int
 ) -> tuple[Floats, Floats, Floats]:
-    """End points (n, 3) [m] and end directions (n, 3) of rays, and integrals (n,) [m] of the refractivity along them.
+    """End points (n, 3) [m] and end directions (n, 3) of n rays, and integrals (n,) [m] of the refractivity along them.
 
-    Rays are given by start points (n, 3), directions (n, 3) and arc lengths (n,) [m].
+    Rays are given by start points `origins` (n, 3) [m], start directions (n, 3) and arc lengths (n,) [m].
     """
     law, slope = _refractivity_polynomials()
 
@@ -150,11 +152,11 @@ class WarmAirEffect(Effect):
     """Base class of effects of warm air whose only parameter is a temperature difference [K]."""
 
     def temperature_field(self, sightings: Sightings) -> TemperatureField:
-        """Temperature field for a parameter of 1 K."""
+        """Temperature field if the temperature difference, the parameter of the effect, is 1 K."""
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per kelvin, to first order."""
+        """Change (n, 3, 1) of the raw readings per kelvin of the temperature difference, to first order."""
         return first_order_reading_change(
             sightings, self.temperature_field(sightings), self.row_weights(sightings) > 0
         )[:, :, None]

@@ -10,7 +10,7 @@ from ltsim.scene.sightings import Sightings
 
 
 def reflector_axes(sightings: Sightings) -> Floats:
-    """Axes of each pointing's reflector (axial, side, up) as columns, network frame, (n, 3, 3).
+    """Axes of each pointing's reflector (axial, side, up), network frame, as columns of matrices (n, 3, 3).
 
     The axis of a re-aimed reflector, or of one in an unknown nest, points to the station; otherwise it is the nest's
     normal.
@@ -34,14 +34,14 @@ class SmrCentring(Effect):
     of the part across the axis; the lateral correction is the component of -e across the beam. A fixed reflector has
     the same e in all pointings. The axis of a re-aimed reflector points to the tracker. Its axial part is therefore an
     error of the range zero, and the other parts are constant lateral lengths that are the same on both faces, if the
-    reflector's mark is always up. Otherwise these parts are noise.
+    marker on the reflector is always up. Otherwise these parts are noise.
 
     Size: 2.5 um in a good reflector, 12 to 25 um in a bad one.
     Like: fixed: the target's position, exactly. Re-aimed: range-offset, exactly (axial, all); beam-offset (one face).
     Separate by: the reflector turned by 4 x 90 deg in one nest, or swapped.
     Valid: up to 25 um; independent of the point where the beam meets the mirrors.
-    Source: patent US 2015/0285615 A1 (run-out, and the mark that keeps it constant); Yan et al. 2010 (geometric errors
-    of a spherically mounted reflector); the law follows from a ray trace of three mirrors.
+    Source: patent US 2015/0285615 A1 (run-out, and the marker that keeps it constant); Yan et al. 2010 (geometric
+    errors of a spherically mounted reflector); the equation follows from a ray trace of three mirrors.
     Status: validated: a fixed reflector against a displacement, the axial part of a re-aimed one against a range
     offset.
     """
@@ -52,14 +52,14 @@ class SmrCentring(Effect):
     scope = "target"
     may_recur = True
     parameters = (
-        Parameter("vertex-axial", "um", "vertex outwards of the centre, along the open face", 15 * MICROMETRE),
-        Parameter("vertex-side", "um", "vertex to the side, horizontally", 15 * MICROMETRE),
-        Parameter("vertex-up", "um", "vertex upwards", 15 * MICROMETRE),
+        Parameter("vertex-axial", "um", "displacement of the vertex outwards, along the axis", 15 * MICROMETRE),
+        Parameter("vertex-side", "um", "displacement of the vertex to the side, horizontally", 15 * MICROMETRE),
+        Parameter("vertex-up", "um", "displacement of the vertex upwards", 15 * MICROMETRE),
     )
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates: a common reflector for all targets, and a separate one for each target."""
+        """Effects that a diagnosis tries: one reflector carried to all targets, and a separate reflector per target."""
         return [cls(), *(cls((), (name,)) for name in sightings.target_names)]
 
     def design(self, sightings: Sightings) -> Floats:

@@ -11,33 +11,35 @@ from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, desi
 from ltsim.scene.sightings import Sightings
 
 TABLE_ANGLES = np.arange(-30.0, 30.1, 7.5) * DEGREE
-"""Incidence angles [rad] at which the paper's table gives the range error (its fig. 9)."""
+"""Incidence angles [rad] at which a table gives the range error of a reflector, as in the paper's fig. 9."""
 MAX_INCIDENCE = 30.0 * DEGREE
-"""Largest incidence angle [rad] of the table."""
+"""Largest incidence angle [rad] in a table of range errors."""
 PAPER_RANGE_ERRORS = tuple(x * MICROMETRE for x in (13.0, 8.6, 4.9, 3.4, 2.9, 3.1, 3.6, 5.8, 8.2))
-"""Range error (reading - truth) [m] at `TABLE_ANGLES`: size and asymmetry of the paper's fig. 9."""
+"""Range errors (reading - true range) [m] at `TABLE_ANGLES`, with the size and asymmetry of the paper's fig. 9."""
 KNOT_ANGLES = TABLE_ANGLES[len(TABLE_ANGLES) // 2 : -1]
-"""Angles (4,) [rad] of incidence at which the slope of the error may change, as in the paper's table."""
+"""Incidence angles (4,) [rad] at which the slope of the range error may change, as in the paper's table."""
 EVEN_SLOPE_SIGMA = 1.5 * MICROMETRE
-"""Prior standard deviation [m] of a change of slope in the even part of the error, as its contribution to the error at
-the next knot. At the edge the even part has a standard deviation of 8.2 um; in the paper's table it is 7.7 um."""
+"""Prior standard deviation [m] of a change of slope in the even part of the error, expressed as its contribution to the
+error at the next knot. At 30 deg the even part then has a standard deviation of 8.2 um; the even part of the paper's
+table is 7.7 um."""
 ODD_SLOPE_SIGMA = 0.6 * MICROMETRE
-"""Prior standard deviation [m] of a change of slope in each odd part of the error, as its contribution to the error at
-the next knot. At the edge an odd part has a standard deviation of 3.3 um; in the paper's table it is 2.4 um."""
+"""Prior standard deviation [m] of a change of slope in each odd part of the error, expressed as its contribution to the
+error at the next knot. At 30 deg an odd part then has a standard deviation of 3.3 um; the odd part of the paper's table
+is 2.4 um."""
 THREEFOLD_SIGMA = 5 * MICROMETRE
-"""Prior standard deviation [m] of the threefold part, which repeats with the three mirrors."""
+"""Prior standard deviation [m] of the threefold part, which has three periods per turn because of the three mirrors."""
 AZIMUTHAL_PARTS = ("even", "cos", "sin")
-"""Parts of the error by their dependence on the direction of incidence."""
+"""Parts of the error by their dependence on the direction of incidence: none, its cosine, its sine."""
 _PART_DESCRIPTIONS = (
     "the same for all directions",
     "to the horizontal side, opposite on the other",
     "to the upper side, opposite below",
 )
-"""Description for users of the directions of incidence at which each of `AZIMUTHAL_PARTS` changes the range."""
+"""Descriptions for users of the directions of incidence in which each of `AZIMUTHAL_PARTS` changes the range."""
 
 
 def _ramp_parameters() -> tuple[Parameter, ...]:
-    """Parameters of the three parts of the error, each a ramp from a knot to its size at 30 deg."""
+    """Parameters (12) of the three parts of the error: each is the size at 30 deg of a ramp that starts at a knot."""
     steps = range(len(KNOT_ANGLES), 0, -1)
     return tuple(
         Parameter(f"{part}-{number}", "um", f"{meaning}, from {knot:g} deg on, its size at 30 deg", step * bend)
@@ -70,16 +72,16 @@ class SmrIncidence(Effect):
     good reflector 1.3 um.
     Like: beam-offset (linear form, correlation 0.84 in one face, 0 in two), range zero of one station (0.51).
     Separate by: two faces; one station with the reflectors re-aimed; a log of how each reflector was turned.
-    Valid: up to 30 deg, beyond which the beam is lost; one reflector that is carried to all nests with its mark in the
-    same direction.
+    Valid: up to 30 deg, beyond which the beam is lost; one reflector that is carried to all nests with its marker in
+    the same direction.
     Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, sections 2.2 and 3.1, fig. 9 (size, asymmetry); Sabatke et
     al. 2009, Proc. SPIE 7461 (polarisation in a retroreflector and an absolute meter).
     Status: validated against the table at its angles, and against the geometry of the sightings.
     """
 
     table: tuple[float, ...] = ()
-    """Range error (reading - truth) [m] at `TABLE_ANGLES`, relative to any zero; empty: the parameters alone give the
-    error.
+    """Range errors (reading - true range) [m] at `TABLE_ANGLES`, relative to any zero. If empty, the parameters alone
+    define the error.
     """
     direction: float = 0.0
     """Direction chi_0 [rad] around the nest's normal to which the table's positive side points."""
@@ -104,7 +106,7 @@ class SmrIncidence(Effect):
 
     @classmethod
     def range_correction_design(cls, incidence: Floats, direction: Floats) -> Floats:
-        """Change (n, 14) of the range correction (truth - reading) per unit of each parameter.
+        """Change (n, 14) of the range correction (true range - reading) per unit of each parameter.
 
         `incidence` and `direction` (n,) [rad] are the angle of incidence and its direction around the nest's normal.
         """
@@ -131,7 +133,10 @@ class SmrIncidence(Effect):
         return -np.concatenate([even, *odds, np.zeros(2)])
 
     def incidence_angle_and_direction(self, sightings: Sightings) -> tuple[Floats, Floats]:
-        """Incidence angle and its direction, each (n,) [rad]; 0 for a re-aimed reflector and for an unknown nest."""
+        """Incidence angle, and direction of incidence around the nest's normal, each (n,) [rad].
+
+        Both are 0 for a re-aimed reflector and for a nest with an unknown normal.
+        """
         fixed = ~sightings.is_reaimed[sightings.target] & np.isfinite(sightings.incidence_angle)
         angle = np.where(fixed, sightings.incidence_angle, 0.0)
         direction = np.where(fixed, sightings.incidence_direction, 0.0)

@@ -33,7 +33,7 @@ class SmrOffset(TargetMotion):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates for every station, if nests are known."""
+        """Effects that a diagnosis tries, one per station; an empty list if no normal of a nest is known."""
         has_normals = np.isfinite(sightings.nest_normals).all(axis=1).any()
         return [cls((name,)) for name in sightings.station_names] if has_normals else []
 

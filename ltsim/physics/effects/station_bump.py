@@ -7,7 +7,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.physics.effects.effect import LightPathStage, axis_parameters
 from ltsim.physics.effects.motions import StationMotion
-from ltsim.physics.effects.places import neighbouring_gap_times, station_change_times
+from ltsim.physics.effects.places import candidate_change_times_by_station, neighbouring_gap_times
 from ltsim.scene.sightings import Sightings
 
 
@@ -15,8 +15,9 @@ from ltsim.scene.sightings import Sightings
 class StationBump(StationMotion):
     """Station bumped: the tripod was touched, and the station has another pose from then on.
 
-    pose(t) = pose + H(t - t_b) (translation, rotation). The parameters are the station's motion in the network frame,
-    the rotation a vector through its origin (no correction of a reading).
+    pose(t) = pose + H(t - t_b) (translation, rotation), with the unit step function H and the time t_b of the bump. The
+    parameters are the station's motion in the network frame, with the rotation as a vector through the station's origin
+    (no correction of a reading).
 
     Size: 5 um and 5 urad up to millimetres; it is detected from 5.6 um together with 4 urad on.
     Like: station-settling (smooth), range-step (ranges only), target-swap.
@@ -41,11 +42,11 @@ class StationBump(StationMotion):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates at times between pointings of a station, with at least three pointings before and after."""
-        return [cls((name,), time=time) for name, time in station_change_times(sightings, min_pointings=3)]
+        """Bumps that a diagnosis tries: between pointings of a station, with at least three before and after."""
+        return [cls((name,), time=time) for name, time in candidate_change_times_by_station(sightings, min_pointings=3)]
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
-        """Bumps in the neighbouring gaps between pointings."""
+        """Copies of this bump in the neighbouring gaps between pointings, for a local search."""
         times = sightings.time[self.row_weights(sightings) > 0]
         return [self.with_constants(time=t) for t in neighbouring_gap_times(times, self.time)]
 

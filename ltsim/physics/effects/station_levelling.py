@@ -12,8 +12,9 @@ from ltsim.scene.sightings import Sightings
 class StationLevelling(StationMotion):
     """Levelling error: the level is wrong, so that the axis of a levelled station is inclined.
 
-    w = R_i (b_x, b_y, 0): the parameters are the true lean of the instrument, a rotation vector about its own x and y
-    axes (no correction of a reading). It acts at one station, or equally at all stations (a level fixed to the head).
+    w = R_i (b_x, b_y, 0), with the rotation w of the instrument in the network frame and the rotation R_i of station i.
+    The parameters b_x and b_y are the lean of the instrument about its own x and y axes (no correction of a reading).
+    It acts at one station, or equally at all stations (a level fixed to the head).
 
     Size: 2 urad for a good level, 10 to 20 urad for a bad one.
     Like: no effect; if the tilts of the stations are estimated, they absorb it, and the residuals do not change.
@@ -35,7 +36,7 @@ class StationLevelling(StationMotion):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates: every station alone, and a common error of all."""
+        """Effects that a diagnosis tries: an error at a single station, and an equal error at all stations."""
         return [cls(), *(cls((name,)) for name in sightings.station_names)]
 
     def motion(self, sightings: Sightings) -> Floats:

@@ -9,16 +9,18 @@ from ltsim.physics.effects.motions import StationMotion
 from ltsim.scene.sightings import Sightings
 
 SETTLING_COMPONENTS = [3, 4, 2]
-"""Indices of the components of a station's motion that change: rotation about x, about y, translation along z."""
+"""Indices, among the six components of a station's motion, of those that settle: rotation about x, rotation about y,
+translation along z."""
 
 
 @dataclass(frozen=True)
 class StationSettling(StationMotion):
     """Settling of a station: tripod, stand or floor yield after the set-up, or the stand warms up.
 
-    pose(t) = pose + (1 - exp(-t_i / tau)) (tilts, height), t_i since the station's first pointing. The parameters are
-    the final motion of the station itself in the network frame (no correction of a reading): rotation vectors about x
-    and y through its origin, and a rise. It starts again at the next station and is the same on both faces.
+    pose(t) = pose + (1 - exp(-t_i / tau)) (tilts, height), with the time t_i since the station's first pointing and the
+    time constant tau. The parameters are the final motion of the station itself in the network frame (no correction of
+    a reading): rotations about x and y through its origin, and a rise. The settling starts again at the next station
+    and is the same on both faces.
 
     Size: under 1 urad on a good stand, 5 to 20 urad over 10 to 20 min on a bad one; a steel stand of 1.2 m grows 14
     um/K.
@@ -30,6 +32,7 @@ class StationSettling(StationMotion):
     """
 
     time_constant: float = 600.0
+    """Time constant tau [s]."""
 
     name = "station-settling"
     base_rate = 2.0

@@ -15,7 +15,7 @@ class StationWeather(Effect):
     Separate by: the weather values used at that station; a repeat of the first station at the end.
     Valid: a refractive index that is constant at each station.
     Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivities by `effects.ciddor`).
-    Status: validated against the range scale on the station's rows.
+    Status: validated against the range scale on the station's pointings.
     """
 
     name = "station-weather"

@@ -22,8 +22,10 @@ PLAUSIBLE_CREEP_RATE = 40 * SI_PER_UNIT["um/h"]
 class TargetMoved(TargetMotion):
     """Moved target: a nest was displaced suddenly, or its support creeps.
 
-    step: P(t) = P + H(t - t_m) D. creep: P(t) = P + v (t - t_0), t_0 the first pointing. The parameters are the motion
-    of the target in the network frame (no correction of a reading), the same as seen from all stations.
+    step: P(t) = P + H(t - t_m) D, with the target's coordinates P, the unit step function H, the time t_m of the step
+    and the displacement D. creep: P(t) = P + v (t - t_0), with the velocity v and the time t_0 of the first pointing.
+    The parameters are the motion of the target in the network frame (no correction of a reading), the same as seen from
+    all stations.
 
     Size: 10 to 100 um.
     Like: nest-lift, if only one station measured the target after the motion.
@@ -54,7 +56,7 @@ class TargetMoved(TargetMotion):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates for every target: a step between any two visits, and creep."""
+        """Motions that a diagnosis tries, per target: a step between any two stations that measured it, and creep."""
         candidates = []
         for t, name in enumerate(sightings.target_names):
             steps = times_between_visits(sightings, t, max_n_times=MAX_STEP_TIMES_PER_TARGET)
@@ -63,7 +65,7 @@ class TargetMoved(TargetMotion):
         return candidates
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
-        """Steps in neighbouring gaps between pointings, including gaps within the visits of a station."""
+        """Copies of this step in neighbouring gaps between pointings, also of the same station, for a local search."""
         times = sightings.time[self.row_weights(sightings) > 0]
         return (
             [self.with_constants(time=t) for t in neighbouring_gap_times(times, self.time)]

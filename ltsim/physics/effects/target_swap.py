@@ -13,8 +13,8 @@ from ltsim.scene.sightings import Sightings
 class TargetSwap(Blunder):
     """Swapped targets: at one station two reflectors have each other's name.
 
-    Each target has the reading of the other one. The change is therefore the reading of the other target minus that of
-    the target itself, times 1.
+    Each target has the reading of the other target. The change of a reading is therefore the reading of the other
+    target minus the reading of the target itself.
 
     Size: the distance between the two targets.
     Like: two outliers, equal and opposite.
@@ -33,7 +33,7 @@ class TargetSwap(Blunder):
 
     @classmethod
     def possible_blunders(cls, sightings: Sightings) -> list[Self]:
-        """Possible blunders: every pair of targets at every station."""
+        """Possible blunders of this kind: each pair of targets at each station."""
         name_pairs = list(combinations(sightings.target_names, 2))
         return [cls((station,), pair) for station in sightings.station_names for pair in name_pairs]
 

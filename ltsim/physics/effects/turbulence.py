@@ -9,8 +9,8 @@ from ltsim.scene.sightings import Sightings
 class Turbulence(NoiseEffect):
     """Turbulence: the refractive index fluctuates, and the scatter of readings grows with the range.
 
-    The variances of the lengths D_t and D_v across the beam, to the left and upward, increase by C d^3 at the range d,
-    that of d by C_r d. The noise changes, the mean reading does not.
+    The variances of the lengths D_t and D_v across the beam, to the left and upward, increase by C d^3 at the range d.
+    The variance of d increases by C_r d. The noise changes, the mean reading does not.
 
     Size: C of 100 um^2/m^3 on a shop floor; there a shield around a path of 2.5 m reduced the lateral scatter from 40
     to 23 um.
@@ -27,8 +27,10 @@ class Turbulence(NoiseEffect):
     stage = LightPathStage.AIR
     covariates = ("distance",)
     parameters = (
-        Parameter("turbulence-across", "um2/m3", "variance across the beam / cube of the range", 9 * MICROMETRE**2),
-        Parameter("turbulence-along", "um2/m", "variance of the range / range", 9 * MICROMETRE**2),
+        Parameter(
+            "turbulence-across", "um2/m3", "variance across the beam, divided by the cubed range", 9 * MICROMETRE**2
+        ),
+        Parameter("turbulence-along", "um2/m", "variance of the range, divided by the range", 9 * MICROMETRE**2),
     )
 
     def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:

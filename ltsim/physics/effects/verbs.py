@@ -1,4 +1,4 @@
-"""Public functions of the catalogue: list, registration, and effects at given places with given constants."""
+"""Public functions of the catalogue: list of effects, registration, and construction of an effect by name."""
 
 import dataclasses
 import inspect
@@ -12,12 +12,12 @@ from ltsim.physics.effects import CATALOGUE, find_effect
 from ltsim.physics.effects.effect import Effect as AnyEffect, LinearEffect
 
 PLACE_FIELDS = ("stations", "targets")
-"""Fields of an effect that hold its places."""
+"""Fields of an effect with the names of the stations and targets where it acts."""
 COMMON_FIELDS = {f.name for f in dataclasses.fields(AnyEffect)}
-"""Fields that every effect has; the others are its constants."""
+"""Names of the fields that every effect has; further fields of an effect are its constants."""
 MAX_SIMULATED_BOUND_RATIO = 100.0
-"""Factor by which a constant of a simulated effect (a length or time) may lie outside the bounds between which a search
-looks for it."""
+"""Factor by which a constant of a simulated effect (a length or time) may lie outside the bounds of a search for the
+constant."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,7 +26,7 @@ class SizedEffect:
 
     effect: AnyEffect
     parameter_values: Mapping[str, float]
-    """Values of the parameters by name, in display units."""
+    """Values of the effect's parameters by name, in display units."""
 
 
 EffectT = TypeVar("EffectT", bound=LinearEffect | SizedEffect)
@@ -35,7 +35,7 @@ EffectT = TypeVar("EffectT", bound=LinearEffect | SizedEffect)
 def Effect(  # noqa: N802 - it stands for a class of the catalogue
     name: str, *, stations: str | Sequence[str] = (), targets: str | Sequence[str] = (), **constants: Any
 ) -> AnyEffect | SizedEffect:
-    """An effect of the catalogue at some places, with some of its constants: `lt.Effect("index-drift", stations="S3")`.
+    """Effect of the catalogue at given stations and targets, with given constants.
 
     Parameters
     ----------
@@ -44,20 +44,20 @@ def Effect(  # noqa: N802 - it stands for a class of the catalogue
     stations, targets : str or sequence of str
         Names of the stations and targets where the effect acts; default all.
     **constants
-        Constants of the effect in the units of the catalogue, such as ``law="visit"``, and parameters if it is
-        simulated or injected, such as ``index_drift=60``. Constants that are not given are determined by the readings,
-        or drawn. In a fit the readings also determine constants that are given with their default value; the text form
-        fixes them: ``"index-drift:law=linear"``.
+        Constants of the effect in the units of the catalogue, such as ``law="visit"``, and values of its parameters if
+        it is simulated or injected, such as ``index_drift=60``. A fit determines constants that are not given from the
+        readings; a simulation draws them. A fit also determines constants that are given with their default value; to
+        fix them, write the effect as text: ``"index-drift:law=linear"``.
 
     Returns
     -------
     ltsim.physics.effects.effect.Effect
-        Instance of the class of the effect; with sizes (`SizedEffect`) if parameters are given.
+        Instance of the class of the effect, or `SizedEffect` if values of parameters are given.
 
     Raises
     ------
     ModelError
-        When there is no such effect or constant, or a value does not fit.
+        When there is no such effect or constant, or a value is invalid.
 
     Examples
     --------
@@ -93,9 +93,11 @@ def effect_tuple(effect_or_effects: str | EffectT | Sequence[str | EffectT]) -> 
 
 
 def make_effect(name: str, places: Mapping[str, tuple[str, ...]], constants: Mapping[str, Any]) -> AnyEffect:
-    """Effect of the catalogue with places and constants (in the catalogue's unit if it has one, otherwise SI).
+    """Effect of the catalogue with the given stations, targets and constants.
 
-    Raises ModelError for an unknown effect or constant, and for an invalid value.
+    `places` has the names of stations and targets by the field `stations` or `targets`. `constants` are by name, in the
+    catalogue's unit if it declares one, otherwise in SI units. Raises ModelError for an unknown effect or constant, and
+    for an invalid value.
     """
     kind = find_effect(name)
     fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in COMMON_FIELDS}
@@ -104,7 +106,10 @@ def make_effect(name: str, places: Mapping[str, tuple[str, ...]], constants: Map
     for key, value in constants.items():
         if key not in fields:
             names, sizes = ", ".join(sorted(fields)) or "none", ", ".join(p.name for p in kind.parameters)
-            raise ModelError(f"{name} has no constant called '{key}'; constants: {names}; sizes, where drawn: {sizes}")
+            raise ModelError(
+                f"{name} has no constant called '{key}'; its constants are {names}; its parameters, whose values "
+                f"only a simulation accepts, are {sizes}"
+            )
         si_constants[key] = _constant_in_si(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
     effect = kind(**{**places, **si_constants})
     _check_constants(effect)
@@ -112,9 +117,9 @@ def make_effect(name: str, places: Mapping[str, tuple[str, ...]], constants: Map
 
 
 def _check_constants(effect: AnyEffect) -> None:
-    """Check that the constants of an effect are permitted words, and lengths and times near the bounds of a search.
+    """Check of the constants of an effect: words must be permitted, lengths and times near the bounds of a search.
 
-    Raises ModelError with the constant and its permitted values.
+    Raises ModelError with the name of the constant and its permitted values.
     """
     hints = get_type_hints(type(effect))
     for field in dataclasses.fields(effect):
@@ -134,9 +139,12 @@ def _check_constants(effect: AnyEffect) -> None:
 
 
 def _constant_in_si(key: str, value: Any, default: Any, unit: float) -> Any:
-    """Constant in SI with the type of its default; raises ModelError for a value of another type."""
+    """Constant in SI units with the type of its default, from a `value` in a unit of `unit` [SI].
+
+    `key` names the constant in messages. Raises ModelError for a value of another type.
+    """
     if isinstance(default, str) != isinstance(value, str) or isinstance(default, tuple) != isinstance(value, tuple):
-        raise ModelError(f"{key} is {value!r}, expected something like {default!r}")
+        raise ModelError(f"{key} is {value!r}, expected a value such as {default!r}")
     if isinstance(default, int):
         if float(value) != int(value):
             raise ModelError(f"{key} is {value}, expected a whole number")
@@ -145,7 +153,7 @@ def _constant_in_si(key: str, value: Any, default: Any, unit: float) -> Any:
 
 
 def display_constants(effect: AnyEffect) -> dict[str, Any]:
-    """Constants of an effect, in the form that `make_effect` takes."""
+    """Constants of an effect by name, in display units, as `make_effect` takes them."""
     units = {s.name: SI_PER_UNIT[s.unit] for s in effect.shape_parameters}
     names = [f.name for f in dataclasses.fields(effect) if f.name not in COMMON_FIELDS]
     value_by_name = {name: getattr(effect, name) for name in names}
@@ -154,9 +162,10 @@ def display_constants(effect: AnyEffect) -> dict[str, Any]:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class EffectList(Result):
-    """List of effects of the catalogue; `effect_classes` holds their classes."""
+    """List of effects of the catalogue, printable and convertible to a data frame."""
 
     effect_classes: tuple[type[AnyEffect], ...]
+    """Classes of the listed effects."""
 
     def _lines(self) -> list[str]:
         return [f"{effect.name}: {_summary_sentence(effect)}" for effect in self.effect_classes]
@@ -195,7 +204,7 @@ def catalogue(*names: str) -> EffectList:
     Raises
     ------
     ModelError
-        When there is no such effect; the message names the closest ones.
+        When there is no such effect; the message gives the most similar names.
 
     Examples
     --------
@@ -225,11 +234,11 @@ def add_effect(effect_class: type[AnyEffect]) -> type[AnyEffect]:
     Raises
     ------
     ModelError
-        Why it cannot be an effect, or that the name is taken.
+        If the class cannot be an effect, with the reason, or if another effect has its name.
 
     Notes
     -----
-    The page "An effect of your own" shows one that is simulated and fitted.
+    The page "An effect of your own" has an example of an effect that is simulated and fitted.
 
     Examples
     --------

@@ -12,9 +12,10 @@ from ltsim.scene.sightings import Sightings
 GLASS_REFRACTIVE_INDEX = 1.5
 """Refractive index of glass."""
 PANE_TARGET_FRACTIONS = (0.25, 0.12)
-"""Numbers of neighbouring targets behind a candidate pane, as fractions of the station's targets."""
+"""Numbers of neighbouring targets behind a candidate glass pane, as fractions of the number of targets that the station
+measured."""
 PANE_ROTATIONS = (-0.15, -0.05, 0.05, 0.15)
-"""Rotations [rad] of a pane about the vertical that a local search tries."""
+"""Rotations [rad] of a glass pane about the vertical that a local search tries."""
 
 
 def _targets_in_azimuth_order(sightings: Sightings, station: str) -> list[int]:
@@ -36,13 +37,14 @@ class Window(TargetMotion):
     Size: a pane of 3 mm changes the range by 1.500 mm at normal incidence and by 1.645 mm at 30 deg, where it displaces
     the target by 0.58 mm across the beam.
     Like: range-step over the whole visit (if all targets are behind the pane), smr-offset.
-    Separate by: the window removed.
+    Separate by: the glass pane removed.
     Valid: plane-parallel glass of index 1.5, anywhere on the path.
     Source: Born and Wolf, Principles of Optics (refraction at a plane-parallel plate), derived here from Snell's law.
     Status: validated against the numbers above.
     """
 
     pane_normal: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Unit normal of the glass pane in the network frame."""
 
     name = "window"
     base_rate = 0.5
@@ -54,7 +56,7 @@ class Window(TargetMotion):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Candidates: upright panes at every station, in front of sequences of targets ordered by azimuth."""
+        """Upright glass panes that a diagnosis tries, at each station in front of targets adjacent in azimuth."""
         candidates = []
         for station in sightings.station_names:
             order = _targets_in_azimuth_order(sightings, station)
@@ -67,7 +69,10 @@ class Window(TargetMotion):
 
     @classmethod
     def _perpendicular_panes(cls, sightings: Sightings, station: str, target_sequence: list[int]) -> list[Self]:
-        """Pane perpendicular to the middle of a sequence of targets; empty if the middle is undefined."""
+        """Glass pane perpendicular to the direction from a station to the middle of a sequence of targets.
+
+        The list is empty if the middle is undefined.
+        """
         arm = (
             sightings.target_points[target_sequence]
             - sightings.station_positions[sightings.station_names.index(station)]
@@ -79,7 +84,7 @@ class Window(TargetMotion):
         return [cls((station,), tuple(sightings.target_names[t] for t in sorted(target_sequence)), (x, y, 0.0))]
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
-        """Neighbouring candidates: one target more or less at either end of the sequence; the pane slightly rotated."""
+        """Similar panes for a local search: rotated, or with one target more or fewer at either end of the sequence."""
         order = _targets_in_azimuth_order(sightings, self.stations[0])
         behind = {sightings.target_names.index(name) for name in self.targets}
         inside = [t in behind for t in order]

@@ -18,8 +18,8 @@ UNIT_ERRORS_BY_NAME = {slip.name: slip for slip in UNIT_ERRORS}
 class WrongUnit(Blunder):
     """Wrong unit: readings of a station are in another unit, counted in the opposite sense, or zenith angles.
 
-    The reading becomes the reading times a factor, or its complement to a right angle, or counts clockwise; the errors
-    are those of `recordings.transcription_errors`.
+    The correct reading is multiplied by a factor, replaced by its complement to a right angle, or counted clockwise.
+    `recordings.transcription_errors` lists these errors.
 
     Size: metres.
     Like: nothing; residuals of the station's resection are metres.
@@ -32,7 +32,7 @@ class WrongUnit(Blunder):
     """
 
     mistake: str = "gon"
-    """Name of the wrong unit or convention."""
+    """Name of the wrong unit or convention, a key of `UNIT_ERRORS_BY_NAME`."""
 
     name = "wrong-unit"
     stage = LightPathStage.ELECTRONICS
@@ -41,12 +41,12 @@ class WrongUnit(Blunder):
 
     def __post_init__(self) -> None:
         if self.mistake not in UNIT_ERRORS_BY_NAME:
-            raise unknown_name_error("slip", self.mistake, UNIT_ERRORS_BY_NAME)
+            raise unknown_name_error("wrong unit", self.mistake, UNIT_ERRORS_BY_NAME)
         object.__setattr__(self, "observables", tuple(OBSERVABLES[c] for c in self.transcription_error.changed_columns))
 
     @property
     def transcription_error(self) -> TranscriptionError:
-        """Transcription error of this blunder: the unit or convention that was written, and the expected one."""
+        """Transcription error of this blunder: the unit or convention that was written, and the correct one."""
         return UNIT_ERRORS_BY_NAME[self.mistake]
 
     @classmethod
@@ -56,7 +56,7 @@ class WrongUnit(Blunder):
 
     @classmethod
     def possible_blunders(cls, sightings: Sightings) -> list[Self]:
-        """Possible blunders: every unit and convention at every station."""
+        """Possible blunders of this kind: each wrong unit and convention at each station."""
         return [effect for name in sightings.station_names for effect in cls.blunders_at_station(name)]
 
     def recorded_readings(self, sightings: Sightings, readings: Floats) -> Floats:

@@ -1,1 +1,1 @@
-"""Empirical laws, in which an observable or constant depends on a regressor without a known physical cause."""
+"""Empirical laws: an observable or an instrument constant depends on a regressor, without a known physical cause."""

@@ -10,16 +10,16 @@ EFFECT_NAME_BY_RESPONSE_AND_COVARIATE = {
     ("range scale", "time"): "refractivity-drift",
     ("distance", "incidence"): "smr-incidence",
 }
-"""Name of the catalogue effect that is equivalent to a law, by the response and the covariate of the law."""
+"""Name of the catalogue effect that is equivalent to a law, by the names of the law's response and covariate."""
 FUNCTIONS_OF_NAMED_EFFECTS = ("decay", "power", "sin", "cos", "tan")
-"""Functions of a covariate that have the name of the catalogue effect: the sine, cosine or tangent of an angle differ
-from its powers by less than an effect of the catalogue does from one instrument to the next.
+"""Functions of a covariate with which a law is called by the name of the catalogue effect. Sine, cosine and tangent are
+among them: they differ from powers of the angle by less than a catalogue effect differs between two instruments.
 """
 TIME_FUNCTIONS_OF_MOVED_TARGET = ("step", "power", "decay")
-"""Functions of time that describe a target's position in the effect `target-moved`: a step, steady or decaying
-motion."""
+"""Functions of time that the position of a target may have in the effect `target-moved`: a step, a steady motion, or a
+decaying motion."""
 CIRCLE_RESPONSES = {"azimuth": ("azimuth",), "elevation": ("elevation", "vertical index")}
-"""Names of the quantities that an error of a circle's graduation changes, by circle."""
+"""Names of the responses that an error of the graduation of a circle changes, by the name of the circle."""
 MIN_HARMONIC_PERIODS_PER_TURN = 2.5
 """Number of periods per turn above which a wave in the angle of a circle is called a harmonic. The ordinary calibration
 already contains waves with one and two periods per turn."""
@@ -59,7 +59,7 @@ def catalogue_name(law: EmpiricalLaw) -> str:
 
 
 def _is_step_or_creep(regressor: Regressor) -> bool:
-    """True for a regressor of time that describes a single step, or a steady or decaying motion."""
+    """True for a regressor of time that describes a single step, a steady motion, or a decaying motion."""
     if regressor.kind == "pieces":
         return len(regressor.factors) == 1 and _is_step_or_creep(regressor.factors[0])
     return regressor.function in TIME_FUNCTIONS_OF_MOVED_TARGET

@@ -17,11 +17,14 @@ OCCUPATION_TEXTS: dict[Occupation, str] = {
     "target_setup": "at each occupation",
     "day": "each day",
 }
-"""Phrases for users: when a reflector is placed on its target again, by the kind of occupation."""
+"""Phrases for users that say when a reflector is placed on its target again, by the kind of occupation."""
 
 
 def shared_errors_sentence(sigma_text: str) -> str:
-    """Sentence on centring errors at all set-ups, with the text of the standard deviation of a displacement."""
+    """Sentence for users on centring errors at all set-ups.
+
+    `sigma_text` is the standard deviation of a displacement with its unit.
+    """
     return (
         f"Repeated pointings of a target from one set-up share errors of {sigma_text} (standard deviation) along "
         "each axis: the reflectors were placed anew at each set-up (centring), or errors repeat in all rounds. "
@@ -38,15 +41,16 @@ class CentringVariance(VarianceFunction):
     """
 
     occupation: Occupation = "station"
+    """Kind of occupation: the pointings between two placements of the reflector."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Only parameter: the standard deviation of the displacements along each axis."""
+        """Only parameter of the hypothesis: the standard deviation of the displacements along each axis."""
         return (Parameter("centring", "mm", "standard deviation of a displacement along each axis", MILLIMETRE),)
 
     @property
     def regressor_text(self) -> str:
-        """Text of the regressor in reports: the displacement differs by occupation of the target."""
+        """Name for users of the quantity on which the displacement depends: the occupation of the target."""
         return "occupation of the target"
 
     @property
@@ -55,15 +59,15 @@ class CentringVariance(VarianceFunction):
         return f"reflectors that are centred anew {OCCUPATION_TEXTS[self.occupation]}"
 
     def sentence(self, sigma_text: str) -> str:
-        """Sentence on centring errors with the text of the standard deviation of a displacement."""
+        """Sentence for users on the centring errors; `sigma_text` is the standard deviation of a displacement."""
         if self.occupation == "station":
             return shared_errors_sentence(sigma_text)
         return f"Centring errors: {self.text}, with a standard deviation of {sigma_text} along each axis."
 
     def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
-        """Variance (n, 3) of the three readings of n pointings: the declared one, without the displacements."""
+        """Variance (n, 3) of the three readings of n pointings: the declared variance, without the displacements."""
         return sigma**2
 
     def uncertainty(self, sigma: float) -> CentringUncertainty:
-        """Declaration of the centring errors for `setup.toml`, with a standard deviation `sigma` [m]."""
+        """Centring errors with a standard deviation `sigma` [m], in the form in which `setup.toml` declares them."""
         return CentringUncertainty(sigma_mm=sigma / MILLIMETRE, occupation=self.occupation)

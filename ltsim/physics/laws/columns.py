@@ -1,4 +1,6 @@
-"""Columns of regressors, with a row for each of n pointings and an rms of about one, and priors of their coefficients.
+"""Design-matrix columns of regressors, with a row for each of n pointings, and priors of their coefficients.
+
+The rms of each column is about one.
 
 A smooth curve is a Gaussian process of reduced rank in one covariate. Its columns are a linear function and the first
 eigenfunctions of the Laplacian on the covariate's range. The prior variances of the coefficients are the spectral
@@ -20,12 +22,12 @@ from ltsim.scene.sightings import Sightings
 CIRCULAR_COVARIATES = ("azimuth", "circle", "bearing", "nest-direction")
 """Names of the covariates that are angles on a full circle."""
 N_MODES_DEFAULT = 9
-"""Number of eigenfunctions of a smooth curve in a search. At the shortest of its length scales the prior deviation of
-the last eigenfunction is a tenth to a third of that of the first."""
+"""Number of eigenfunctions of a smooth curve in a search. At the shortest of the length scales, the prior standard
+deviation of the last coefficient is a tenth to a third of that of the first coefficient."""
 N_MODES_IN_PRODUCT = 4
 """Number of eigenfunctions of a smooth curve that is a factor of a product, or that a law of a single target has."""
 N_MODES_FINE = 32
-"""Number of eigenfunctions of the finer curve that is tried in place of a smooth curve of the selected law."""
+"""Number of eigenfunctions of the finer curve that replaces a smooth curve of the selected law on trial."""
 BASIS_WIDTH_RATIO = 1.25
 """Width of the interval at whose ends all eigenfunctions are zero, divided by the width of the covariate's range. It is
 larger than 1 because a curve is not necessarily zero at the ends of the range.
@@ -52,17 +54,17 @@ FORMULA_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
     "within": lambda x, k: np.where(np.abs(x) < k, x, 0.0),
     "stuck": lambda x, k: np.where(np.abs(x) < k, np.sign(x), 0.0),
 }
-"""Functions of a covariate x with a constant k that the formula of a law may contain, by name."""
+"""Functions of a covariate x and a constant k that the formula of a law may contain, by name."""
 HYSTERESIS_FUNCTION = "hysteresis"
 """Name of the function with hysteresis. It depends on the values of a covariate in the order of measurement. Its
 constant is half the width of the loop, in the unit of the covariate."""
 MAX_NATURAL_ZERO_FRACTION = 0.02
-"""Limit for the smallest absolute value of a covariate, divided by the largest. A covariate below this limit, such as a
-load, counts as zero at some pointings, and zero is its reference value."""
+"""Ratio of the smallest to the largest absolute value of a covariate, below which the covariate, such as a load, counts
+as zero at some pointings, so that zero is its reference value."""
 
 
 def has_natural_zero(covariate: Floats) -> bool:
-    """True for a covariate (n,), such as a load, that comes close to zero. Its reference value is then zero.
+    """True if the values (n,) of a covariate, such as a load, come close to zero, which is then its reference value.
 
     The reference value of other covariates, such as a temperature, is their mean.
     """
@@ -70,20 +72,20 @@ def has_natural_zero(covariate: Floats) -> bool:
 
 
 def scaled_to_unit_rms(column: Floats) -> Floats:
-    """Column (n, 1) divided by its rms. A column of zeros is unchanged."""
+    """Column (n, 1) divided by its rms; a column of zeros remains unchanged."""
     largest = float(np.max(np.abs(column), initial=0.0))
     if not largest > 0.0:
         return column
-    scaled: Floats = np.ldexp(column, -int(np.frexp(largest)[1]))  # its squares are finite
+    scaled: Floats = np.ldexp(column, -int(np.frexp(largest)[1]))  # the squares of scaled values are finite
     return scaled / float(np.sqrt(np.mean(scaled**2)))
 
 
 N_HARMONICS = 5
-"""Number of harmonics with which a periodic function of any shape is represented."""
+"""Number of harmonics that represent a periodic function of any shape."""
 
 
 def fourier_columns(phase: Floats, n_harmonics: int) -> Floats:
-    """Cosines and sines (n, 2 n_harmonics) of the multiples of a phase (n,) [rad], each with an rms of about one."""
+    """Cosines and sines (n, 2 n_harmonics) of 1 to `n_harmonics` times a phase (n,) [rad], with an rms of about one."""
     return np.sqrt(2.0) * _unit_phasors(phase, n_harmonics).view(np.float64)
 
 
@@ -94,7 +96,7 @@ def _unit_phasors(phase: Floats, n_harmonics: int) -> NDArray[np.complex128]:
 
 
 def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
-    """Columns (n, k) of a smooth curve as a function of the `covariate` (n,) with this `name`.
+    """Columns (n, k) of a smooth curve in a covariate with the `name` and the values `covariate` (n,).
 
     The columns are a linear function and `n_modes` eigenfunctions. For one of `CIRCULAR_COVARIATES` they are the cosine
     and sine of (n_modes + 1) // 2 multiples of the angle.
@@ -114,8 +116,8 @@ def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
 def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
     """Prior standard deviations (k,) of the k coefficients of a smooth curve, one array per length scale.
 
-    Unless the covariate is an angle on a circle or `n_modes` is `N_MODES_IN_PRODUCT`, a last array is the prior of a
-    random walk.
+    `is_circular` is True for an angle on a full circle. A last array is the prior of a random walk, unless the
+    covariate is circular or `n_modes` is `N_MODES_IN_PRODUCT`.
     """
     spreads = []
     if is_circular:
@@ -131,7 +133,10 @@ def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
 
 
 def function_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
-    """Column (n, 1) of a function of `FORMULA_FUNCTIONS`, or with hysteresis, of a covariate, with an rms of one."""
+    """Column (n, 1), with an rms of one, of a function of a covariate with a constant.
+
+    `function_name` is a key of `FORMULA_FUNCTIONS`, or `HYSTERESIS_FUNCTION`.
+    """
     x = sightings.covariate_values[covariate]
     if function_name == HYSTERESIS_FUNCTION:
         slack = play_operator(x[sightings.measurement_order], constant)
@@ -162,10 +167,10 @@ def play_operator(input_values: Floats, half_width: float) -> Floats:
 def linear_field_columns(
     sightings: Sightings, names: Sequence[str], centre_targets: Sequence[str], *, is_quadratic: bool
 ) -> Floats:
-    """Columns (n, 4) of a quantity that varies across the hall: a constant and three scaled coordinates.
+    """Columns (n, 4) of a quantity that varies linearly across the hall: a constant and three scaled coordinates.
 
-    If `is_quadratic`, six products of two coordinates are added, and the shape is (n, 10). The coordinates are the
-    covariates `names` minus their mean over the pointings to `centre_targets`, by default to all targets.
+    If `is_quadratic`, six products of two coordinates follow, and the shape is (n, 10). The coordinates are the
+    covariates `names` minus their mean over the pointings to `centre_targets`, or to all targets if this is empty.
     """
     place = np.stack([sightings.covariate_values[name] for name in names], axis=1)
     ids = [i for name in centre_targets for i in sightings.target_indices[name]]
@@ -205,7 +210,7 @@ def lagged_values(unlagged_values: Floats, sightings: Sightings, time_constant: 
 
 
 def group_means(columns: Floats, groups: Ints) -> Floats:
-    """Mean (n, k) of `columns` (n, k) over all pointings of the same group. `groups` (n,) are the indices of groups."""
+    """Mean (n, k) of `columns` (n, k) over the pointings of the same group; `groups` (n,) are the group indices."""
     is_member = indicator_columns(groups, np.unique(groups)) > 0
     means: Floats = is_member @ ((is_member.T @ columns) / is_member.sum(axis=0)[:, None])
     return means

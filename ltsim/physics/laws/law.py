@@ -1,4 +1,4 @@
-"""Empirical law: a reading or a constant of the instrument that is a function of a regressor, at some places.
+"""Empirical law: a reading or instrument constant that is a function of a regressor.
 
 Laws have the same interface as the physical effects of the catalogue.
 """
@@ -38,17 +38,17 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 FACE_SIGN_REGRESSOR = scalar_regressor("face", "power")
-"""Regressor with the sign of the face, +1 or -1. An elevation error proportional to it is an error of the vertical
-index.
+"""Regressor with the sign of the face, +1 or -1. An elevation error proportional to this sign is an error of the
+vertical index.
 """
 MAX_PIECE_POSITIONS = 41
 """Largest number of values of a covariate at which a search tries steps and ramps."""
 PER_SETUP_RESPONSE_KINDS = ("reading", "instrument", "circle", "stand")
-"""Kinds of changed quantities for which a law may have separate coefficients in each set-up."""
+"""Kinds of responses (`Response.kind`) for which a law may have separate coefficients in each set-up."""
 MAX_SWITCH_EDGES = 60
 """Largest number of values of a covariate at which a search lets a switch turn on or off."""
 MAX_REFINED_PIECES = 4
-"""Largest number of steps and ramps in a law that a local search moves. It leaves a law with more of them unchanged."""
+"""Largest number of steps and ramps in a law that a local search moves; a law with more of them is not moved."""
 MAX_PIECE_MOVE_GAPS = 6
 """Largest number of gaps between values of the covariate by which a local search moves a step or ramp. It is also the
 smallest number of gaps between two steps, because a few pointings do not determine the size of a step."""
@@ -56,14 +56,15 @@ MAGNITUDE_REFINED_FUNCTIONS = (
     *("decay", "fading", "relaxing", "saturated", "lagging", "hysteresis", "saw", "slack", "within", "stuck"),
     *(TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION),
 )
-"""Names of functions, and of kinds of regressors, whose positive constant a local search multiplies by 0.6 to 1.7."""
+"""Names of functions and of kinds of regressors with a positive constant, which a local search multiplies by 0.6 to
+1.7."""
 LATCH_THRESHOLD_STEPS = np.array([-0.06, -0.02, 0.02, 0.06])
 """Changes of the thresholds of a latch that a local search tries, as fractions of the covariate's span."""
 
 
 @dataclass(frozen=True)
 class EmpiricalLaw(CandidateEffect):
-    """Empirical law: a change of one quantity (its response) that depends on a regressor, at some places or all."""
+    """Empirical law: a change of one quantity (the response) that depends on a regressor."""
 
     stations: tuple[str, ...] = ()
     """Names of the stations at which the law acts; empty for all."""
@@ -72,26 +73,24 @@ class EmpiricalLaw(CandidateEffect):
     response: Response = RESPONSE_AND_DESIGN_BY_NAME["distance"][0]
     """Quantity of the forward model that the law changes."""
     regressor: Regressor = CONSTANT_REGRESSOR
-    """Function of covariates on which the changed quantity depends."""
+    """Function of covariates on which the response depends."""
     instruments: tuple[str, ...] = ()
     """Names of the instruments at which the law acts; empty for all."""
     length_scale_index: int = 0
-    """Index of the prior of the coefficients in `Regressor.coefficient_sigmas`: one for each length scale of a curve.
-    """
+    """Index of the prior of the coefficients in `Regressor.coefficient_sigmas`, which has one per length scale."""
     is_per_setup: bool = False
     """True if each set-up has separate coefficients."""
     direction: tuple[float, ...] = ()
-    """Fixed ratio of the c components of the response, as a unit vector (c,).
+    """Fixed ratio of the c components of the response, as a unit vector (c,); empty for separate coefficients.
 
-    All components then share one set of coefficients. If S set-ups are separate, the ratio has c S elements. An empty
-    ratio means that each component has separate coefficients.
+    With a ratio all components share one set of coefficients. If S set-ups are separate, the ratio has c S elements.
     """
 
     name = "unknown"
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficients with their priors, one per component of the response and regressor column (and set-up)."""
+        """Coefficients with priors, one per component of the response and column of the regressor (and set-up)."""
         spread = self.regressor.coefficient_sigmas[self.length_scale_index] * self.response.plausible_size
         spreads = spread * np.sqrt(self.n_components) if self.direction else np.tile(spread, self.n_components)
         return tuple(
@@ -111,7 +110,7 @@ class EmpiricalLaw(CandidateEffect):
 
     @property
     def covariates(self) -> tuple[str, ...]:
-        """Covariates that the law depends on, as named in files."""
+        """Names in files of the covariates on which the law depends."""
         return self.regressor.covariate_labels
 
     def design(self, sightings: Sightings) -> Floats:
@@ -124,10 +123,10 @@ class EmpiricalLaw(CandidateEffect):
     def change_along_direction(
         self, component_changes: Floats, sightings: Sightings, rows: Ints | None = None
     ) -> Floats:
-        """Change (r, ..., 1) of the readings of r pointings per unit of the common coefficient of all components.
+        """Change (r, ..., 1) of the readings of r pointings per unit of the coefficient that all components share.
 
-        `component_changes` (r, ..., c) are the changes per unit of each of c components, which `direction` combines.
-        A law without a direction returns them unchanged. `rows` (r,) are the indices of the pointings, by default all.
+        `component_changes` (r, ..., c) are the changes per unit of each of c components, which `direction` combines; a
+        law without a direction returns them unchanged. `rows` (r,) are the indices of the pointings, by default all.
         """
         if not self.direction:
             return component_changes
@@ -143,7 +142,7 @@ class EmpiricalLaw(CandidateEffect):
         return along[..., None]
 
     def columns(self, sightings: Sightings) -> Floats:
-        """Columns (n, k) of the regressor at n pointings, zero at places where the law does not act.
+        """Columns (n, k) of the regressor at n pointings, zero at stations and targets where the law does not act.
 
         If S set-ups have separate coefficients and no `direction`, each has k columns, and the shape is (n, S k).
         """
@@ -161,14 +160,14 @@ class EmpiricalLaw(CandidateEffect):
         return self.regressor.region is not None
 
     def without_switch(self) -> EmpiricalLaw:
-        """Law whose region of the hall acts all the time, not only between two times; the law itself if it does so."""
+        """Law of a region of the hall without the switch or step in time that limits it; otherwise the law itself."""
         first, *others = self.regressor.factors or (self.regressor,)
         gated = first.region is not None and [f.kind for f in others] == ["switch"]
         return replace(self, regressor=first) if gated else self
 
     @property
     def source_position(self) -> tuple[float, ...]:
-        """Centre [m] of the region of the hall on which the law depends; empty if there is none."""
+        """Centre [m] of the region of the hall on which the law depends; empty for a law without region."""
         return self.regressor.hall_region.centre if self.regressor.hall_region else ()
 
     @property
@@ -184,7 +183,7 @@ class EmpiricalLaw(CandidateEffect):
         return replace(self, regressor=self.regressor.with_region(replace(region, centre=centre)))
 
     def neighbours(self, sightings: Sightings) -> list[EmpiricalLaw]:
-        """Variants of the law for a local search: one constant, step, frequency or region is changed a little."""
+        """Variants of the law for a local search: one constant, step, frequency or region is slightly changed."""
         regressor = self.regressor
         if regressor.kind in ("wave", "cycle"):
             step = 2 * np.pi * WAVE_FREQUENCY_STEP / float(np.ptp(sightings.covariate_values[regressor.covariates[0]]))
@@ -208,7 +207,7 @@ class EmpiricalLaw(CandidateEffect):
         return []
 
     def _with_moved_thresholds(self, sightings: Sightings) -> list[EmpiricalLaw]:
-        """Laws with one threshold of the latch moved."""
+        """Copies of the law in which one of the two thresholds of its latch is moved."""
         regressor = self.regressor
         steps = np.ptp(sightings.covariate_values[regressor.covariates[0]]) * LATCH_THRESHOLD_STEPS
         neighbours = [replace(regressor, constant=regressor.constant + float(step)) for step in steps]
@@ -217,13 +216,13 @@ class EmpiricalLaw(CandidateEffect):
 
     @property
     def _movable_regressor(self) -> Regressor | None:
-        """Steps, ramps or switch that a local search moves; None if there are none, or if it moves a region instead."""
+        """Regressor of steps, ramps or a switch that a local search moves; None without, or for a law of a region."""
         step_factors = [f for f in (self.regressor, *self.regressor.factors) if f.kind in ("pieces", "switch")]
         movable_factors = [f for f in step_factors if f.kind == "switch" or len(f.factors) <= MAX_REFINED_PIECES]
         return movable_factors[0] if movable_factors and self.regressor.hall_region is None else None
 
     def _with_moved_pieces(self, sightings: Sightings, steps: Regressor) -> list[EmpiricalLaw]:
-        """Laws with one step or ramp moved to another gap between values of the covariate, or with another lag."""
+        """Laws with one of `steps` moved to another gap between values of the covariate, or with another lag."""
         x = np.unique(sightings.covariate_values[steps.covariates[0]][self.row_weights(sightings) > 0])
         gaps = np.searchsorted(x, [piece.constant for piece in steps.factors])
         laws = []
@@ -239,14 +238,14 @@ class EmpiricalLaw(CandidateEffect):
         return laws + [self._with_replaced_factor(steps, replace(steps, constant=k)) for k in _candidate_lags(steps)]
 
     def _with_replaced_factor(self, old_factor: Regressor, new_factor: Regressor) -> EmpiricalLaw:
-        """Copy of the law with `new_factor` instead of `old_factor`, its regressor or a factor of its regressor."""
+        """Copy of the law with `new_factor` in place of `old_factor`, the regressor or one of its factors."""
         if self.regressor == old_factor:
             return replace(self, regressor=new_factor)
         factors = tuple(new_factor if factor == old_factor else factor for factor in self.regressor.factors)
         return replace(self, regressor=replace(self.regressor, factors=factors))
 
     def candidate_formulas(self, sightings: Sightings) -> list[EmpiricalLaw]:
-        """Laws with a formula with at most one constant, which may replace the smooth curve of this law."""
+        """Laws in which a formula with at most one constant replaces the smooth curve of this law."""
         if self.regressor.kind == "smooth":
             short = short_regressors(sightings, self.regressor.covariates[0])
             return [replace(self, regressor=regressor, length_scale_index=0) for regressor in short]
@@ -262,7 +261,10 @@ class EmpiricalLaw(CandidateEffect):
         return [replace(self, regressor=regressor, length_scale_index=0) for regressor in products]
 
     def candidate_forms(self, sightings: Sightings) -> dict[str, list[list[EmpiricalLaw]]]:
-        """Alternative forms by kind (`curve`, `formula`): lists of laws that differ only in the length scale."""
+        """Alternative forms of the law by kind, `curve` or `formula`.
+
+        Each form is a list of laws that differ only in the length scale.
+        """
         regressor, forms = self.regressor, {"curve": [self], "formula": self.candidate_formulas(sightings)}
         if regressor.kind == "smooth":
             n_modes = N_MODES_FINE if regressor.constant > N_MODES_IN_PRODUCT else N_MODES_DEFAULT
@@ -279,7 +281,7 @@ class EmpiricalLaw(CandidateEffect):
         return {kind: [with_length_scales(law) for law in laws] for kind, laws in forms.items() if laws}
 
     def candidate_pieces(self, sightings: Sightings) -> list[Regressor]:
-        """Steps and ramps at gaps between values of the covariate; a sum of some of them may replace a curve."""
+        """Steps and ramps at gaps between values of the covariate, for a sum that may replace the law's curve."""
         curved = [f for f in (self.regressor, *self.regressor.factors) if f.kind == "smooth"]
         if len(curved) != 1:
             return []
@@ -290,7 +292,7 @@ class EmpiricalLaw(CandidateEffect):
         return [scalar_regressor(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
 
     def with_pieces(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
-        """Copy of the law with a sum of steps and ramps in place of its smooth regressor."""
+        """Copy of the law with the sum of the steps and ramps `steps` in place of its smooth regressor."""
         pieces, regressor = piecewise_regressor(steps), self.regressor
         if regressor.kind == "product":
             pieces = replace(regressor, factors=tuple(pieces if f.kind == "smooth" else f for f in regressor.factors))
@@ -298,14 +300,14 @@ class EmpiricalLaw(CandidateEffect):
 
     @property
     def switchable_factor(self) -> Regressor | None:
-        """Curve or wave that a switch of its covariate may replace: the regressor or a factor of time. None without."""
+        """Curve or wave that a switch may replace: the regressor itself or its factor of time; None without one."""
         if self.regressor.kind in ("smooth", "wave"):
             return self.regressor
         curves = (f for f in self.regressor.factors if f.kind in ("smooth", "wave") and f.covariates == ("time",))
         return next(curves, None) if self.regressor.kind == "product" else None
 
     def candidate_switch_steps(self, sightings: Sightings) -> list[Regressor]:
-        """Single steps of a covariate at which a switch may turn on or off; of time for a law of a region."""
+        """Single steps at which a switch may turn on or off: of the covariate, or of time for a law of a region."""
         curve = self.switchable_factor
         if curve is None and not self.depends_on_fixed_region:
             return []
@@ -315,25 +317,25 @@ class EmpiricalLaw(CandidateEffect):
         return [scalar_regressor(name, "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
 
     def with_steps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
-        """Copy of the law with a sum of steps, each with a separate coefficient, as its regressor or a factor of it."""
+        """Copy of the law with a sum of steps, each with a separate coefficient, as the regressor or a factor of it."""
         return replace(self, regressor=self._regressor_with_gate(piecewise_regressor(steps)), length_scale_index=0)
 
     def with_switch(self, edge_steps: Sequence[Regressor]) -> EmpiricalLaw:
-        """Copy of the law with a switch that turns on and off at `edge_steps`, as its regressor or a factor of it."""
+        """Copy of the law with a switch that turns on and off at `edge_steps`, as the regressor or a factor of it."""
         return replace(self, regressor=self._regressor_with_gate(switch_regressor(edge_steps)), length_scale_index=0)
 
     def _regressor_with_gate(self, gate_regressor: Regressor) -> Regressor:
-        """Regressor whose curve or wave is replaced by a gate (steps or a switch); that of a region is multiplied."""
+        """Regressor in which steps or a switch replace the curve or wave, or multiply the path through a region."""
         if self.depends_on_fixed_region:
             return Regressor("product", factors=(self.regressor, gate_regressor))
         others = [f for f in self.regressor.factors if f != self.switchable_factor]
         return Regressor("product", factors=(gate_regressor, *others)) if others else gate_regressor
 
     def equivalent_vertical_index_law(self, sightings: Sightings) -> EmpiricalLaw:
-        """Law of the vertical index that is equivalent to this law of the elevation; the law itself if there is none.
+        """Law of the vertical index that is equivalent to this law of the elevation; without one, the law itself.
 
-        Both are equivalent if the error of the elevation changes sign with the face. If all readings are on one face,
-        they are equivalent if the law depends only on time or on additional columns of the recording.
+        The laws are equivalent if the error of the elevation changes sign with the face. If all readings are on one
+        face, they are equivalent if the law depends only on time or on additional columns of the recording.
         """
         if self.response.name != "elevation":
             return self
@@ -348,7 +350,7 @@ class EmpiricalLaw(CandidateEffect):
         return replace(self, response=index, regressor=rest[0]) if is_index else self
 
     def with_coefficients_per_setup(self, sightings: Sightings) -> EmpiricalLaw | None:
-        """Law with separate coefficients for each set-up; None for a law at some places only, or with a product."""
+        """Law with separate coefficients for each set-up; None for a product, or a law of some stations or targets."""
         stations = tuple(sightings.station_names)
         is_restricted = len(self.stations) > 1 or self.targets or self.instruments
         is_unsuitable = (
@@ -361,12 +363,11 @@ class EmpiricalLaw(CandidateEffect):
     def law_at_largest_effect(
         self, coefficient_mean: Floats, coefficient_covariance: Floats, sightings: Sightings
     ) -> tuple[EmpiricalLaw, Floats, Floats, Floats]:
-        """Law restricted to the set-up where its effect is largest, and to the direction of its largest change there.
+        """Law restricted to the set-up where its effect is largest, with the direction of its largest change there.
 
-        The tuple contains the law, the direction, the coefficients there and their covariance. The direction is a unit
-        vector (c,) of the c components of the response, or one component if their units differ. The coefficients have
-        the shape (c, k) for k columns, their covariance (c, k, c, k). The arguments are mean and covariance of all
-        coefficients [SI].
+        The tuple contains the law, the direction, the coefficients at this set-up (c, k) for k columns, and their
+        covariance (c, k, c, k). The direction is a unit vector (c,) of the c components of the response, or one
+        component if their units differ. The arguments are mean and covariance of all coefficients [SI].
         """
         n_components, k = len(self.response.component_names), self.regressor.n_columns
         if self.direction:
@@ -393,7 +394,7 @@ class EmpiricalLaw(CandidateEffect):
 
 
 def _candidate_lags(steps: Regressor) -> list[float]:
-    """Lags [s] that a local search tries for a switch in time, in place of its lag; empty for other regressors."""
+    """Lags [s] that a local search tries for a switch in time, in place of its lag; empty for other `steps`."""
     if steps.kind != "switch" or steps.covariates != ("time",):
         return []
     return [0.0, *(steps.constant * s for s in (0.6, 1.7))] if steps.constant else list(LAG_TIME_CONSTANTS)

@@ -1,4 +1,4 @@
-"""Places at which a law may act: set-ups, targets, and groups of related targets."""
+"""Set-ups, instruments, targets and groups of related targets at which a law may act."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -14,8 +14,8 @@ from ltsim.scene.sightings import Sightings
 NEIGHBOUR_GROUP_SIZES = (3, 6)
 """Numbers of nearest neighbours with which a target forms a candidate group."""
 MIN_GROUP_SIZE = 3
-"""Smallest number of targets in a group for which a law is tried, and smallest number of the other targets. Laws with a
-separate value for each set-up need more set-ups than this number."""
+"""Smallest number of targets in a group for which a law is tried, and smallest number of targets outside the group.
+Laws with a separate value for each set-up need more set-ups than this number."""
 HEIGHT_WEIGHT = 5.0
 """Factor on heights in the clustering of targets by height and surface. With it, a height difference of a fifth of the
 hall's extent is as large a distance as an angle of 60 deg between the normals of two nests."""
@@ -23,31 +23,34 @@ hall's extent is as large a distance as an angle of 60 deg between the normals o
 
 @dataclass(frozen=True)
 class LawPlace:
-    """Place at which a law acts: names of set-ups, targets or instruments, and the pointings there."""
+    """Set-ups, targets or instruments at which a law acts, and the pointings there."""
 
     stations: tuple[str, ...]
+    """Names of the set-ups; empty for all."""
     targets: tuple[str, ...]
+    """Names of the targets; empty for all."""
     rows: Ints
-    """Row indices of the pointings at this place."""
+    """Row indices of the pointings from these set-ups, to these targets and with these instruments."""
     instruments: tuple[str, ...] = ()
+    """Names of the instruments; empty for all."""
 
 
 def rows_by_name(names: Sequence[str], group_indices: Ints) -> Iterator[tuple[str, Ints]]:
-    """Pairs of a name and the row indices of its pointings, for each name with pointings.
+    """Pairs of a name and the row indices of the pointings with this name, for each name with pointings.
 
-    `group_indices` (n,) is the index in `names` of each pointing.
+    `group_indices` (n,) is the index in `names` of each of n pointings.
     """
     name_and_rows = ((name, np.flatnonzero(group_indices == i)) for i, name in enumerate(names))
     return (pair for pair in name_and_rows if len(pair[1]))
 
 
 def station_names_of_rows(sightings: Sightings, rows: Ints) -> tuple[str, ...]:
-    """Names of the set-ups at the pointings `rows`."""
+    """Names of the set-ups that made the pointings `rows` (row indices)."""
     return tuple(sightings.station_names[k] for k in np.unique(sightings.station[rows]))
 
 
 def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPlace, ...]:
-    """Places of laws of one instrument each, with all its set-ups; empty if the recording has only one instrument."""
+    """Places of laws, one per instrument in `names`, with all its set-ups; empty for a single instrument."""
     places = tuple(
         LawPlace(station_names_of_rows(sightings, rows), (), rows, (name,))
         for name, rows in rows_by_name(names, sightings.instrument)
@@ -56,7 +59,7 @@ def instrument_places(sightings: Sightings, names: Sequence[str]) -> tuple[LawPl
 
 
 def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
-    """Groups of related targets, each as the sorted indices of its targets.
+    """Groups of related targets, each as a tuple of sorted target indices.
 
     The groups are the branches of three trees of hierarchical clustering (average linkage): by position, by position
     and surface, and by height and surface. Nests with similar normals count as mounted on the same surface.
@@ -78,7 +81,7 @@ def target_clusters(sightings: Sightings) -> set[tuple[int, ...]]:
 
 
 def neighbour_groups(sightings: Sightings) -> set[tuple[int, ...]]:
-    """Groups of a target and its nearest neighbours, for each target, each as the sorted indices of its targets."""
+    """Groups of a target and its nearest neighbours, for each target, each as a tuple of sorted target indices."""
     near = [
         np.argsort(np.linalg.norm(sightings.target_points - point, axis=1), kind="stable")
         for point in sightings.target_points
@@ -87,9 +90,9 @@ def neighbour_groups(sightings: Sightings) -> set[tuple[int, ...]]:
 
 
 def connected_groups(sightings: Sightings, length_end_names: Iterable[tuple[str, str]]) -> set[tuple[int, ...]]:
-    """Groups of targets that are connected by reference lengths, such as the targets of a gauge, each as indices.
+    """Groups of targets that are connected by known lengths, such as the targets of a gauge, as tuples of indices.
 
-    `length_end_names` are the pairs of names at the ends of the reference lengths.
+    `length_end_names` are the pairs of names of the targets at the ends of the known lengths.
     """
     index = {name: i for i, name in enumerate(sightings.target_names)}
     index_pairs = [(index[a], index[b]) for a, b in length_end_names if a in index and b in index]
@@ -104,7 +107,7 @@ def connected_groups(sightings: Sightings, length_end_names: Iterable[tuple[str,
 
 
 def group_places(sightings: Sightings, target_groups: set[tuple[int, ...]]) -> Iterator[LawPlace]:
-    """Places of laws of one group of targets each, with the pointings to the group."""
+    """Places of laws, one per group of targets (tuple of target indices), with the pointings to the group."""
     for members in sorted(target_groups):
         rows = np.flatnonzero(np.isin(sightings.target, members))
         if len(rows):

@@ -39,7 +39,7 @@ from ltsim.physics.laws.states import (
     candidate_latches,
     candidate_state_keys,
 )
-from ltsim.scene.regions import HallRegion, candidate_regions, has_sights_inside_and_outside
+from ltsim.scene.regions import HallRegion, candidate_regions, separates_enough_sights
 from ltsim.scene.sightings import Sightings
 
 RAW_READING_NAMES = ("azimuth", "elevation", "distance")
@@ -51,11 +51,11 @@ _CIRCLE_COVARIATES = ("circle", "vertical-circle")
 _NEST_COVARIATES = ("incidence", "nest-direction")
 """Covariates that need the normals of the nests."""
 _SIGN_COVARIATES = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
-"""Covariates with few values, such as the face, which a law uses as they are."""
+"""Covariates with few values, such as the face, which a law uses without a function."""
 ACCUMULATED_ROTATIONS = ("work-azimuth", "work-elevation")
 """Accumulated rotations of the axes since the set-up began."""
 OPERATOR_PREFIXES = ("last", "move", "work")
-"""Prefixes of covariates by operator: the previous value, the change since then, the sum of the sizes of all changes.
+"""Prefixes of covariates: the value at the previous pointing, the change since then, the sum of all absolute changes.
 """
 MEMORY_COVARIATES = (
     "wound-azimuth",
@@ -89,18 +89,18 @@ COVARIATES_BY_KIND: dict[str, tuple[str, ...]] = {
     "reflector": ("time", "lapse", "last-target", *_SIGN_COVARIATES[3:], *_NEST_COVARIATES),
     "air": CLOCK_COVARIATES,
 }
-"""Covariates that each kind of changed quantity can depend on, in addition to columns of the recording. The position of
-a wall cannot depend on where a tracker points. That of a stand can, because a head is not balanced exactly and the
-floor yields under the operator."""
+"""Covariates on which a response can depend, by `Response.kind`, in addition to columns of the recording. The position
+of a wall cannot depend on the direction in which a tracker points. The position of a stand can, because a head is not
+balanced exactly and the floor yields under the operator."""
 MIN_EFFECTIVE_TARGETS = 2.5
-"""Effective number of targets in a region, above which a law of the targets near it is tried. With fewer, the error is
-that of a single target."""
+"""Effective number of targets in a region, above which a law of the targets in it is tried. With fewer targets, the
+error is one of a single target."""
 NEARNESS_REGION_SHAPES = ("xyz", "xy")
 """Shapes of the regions for laws that depend on the distance of targets from a position."""
 TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
 """Shapes of the regions that may act during a part of the measurement."""
 TIME_PART_COUNTS = (2, 4)
-"""Numbers of parts of equal size in time, in one of which a region of the hall may act."""
+"""Numbers of equal parts into which the measurement is divided; a region of the hall may act in one part only."""
 HYSTERESIS_HALF_WIDTHS = np.array([0.05, 0.15, 0.3])
 """Half-widths of hysteresis loops that a search tries, as fractions of the covariate's span."""
 DEAD_BAND_QUANTILES = (0.15, 0.3, 0.5)
@@ -109,13 +109,13 @@ LAG_TIME_CONSTANTS = (60.0, 300.0, 1000.0, 3000.0)
 """Time constants [s] of lags that a search tries, typical of detectors, instrument parts, stands, walls and floors."""
 MAX_SEPARATE_PARTS = 12
 """Largest number of groups (set-ups, instruments, targets) for which a search tries a law with a separate value for
-each group, because more coefficients fit any errors. A search also tries at most this number of times for a step in
-time, and divides a recording with at least this number of distinct times into parts."""
+each group, because more coefficients fit any errors. It is also the largest number of times at which a search tries a
+step, and the smallest number of distinct times in a recording that a search divides into parts."""
 MAX_SEPARATE_TARGETS = 60
-"""Largest number of targets for which a search tries a law with a separate value for each."""
+"""Largest number of targets for which a search tries a law with a separate value for each target."""
 WAVE_FREQUENCY_STEP = 0.6
-"""Distance between the frequencies of waves that a search tries, in cycles over the covariate's span. A wave with a
-frequency in between still correlates with one of them.
+"""Spacing of the frequencies of waves that a search tries, in cycles over the covariate's span. A wave with a frequency
+between two of them still correlates with one.
 """
 MAX_WAVE_CYCLES = 60
 """Largest number of cycles over the covariate's span of a wave that a search tries."""
@@ -145,7 +145,7 @@ N_OPERATORS_BY_REGRESSOR_KIND = {
     "room": 1,
     "product": 2,
 }
-"""Exponent of `ODDS_PER_OPERATOR` by kind of regressor: the number of its operators and factors after the first."""
+"""Exponent of `ODDS_PER_OPERATOR` by kind of regressor: number of operators plus number of factors after the first."""
 
 
 def additional_column_names(sightings: Sightings) -> list[str]:
@@ -155,7 +155,7 @@ def additional_column_names(sightings: Sightings) -> list[str]:
 
 
 def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list[str]:
-    """Names of those of the given covariates that have values in these sightings, and vary."""
+    """Names of the given `covariates` that have varying values in these sightings."""
     has_nests, faces = np.isfinite(sightings.incidence_angle).any(), np.ptp(sightings.face) > 0
     asked = [
         n for n in covariates if (has_nests or n not in _NEST_COVARIATES) and (faces or n not in _CIRCLE_COVARIATES)
@@ -165,7 +165,7 @@ def _varying_covariates(sightings: Sightings, covariates: Iterable[str]) -> list
 
 
 def is_admissible(response_kind: str, regressor: Regressor, sightings: Sightings) -> bool:
-    """True if a quantity of a given kind (`Response.kind`) can depend on a regressor. A reading can depend on all."""
+    """True if a response of this kind (`Response.kind`) can depend on a regressor; a `reading` can depend on all."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
     return response_kind == "reading" or all(
         n in COVARIATES_BY_KIND[response_kind] or name_without_memory_prefix(n) in sightings.covariates for n in names
@@ -173,12 +173,12 @@ def is_admissible(response_kind: str, regressor: Regressor, sightings: Sightings
 
 
 def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -> dict[str, list[Regressor]]:
-    """Regressors that a search tries, by kind. Curves have `n_modes` eigenfunctions."""
+    """Regressors that a search tries, by kind; curves have `n_modes` eigenfunctions."""
     s, columns = sightings, additional_column_names(sightings)
     base = _varying_covariates(s, (*BASE_COVARIATES, *columns, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
     remembered = [f"{prefix}-{name}" for prefix in OPERATOR_PREFIXES for name in columns]
     before = _varying_covariates(s, (*MEMORY_COVARIATES, *remembered))
-    turning = [n for n in base if n not in CLOCK_COVARIATES]  # a clock never turns back
+    turning = [n for n in base if n not in CLOCK_COVARIATES]  # time never decreases
     signs = [n for n in _varying_covariates(s, _SIGN_COVARIATES) if n != "seating-parity" or _seating_parity_differs(s)]
     return {
         "constant": [CONSTANT_REGRESSOR],
@@ -229,7 +229,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
 
 
 def dead_band_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressors that are zero for long motions of an axis, for causes that act only in short motions."""
+    """Regressors for causes that act only in short motions of an axis; they are zero for long motions."""
     return [
         scalar_regressor(name, how, float(k))
         for name in _varying_covariates(sightings, ("move-azimuth", "move-elevation"))
@@ -245,7 +245,7 @@ def contains_several_targets(region: HallRegion, sightings: Sightings) -> bool:
 
 
 def temporary_region_regressors(sightings: Sightings, function: str = "") -> Iterator[Regressor]:
-    """Iterator over regressors of regions of the hall that act during one part of the measurement."""
+    """Regressors of regions that act during one part of the measurement; `function` is empty or `LEVER_FUNCTION`."""
     time, regions = np.unique(sightings.time), candidate_regions(sightings, TEMPORARY_REGION_SHAPES)
     if len(time) < MAX_SEPARATE_PARTS or not regions:
         return
@@ -256,7 +256,7 @@ def temporary_region_regressors(sightings: Sightings, function: str = "") -> Ite
         for begin, end in zip([-np.inf, *ends[:-1]], ends, strict=True):
             gate = switch_regressor([scalar_regressor("time", "step", edge) for edge in (begin, end) if edge < np.inf])
             during = (sightings.time > begin) & (sightings.time <= end)
-            for i in np.flatnonzero(has_sights_inside_and_outside(passing & during, sightings)):
+            for i in np.flatnonzero(separates_enough_sights(passing & during, sightings)):
                 yield Regressor("product", factors=(passage_regressor(regions[i], function), gate))
 
 
@@ -272,7 +272,7 @@ def single_target_regressors(sightings: Sightings) -> list[Regressor]:
 
 
 def target_group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
-    """Regressors for motions of a group of targets, by kind, such as `step`, `curve`, or `amounts` for each set-up."""
+    """Regressors for motions of a group of targets, by kind, such as `step`, `curve`, or `amounts` per set-up."""
     local, steps = single_target_regressors(sightings), _step_regressors(sightings)
     each = visit_regressors(sightings, 2)
     return {
@@ -302,13 +302,13 @@ def _step_regressors(sightings: Sightings) -> list[Regressor]:
 
 
 def _seating_parity_differs(sightings: Sightings) -> bool:
-    """True if a sign that alternates at each change of the target differs from one that alternates at each pointing."""
+    """True if a sign that alternates at changes of the target differs from a sign that alternates at each pointing."""
     parity, seating = (sightings.covariate_values[name] for name in ("parity", "seating-parity"))
     return abs(float(parity @ seating)) < len(parity)
 
 
 def visit_regressors(sightings: Sightings, min_setups: int) -> list[Regressor]:
-    """Regressor with a separate value for each set-up, in a list.
+    """List with one regressor, which has a separate value for each set-up.
 
     The list is empty for fewer set-ups than `min_setups`, or more than `MAX_SEPARATE_PARTS`.
     """
@@ -317,13 +317,13 @@ def visit_regressors(sightings: Sightings, min_setups: int) -> list[Regressor]:
 
 
 def _per_previous_target_regressors(sightings: Sightings) -> list[Regressor]:
-    """Regressor with a separate value for each previous target, in a list, which is empty for too many targets."""
+    """List with one regressor, which has a separate value for each previous target; empty for too many targets."""
     n_targets = len(sightings.target_names)
     return [group_amounts_regressor("last-target", n_targets)] if 1 < n_targets <= MAX_SEPARATE_TARGETS else []
 
 
 def lag_regressors(sightings: Sightings, covariates: Iterable[str]) -> list[Regressor]:
-    """Regressors that depend on one of the covariates with a first-order lag, for each of `LAG_TIME_CONSTANTS`."""
+    """Regressors that depend on one of the covariates with a first-order lag, one for each of `LAG_TIME_CONSTANTS`."""
     varying = _varying_covariates(sightings, covariates)
     return [
         Regressor("lagging", (name,), constant=t)
@@ -383,7 +383,7 @@ def wave_regressors(
     covariates: Sequence[str] = ("time", *RAW_READING_NAMES, "x", "y", "z", "station-time", *ACCUMULATED_ROTATIONS),
     n_parts: int = 1,
 ) -> Iterator[Regressor]:
-    """Iterator over waves in covariates, with frequencies that a fraction 1 / `n_parts` of the pointings resolves."""
+    """Iterator over waves in the given covariates, with frequencies that 1 / `n_parts` of the pointings can resolve."""
     max_waves = min(len(sightings) / MIN_POINTINGS_PER_CYCLE, MAX_WAVE_CYCLES) / n_parts
     for name in covariates:
         for rate in wave_frequencies(sightings, name, max_waves):
@@ -391,7 +391,7 @@ def wave_regressors(
 
 
 N_SLOW_WAVE_FREQUENCIES = 18
-"""Number of frequencies of waves in time, from the lowest, that a search tries for motions of targets."""
+"""Number of the lowest frequencies of waves in time that a search tries for motions of targets."""
 
 
 def _slow_wave_regressors(sightings: Sightings) -> list[Regressor]:

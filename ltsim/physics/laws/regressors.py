@@ -1,4 +1,7 @@
-"""Regressors: functions of covariates on which an unknown error may depend, with k columns each and a prior."""
+"""Regressors: functions of covariates on which an unknown error may depend.
+
+A regressor has k columns in the design matrix, and a prior of their coefficients.
+"""
 
 from __future__ import annotations
 
@@ -48,21 +51,21 @@ COVARIATE_NAMES_IN_FILES = {
     "nest-direction": "incidence",
     "air_temperature_c": "temperature",
 }
-"""Names of covariates in files, by their names in this package, where the names differ."""
+"""Names of covariates in files, by their names in this package, if both names differ."""
 
 
 OPERATOR_INPUT_COVARIATES = ("azimuth", "elevation", "distance", "target")
-"""Covariates of a pointing, such as the azimuth, whose previous value or change since then is a covariate as well."""
+"""Covariates, such as the azimuth, whose value at the previous pointing, or change since then, is a covariate too."""
 
 
 def name_without_memory_prefix(covariate: str) -> str:
-    """Name of a covariate without the prefix of `MEMORY_COVARIATE_PREFIXES`, such as `azimuth` for `last-azimuth`."""
+    """Name of a covariate without a prefix of `MEMORY_COVARIATE_PREFIXES`, such as `azimuth` for `last-azimuth`."""
     how, _, base = covariate.partition("-")
     return base if base and f"{how}-" in MEMORY_COVARIATE_PREFIXES else covariate
 
 
 def covariate_names_in_files(covariates: Iterable[str]) -> tuple[str, ...]:
-    """Names in files of covariates. Covariates that depend on previous motions of the head are called `approach`."""
+    """Names in files of the given covariates; those that depend on previous motions of the head become `approach`."""
     memory = {
         name
         for name in covariates
@@ -85,13 +88,13 @@ class Regressor:
 
     The kinds of functions are:
 
-    - `constant`.
+    - `constant`: 1 at every pointing.
     - `smooth`: a curve in a covariate, made of eigenfunctions.
     - `wave`: cosine and sine of `constant` times a covariate. `cycle`: a periodic function of any shape.
     - `simple`: a formula with one covariate and at most one constant.
     - `product`: the product of other regressors.
     - `pieces`: a sum of steps and ramps of one covariate.
-    - `switch`: on and off alternately, at steps of one covariate.
+    - `switch`: 1 and 0 alternately, with changes at steps of one covariate.
     - `lagging`: a covariate after a first-order lag.
     - `amounts`: a separate value for each station, instrument, target or previous target.
     - `field`: a constant and a linear or quadratic function of the position in the hall.
@@ -99,7 +102,7 @@ class Regressor:
       length is weighted by the fraction of the line beyond it.
     - `near`: 1 for a target at the centre of a region, decreasing with the distance of the target.
     - `state`: a quantity that pointings accumulate, and that decays or is reset (`laws.states`).
-    - `latch`: set above the threshold `constant` of a covariate, and released below `release_threshold`.
+    - `latch`: 1 after a covariate rose above the threshold `constant`, 0 after it fell below `release_threshold`.
     """
 
     kind: str
@@ -109,15 +112,16 @@ class Regressor:
     function: str = ""
     """Name of the function of a `simple`, `state` or `passage` regressor."""
     constant: float = 0.0
-    """Constant of a formula, a wave, a state or a latch; time [s] of a lag; otherwise a number.
+    """Constant of a formula, wave, state or latch; time constant [s] of a lag, also of a switch (0 for no lag).
 
-    The number counts the eigenfunctions of a curve, the amounts, or the pieces. For a field it is the order of the
-    polynomial. The time of a switch is that of its lag, 0 for none.
+    For other kinds it is a number: of eigenfunctions of a curve, of amounts, or of pieces; for a field it is the order
+    of the polynomial.
     """
     factors: tuple[Regressor, ...] = ()
     """Regressors that the function combines: factors of a product, steps and ramps, or the steps of a switch."""
     centre_targets: tuple[str, ...] = ()
-    """Names of the targets whose centre is the origin of a field, or that have separate amounts; empty for all."""
+    """Names of the targets whose mean position is the origin of a field, or that have separate amounts; empty for
+    all."""
     region: HallRegion | None = None
     """Region of the hall on which a `passage` or `near` regressor depends."""
     release_threshold: float = 0.0
@@ -127,9 +131,9 @@ class Regressor:
         """Columns (n, k) of the regressor for n pointings, each with an rms of about one.
 
         If the law changes the position of targets (`acts_on_targets`), the columns are relative to a reference state,
-        in which the targets have their declared coordinates: the start of the measurement, or the pointings at which
-        the additional column of the recording on which the regressor depends is zero. If there is no such state, each
-        column has zero mean.
+        in which the targets have their declared coordinates. This is the start of the measurement, or the pointings at
+        which the additional column of the recording on which the regressor depends is zero. If there is no such state,
+        each column has zero mean.
         """
         columns = self._unreduced_columns(sightings, acts_on_targets)
         if not acts_on_targets or self.kind in ("constant", "field", "amounts", "product"):
@@ -188,8 +192,8 @@ class Regressor:
     def _region_column(self, region: HallRegion, sightings: Sightings) -> Floats:
         """Values (n,) of a regressor of a hall `region`, by its kind.
 
-        They are the length of each line of sight in the region [m], this length weighted by the lever of a deflection
-        [m], or the weight of the region at the target.
+        The values are the length [m] of each line of sight in the region, this length weighted by the lever of a
+        deflection (`LEVER_FUNCTION`), or the weight of the region at the target.
         """
         if self.kind == "near":
             return region.target_weights(sightings)
@@ -210,16 +214,18 @@ class Regressor:
             return sightings.instrument, np.unique(sightings.instrument)
         all_targets = np.arange(len(sightings.target_names))
         if self.covariates == ("last-target",):
-            return np.where(sightings.previous_rows >= 0, sightings.target[sightings.previous_rows], -1), all_targets
+            return np.where(
+                sightings.previous_pointings >= 0, sightings.target[sightings.previous_pointings], -1
+            ), all_targets
         ids = [sightings.target_names.index(name) for name in self.centre_targets]
         return sightings.target, np.array(ids) if ids else all_targets
 
     def _product_columns(self, sightings: Sightings, acts_on_targets: bool) -> Floats:
-        """Columns (n, k) of a product: all products of the columns of its factors."""
+        """Columns (n, k) of a product: all products of a column of each factor."""
         product = np.ones((len(sightings), 1))
         for factor in self.factors:
             part = factor.columns(sightings, acts_on_targets=acts_on_targets)
-            if factor.kind == "smooth" and self.is_per_instrument:
+            if factor.kind == "smooth" and self.has_curve_per_instrument:
                 part = part - group_means(part, sightings.instrument)
             elif factor.kind == "smooth":
                 part = np.hstack([np.ones((len(part), 1)), part])
@@ -227,7 +233,7 @@ class Regressor:
         return scaled_to_unit_rms(product) if self.hall_region and product.shape[1] == 1 else product
 
     @property
-    def is_per_instrument(self) -> bool:
+    def has_curve_per_instrument(self) -> bool:
         """True if each instrument has a separate curve with a mean of zero.
 
         The ordinary calibration of an instrument already contains the mean of its curve.
@@ -236,7 +242,7 @@ class Regressor:
 
     @cached_property
     def coefficient_sigmas(self) -> tuple[Floats, ...]:
-        """Prior standard deviations (k,) of the coefficients; a curve has several such arrays, one per length scale."""
+        """Prior standard deviations of the k coefficients: one array (k,), for a curve one array per length scale."""
         match self.kind:
             case "constant" | "simple" | "passage" | "near" | "state" | "latch" | "switch":
                 return (np.ones(1),)
@@ -254,38 +260,38 @@ class Regressor:
         spread = np.ones(1)
         for factor in self.factors:
             part = factor.coefficient_sigmas[0]
-            part = np.append(1.0, part) if factor.kind == "smooth" and not self.is_per_instrument else part
+            part = np.append(1.0, part) if factor.kind == "smooth" and not self.has_curve_per_instrument else part
             spread = np.outer(spread, part / np.linalg.norm(part)).ravel()
         return (spread,)
 
     @property
     def hall_region(self) -> HallRegion | None:
-        """Region of the hall on which the regressor, or one of its factors, depends."""
+        """Region of the hall on which the regressor, or one of its factors, depends; None without a region."""
         return next((f.region for f in (self, *self.factors) if f.region is not None), None)
 
     def with_region(self, region: HallRegion) -> Regressor:
-        """Copy of the regressor with another region of the hall in place of its own region or that of its factor."""
+        """Product of this regressor, without its field, and a regressor with a separate value for each target."""
         if self.region is None:
             factors = tuple(f.with_region(region) if f.region is not None else f for f in self.factors)
             return replace(self, factors=factors)
         return replace(self, region=region, covariates=tuple(region.bounded_axes))
 
     def with_field_centred_on(self, targets: tuple[str, ...]) -> Regressor:
-        """Copy of the regressor in which the origin of a field is the centre of `targets`."""
+        """Copy of the regressor in which the origin of a field is the mean position of `targets`."""
         if all(f.kind != "field" for f in self.factors):
             return self
         factors = tuple(replace(f, centre_targets=targets) if f.kind == "field" else f for f in self.factors)
         return replace(self, factors=factors)
 
     def with_amount_per_target(self, targets: tuple[str, ...]) -> Regressor:
-        """Product of this regressor, without its field, and a separate amount for each of `targets`."""
+        """Product of this regressor, without its field, and a regressor with a separate value for each of `targets`."""
         other_factors = [f for f in self.factors or (self,) if f.kind != "field"]
         separate_amounts = group_amounts_regressor("target", len(targets), targets)
         return Regressor("product", factors=(*other_factors, separate_amounts))
 
     @property
     def n_columns(self) -> int:
-        """Number of columns k."""
+        """Number k of columns of the regressor in the design matrix."""
         return len(self.coefficient_sigmas[0])
 
     @property
@@ -302,16 +308,16 @@ COORDINATE_COVARIATES = ("x", "y", "z")
 
 
 def with_position_dependence(regressors: Sequence[Regressor], polynomial_order: int) -> list[Regressor]:
-    """Products of each regressor and a field, so that its coefficient varies across the hall.
+    """Products of each regressor with a field, so that the coefficient of the regressor varies across the hall.
 
-    The coefficient is a linear function of the position for `polynomial_order` 1 and a quadratic one for 2.
+    The coefficient is a linear function of the position for `polynomial_order` 1 and a quadratic function for 2.
     """
     field = Regressor("field", COORDINATE_COVARIATES, constant=polynomial_order)
     return [Regressor("product", factors=(regressor, field)) for regressor in regressors]
 
 
 def scalar_regressor(covariate: str, function: str, constant: float = 1.0) -> Regressor:
-    """Regressor with one column: a `function` of one covariate with a `constant`."""
+    """Regressor with one column: a function of one covariate and a constant, such as a key of `FORMULA_FUNCTIONS`."""
     return Regressor("simple", (covariate,), function, constant)
 
 
@@ -330,7 +336,7 @@ def passage_regressor(region: HallRegion, function: str = "") -> Regressor:
 
 
 def nearness_regressor(region: HallRegion) -> Regressor:
-    """Regressor that is 1 for targets at the centre of a region and decreases with their distance from it."""
+    """Regressor that is 1 for targets at the centre of a region and decreases with their distance from the centre."""
     return Regressor("near", tuple(region.bounded_axes), region=region)
 
 
@@ -343,7 +349,7 @@ def state_regressor(covariate: str, function: str, constant: float) -> Regressor
 
 
 def latch_regressor(covariate: str, set_threshold: float, release_threshold: float) -> Regressor:
-    """Regressor that is 1 once a covariate exceeds `set_threshold`, until it falls below `release_threshold`."""
+    """Regressor that is 1 from the time a covariate exceeds `set_threshold` until it is below `release_threshold`."""
     return Regressor("latch", (covariate,), constant=set_threshold, release_threshold=release_threshold)
 
 
@@ -362,7 +368,7 @@ def piecewise_regressor(steps: Sequence[Regressor]) -> Regressor:
 
 
 def switch_regressor(edge_regressors: Sequence[Regressor]) -> Regressor:
-    """Regressor that is 1 after the first step, 0 after the second, 1 after the third, and so on."""
+    """Regressor that is 1 after the first of the steps `edge_regressors`, 0 after the second, and so on."""
     return Regressor("switch", edge_regressors[0].covariates, factors=tuple(edge_regressors))
 
 

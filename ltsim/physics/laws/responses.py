@@ -1,8 +1,8 @@
 """Responses: quantities of the measurement that an unknown cause may change, and the resulting changes of readings.
 
-Responses are the constants of the instrument, the rotation and translation of a stand, coordinates of targets, air, and
-reflectors. If no physical quantity explains a mismatch, the response is a reading itself. A motion in space is one
-response with three components. In this module n is the number of pointings, and c the number of components.
+Responses are the instrument constants, rotation and translation of a stand, coordinates of targets, and properties of
+air and reflectors. If no physical quantity explains a mismatch, the response is a reading itself. A motion in space is
+one response with three components. In this module n is the number of pointings, and c the number of components.
 """
 
 from collections.abc import Callable
@@ -30,9 +30,9 @@ PLAUSIBLE_ANGLE_ERROR = 2 * ARCSECOND
 PLAUSIBLE_LENGTH_ERROR = 10 * MICROMETRE
 """Prior standard deviation [m] of the coefficients of errors of ranges, beam offsets and reflectors."""
 PLAUSIBLE_SCALE_ERROR = 2 * PPM
-"""Prior standard deviation of the coefficients of a relative error of ranges."""
+"""Prior standard deviation of the coefficients of scale errors of ranges, as a fraction of the range."""
 PLAUSIBLE_MOTION = 30 * MICROMETRE
-"""Prior standard deviation [m] of the coefficients of motions of targets and stands, with their walls and floors."""
+"""Prior standard deviation [m] of the coefficients of motions of targets and stands, or of their walls and floors."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ class Response:
     name: str
     """Name of the quantity in files and sentences."""
     display_unit: str
-    """Unit in which a change of the quantity is displayed."""
+    """Display unit of a change of the quantity."""
     plausible_size: float
     """Plausible size [SI] of a change of the quantity, the prior standard deviation of its coefficients."""
     observables: tuple[str, ...] = ()
-    """Observables that a change of the quantity mainly changes; empty if they depend on the geometry."""
+    """Observables that the quantity mainly changes; empty if they depend on the positions of stations and targets."""
     kind: str = "instrument"
     """Part of the measurement that changes: `reading`, `instrument`, `circle`, `stand`, `target`, `air`, `reflector`.
     """
@@ -75,8 +75,7 @@ _SLOT_RESPONSES = {
     "beam-vertical": Response("vertical beam offset", "um", PLAUSIBLE_LENGTH_ERROR, ("elevation",)),
     "beam-tilt": Response("beam tilt", "urad", PLAUSIBLE_ANGLE_ERROR, ("azimuth",)),
 }
-"""Changeable quantities that are constants of the instrument, by the place (slot) in the kinematic chain where the
-error acts."""
+"""Responses that are instrument constants, by the key of the error in the kinematic chain (`error_slot`)."""
 _ECCENTRICITY_RESPONSES = {
     Response(
         f"{effect.observables[0]} eccentricity",
@@ -88,8 +87,7 @@ _ECCENTRICITY_RESPONSES = {
     ): effect
     for effect in (AzimuthEccentricity(), ElevationEccentricity())
 }
-"""Eccentricities of the circles as changeable quantities, each with the effect of the catalogue that has its
-derivatives."""
+"""Responses that are eccentricities of the circles, each with the catalogue effect that has its derivatives."""
 _READING_RESPONSES = tuple(
     Response(
         name,
@@ -119,13 +117,15 @@ _MULTI_OBSERVABLE_RESPONSES = tuple(
     for count in (2, 3)
     for names in combinations(OBSERVABLES, count)
 )
-"""Pairs and triples of observables that change together. They depend on the same regressor with separate coefficients.
-"""
+"""Responses that are pairs or triples of observables, which depend on the same regressor with separate coefficients."""
 _RANGE_SCALE_RESPONSE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("distance",))
 
 
 def constant_names_of_slot(slot: str) -> tuple[str, ...]:
-    """Names of the constants of the ordinary calibration that act at a place (slot) in the kinematic chain."""
+    """Names of the instrument constants of the ordinary calibration that change an error of the kinematic chain.
+
+    `slot` is the key of the error (`error_slot`).
+    """
     return tuple(
         p.name for e in MISALIGNMENT_EFFECTS for p, t in zip(e.parameters, e.terms, strict=True) if t == SlotTerm(slot)
     )
@@ -136,7 +136,7 @@ VARIED_CONSTANTS_BY_RESPONSE = (
     | {response.name: tuple(p.name for p in effect.parameters) for response, effect in _ECCENTRICITY_RESPONSES.items()}
     | {"distance": constant_names_of_slot("range"), _RANGE_SCALE_RESPONSE.name: ("range-scale",)}
 )
-"""Names of the constants of the ordinary calibration that a law varies, by the name of the quantity that it changes."""
+"""Names of the instrument constants of the ordinary calibration that a law varies, by the name of its response."""
 _STAND_TILT_RESPONSE = Response("lean of the stand", "urad", PLAUSIBLE_ANGLE_ERROR, (), "stand", ("about x", "about y"))
 _STAND_POSITION_RESPONSE = Response(
     "place of the stand", "um", PLAUSIBLE_MOTION, (), "stand", ("along x", "along y", "along z")
@@ -157,7 +157,7 @@ _DISPLACEMENT_TOWARDS_INSTRUMENT_RESPONSE = Response(
 def _observable_design(sightings: Sightings, observable: str) -> Floats:
     """Change (n, 3, 1) of the raw readings per unit of a correction of one observable.
 
-    The correction is that of face 1; on face 2 the reading of an angle may change with the opposite sign.
+    The correction refers to face 1; on face 2 the reading of an angle may change with the opposite sign.
     """
     return design_from_front_face_corrections(sightings, **{observable: np.ones(len(sightings))})[:, :, None]
 
@@ -172,8 +172,8 @@ def _multi_observable_design(sightings: Sightings, response: Response) -> Floats
 
 
 def _slot_design(sightings: Sightings, slot: str) -> Floats:
-    """Change (n, 3, 1) of the raw readings per unit of an error at a place (slot) in the kinematic chain."""
-    return sightings.slot_responses[slot][:, :, None]
+    """Change (n, 3, 1) of the raw readings per unit of an error of the kinematic chain, given by its key `slot`."""
+    return sightings.reading_change_by_error_slot[slot][:, :, None]
 
 
 def _range_scale_design(sightings: Sightings) -> Floats:
@@ -205,7 +205,7 @@ def _displacement_towards_instrument_design(sightings: Sightings) -> Floats:
 
 
 ResponseDesignFunction = Callable[[Sightings], Floats]
-"""Function from sightings to the change (n, 3, c) of the raw readings per unit of each component of a quantity."""
+"""Function from sightings to the change (n, 3, c) of the raw readings per unit of each component of a response."""
 
 
 def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
@@ -231,15 +231,15 @@ RESPONSE_AND_DESIGN_BY_NAME = _response_registry()
 """Responses by name, each with the function for the change (n, 3, c) of the raw readings per unit of each coefficient.
 """
 _RESPONSES_NEEDING_NESTS = {_TARGET_HEIGHT_RESPONSE.name, _REFLECTOR_VERTEX_RESPONSE.name}
-"""Names of the changeable quantities that need declared normals of the nests."""
+"""Names of the responses that need declared normals of the nests."""
 
 
 def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]:
     """Responses by name, each with the change (n, 3, c) of the raw readings per unit of its c coefficients.
 
-    Of responses with the same change, only the first is listed. For example, an error of the vertical index and one of
-    the elevation are the same if all readings are on one face. A motion of the stand is always listed, because it can
-    depend on other regressors than a motion of the targets.
+    If several responses have the same change, only the first is listed. For example, errors of the vertical index and
+    of the elevation are the same if all readings are on one face. A motion of the stand is always listed, because it
+    can depend on other regressors than a motion of the targets.
     """
     designs: dict[str, tuple[Response, Floats]] = {}
     has_nest_normals = bool(np.isfinite(sightings.nest_normals).any())

@@ -20,7 +20,7 @@ CONSTANT_SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
 def short_regressors(sightings: Sightings, covariate: str, *, is_reduced_set: bool = False) -> Iterator[Regressor]:
     """Iterator over functions of the `covariate` with at most one constant.
 
-    If `is_reduced_set`, it has fewer functions, to limit the number of products with functions of other covariates.
+    If `is_reduced_set`, there are fewer functions, to limit the number of products with functions of other covariates.
     """
     times = CONSTANT_SPAN_FRACTIONS * float(np.ptp(sightings.covariate_values[covariate]))
     circular = covariate in CIRCULAR_COVARIATES

@@ -1,4 +1,4 @@
-"""Sizes of a law for display: value, standard deviation and unit."""
+"""Sizes of the changes that a law causes, for display: value, standard deviation and unit."""
 
 from typing import NamedTuple
 
@@ -10,12 +10,16 @@ from ltsim.scene.sightings import Sightings
 
 
 class DisplayedSize(NamedTuple):
-    """Size of a law as reported to users: name, value, standard deviation and display unit."""
+    """Size of the change that a law causes, as reported to users."""
 
     name: str
+    """Name of the size, such as `amplitude` or `swing`."""
     value: float
+    """Value in the display unit."""
     sigma: float
+    """Standard deviation in the display unit."""
     unit: str
+    """Display unit."""
 
 
 def displayed_sizes(
@@ -24,8 +28,8 @@ def displayed_sizes(
     """Sizes of a law: a constant, the amplitude and phase of a wave, or the rms and swing of a curve.
 
     The swing of a curve is its largest value minus its smallest value at the pointings. For a motion in space all
-    components are listed, at the set-up with the largest motion. `coefficients` (k,) are those of the law [SI], with
-    their `covariance` (k, k).
+    components are listed, at the set-up with the largest motion. `coefficients` (k,) [SI] of the law have the
+    `covariance` (k, k).
     """
     law, main_direction, means, spread = law.law_at_largest_effect(coefficients, covariance, sightings)
     ways = law.response.component_names
@@ -60,6 +64,6 @@ def displayed_sizes(
 
 
 def _displayed_size(law: EmpiricalLaw, name: str, value: float, variance: float, component: int = 0) -> DisplayedSize:
-    """Size of one component of the changed quantity in its display unit, from its `value` and `variance` [SI]."""
+    """Size of one component of the response in its display unit, from `value` and `variance` of its coefficient."""
     unit, factor = law.response.display_unit_and_factor(component)
     return DisplayedSize(name.strip(), float(value) * factor, float(np.sqrt(max(variance, 0.0))) * factor, unit)

@@ -4,8 +4,9 @@ In the order of measurement of a set-up a state is s_i = k_i (s_(i-1) + u_i). Th
 since the previous pointing: the time, the number of pointings, or the accumulated rotation of an axis. The factor k_i
 is 1 for a plain sum. It is less than 1 if the state decays with time or with the number of pointings, and 0 if an event
 resets it. Such events are a change of face or of the target, an axis that turns back, a pause, a long motion, or a
-fixed number of pointings. A latch is set when a quantity rises above one threshold and reset when it falls below
-another (a relay; Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
+fixed number of pointings. A latch is a state with the values 1 and 0: it is set when a quantity rises above one
+threshold and reset when it falls below a lower threshold (a relay; Krasnosel'skii and Pokrovskii, Systems with
+hysteresis, 1989).
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -26,17 +27,17 @@ RESET_LIMIT_QUANTITIES = ("pause", "slew", "tip")
 azimuth, and the motion in elevation.
 """
 TIME_DECAY_FUNCTION = "fades"
-"""Name of the function of a state that decays with time."""
+"""Name of the function of a state that decays exponentially with time."""
 POINTING_DECAY_FUNCTION = "forgets"
-"""Name of the function of a state that decays with the number of pointings."""
+"""Name of the function of a state that decays exponentially with the number of pointings."""
 FIXED_COUNT_RESET_FUNCTION = "every"
 """Name of the function of a state that is reset after a fixed number of pointings."""
 RESET_LIMIT_QUANTILES = (0.6, 0.8, 0.92)
 """Limits of `RESET_LIMIT_QUANTITIES` that a search tries, as quantiles of the quantity."""
 DECAY_TIME_FRACTIONS = np.array([0.03, 0.1, 0.3, 1.0])
-"""Time constants of decays that a search tries, as fractions of the span of the time; of states (the first three), as
-fractions of the median duration of a set-up. Each time constant in between differs by less than a factor of two from
-one of them.
+"""Time constants of decays that a search tries, as fractions of the span of the time. For states the first three are
+tried, as fractions of the median duration of a set-up. A time constant between two of them differs from one of them by
+less than a factor of two.
 """
 DECAY_POINTINGS = (2.0, 4.0, 8.0)
 """Numbers of pointings within which a state decays by a factor of e, as a search tries them."""
@@ -47,15 +48,18 @@ RESET_COUNTS = range(3, 31)
 LATCH_QUANTILES = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Thresholds of latches that a search tries, as quantiles of the quantity."""
 MIN_RESETS = 2
-"""Smallest number of resets for which a search tries a state, and smallest number of pointings without reset. The first
-pointing of a set-up counts as neither. With fewer resets the state is nearly a plain sum.
+"""Smallest number of pointings with reset, and smallest number of pointings without reset, for which a search tries a
+state. The first pointing of a set-up counts as neither. With fewer resets the state is nearly a plain sum.
 """
 StateKey = tuple[str, str, float]
 """Key of a state: input, function, and constant (a limit, a time constant [s], or a number of pointings)."""
 
 
 def candidate_state_keys(sightings: Sightings, inputs: Sequence[str]) -> list[StateKey]:
-    """Keys of the states that a search tries with `inputs`, names of covariates. The sightings cache their columns."""
+    """Keys of the states that a search tries; `inputs` are names of covariates.
+
+    The columns of the states are stored in the cache of the sightings.
+    """
     functions = list(_state_functions(sightings))
     states = [
         (name, how, k)
@@ -96,9 +100,10 @@ def _state_functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
 
 
 def state_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
-    """Value (n,) of a state at each of n pointings, minus its mean; the input is a `covariate`.
+    """Value (n,) of a state at each of n pointings, minus its mean.
 
-    `function_name` is the kind of decay or reset, `constant` its constant.
+    The state accumulates the changes of `covariate`. `function_name` is the kind of decay or reset, `constant` is the
+    constant of this function.
     """
     key: StateKey = covariate, function_name, constant
     _cache_states(sightings, [key])
@@ -109,11 +114,12 @@ def state_column(sightings: Sightings, covariate: str, function_name: str, const
 def latch_column(sightings: Sightings, covariate: str, set_threshold: float, release_threshold: float) -> Floats:
     """Value (n,) of a latch at each of n pointings, minus its mean.
 
-    The latch is 1 from a covariate value above `set_threshold` until one below `release_threshold`, and 0 otherwise.
+    The latch is 1 after the covariate exceeds `set_threshold` until it falls below `release_threshold`, and 0
+    otherwise.
     """
-    x, rows = sightings.covariate_values[covariate], sightings.order_by_setup
+    x, rows = sightings.covariate_values[covariate], sightings.pointing_order_by_station
     event = np.where(x > set_threshold, 1.0, np.where(x < release_threshold, 0.0, np.nan))[rows]
-    is_first_pointing = sightings.previous_rows[rows] < 0
+    is_first_pointing = sightings.previous_pointings[rows] < 0
     event = np.where(
         is_first_pointing & np.isnan(event),
         (x[rows] > 0.5 * (set_threshold + release_threshold)).astype(np.float64),
@@ -135,15 +141,18 @@ def candidate_latches(sightings: Sightings, covariates: Iterable[str]) -> list[t
 
 
 def _limit_quantity(sightings: Sightings, quantity_name: str) -> Floats:
-    """Absolute value (n,) [s or rad] at each pointing of a quantity with a name of `RESET_LIMIT_QUANTITIES`."""
+    """Absolute value (n,) [s or rad] at each pointing of one of the `RESET_LIMIT_QUANTITIES`."""
     quantity = {"pause": "lapse", "slew": "move-azimuth", "tip": "move-elevation"}[quantity_name]
     return np.abs(sightings.covariate_values[quantity])
 
 
 def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bools:
-    """Flags (n,) of the pointings at which a state is reset. The first pointing of a set-up has none."""
-    has_previous = sightings.previous_rows >= 0
-    before = np.where(has_previous, sightings.previous_rows, 0)
+    """Flags (n,) of the pointings at which a state is reset, except the first pointing of a set-up.
+
+    `function_name` is the kind of reset, `constant` its limit or its number of pointings.
+    """
+    has_previous = sightings.previous_pointings >= 0
+    before = np.where(has_previous, sightings.previous_pointings, 0)
     name = function_name.removeprefix("after ")
     if function_name in (TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION):
         return np.zeros(len(sightings), dtype=bool)
@@ -161,11 +170,11 @@ def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bool
 
 
 def _cache_states(sightings: Sightings, state_keys: Sequence[StateKey]) -> None:
-    """Computation of several states together. The sightings cache the values (n,) of each, minus their mean."""
+    """Joint computation of several states; their values (n,) minus their mean are stored in the sightings' cache."""
     state_keys = [key for key in state_keys if key not in sightings.derived_cache]
     if not state_keys:
         return
-    row_order = sightings.order_by_setup
+    row_order = sightings.pointing_order_by_station
     inputs = {name: _increments(sightings, name)[row_order] for name in {name for name, _, _ in state_keys}}
     factors = {key: _remaining_fraction(sightings, *key)[row_order] for key in {(how, k) for _, how, k in state_keys}}
     increments = np.stack([inputs[name] for name, _, _ in state_keys], axis=1)
@@ -184,16 +193,16 @@ def _cache_states(sightings: Sightings, state_keys: Sequence[StateKey]) -> None:
 def _increments(sightings: Sightings, covariate: str) -> Floats:
     """Change (n,) of a covariate since the previous pointing of the set-up; 0 for the first pointing."""
     x = sightings.covariate_values[covariate]
-    return np.where(sightings.previous_rows >= 0, x - x[sightings.previous_rows], 0.0)
+    return np.where(sightings.previous_pointings >= 0, x - x[sightings.previous_pointings], 0.0)
 
 
 def _remaining_fraction(sightings: Sightings, function_name: str, constant: float) -> Floats:
     """Fraction (n,) of the state after the previous pointing that remains at each pointing.
 
-    It is 0 at a reset and at the first pointing of a set-up. `function_name` is the decay or the kind of reset, and
-    `constant` its constant: a time [s], a number of pointings, or the limit of a pause or move.
+    The fraction is 0 at a reset and at the first pointing of a set-up. `function_name` is the kind of decay or reset,
+    and `constant` its constant: a time [s], a number of pointings, or the limit of a pause or motion.
     """
-    has_previous = (sightings.previous_rows >= 0).astype(np.float64)
+    has_previous = (sightings.previous_pointings >= 0).astype(np.float64)
     if function_name == TIME_DECAY_FUNCTION:
         return has_previous * np.exp(-sightings.covariate_values["lapse"] / constant)
     if function_name == POINTING_DECAY_FUNCTION:

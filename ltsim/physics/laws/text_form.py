@@ -41,9 +41,9 @@ PHRASE_BY_COVARIATE = {
     "target": "the target",
     "last-target": "the target before",
 }
-"""Phrases for covariates whose name is not understood in a sentence."""
+"""Phrases for users in place of names of covariates that a sentence does not explain."""
 GROUP_COVARIATES = ("station", "target", "last-target")
-"""Covariates for whose values (stations, targets, previous targets) a law may have separate amounts."""
+"""Covariates with whose values (stations, targets, previous targets) a law may have separate amounts."""
 REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("constant", "", None): "constant",
     ("smooth", "", None): "a smooth function of {x}",
@@ -88,8 +88,8 @@ REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("simple", "power", None): "{x}^{k}",
     ("simple", "power", 1.0): "{x}",
 }
-"""Text of a regressor by its kind, function and constant. None stands for any constant. In the text x is a covariate, k
-is the constant, and value is the constant or a period with its unit.
+"""Text form of a regressor by its kind, function and constant; None stands for any constant. In the text `x` is a
+covariate, `k` is the constant, and `value` is the constant or a period with its unit.
 """
 UNIT_COVARIATE_BY_FUNCTION = {
     "lagging": "time",
@@ -98,22 +98,22 @@ UNIT_COVARIATE_BY_FUNCTION = {
     "after slew": "move-azimuth",
     "after tip": "move-elevation",
 }
-"""Variable whose unit a constant in the formula of a law has, by the function of the law that contains the constant.
-The constant of any other function has the unit of the variable to which the function is applied."""
+"""Covariate whose unit the constant in a formula has, by the function that contains the constant. The constant of any
+other function has the unit of the covariate to which the function is applied."""
 MIN_VALUE_IN_DISPLAY_UNIT = {"min": 2.0, "m": 1.0}
-"""Smallest value that is displayed in the unit. Below it the next smaller unit is used, as in 90 s and 400 mm."""
+"""Smallest value that is displayed in a unit, by unit. Smaller values have the next smaller unit, as 90 s or 400 mm."""
 PER_SETUP_SUFFIX = ", separately at each set-up"
-"""Suffix of the text of a law with separate coefficients for each set-up."""
+"""Suffix of the text form of a law with separate coefficients for each set-up."""
 RATIO_SUFFIX = ", components in the ratio {values}"
-"""Suffix of the text of a law whose components have a fixed ratio."""
+"""Suffix of the text form of a law whose components have a fixed ratio."""
 PER_INSTRUMENT_SUFFIX = ", separately for each instrument"
-"""Suffix of the text of a regressor that has separate coefficients for each instrument."""
+"""Suffix of the text form of a regressor with separate coefficients for each instrument."""
 SWITCH_TEMPLATE = "a switch of {x}, on from {spans}"
 """Template of the text form of a switch."""
 SWITCH_LAG_SUFFIX = ", followed with a lag of {value}"
-"""Suffix of the text of a switch, if the error follows the switch with a first-order lag."""
+"""Suffix of the text form of a switch that the error follows with a first-order lag."""
 SWITCH_START_TEXT = "the start"
-"""Text for the start of an interval of a switch that is on from the first pointing."""
+"""Text for the start of the first interval of a switch that is on from the first pointing."""
 FACTOR_SEPARATORS = {"product": " times ", "pieces": ", "}
 """Separators between the texts of the factors of a product, and of the steps and ramps of a sum."""
 REGION_PHRASES = {
@@ -121,11 +121,11 @@ REGION_PHRASES = {
     ("passage", LEVER_FUNCTION): "the lever of the path through",
     ("near", ""): "the nearness of targets to",
 }
-"""Text before that of a region, by the kind and the function of the regressor."""
+"""Words before the text form of a region, by the kind and the function of the regressor."""
 
 
 def covariate_value_text(covariate: str, value: float, *, has_clock: bool = True) -> str:
-    """Text of a covariate's value [SI] with its display unit. Without a clock times count the recording's rows."""
+    """Value [SI] of a covariate as text with its display unit; without a clock, times count pointings."""
     units = _si_per_display_unit(covariate, has_clock)
     *larger, last = units
     unit = next((u for u in larger if abs(value) >= MIN_VALUE_IN_DISPLAY_UNIT[u] * units[u]), last)
@@ -134,7 +134,7 @@ def covariate_value_text(covariate: str, value: float, *, has_clock: bool = True
 
 
 def _si_per_display_unit(covariate: str, has_clock: bool) -> dict[str, float]:
-    """Display units of a covariate with their sizes in SI, the larger unit first."""
+    """Display units of a covariate with their values in SI units, the largest first."""
     if covariate.endswith((*ANGLE_COVARIATES, "incidence")):
         return {"deg": np.pi / 180.0}
     if covariate in TIME_COVARIATES:
@@ -143,8 +143,8 @@ def _si_per_display_unit(covariate: str, has_clock: bool) -> dict[str, float]:
 
 
 def regressor_text(regressor: Regressor, *, has_clock: bool = True) -> str:
-    """Text form of a regressor. Without a clock times count the recording's rows."""
-    if regressor.is_per_instrument:
+    """Text form of a regressor; without a clock, times count the rows of the recording's data table."""
+    if regressor.has_curve_per_instrument:
         return regressor_text(regressor.factors[0], has_clock=has_clock) + PER_INSTRUMENT_SUFFIX
     if regressor.kind in FACTOR_SEPARATORS:
         return FACTOR_SEPARATORS[regressor.kind].join(regressor_text(f, has_clock=has_clock) for f in regressor.factors)
@@ -170,7 +170,7 @@ def regressor_text(regressor: Regressor, *, has_clock: bool = True) -> str:
 
 
 def _switch_text(regressor: Regressor, *, has_clock: bool) -> str:
-    """Text form of a switch: the intervals in which it is on, of which the first and the last may be unbounded."""
+    """Text form of a switch: the intervals in which it is on; the first and the last may be unbounded."""
     name = regressor.covariates[0]
     values = [covariate_value_text(name, factor.constant, has_clock=has_clock) for factor in regressor.factors]
     if regressor.factors[0].constant == -np.inf:
@@ -185,7 +185,7 @@ def _switch_text(regressor: Regressor, *, has_clock: bool) -> str:
 
 
 def law_suffix(law: EmpiricalLaw) -> str:
-    """Text after that of a law's regressor, about separate coefficients of set-ups and the ratio of its components."""
+    """Text that follows a law's regressor: separate coefficients for each set-up, fixed ratio of its components."""
     ratio = RATIO_SUFFIX.format(values=" / ".join(f"{value:.4g}" for value in law.direction)) if law.direction else ""
     return (PER_SETUP_SUFFIX if law.is_per_setup else "") + ratio
 
@@ -239,9 +239,9 @@ def parse_law(
     stations: tuple[str, ...] = (),
     targets: tuple[str, ...] = (),
 ) -> EmpiricalLaw:
-    """Law from the name of the changed quantity (`response_name`) and the text form of its regressor.
+    """Law from the name of its response (a changed quantity) and the text form of its regressor.
 
-    It acts at `stations` and `targets`, or at all. Raises ModelError for an unknown quantity or text form.
+    The law acts at `stations` and `targets`, or at all. Raises ModelError for an unknown response or text form.
     """
     if response_name not in RESPONSE_AND_DESIGN_BY_NAME:
         raise ModelError(
@@ -283,7 +283,7 @@ def parse_law(
 
 
 def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFAULT) -> Regressor:
-    """Regressor from its text form, the inverse of `regressor_text`. A curve has `n_modes` eigenfunctions.
+    """Regressor from its text form, the inverse of `regressor_text`; a curve has `n_modes` eigenfunctions.
 
     Raises ModelError for a text that is not a regressor of the recording.
     """
@@ -345,7 +345,7 @@ def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFA
 
 
 def _parse_switch(law_text: str, match: re.Match[str], recording: Recording) -> Regressor:
-    """Switch from its text form; raises ModelError for unordered or invalid values."""
+    """Switch from its text form and the match of this text; raises ModelError for unordered or invalid values."""
     name, edges, lag = match["x"], list[Regressor](), 0.0
     is_covariate = name in {*READING_COVARIATES, *recording.regressor_covariates}
     ends = [end for span in match["spans"].split(", ") for end in span.split(" to ")]
@@ -360,14 +360,14 @@ def _parse_switch(law_text: str, match: re.Match[str], recording: Recording) -> 
             scalar_regressor(name, "step", _parse_constant(law_text, name, value.groupdict(), recording.has_clock))
         )
     if any(edge.constant >= later.constant for edge, later in itertools.pairwise(edges)):
-        raise ModelError(f"'{law_text}': expected times that increase")
+        raise ModelError(f"'{law_text}': expected increasing times")
     if match["value"]:
         lag = _parse_constant(law_text, "time", {"value": match["value"], "unit": match["unit"]}, recording.has_clock)
     return replace(switch_regressor(edges), constant=lag)
 
 
 def _parse_latch(law_text: str, match: re.Match[str], recording: Recording) -> Regressor:
-    """Latch from its text form; raises ModelError for unordered or invalid thresholds."""
+    """Latch from its text form and the match of this text; raises ModelError for unordered or invalid thresholds."""
     name, thresholds = match["x"], []
     for text in (match["above"], match["below"]):
         value = re.fullmatch(_PLACEHOLDER_PATTERNS["value"], text)
@@ -390,7 +390,7 @@ def _parse_hall_region(text: str, match: re.Match[str]) -> HallRegion:
 
 
 def _parse_constant(text: str, covariate: str, groups: Mapping[str, str], has_clock: bool) -> float:
-    """Constant [SI] in the text form of a regressor; raises ModelError for a unit that its covariate cannot have."""
+    """Constant [SI] from the match `groups` of a text form; raises ModelError for an impossible unit of `covariate`."""
     if "k" in groups:
         return float(groups["k"])
     units, unit = _si_per_display_unit(covariate, has_clock), groups["unit"]

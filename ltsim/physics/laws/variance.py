@@ -1,4 +1,4 @@
-"""Variance functions: changes of the noise that the catalogue lacks, and errors common to repeated pointings."""
+"""Variance functions: changes of the noise that no catalogue effect describes, and errors that repetitions share."""
 
 from dataclasses import dataclass
 
@@ -12,8 +12,7 @@ from ltsim.scene.regions import HallRegion
 from ltsim.scene.sightings import Sightings
 
 REPETITION_KINDS = REPEATS_PER_FACE, REPEATS_IN_BOTH_FACES = ("in each face", "in both faces")
-"""Kinds of repetition: all pointings of a station to a target in one face have the same error, or those in both faces.
-"""
+"""Kinds of repetition: the same error in all pointings of a station to a target in one face, or also in both faces."""
 
 
 MIN_RELATIVE_PATH = 0.05
@@ -24,7 +23,7 @@ the region."""
 def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...], Ints]:
     """Names of the groups with separate noise, and the index (n,) of the group of each of n pointings.
 
-    The groups are stations, targets, or, for the kind `reading`, single pointings with names such as ``row 1``.
+    The groups are stations, targets, or single pointings with names such as ``row 1`` for the `group_kind` `reading`.
     """
     if group_kind == "reading":
         return tuple(f"row {i + 1}" for i in range(len(sightings))), np.arange(len(sightings))
@@ -34,7 +33,7 @@ def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...]
 
 
 def noise_covariate(sightings: Sightings, covariate: str) -> Floats:
-    """Covariate (n,) on which noise depends. For a covariate of earlier pointings it is the absolute value."""
+    """Values (n,) of a covariate on which noise depends; absolute values if it depends on earlier pointings."""
     values: Floats = sightings.covariate_values[covariate]
     return np.abs(values) if covariate.startswith(MEMORY_COVARIATE_PREFIXES) else values
 
@@ -43,18 +42,24 @@ def noise_covariate(sightings: Sightings, covariate: str) -> Floats:
 class VarianceFunction(CandidateNoiseEffect):
     """Variance function: noise of some observables that depends on a covariate, or differs by target or station.
 
-    variance = sigma^2 (1 + value * pattern), with a pattern from 0 to 1 over the pointings. Each of `group_names`
-    (targets, stations or pointings) has a separate value, and with `per_observable` also each observable. For a
-    `region` of the hall the pattern is the length of the line of sight in it, divided by the longest such length. With
-    a `covariate_band` the pattern is 1 where the first covariate is between the first and second limit, the third and
-    fourth, and so on. Elsewhere it is 0. With a region and a band the pattern is the product of both patterns.
+    variance = sigma^2 (1 + v * pattern), with the declared sigma, an added relative variance v, and a pattern from 0 to
+    1 over the pointings. Each of `group_names` (targets, stations or pointings) has a separate v, and with
+    `per_observable` also each observable. For a `region` of the hall the pattern is the length of the line of sight in
+    it, divided by the longest such length. With a `covariate_band` the pattern is 1 if the first covariate is between
+    the first and second limit, the third and fourth, and so on; otherwise it is 0. With a region and a band the pattern
+    is the product of both patterns.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
+    """Names of the observables whose noise changes."""
     covariates: tuple[str, ...] = ()
+    """Names of the covariates on which the noise depends."""
     targets: tuple[str, ...] = ()
+    """Names of the targets where the noise changes; empty for all."""
     stations: tuple[str, ...] = ()
+    """Names of the stations where the noise changes; empty for all."""
     instruments: tuple[str, ...] = ()
+    """Names of the instruments whose noise changes; empty for all."""
     decreases: bool = False
     """True if the noise decreases with the covariate."""
     repetition: str = ""
@@ -62,19 +67,19 @@ class VarianceFunction(CandidateNoiseEffect):
     group_kind: str = ""
     """Kind of the groups with separate noise: target, station or pointing; empty for common noise."""
     group_names: tuple[str, ...] = ()
-    """Names of the groups with separate noise; empty for all."""
+    """Names of the targets, stations or pointings with separate noise; empty for all."""
     per_observable: bool = False
-    """True if each observable has a separate value."""
+    """True if each observable has a separate added variance."""
     region: HallRegion | None = None
     """Region of the hall; readings along lines of sight through it have larger noise."""
     covariate_band: tuple[float, ...] = ()
-    """Limits of the covariate between which the noise is larger; empty for none."""
+    """Limits of the covariate between which the noise is larger, in pairs; empty for no band."""
 
     name = "unknown"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Added variances, as fractions of the declared variance: one, or one per group and observable."""
+        """Added variances, as fractions of the declared variance: a single one, or one per group and observable."""
         kinds = [f"-{name}" for name in self.observables] if self.per_observable else [""]
         names = [f"added-variance{kind} at {name}" for name in self.group_names for kind in kinds]
         return tuple(
@@ -84,7 +89,7 @@ class VarianceFunction(CandidateNoiseEffect):
 
     @property
     def response_text(self) -> str:
-        """Name for users of what changes: `noise`, or an observable in which repeated pointings have the same error."""
+        """Name for users of the changed quantity: `noise`, or the observable whose error repeated pointings share."""
         return self.observables[0] if self.repetition and len(self.observables) == 1 else "noise"
 
     @property
@@ -117,7 +122,10 @@ class VarianceFunction(CandidateNoiseEffect):
         return f"noise that {'falls' if self.decreases else 'grows'} with {self.covariates[0]}"
 
     def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
-        """Variance (n, 3) of the readings, from declared standard deviations `sigma` (n, 3) and added variances."""
+        """Variance (n, 3) of the readings, from declared standard deviations `sigma` (n, 3) and added variances.
+
+        `parameter_values` are the added variances, divided by the declared variance.
+        """
         if self.group_kind:
             added = parameter_values.reshape(len(self.group_names), -1)[noise_groups(sightings, self.group_kind)[1]]
             acts = [o in self.observables for o in OBSERVABLES]
@@ -138,7 +146,7 @@ class VarianceFunction(CandidateNoiseEffect):
         return self._declared_variance_plus_fraction(sigma, parameter_values[0] * pattern)
 
     def is_in_band(self, sightings: Sightings) -> Bools:
-        """Flags (n,) of the pointings whose covariate is within the band."""
+        """Flags (n,) of the pointings whose covariate is within the `covariate_band`."""
         name = self.covariates[0]
         x = noise_covariate(sightings, name)
         is_inside = np.zeros(len(x), dtype=bool)
@@ -150,7 +158,7 @@ class VarianceFunction(CandidateNoiseEffect):
         return is_inside
 
     def _declared_variance_plus_fraction(self, sigma: Floats, added_fraction: Floats) -> Floats:
-        """Variance (n, 3): the declared variance, increased by a fraction (n,) in the observables of this function."""
+        """Variance (n, 3): the declared variance, increased by a fraction (n,) in the observables of this object."""
         acts = [float(o in self.observables) for o in OBSERVABLES]
         grown: Floats = sigma**2 * (1.0 + added_fraction[:, None] * np.array(acts))
         return grown

@@ -37,7 +37,7 @@ MAX_NEWTON_STEPS = 12
 NEWTON_TOLERANCE = 1e-14
 """Size of a Newton step [m, rad] below which the inversion of the kinematic chain ends."""
 FINAL_STEP_THRESHOLD = 1e-11
-"""Size of a Newton step [m, rad] after which one last step, with the exact derivative, leaves rounding errors only."""
+"""Size of a Newton step [m, rad] after which one last step with the exact derivative leaves only rounding errors."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class GeometricErrorModel:
     parameters: tuple[Parameter, ...]
     """Error parameters of the instrument."""
     terms: tuple[SlotTerm, ...]
-    """Terms of the parameters, one per parameter: the slot of the chain that it acts on, and its basis function."""
+    """Terms, one per parameter: the error of the chain that the parameter changes, and its basis function."""
 
     @property
     def n_parameters(self) -> int:
@@ -58,11 +58,11 @@ class GeometricErrorModel:
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters in the order of their values."""
+        """Names of the parameters, in the order of `parameters`."""
         return tuple(p.name for p in self.parameters)
 
     def instrument_parameter_names(self, instruments: Sequence[str]) -> tuple[str, ...]:
-        """Names of the p parameters of each of I instruments, (I p,): ``beam-tilt@NAME`` with several instruments."""
+        """Names of all parameters of I instruments, I p in number; with several instruments ``beam-tilt@NAME``."""
         marks = [f"@{name}" if name and len(instruments) > 1 else "" for name in instruments]
         return tuple(name + mark for mark in marks for name in self.parameter_names)
 
@@ -80,7 +80,7 @@ class GeometricErrorModel:
 
     @cached_property
     def _chain_with_reading_slots(self) -> tuple[kinematics.KinematicChain, tuple[str, ...]]:
-        """Chain with a slot on each motion that depends on a reading, and these slots for range, azimuth, elevation."""
+        """Chain in which each motion that depends on a reading has an error; keys of the errors by reading."""
         zero_reading, chain, slots = np.zeros((1, 3)), list(self.kinematic_chain), []
         functions = [m.nominal_function for m in self.kinematic_chain]
         for column in range(3):
@@ -99,37 +99,38 @@ class GeometricErrorModel:
 
     @cached_property
     def _reading_dependent_terms(self) -> list[tuple[int, SlotTerm]]:
-        """Terms whose basis is not constant, with their indices."""
+        """Indices and terms of the parameters whose basis function depends on the readings."""
         return [(k, term) for k, term in enumerate(self.terms) if term.basis is not constant_basis]
 
-    def slot_errors(self, readings: Floats, parameter_values: Floats) -> dict[str, Floats]:
-        """Error of each slot [m or rad], (n,) or one number, for parameters (p,), or (n, p) by pointing [SI]."""
+    def errors_by_slot(self, readings: Floats, parameter_values: Floats) -> dict[str, Floats]:
+        """Errors of the chain's motions by key, (n,) or one number [m, rad], for parameters (p,) or (n, p) [SI]."""
         error_by_slot: dict[str, Floats] = {}
         for term, value in zip(self.terms, parameter_values.T, strict=True):
             amount = value if term.basis is constant_basis else term.basis(readings) * value
             error_by_slot[term.slot] = error_by_slot[term.slot] + amount if term.slot in error_by_slot else amount
         return error_by_slot
 
-    def _errors_by_slot(self, basis_values: Floats, parameter_values: Floats) -> dict[str, Floats]:
-        """Error (n,) of each slot from the values (n, p) of the basis functions and the parameters."""
+    def _errors_from_basis_values(self, basis_values: Floats, parameter_values: Floats) -> dict[str, Floats]:
+        """Errors (n,) of the chain's motions by key, from values (n, p) of the basis functions and parameters."""
         error_by_slot: dict[str, Floats] = {}
         for term, amount in zip(self.terms, (basis_values * parameter_values).T, strict=True):
             error_by_slot[term.slot] = error_by_slot[term.slot] + amount if term.slot in error_by_slot else amount
         return error_by_slot
 
     def points_from_readings(self, readings: Floats, values: Floats) -> Floats:
-        """Points (n, 3) [m] in the instrument frame from raw readings (n, 3); exact."""
-        return kinematics.points_from_raw_readings(self.kinematic_chain, readings, self.slot_errors(readings, values))
+        """Points (n, 3) [m] in the instrument frame from raw readings (n, 3) and parameter `values` [SI]; exact."""
+        errors = self.errors_by_slot(readings, values)
+        return kinematics.points_from_raw_readings(self.kinematic_chain, readings, errors)
 
     def linearise(self, readings: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
-        """Point (n, 3) [m], and its derivatives by the raw readings (n, 3, 3) and by the parameters (n, 3, p).
+        """Points (n, 3) [m], with derivatives with respect to raw readings (n, 3, 3) and parameters (n, 3, p).
 
-        The derivative by the readings neglects that the basis functions depend on them, with a relative error of 1e-5.
-        The iterations that use it converge nevertheless.
+        The derivative with respect to the readings neglects the dependence of the basis functions on them, a relative
+        error of 1e-5 that does not prevent convergence.
         """
         (chain, slots_of_readings), bases = self._chain_with_reading_slots, self.basis_values(readings)
         slots = {term.slot for term in self.terms} | set(slots_of_readings)
-        errors = self._errors_by_slot(bases, values)
+        errors = self._errors_from_basis_values(bases, values)
         p, by_slot = kinematics.points_and_error_derivatives(chain, readings, errors, slots)
         by_reading = np.stack([by_slot[slot] for slot in slots_of_readings], axis=2)
         if not self.terms:
@@ -138,7 +139,7 @@ class GeometricErrorModel:
         return p, by_reading, by_value * bases[:, None, :]
 
     def readings(self, points: Floats, face: Ints, parameter_values: Floats) -> Floats:
-        """Raw readings (n, 3) of points (n, 3) [m] in the instrument frame; exact."""
+        """Raw readings (n, 3) in the faces `face` (n,) of points (n, 3) [m] in the instrument frame; exact."""
         raw = self._invert_chain(points, face, parameter_values, NEWTON_TOLERANCE)
         raw[:, 1] = wrap_angle(raw[:, 1])
         return raw
@@ -146,7 +147,7 @@ class GeometricErrorModel:
     def _invert_chain(self, points: Floats, face: Ints, parameter_values: Floats, tolerance: float) -> Floats:
         """Raw readings (n, 3) of points (n, 3) [m] by Newton's method, with errors below `tolerance` [m, rad].
 
-        Azimuths may exceed pi. Each step has the derivative of an ideal tracker, which reduces the error by a constant
+        Azimuths may exceed pi. Each step uses the derivative of an ideal tracker and reduces the error by a constant
         factor of about 1e-5. The last step is omitted if this factor predicts a step below `tolerance`.
         """
         polar = to_polar(points)
@@ -164,7 +165,7 @@ class GeometricErrorModel:
         return raw
 
     def readings_and_design(self, points: Floats, face: Ints, values: Floats) -> tuple[Floats, Floats, Floats]:
-        """Raw readings (n, 3) of points (n, 3) [m], with derivatives by point (n, 3, 3) and parameters (n, 3, p)."""
+        """Raw readings (n, 3) of points (n, 3) [m], and derivatives by points (n, 3, 3) and parameters (n, 3, p)."""
         raw = self._invert_chain(points, face, values, FINAL_STEP_THRESHOLD)
         reached, by_reading, by_value = self.linearise(raw, values)
         by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
@@ -173,14 +174,14 @@ class GeometricErrorModel:
         return raw, by_point, -by_point @ by_value
 
     def reading_design(self, readings: Floats, parameter_values: Floats) -> tuple[Floats, Floats]:
-        """Derivatives of raw readings by the point in the instrument frame (n, 3, 3), and by parameters (n, 3, p)."""
+        """Derivatives of raw readings (n, 3) by points in the instrument frame (n, 3, 3) and parameters (n, 3, p)."""
         _, by_reading, by_value = self.linearise(readings, parameter_values)
         by_point = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         return by_point, -by_point @ by_value
 
 
 def misalignment_construction(effects: Iterable[SlotEffect] = MISALIGNMENT_EFFECTS) -> GeometricErrorModel:
-    """Error model of a tracker with the source in the head: misalignments of `effects`, by default all 16."""
+    """Geometric error model of a tracker with the source in the head; by default with all 16 misalignments."""
     chosen = tuple(effects)
     return GeometricErrorModel(
         "misalignment",
@@ -198,7 +199,7 @@ UNIT_AND_SIGMA_BY_PRIOR_KIND: dict[str, tuple[str, float]] = {
 }
 """Display unit and prior standard deviation [SI] of a parameter, by the kind of specification that applies to it."""
 COEFFICIENT_SUFFIXES = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
-"""Names of the coefficients of a rotary joint's error function."""
+"""Suffixes of the names of the coefficients of a rotary joint's error function: constant, sines and cosines."""
 DH_JOINT_ERRORS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
 """Names of the six error motions of a rotary joint in the Denavit-Hartenberg model."""
 MAX_HARMONIC_ORDER = 4
@@ -231,18 +232,18 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
     Parameters
     ----------
     max_order : int
-        Order of the rotary joints' error functions, 0 to 4.
+        Highest order of the harmonics of the rotary joints, 0 to 4.
     degree : int
-        Degree of the range axis' polynomials in d.
+        Degree of the polynomials of the range axis in the range.
     unphysical_sigma : float
         Prior standard deviation of the coefficients that are not in `DH_MISALIGNMENTS`, divided by 5 um or 1 arcsec.
-        These coefficients have no physical cause, and most of them repeat others (`DH_CHAIN`). The prior keeps
-        them near zero.
+        These coefficients have no physical cause, and most of them have the effect of others (`DH_CHAIN`). The prior
+        keeps them near zero.
 
     Notes
     -----
-    Sine and cosine coefficients replace the paper's amplitude and phase, which is undefined at zero
-    amplitude. Units: um and urad; a polynomial's coefficient k is per metre^k.
+    Sine and cosine coefficients replace the paper's amplitude and phase, because the phase is undefined at zero
+    amplitude. Units are um and urad; coefficient k of a polynomial is per metre^k.
     """
     joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in DH_JOINT_ERRORS]
     waves = range(2 * max_order + 1)
@@ -266,7 +267,7 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
 
 
 def _joint_basis(column: int, basis_number: int) -> BasisFunction:
-    """Basis function of the series 1, sin x, cos x, sin 2x, cos 2x, and so on, with x the reading in a column."""
+    """Basis function number `basis_number` of the series 1, sin x, cos x, sin 2x, ..., x the reading in `column`."""
     order = (basis_number + 1) // 2
     return HarmonicBasis("sin" if basis_number % 2 else "cos", column, order) if basis_number else constant_basis
 
@@ -280,7 +281,7 @@ SHARED_EFFECTS: tuple[SlotEffect, ...] = (
     AzimuthEccentricity(),
     AzimuthSecondOrder(),
 )
-"""Effects that occur in trackers with the source in the head and with a steering mirror, on slots of the same names."""
+"""Effects of trackers both with the source in the head and with a steering mirror; the keys of the errors are equal."""
 MIRROR_PARAMETERS: tuple[tuple[str, PriorKind, HarmonicBasis | None, str], ...] = (
     ("mirror-offset", "offset", None, "mirror in front of the transit axis, along its normal"),
     ("mirror-tilt", "angle", None, "mirror turned left, its plane not along the transit axis"),
@@ -301,13 +302,13 @@ MIRROR_PARAMETERS: tuple[tuple[str, PriorKind, HarmonicBasis | None, str], ...] 
     ("elevation-second-order-sin", "angle", HarmonicBasis("sin", 2, 1.0), "sine of twice the mirror's angle"),
 )
 """Misalignments of mirror, axes, cover plate and beam: name, kind of prior, harmonic of the elevation, description. A
-parameter without a harmonic acts on the slot with its name in `STEERING_MIRROR_CHAIN`. Harmonics are functions of
-the mirror's angle, which is half the raw elevation.
+parameter without a harmonic is the error with its name in `STEERING_MIRROR_CHAIN`. Harmonics are functions of the
+mirror's angle, which is half the raw elevation.
 """
 
 
 def steering_mirror_construction() -> GeometricErrorModel:
-    """Error model of a tracker with a beam-steering mirror, with 21 parameters."""
+    """Geometric error model of a tracker with a beam-steering mirror, with 21 parameters."""
     parameters = [p for effect in SHARED_EFFECTS for p in effect.parameters]
     terms = [t for effect in SHARED_EFFECTS for t in effect.terms]
     for name, kind, lobe, meaning in MIRROR_PARAMETERS:
@@ -318,7 +319,7 @@ def steering_mirror_construction() -> GeometricErrorModel:
 
 
 def ideal_construction() -> GeometricErrorModel:
-    """Error model of an ideal tracker, without parameters."""
+    """Geometric error model of an ideal tracker, without parameters."""
     return GeometricErrorModel("ideal", kinematics.MISALIGNMENT_CHAIN, (), ())
 
 
@@ -332,7 +333,7 @@ CONSTRUCTION_FACTORY_BY_NAME: dict[str, Callable[[], GeometricErrorModel]] = {
 
 
 def make_construction(name: str, max_order: int | None = None, degree: int | None = None) -> GeometricErrorModel:
-    """Error model of a tracker by name; `dh` has harmonics up to `max_order` and range polynomials of `degree`.
+    """Geometric error model by name; `dh` has harmonics up to `max_order` and range polynomials of degree `degree`.
 
     Raises ModelError for an unknown name, for orders of another model than `dh`, and for an order out of bounds.
     """
@@ -350,15 +351,12 @@ def make_construction(name: str, max_order: int | None = None, degree: int | Non
 
 
 def construction_with_orders(name: str, max_order: int, degree: int) -> GeometricErrorModel:
-    """Geometric error model of a tracker (`GeometricErrorModel`) with a given name.
-
-    The orders `max_order` of harmonics and `degree` of polynomials apply to the Denavit-Hartenberg chain ``dh`` only.
-    """
+    """Geometric error model by name; order of harmonics and degree of polynomials apply to the model ``dh`` only."""
     return dh_construction(max_order, degree) if name == "dh" else make_construction(name)
 
 
 def construction_for_parameters(name: str, parameters: Iterable[str]) -> GeometricErrorModel:
-    """Error model of a tracker by name, with all `parameters`: `dh` gets the orders that their names need."""
+    """Geometric error model by name; `dh` gets the lowest orders with which it has all `parameters` (names)."""
     if name != "dh":
         return make_construction(name)
     ends = [p.rpartition("_") for p in parameters]
@@ -383,18 +381,18 @@ def all_parameter_names() -> frozenset[str]:
 
 
 def construction_of_beam_origin(beam_origin: str) -> GeometricErrorModel:
-    """Geometric error model of an instrument, by the origin of its beam as declared in the set-up."""
+    """Geometric error model of an instrument, by the declared origin of its beam: head or `steering-mirror`."""
     return steering_mirror_construction() if beam_origin == "steering-mirror" else misalignment_construction()
 
 
 def declared_construction(recording: Recording) -> GeometricErrorModel:
-    """Geometric error model of a recording's instruments, by the origin of their beam that the set-up declares.
+    """Geometric error model of a recording's instruments, by the origin of the beam that the set-up declares.
 
     Raises NetworkError for a recording with instruments of both designs, because their parameters differ.
     """
     designs = {name: recording.setup.instrument_of(name).construction for name in recording.stations}
     if len(set(designs.values())) > 1:
         mirror = ", ".join(name for name, design in designs.items() if design == "steering-mirror")
-        message = f"stations {mirror} have a tracker with a steering mirror, the others have the source in the head"
+        message = f"stations {mirror} have a tracker with a steering mirror, other stations have the source in the head"
         raise NetworkError(f"{message}; calibrate them separately, or choose one construction for all")
     return construction_of_beam_origin(next(iter(designs.values()), ""))

@@ -1,8 +1,8 @@
 """Incidence errors of reflectors in fixed nests, estimated with the network under a prior.
 
 Without a bench test the prior is that of the effect `smr-incidence`, for which the paper's reflector is typical. With a
-bench test the prior is the posterior given this test. The parameters are independent errors with a standard deviation
-of one.
+bench test the prior is the posterior given the results of this test. The estimated parameters are independent errors
+with a standard deviation of one.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from ltsim.scene.sightings import Sightings
 INCIDENCE_EFFECT = SmrIncidence()
 """Effect with the range error as a function of the angle of incidence."""
 MIN_BENCH_SIGMA = 1e-3 * MICROMETRE
-"""Smallest standard deviation [m] of an error in a bench test: a tenth of the resolution of interferometers. Smaller
-declared values are replaced by it."""
+"""Smallest standard deviation [m] of a range error from a bench test: a tenth of the resolution of interferometers. It
+replaces smaller declared values."""
 
 
 @dataclass(frozen=True)
 class IncidenceErrors(LinearEffect):
-    """Range error of one reflector as a function of the incidence angle: a mean, and k independent errors about it.
+    """Range error of one reflector as a function of the incidence angle: a mean function plus k independent errors.
 
     The mean follows from a bench test and is zero without one.
     """
@@ -41,20 +41,20 @@ class IncidenceErrors(LinearEffect):
     reflector_indicator: Floats
     """Weights (n,): 1 for pointings to the reflector, 0 for others."""
     mean_parameters: Floats
-    """Expected parameters (p,) [SI] of `smr-incidence`."""
+    """Expected values (p,) [SI] of the parameters of the effect `smr-incidence`."""
     covariance_root: Floats
-    """Change (p, k) [SI] of the incidence parameters by one standard deviation of each independent error."""
+    """Change (p, k) [SI] of the parameters of `smr-incidence` by one standard deviation of each independent error."""
 
     @property
     def name(self) -> str:
-        """Name of the effect."""
+        """Name of this group of nuisance parameters."""
         return "incidence-errors"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Errors as parameters, each with a prior of one standard deviation."""
+        """The k independent errors as parameters, each with a prior standard deviation of one."""
         return (
-            Parameter("incidence-error", "", "error of a reflector against incidence", 1.0),
+            Parameter("incidence-error", "", "range error of a reflector as a function of incidence", 1.0),
         ) * self.covariance_root.shape[1]
 
     def smr_incidence_parameters(self, independent_errors: Floats) -> Floats:
@@ -63,20 +63,20 @@ class IncidenceErrors(LinearEffect):
         return change + self.mean_parameters.reshape(-1, *[1] * (change.ndim - 1))
 
     def _range_error_design(self, sightings: Sightings) -> Floats:
-        """Range error (n, p) per unit of each parameter of `smr-incidence`."""
+        """Range correction (n, p) per unit of each parameter of `smr-incidence`, zero for other reflectors."""
         return (
             INCIDENCE_EFFECT.range_correction_design(*INCIDENCE_EFFECT.incidence_angle_and_direction(sightings))
             * self.reflector_indicator[:, None]
         )
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, k) of the raw readings per unit of each error."""
+        """Change (n, 3, k) of the raw readings per unit of each independent error."""
         return design_from_front_face_corrections(
             sightings, distance=self._range_error_design(sightings) @ self.covariance_root
         )
 
     def reading_change(self, sightings: Sightings, independent_errors: Floats) -> Floats:
-        """Change (n, 3) of the raw readings by the mean and by independent errors (k,)."""
+        """Change (n, 3) of the raw readings by the mean function and by independent errors (k,)."""
         return design_from_front_face_corrections(
             sightings, distance=self._range_error_design(sightings) @ self.smr_incidence_parameters(independent_errors)
         )
@@ -92,8 +92,8 @@ def incidence_reading_change(
 ) -> Floats:
     """Change (n, 3) of the readings by the incidence errors of reflectors.
 
-    `parameters_by_reflector` has the parameters (p,) [SI] of the effect `smr-incidence` by the name of the reflector.
-    Reflectors that are not in it have no error.
+    `parameters_by_reflector` has the parameters (p,) [SI] of the effect `smr-incidence` by the name of the reflector. A
+    reflector without an entry has no error.
     """
     names = np.array(smr_names(recording))
     by_law = INCIDENCE_EFFECT.design(sightings)
@@ -104,7 +104,7 @@ def incidence_reading_change(
 
 
 def _incidence_errors_by_reflector(recording: Recording) -> Iterator[IncidenceErrors]:
-    """Iterator over the incidence errors of `incidence_errors`."""
+    """Iterator over the incidence errors of each reflector that was in a fixed nest with a known normal."""
     setups = [recording.target_setup(name) for name in recording.targets]
     nests = np.array([not setup.reaimed and setup.nest_normal is not None for setup in setups], dtype=bool)
     fixed = nests[recording.target]
@@ -118,9 +118,9 @@ def _incidence_errors_by_reflector(recording: Recording) -> Iterator[IncidenceEr
 
 
 def incidence_prior_from_bench_test(bench_test: BenchTest | None) -> tuple[Floats, Floats]:
-    """Mean (p,) of the parameters of `smr-incidence` [SI] given a bench test, and root R (p, p) of their covariance.
+    """Mean (p,) [SI] of the parameters of `smr-incidence` given a bench test, and root R (p, p) of their covariance.
 
-    The covariance is R R'. Without a bench test the mean is zero and the covariance is that of the prior.
+    The covariance is R R'. Without a bench test (None) the mean is zero and the covariance is the effect's prior.
     """
     mean, root = np.zeros(len(INCIDENCE_EFFECT.parameters)), np.diag(INCIDENCE_EFFECT.size_scales)
     if bench_test is None:

@@ -1,4 +1,4 @@
-"""Forward model: predicted readings and their derivatives, from the network's state, the instruments and effects."""
+"""Forward model: predicted readings and their derivatives, from the network's state, its instruments and effects."""
 
 import itertools
 from dataclasses import dataclass, replace
@@ -19,8 +19,8 @@ from ltsim.physics.model.nuisances import (
     HeightErrors,
     centring_errors,
     height_errors,
-    read_shared_errors,
     refraction_unknowns,
+    shared_errors,
 )
 from ltsim.physics.model.state import NetworkState as NetworkState, Prediction as Prediction
 from ltsim.recordings.recording import Recording
@@ -29,7 +29,7 @@ from ltsim.scene.sightings import Sightings
 
 
 def sightings_at_state(recording: Recording, state: NetworkState) -> Sightings:
-    """Sightings of a recording's pointings with stations and targets at `state`.
+    """Sightings of a recording's pointings with stations and targets at the poses and coordinates of `state`.
 
     Nest normals are transformed from the floor plan to the network frame (`plan_rotation`).
     """
@@ -39,7 +39,7 @@ def sightings_at_state(recording: Recording, state: NetworkState) -> Sightings:
 
 
 def _sightings_with_rotated_nests(recording: Recording, state: NetworkState, nest_rotation: Floats) -> Sightings:
-    """Sightings of `sightings_at_state`, with nest normals rotated by `nest_rotation` (3, 3)."""
+    """Sightings as in `sightings_at_state`, with nest normals rotated by `nest_rotation` (3, 3)."""
     return Sightings(
         station=recording.station,
         target=recording.target,
@@ -66,12 +66,12 @@ def _nest_normals(recording: Recording) -> Floats:
 
 
 def plumb_directions(recording: Recording) -> Floats:
-    """Direction of the plumb line (S, 3) at each station, a unit vector in the network frame."""
+    """Upward unit vectors (S, 3) along the plumb lines at the stations, network frame."""
     return _unit_vectors([recording.station_setup(name).vertical or (0.0, 0.0, 1.0) for name in recording.stations])
 
 
 def with_plumb_lines(recording: Recording, station_positions: Floats) -> Recording:
-    """Recording whose levelled stations have the plumb lines of a spherical earth, if its set-up is `curved`.
+    """Recording whose levelled stations have the plumb lines of a spherical earth, if its set-up declares `curved`.
 
     `station_positions` (S, 3) [m] are the positions of the stations. Declared plumb lines are not replaced.
     """
@@ -95,9 +95,9 @@ def _unit_vectors(directions: list[tuple[float, float, float]]) -> Floats:
 def sight_vector_offsets(recording: Recording) -> Floats | None:
     """Offsets (n, 3) [m] of the sight vectors, network frame, as `Sightings.sight_vector_offsets`; None if all are 0.
 
-    The offset of a pointing is the vector from the mark of its target to the reflector. The height of the instrument
-    above its mark, as declared for the set-up, is part of the station's position. If a pointing has another instrument
-    height, the difference is subtracted from the offset.
+    The offset of a pointing is the vector from the ground mark of its target to the reflector. The height of the
+    instrument above its ground mark, as declared for the set-up, is part of the station's position. If a pointing has
+    another instrument height, the difference is subtracted from the offset.
     """
     instrument, target = recording.heights()
     setup_heights = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]
@@ -116,8 +116,8 @@ def sight_vector_offsets(recording: Recording) -> Floats | None:
 def smr_radius_offsets(recording: Recording) -> Floats | None:
     """Offset (n, 3) [m] of the reflector's centre due to an SMR with another radius than the reference SMR.
 
-    The offset is along the normal of the nest, in the frame of the set-up. It is None if all radii are equal. `adjust`
-    refuses a network in another frame.
+    The offset is along the normal of the nest, in the frame of the set-up. The result is None if all radii are equal.
+    `adjust` refuses a network in another frame.
     """
     excess = excess_radii(recording)
     return None if excess is None else excess[:, None] * np.nan_to_num(_nest_normals(recording))[recording.target]
@@ -129,11 +129,13 @@ class MeasurementModel:
 
     recording: Recording
     construction: GeometricErrorModel
+    """Geometric error model of all instruments."""
     effects: tuple[LinearEffect, ...] = ()
+    """Additional effects, whose parameters are unknowns."""
 
     @cached_property
     def height_errors(self) -> tuple[HeightErrors, ...]:
-        """Errors of the heights of instruments and reflectors, if the set-up declares their standard deviation."""
+        """Errors of the heights of instruments and reflectors; none if the set-up does not declare their sigma."""
         return height_errors(self.recording, plumb_directions(self.recording))
 
     @cached_property
@@ -144,7 +146,7 @@ class MeasurementModel:
 
     @property
     def incidence_parameter_slices(self) -> tuple[slice, ...]:
-        """Slice of the q additional parameters that belongs to each of `incidence_errors`."""
+        """Slices of the q additional parameters, one for each entry of `incidence_errors`."""
         first_column = self.n_effect_parameters + sum(len(heads.parameters) for heads in self.height_errors)
         boundaries = first_column + np.cumsum([0, *(len(error.parameters) for error in self.incidence_errors)])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
@@ -159,12 +161,12 @@ class MeasurementModel:
 
     @cached_property
     def centring_errors(self) -> tuple[CentringErrors, ...]:
-        """Centring errors of the targets, as declared in the set-up; their parameters are last."""
+        """Centring errors that the set-up declares; their parameters are the last of the q additional ones."""
         return centring_errors(self.recording)
 
     @property
     def centring_parameter_slices(self) -> tuple[slice, ...]:
-        """Slice of the q additional parameters that belongs to each of `centring_errors`."""
+        """Slices of the q additional parameters, one for each entry of `centring_errors`."""
         n_parameters = [len(errors.parameters) for errors in self.centring_errors]
         boundaries = self.n_extra_parameters - sum(n_parameters) + np.cumsum([0, *n_parameters])
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
@@ -175,7 +177,7 @@ class MeasurementModel:
         return (
             *self.height_errors,
             *self.incidence_errors,
-            *read_shared_errors(self.recording),
+            *shared_errors(self.recording),
             *refraction_unknowns(self.recording),
             *self.centring_errors,
         )
@@ -187,51 +189,51 @@ class MeasurementModel:
 
     @property
     def n_extra_parameters(self) -> int:
-        """Number q of additional parameters: those of effects and of nuisance errors."""
+        """Number q of additional parameters: parameters of `effects` and of nuisance errors."""
         return sum(len(effect.parameters) for effect in self.extra_effects)
 
     @property
     def n_effect_parameters(self) -> int:
-        """Number of parameters of the additional effects, which come first."""
+        """Number of parameters of `effects`, which are the first of the q additional parameters."""
         return sum(len(effect.parameters) for effect in self.effects)
 
     def _instrument_parameter_values(self, state: NetworkState) -> Floats:
-        """Instrument parameters at a state: (p,) for one instrument, otherwise (n, p) by pointing [SI]."""
+        """Instrument parameters [SI] at a state: (p,) for one instrument, otherwise (n, p) for the n pointings."""
         if len(state.instrument_parameters) == 1:
             return state.instrument_parameters[0]
         return state.instrument_parameters[self.recording.instrument]
 
     @cached_property
     def _static_sightings(self) -> Sightings:
-        """Sightings without geometry, computed once; nest normals are in the frame of the floor plan."""
+        """Sightings without poses and coordinates, computed once; nest normals are in the floor plan's frame."""
         stations, targets = len(self.recording.stations), len(self.recording.targets)
         none = np.zeros((stations, 3)), np.tile(np.eye(3), (stations, 1, 1)), np.zeros((targets, 3))
         return _sightings_with_rotated_nests(self.recording, NetworkState(*none, np.zeros((0, 0))), np.eye(3))
 
     @cached_property
     def _is_horizontal_distance(self) -> Bools | None:
-        """Flags (n,) of horizontal distances; None if there are none."""
+        """Flags (n,) of the pointings with a horizontal distance; None if no distance is horizontal."""
         flat = self.recording.is_horizontal
         return flat if flat.any() else None
 
     def sightings(self, state: NetworkState) -> Sightings:
-        """Sightings of the pointings with stations, targets and instruments at `state`."""
+        """Sightings of the pointings for the poses, coordinates and instrument parameters of `state`."""
         geometry = self.sightings_without_covariates(state)
         return self._with_effect_data(geometry, state, self._instrument_readings(geometry, state))
 
     def _with_effect_data(self, geometry: Sightings, state: NetworkState, readings: Floats) -> Sightings:
-        """Sightings with the data that effects need: nest normals in the network frame, and raw readings (n, 3)."""
+        """Sightings `geometry` with nest normals in the network frame and raw readings (n, 3), which effects need."""
         turn = plan_rotation(self.recording, state.station_positions, state.station_rotations)
         return replace(geometry, nest_normals=geometry.nest_normals @ turn.T, encoder_readings=readings)
 
     def _instrument_readings(self, geometry: Sightings, state: NetworkState) -> Floats:
-        """Raw readings (n, 3) of the instrument with its errors, without additional effects."""
+        """Raw readings (n, 3) with the errors of the instrument, but without additional effects."""
         return self.construction.readings(
             geometry.local_points, geometry.face, self._instrument_parameter_values(state)
         )
 
     def sightings_without_covariates(self, state: NetworkState) -> Sightings:
-        """Sightings at `state`, without the data that only additional effects need."""
+        """Sightings for the poses and coordinates of `state`, without data that only additional effects need."""
         return self._static_sightings.with_geometry(
             state.station_positions, state.station_rotations, state.target_points
         )
@@ -247,11 +249,11 @@ class MeasurementModel:
         return self._linear_effects_change(self.extra_effects, sightings, parameters)
 
     def change_by_effects(self, sightings: Sightings, parameters: Floats) -> Floats:
-        """Change (n, 3) of the readings by the additional effects alone."""
+        """Change (n, 3) of the readings by `effects` alone; `parameters` (q,) are all additional parameters [SI]."""
         return self._linear_effects_change(self.effects, sightings, parameters)
 
     def change_by_incidence_errors(self, sightings: Sightings, parameters: Floats) -> Floats:
-        """Change (n, 3) of the readings by the incidence errors of reflectors alone."""
+        """Change (n, 3) of the readings by incidence errors alone; `parameters` (q,) are all additional ones [SI]."""
         return incidence_reading_change(self.recording, sightings, self.incidence_parameters_by_reflector(parameters))
 
     def _linear_effects_change(
@@ -267,7 +269,7 @@ class MeasurementModel:
         return change
 
     def predict(self, state: NetworkState) -> Floats:
-        """Predicted raw readings (n, 3)."""
+        """Predicted raw readings (n, 3) [m, rad] at `state`."""
         sightings = self.sightings_without_covariates(state)
         raw_readings = self._instrument_readings(sightings, state)
         if self.extra_effects:
@@ -280,7 +282,7 @@ class MeasurementModel:
         return raw_readings
 
     def _values_by_effect(self, parameters: Floats) -> list[Floats]:
-        """Parameter values of each additional effect; zeros if `parameters` has fewer than q values."""
+        """Parameter values of each entry of `extra_effects`; zeros if `parameters` has fewer than q values."""
         n_parameters = [len(effect.parameters) for effect in self.extra_effects]
         all_values = np.pad(parameters, (0, sum(n_parameters) - len(parameters)))
         return np.split(all_values, np.cumsum(n_parameters)[:-1]) if n_parameters else []
@@ -313,7 +315,7 @@ class MeasurementModel:
 def reduce_to_horizontal(readings: Floats, derivatives: tuple[Floats, ...], is_horizontal: Bools) -> None:
     """Reduction of slope distances, and of their derivatives, to horizontal distances, in place.
 
-    `is_horizontal` (n,) flags the rows of the readings (n, 3) and of each derivative (n, 3, k) to reduce.
+    `is_horizontal` (n,) flags the pointings to reduce, in the readings (n, 3) and in each derivative (n, 3, k).
     """
     range_, level = readings[is_horizontal, 0], readings[is_horizontal, 2]
     cosine = np.cos(level)
@@ -331,7 +333,7 @@ instruments count as upright."""
 MIN_PLAN_POSITIONS = 3
 """Smallest number of approximate station positions that determine the rotation from floor plan to network frame."""
 PLAN_DIRECTION_SIGMA = 3 * DEGREE
-"""Accuracy [rad] of directions on a floor plan. A smaller rotation between floor plan and network counts as none."""
+"""Accuracy [rad] of directions on a floor plan. A smaller rotation between plan and network counts as zero."""
 
 
 def has_plan(recording: Recording) -> bool:
@@ -343,7 +345,7 @@ def has_plan(recording: Recording) -> bool:
 
 
 def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> Floats:
-    """Rotation (3, 3) from the set-up's frame to the network frame.
+    """Rotation matrix (3, 3) from the set-up's frame (floor plan) to the network frame.
 
     The rotation is computed from the approximate positions of three or more stations that are not collinear, otherwise
     from their yaws. It is the identity for a set-up with control points, and for one without positions and yaws.
@@ -363,9 +365,9 @@ def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> F
 def _plan_rotation_from_positions(
     places: list[tuple[float, float, float] | None], position: Floats, rotation: Floats
 ) -> Floats | None:
-    """Rotation (3, 3) from the approximate positions of three or more stations; None if they do not determine one.
+    """Rotation (3, 3) from approximate positions `places` [m] of three or more stations; None if undetermined.
 
-    For upright instruments the vertical is that of their standing axes, because it is far more accurate.
+    For upright instruments their standing axes define the vertical, because they are far more accurate.
     """
     given = [i for i, p in enumerate(places) if p is not None]
     if len(given) < MIN_PLAN_POSITIONS:

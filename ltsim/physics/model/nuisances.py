@@ -1,4 +1,4 @@
-"""Nuisance errors with a prior: heights of heads, errors that several readings share, refraction near the ground.
+"""Nuisance parameters with a prior: errors of heights, centring errors, errors that readings share, and refraction.
 
 An adjustment estimates all of them together with the network.
 """
@@ -28,25 +28,30 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class HeightErrors(LinearEffect):
-    """Errors of the heights of instruments and reflectors above their marks, one for each of q occupations."""
+    """Errors of the heights of instruments and reflectors above their ground marks, one for each of q occupations.
+
+    An occupation is the time for which an instrument or reflector stands over a ground mark.
+    """
 
     sigma: float
-    """Standard deviation [m] of each error."""
+    """Standard deviation [m] of each height error."""
     occupation_coefficients: Floats
-    """Coefficients (n, q) of the height errors of q occupations in n pointings: 1 if the reflector of the pointing is
-    on the mark of the occupation, -1 if the instrument is, otherwise 0."""
+    """Coefficients (n, q) of the height errors of q occupations in n pointings: 1 if the reflector of the pointing has
+    the height error of the occupation, -1 if the instrument has it, otherwise 0."""
     plumb_directions: Floats
-    """Unit vector of the plumb line at the station of each pointing, (n, 3)."""
+    """Upward unit vector of the plumb line at the station of each pointing, (n, 3)."""
 
     @property
     def name(self) -> str:
-        """Name of the law."""
+        """Name of this group of nuisance parameters."""
         return "head-heights"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Height errors, one per occupation; `prior_sigma` is the declared standard deviation."""
-        return (Parameter("head-height", "mm", "height of a head", self.sigma),) * self.occupation_coefficients.shape[1]
+        return (
+            Parameter("head-height", "mm", "height error of an instrument or reflector", self.sigma),
+        ) * self.occupation_coefficients.shape[1]
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, q) of the raw readings per unit of each height error."""
@@ -58,8 +63,8 @@ class HeightErrors(LinearEffect):
 def height_errors(recording: Recording, plumb_directions: Floats) -> tuple[HeightErrors, ...]:
     """Errors of heights in a recording; none if its set-up does not declare their standard deviation.
 
-    The columns `instrument_setup` and `target_setup` name the occupations; an empty cell has no height error.
-    `plumb_directions` (S, 3) are unit vectors at the stations.
+    The columns `instrument_setup` and `target_setup` of the recording name the occupation of each pointing; a pointing
+    with an empty cell has no height error. `plumb_directions` (S, 3) are upward unit vectors at the stations.
     """
     sigma = recording.setup.heads_sigma_mm
     if sigma is None:
@@ -77,30 +82,35 @@ def height_errors(recording: Recording, plumb_directions: Floats) -> tuple[Heigh
 
 @dataclass(frozen=True)
 class CentringErrors(TargetDisplacement):
-    """Displacements of reflectors from their targets, three components for each occupation of a target."""
+    """Displacements of reflectors from their targets (centring errors), three components per occupation of a target.
+
+    All pointings of an occupation share its displacement.
+    """
 
     sigma: float
-    """Standard deviation [m] of each component."""
+    """Standard deviation [m] of each component of a displacement."""
     occupation: Ints
     """Index of the occupation of each pointing, (n,); -1 for pointings without a displacement."""
 
     @property
     def name(self) -> str:
-        """Name of the law."""
+        """Name of this group of nuisance parameters."""
         return "centring-errors"
 
     @property
     def n_occupations(self) -> int:
-        """Number of occupations."""
+        """Number of occupations of targets."""
         return int(self.occupation.max(initial=-1)) + 1
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Components of the displacements, along the axes of the network; `prior_sigma` is the standard deviation."""
-        return (Parameter("centring-error", "mm", "centring of a reflector", self.sigma),) * (3 * self.n_occupations)
+        """The q components of all displacements, along the axes of the network; `prior_sigma` is `sigma`."""
+        return (Parameter("centring-error", "mm", "centring error of a reflector along an axis", self.sigma),) * (
+            3 * self.n_occupations
+        )
 
     def displacement(self, sightings: Sightings) -> Floats:
-        """Motion (n, 3, q) [m] of each pointing's reflector per unit of each component."""
+        """Motion (n, 3, q) [m] of the reflector in each of n pointings, per metre of each of the q components."""
         displacements = np.zeros((len(sightings), 3, self.n_occupations, 3))
         occupied_rows = np.flatnonzero(self.occupation >= 0)
         displacements[occupied_rows, :, self.occupation[occupied_rows]] = np.eye(3)
@@ -108,7 +118,7 @@ class CentringErrors(TargetDisplacement):
 
 
 def centring_errors(recording: Recording) -> tuple[CentringErrors, ...]:
-    """Centring errors that the set-up of a recording declares, in its order."""
+    """Centring errors that the set-up of a recording declares, in the order of their declarations."""
     return tuple(
         CentringErrors(centring.sigma_mm * MILLIMETRE, target_occupations(recording, centring))
         for centring in recording.setup.centring
@@ -127,23 +137,23 @@ class SharedErrors(LinearEffect):
     reading_changes: Floats
     """Change of each reading by one standard deviation of each error, (n, 3, q) [m, rad]."""
     is_horizontal: Bools
-    """Flags (n,) of distances that are reduced to the horizontal."""
+    """Flags (n,) of the pointings whose distance is reduced to the horizontal."""
 
     @property
     def name(self) -> str:
-        """Name of the law."""
+        """Name of this group of nuisance parameters."""
         return "shared-errors"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Errors as parameters in units of their standard deviations: the prior standard deviation of each is 1."""
+        """The q shared errors as parameters in units of their standard deviations, with a prior sigma of 1 each."""
         return (Parameter("shared-error", "", "error that readings share", 1.0),) * self.reading_changes.shape[2]
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, q) of the raw readings per unit of each error.
 
-        The error of a horizontal distance h = r cos(e) is declared for h, while the design is for the raw range r and
-        elevation e. The change of r is therefore computed so that h has the declared error together with that of e.
+        The error of a horizontal distance h = r cos(e) is declared for h, while the result is for the raw range r and
+        elevation e. The change of r is therefore such that h, with the changed e, changes by the declared error.
         """
         range_changes, (range_, _, elevation) = (
             self.reading_changes.copy(),
@@ -158,8 +168,8 @@ class SharedErrors(LinearEffect):
         return range_changes
 
 
-def read_shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
-    """Errors declared in the columns `shared_NAME_...` of a recording; an empty cell means none."""
+def shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
+    """Shared errors declared in the columns `shared_NAME_...` of a recording; an empty cell means no error."""
     columns = {name: parts for name in recording.covariates if (parts := SHARED_ERROR_COLUMN_PATTERN.fullmatch(name))}
     names = list(dict.fromkeys(parts[1] for parts in columns.values()))
     if not names:
@@ -186,27 +196,27 @@ class Refraction(LinearEffect):
 
     @property
     def name(self) -> str:
-        """Name of the law."""
+        """Name of this group of nuisance parameters."""
         return "refraction"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameter of the refraction: the coefficient minus its mean, with its prior standard deviation."""
+        """Only parameter: the coefficient of refraction minus its mean, with its prior standard deviation."""
         return (Parameter("refraction", "", "coefficient of refraction", self.coefficient_sigma),)
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of the coefficient."""
+        """Change (n, 3, 1) of the raw readings per unit of the coefficient of refraction."""
         _, across, up = sightings.beam_vectors
-        bend = -sightings.range_ / (2.0 * EARTH_RADIUS)  # corrections, hence the sign
+        bend = -sightings.range_ / (2.0 * EARTH_RADIUS)  # negative, because it is a correction
         azimuth = bend * across[:, 2] / np.cos(sightings.elevation)
         return design_from_front_face_corrections(sightings, azimuth=azimuth, elevation=bend * up[:, 2])[:, :, None]
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings for a coefficient that differs from its mean by values (1,)."""
+        """Change (n, 3) of the raw readings for a coefficient that differs from its mean by `parameter_values` (1,)."""
         return self.design(sightings) @ (self.mean_coefficient + parameter_values)
 
 
 def refraction_unknowns(recording: Recording) -> tuple[Refraction, ...]:
-    """Refraction as an unknown, if the set-up declares its coefficient with a standard deviation."""
+    """Refraction as an unknown; none if the set-up does not declare its coefficient with a standard deviation."""
     declared_refraction = recording.setup.refraction
     return () if declared_refraction is None else (Refraction(*declared_refraction),)

@@ -15,7 +15,7 @@ from ltsim.geometry.rigid import matrix_from_rotation_vector
 class NetworkState:
     """State of a network: all poses, coordinates and parameters that an adjustment estimates [SI], network frame.
 
-    S stations, T targets, I instruments with p parameters each, q additional parameters.
+    The arrays have S stations, T targets, I instruments with p parameters each, and q additional parameters.
     """
 
     station_positions: Floats
@@ -23,19 +23,20 @@ class NetworkState:
     station_rotations: Floats
     """Rotation matrices from instrument frame to network frame, (S, 3, 3)."""
     target_points: Floats
-    """Coordinates of the targets, (T, 3)."""
+    """Coordinates of the targets, (T, 3) [m]."""
     instrument_parameters: Floats
-    """Parameters of the geometric error model of each instrument, (I, p)."""
+    """Parameters of the geometric error model of each instrument, (I, p) [SI]."""
     extra_parameters: Floats = field(default_factory=lambda: np.zeros(0))
-    """Parameters of the additional effects, (q,)."""
+    """Parameters of additional effects and nuisance errors, (q,) [SI]."""
 
     def with_increments(
         self, pose_increments: Floats, point_increments: Floats, instrument_increments: Floats, extra_increments: Floats
     ) -> Self:
         """State after increments of all unknowns.
 
-        `pose_increments` (S, 6) are translations [m] and rotation vectors [rad] in the network frame.
-        `point_increments` (T, 3) [m], `instrument_increments` (I, p) and `extra_increments` (q,) are added.
+        `pose_increments` (S, 6) are translations [m] and rotation vectors [rad] of the stations in the network frame.
+        `point_increments` (T, 3) [m], `instrument_increments` (I, p) and `extra_increments` (q,) are added to target
+        coordinates, instrument parameters and additional parameters.
         """
         return type(self)(
             self.station_positions + pose_increments[:, :3],
@@ -53,10 +54,10 @@ class Prediction:
     readings: Floats
     """Raw readings: range [m], azimuth and elevation [rad], (n, 3)."""
     pose_derivatives: Floats
-    """Derivatives with respect to translation and rotation of the station, (n, 3, 6)."""
+    """Derivatives of the readings with respect to translation and rotation of the station, (n, 3, 6)."""
     target_derivatives: Floats
-    """Derivatives with respect to the coordinates of the target, (n, 3, 3)."""
+    """Derivatives of the readings with respect to the coordinates of the target, (n, 3, 3)."""
     instrument_derivatives: Floats
-    """Derivatives with respect to the p instrument parameters, (n, 3, p)."""
+    """Derivatives of the readings with respect to the p instrument parameters, (n, 3, p)."""
     extra_derivatives: Floats
-    """Derivatives with respect to the q additional parameters, (n, 3, q)."""
+    """Derivatives of the readings with respect to the q additional parameters, (n, 3, q)."""

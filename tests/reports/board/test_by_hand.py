@@ -111,7 +111,7 @@ def test_what_breaks_a_rule_is_said_and_judged_all_the_same(hall: Path) -> None:
     stations = board.hall_json()["stations"]
     stations[0]["mm"][:2] = [4700.0, 1500.0]  # in the crane way
     found = board.evaluation_json(stations)
-    assert found["problem"] == "S1 stands on floor that is kept free (floor.keep_outs, floor.doors)"
+    assert found["problem"] == "S1 stands in an area to be kept free (floor.keep_outs, floor.doors)"
     assert found["may_stand"][0] is False
     assert found["points"]
     stations[0]["mm"][:2] = [6000.0, 4000.0]  # inside the machine: it sees nothing
