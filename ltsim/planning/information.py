@@ -1,12 +1,12 @@
-"""Expected precision of a layout before measurement: standard deviations, combinations, agreement of stations.
+"""Expected precision of a layout before measurement: standard deviations, undetermined parameters, criteria.
 
 The least-squares problem of the calibration is linearised at the nominal state, a perfect instrument at the planned
-places. The covariance does not depend on readings.
+positions. The covariance does not depend on readings.
 
-The expected improvement by calibration (Sensors 2021, 21, 7479, eq. 11 and 12) is linear in the errors: noise,
-reference lengths, instrument parameters and unmodelled effects. A matrix describes the influence of each error on the
-criteria before and after a network calibration. Variances add over groups of errors, so that one matrix gives the
-results for any sizes of these groups.
+The deviations between stations, from which the criteria of Sensors 2021, 21, 7479 (eq. 11 and 12) are computed, are
+linear in the errors: noise, reference lengths, instrument parameters and unmodelled effects. A matrix describes the
+influence of each error on them before and after a network calibration. Variances add over groups of errors, so that one
+matrix gives the results for any sizes of these groups.
 """
 
 from __future__ import annotations
@@ -40,13 +40,15 @@ class LayoutInformation:
     """Expected precision of a planned survey with S stations and T targets, for p instrument parameters."""
 
     survey: PlannedSurvey
-    """Planned survey."""
+    """Planned survey to which the precision refers."""
     adjustment: Adjustment
-    """Adjustment at the nominal state; its precision is that of the planned survey."""
+    """Adjustment at the nominal state, whose covariance is the expected one."""
 
     @classmethod
     def from_survey(cls, survey: PlannedSurvey, construction: GeometricErrorModel | None = None) -> LayoutInformation:
-        """Expected precision of a survey, by default with the 16 misalignment parameters.
+        """Expected precision of a survey whose calibration estimates the parameters of `construction`.
+
+        The default is the error model with the 16 misalignment parameters.
 
         Raises NetworkError for undetermined poses or targets.
         """
@@ -68,7 +70,7 @@ class LayoutInformation:
 
     @property
     def prior_sigma(self) -> Floats:
-        """Prior standard deviations of the first instrument's parameters, (p,) [SI]."""
+        """Prior standard deviations of the instrument parameters, (p,) [SI]."""
         return self.adjustment.problem.prior.sigma[0]
 
     @property
@@ -91,19 +93,19 @@ class LayoutInformation:
 
     @cached_property
     def undetermined_combinations(self) -> list[ParameterCombination]:
-        """Combinations of parameters whose prior variance the readings reduce by less than one half.
+        """Linear combinations of parameters whose prior variance the readings reduce by less than one half.
 
         The least determined combination is first.
         """
         return undetermined_combinations(self.instrument_covariance, self.prior_sigma)
 
     def measurements_for_undetermined(self) -> list[MeasurementForCombination]:
-        """Measurement for each undetermined combination that would determine it."""
+        """Proposal, for each undetermined combination, of a measurement that would determine it."""
         return measurements_for_undetermined(self.adjustment, self.construction, [self.undetermined_combinations])[0]
 
     @cached_property
     def _inner_datum_adjustment(self) -> Adjustment:
-        """Adjustment with inner constraints over all targets."""
+        """Adjustment whose datum is defined by inner constraints over all targets."""
         return self.adjustment.with_inner_datum()
 
     @property
@@ -138,7 +140,7 @@ class LayoutInformation:
 
     @property
     def weighted_target_rms(self) -> float:
-        """Root mean square point error [m] over all targets, weighted as in the survey: part of the objective."""
+        """Weighted root mean square [m] of the point errors of all targets, with `PlannedSurvey.target_weights`."""
         return float(np.sqrt(np.mean(self.survey.normalised_target_weights * self.target_sigmas**2)))
 
 
@@ -149,7 +151,7 @@ PARAMETER_GROUPS = {
     "range_scale": "range scale",
     "range_offset": "range offset",
 }
-"""Name of the group of errors for each kind of instrument parameter; None is any other kind."""
+"""Name of the group of errors by kind of the prior of an instrument parameter; None stands for any other kind."""
 RANGE_NOISE_GROUP = "range noise"
 ANGLE_NOISE_GROUP = "angle noise"
 GAUGE_LENGTHS_GROUP = "gauge lengths"
@@ -160,9 +162,8 @@ REFLECTORS_GROUP = "reflectors"
 class ExpectedCriteria:
     """Expected mean disagreement of the stations in distances and coordinates [m], before and after calibration.
 
-    These are the criteria of Sensors 2021, 21, 7479, eq. 11 and 12.
-
-    Each field is (k,): one value for each of k assumptions on the sizes of the errors.
+    These are the criteria of Sensors 2021, 21, 7479, eq. 11 and 12. Each field has the shape (k,), for k assumptions on
+    the sizes of the errors.
     """
 
     distance_before: Floats
@@ -172,28 +173,29 @@ class ExpectedCriteria:
 
     @property
     def distance_improvement(self) -> Floats:
-        """Expected improvement of the distance criterion [%]."""
+        """Relative reduction (k,) [%] of the expected disagreement in distances by the calibration."""
         return 100.0 * (1.0 - self.distance_after / self.distance_before)
 
     @property
     def coordinate_improvement(self) -> Floats:
-        """Expected improvement of the coordinate criterion [%]."""
+        """Relative reduction (k,) [%] of the expected disagreement in coordinates by the calibration."""
         return 100.0 * (1.0 - self.coordinate_after / self.coordinate_before)
 
 
 @dataclass(frozen=True)
 class CriteriaPredictor:
-    """Contribution of each of G groups of errors, at its nominal size, to the disagreement of the stations."""
+    """Predictor of the expected criteria from the contribution of each of G groups of errors at its nominal size."""
 
     error_groups: tuple[str, ...]
-    """Names of the groups: noise, gauge lengths, instrument parameters by kind, and the unmodelled effects."""
+    """Names of the groups: noise, gauge lengths, instrument parameters by kind, unmodelled effects by name."""
     distance_variances: Floats
-    """Variance of the deviation of each measured distance from its mean over stations, (2, G, rows) [m^2]; the first
-    index is before and after calibration, the last one pair of targets and station.
+    """Variance of the deviation of each measured distance from its mean over stations, (2, G, D) [m^2]. The first index
+    is 0 before and 1 after calibration, the last one runs over the D combinations of station and pair of targets.
     """
     coordinate_covariances: Floats
-    """Covariance of the difference between the positions of each target from two stations, (2, G, rows, 3, 3) [m^2];
-    the first index is before and after calibration, the third one target and pair of stations.
+    """Covariance of the difference between the positions of each target from two stations, (2, G, C, 3, 3) [m^2]. The
+    first index is 0 before and 1 after calibration, the third one runs over the C combinations of pair of stations and
+    target.
     """
 
     @classmethod
@@ -225,8 +227,8 @@ class CriteriaPredictor:
     def expected_criteria(self, group_sizes: Mapping[str, Floats | float] | None = None) -> ExpectedCriteria:
         """Expected criteria for k assumptions on the sizes of the errors.
 
-        `group_sizes` holds, by group of errors, k factors (k,) on the nominal size of the group. A group that is
-        missing has its nominal size.
+        `group_sizes` has, by name of the group of errors, factors (k,) by which its nominal size is multiplied; a group
+        without factors has its nominal size.
         """
         wanted = dict(group_sizes or {})
         for name in wanted:
@@ -244,10 +246,10 @@ class CriteriaPredictor:
 
 
 def _mean_length(row_matrices: Floats, variances_by_set: Floats) -> Floats:
-    """Mean over rows of the expected length (k,) of normal vectors whose covariance is a sum over groups of errors.
+    """Expected length (k,) of C normally distributed vectors, averaged over the vectors, for k sets of variances.
 
-    `row_matrices` hold the covariance of each row by group at its nominal size, `variances_by_set` the k factors on the
-    covariance of each group.
+    The covariance of a vector is a sum over G groups of errors: `row_matrices` (C, G, 3, 3) hold the covariance by each
+    group at its nominal size, `variances_by_set` (k, G) the factors on these covariances.
     """
     means = [
         expected_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, variances_by_set, axes=1)))).mean(axis=1)
@@ -278,10 +280,10 @@ def expected_length(variances: Floats, n_nodes: int = 48) -> Floats:
 def _unit_error_displacements(
     layout_information: LayoutInformation, unmodelled_effects: Sequence[Effect]
 ) -> tuple[tuple[Floats, Floats], list[str]]:
-    """Displacements of measured points by a unit error of each of e error sources, before and after calibration.
+    """Displacements of measured points by an error of one sigma of each of e error sources, and group of each source.
 
-    Two matrices (3 S T, e), for T targets measured from each of S stations, and the names (e) of the groups (noise,
-    gauge lengths, parameters) to which the errors belong.
+    The displacements are two matrices (3 S T, e) [m], before and after calibration, for T targets measured from each of
+    S stations. The groups (e names) are noise, gauge lengths, kinds of parameters, and unmodelled effects.
     """
     adjustment, construction = layout_information.adjustment, layout_information.construction
     problem, sightings = adjustment.problem, adjustment.sightings
@@ -329,7 +331,7 @@ def _unit_error_displacements(
 
 
 def _averaging_matrix(layout_information: LayoutInformation) -> Floats:
-    """Matrix (S T, n) of the means over faces and repeats of each station's pointings to each target."""
+    """Matrix (S T, n) that averages n pointings over faces and repeats, for each station and target."""
     recording = layout_information.adjustment.recording
     place = recording.station * len(recording.targets) + recording.target
     averaging_matrix = np.zeros((len(recording.stations) * len(recording.targets), len(recording)))
@@ -338,7 +340,10 @@ def _averaging_matrix(layout_information: LayoutInformation) -> Floats:
 
 
 def _distance_deviation_matrix(layout_information: LayoutInformation) -> Floats:
-    """Matrix (rows, 3 S T) from displacements to deviations of each measured distance from its mean over stations."""
+    """Matrix (D, 3 S T) from displacements of points to deviations of distances from their means over stations.
+
+    D is the number of combinations of station and pair of targets.
+    """
     state = layout_information.adjustment.state
     stations, targets = len(state.station_positions), len(state.target_points)
     first, second = np.triu_indices(targets, k=1)
@@ -355,9 +360,9 @@ def _distance_deviation_matrix(layout_information: LayoutInformation) -> Floats:
 
 
 def _coordinate_difference_matrix(layout_information: LayoutInformation) -> Floats:
-    """Matrix (rows, 3, 3 S T) from displacements to differences between the positions of a target from two stations.
+    """Matrix (C, 3, 3 S T) from displacements of points to differences between positions of a target from two stations.
 
-    The stations are aligned rigidly first.
+    C is the number of combinations of pair of stations and target. The stations are aligned rigidly first.
     """
     state = layout_information.adjustment.state
     stations, targets = len(state.station_positions), len(state.target_points)

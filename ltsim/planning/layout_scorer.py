@@ -1,10 +1,10 @@
-"""Information of many layouts at once: normal equations in blocks, targets eliminated analytically.
+"""Information matrices of many layouts at once: normal equations in blocks, targets eliminated analytically.
 
-Two steps are used, so that a search computes geometry only once. `NormalBlocks` holds the contribution of each of any
-number of candidate set-ups. `LayoutScorer.evaluate_layouts` joins set-ups into layouts and eliminates targets (3 x 3
+Two steps are used, so that a search computes the design of a set-up only once. `NormalBlocks` holds the contribution of
+each of many candidate set-ups. `LayoutScorer.evaluate_layouts` joins set-ups into layouts and eliminates targets (3 x 3
 blocks) and poses (the leading rows of a Cholesky factor), which leaves the information on instrument and effects.
 
-The Jacobian is that of the geometric error model, and the other observations are those of the adjustment.
+The Jacobian is that of the geometric error model; all observations that are no readings are those of the adjustment.
 `information.py` computes the same quantities without blocks; a test compares the two. Letters in shapes: N set-ups, B
 layouts of S stations, T targets, E of them not in the gauge, P parameters, K unknowns after elimination of targets.
 """
@@ -30,7 +30,7 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import POINT_RANK_TOLERANCE, cholesky_where_determined, scale_to_unit_diagonal, to_dense
 
 INTERNAL_LENGTH_UNIT = 1e-5
-"""[m, rad] Unit of poses and targets in the normal equations, so that all columns have a similar norm."""
+"""Unit [m, rad] of poses and targets in the normal equations, so that all columns have a similar norm."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class NormalBlocks:
     """Block of the normal matrix for the pose followed by the parameters, summed over targets, (N, 6 + P, 6 + P)."""
 
     def select(self, indices: Ints) -> NormalBlocks:
-        """Contributions of the set-ups with the given indices."""
+        """Contributions of only the set-ups with the given indices, in this order."""
         return NormalBlocks(*(getattr(self, field.name)[indices] for field in fields(self)))
 
     @classmethod
@@ -62,18 +62,18 @@ class NormalBlocks:
         return cls(*(np.concatenate([getattr(part, field.name) for part in groups]) for field in fields(cls)))
 
     def with_replaced_station(self, station_index: int, replacement: NormalBlocks) -> NormalBlocks:
-        """Layout in which another set-up (N = 1) replaces the station number `station_index`."""
+        """Contributions of a layout in which the set-up `replacement` (N = 1) replaces one station, by its index."""
         stations = np.arange(len(self.setup_positions))
         return self.concatenate([self, replacement]).select(
             np.where(stations == station_index, len(stations), stations)
         )
 
 
-def target_weights(incidence_errors: IncidenceErrors, pointing_targets: Ints, n_targets: int) -> Floats:
-    """Weights (T,): 1 for targets of `pointing_targets` (n,) whose reflector has `incidence_errors`, else 0."""
-    weights = np.zeros(n_targets)
-    np.maximum.at(weights, pointing_targets, incidence_errors.reflector_indicator)
-    return weights
+def incidence_error_indicator(incidence_errors: IncidenceErrors, pointing_targets: Ints, n_targets: int) -> Floats:
+    """Indicator (T,): 1 for a target in `pointing_targets` (n,) whose reflector has `incidence_errors`, otherwise 0."""
+    indicator = np.zeros(n_targets)
+    np.maximum.at(indicator, pointing_targets, incidence_errors.reflector_indicator)
+    return indicator
 
 
 @dataclass(frozen=True)
@@ -85,17 +85,17 @@ class LayoutPrecision:
     a layout with an undetermined pose.
     """
     weighted_target_rms: Floats
-    """Weighted root mean square point error with the mean of all targets as datum, (B,) [m]; NaN for an undetermined
-    pose, and if it was not requested.
+    """Weighted root mean square point error of targets, whose mean is the datum, (B,) [m]; NaN if not requested, or for
+    an undetermined pose.
     """
 
 
 class LayoutScorer:
-    """Evaluation of many layouts in one workshop: targets, gauge, noise and priors are fixed, set-ups vary.
+    """Evaluation of many layouts in the same workshop: targets, gauge, noise and priors are fixed, set-ups vary.
 
-    `survey` provides everything except the positions of the stations; all layouts have its number of stations. The
+    `survey` provides everything except the poses of the stations; all layouts have its number of stations. The
     parameters are those of `construction`, by default the 16 misalignments, and of `effects`, in units of their prior
-    sigma. The information contains no prior of the effects.
+    sigma. The information contains the priors of instrument parameters but not of effects.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class LayoutScorer:
             full_survey.noise_free_recording(self.construction),
             full_survey.nominal_state(self.construction),
         )
-        # Ranges from the places to begin with may determine nothing: only what stays the same everywhere is taken here.
+        # Ranges from the initial positions may determine nothing: only what is common to all layouts is used here.
         problem = (
             Adjustment.from_plan(pointings, state, self.construction).problem
             if survey.records_angles
@@ -119,7 +119,8 @@ class LayoutScorer:
         self._plumb_directions[problem.level_rows.station_indices] = problem.level_rows.plumb_directions
         self.prior_sigma = problem.prior.sigma[0]
         self._incidence_errors = [
-            (e, target_weights(e, pointings.target, len(survey.target_points))) for e in problem.model.incidence_errors
+            (e, incidence_error_indicator(e, pointings.target, len(survey.target_points)))
+            for e in problem.model.incidence_errors
         ]
         self._n_nuisances = sum(len(errors.parameters) for errors in problem.model.incidence_errors)
         effect_sigmas = [p.prior_sigma for effect in self.effects for p in effect.parameters]
@@ -138,9 +139,9 @@ class LayoutScorer:
         self._target_motions = rigid_motion_design(survey.target_points) @ self._free_motions
 
     def _set_blocks(self, design: Floats, target_columns: Ints, pose_columns: Ints, parameter_columns: Ints) -> None:
-        """Normal equations of gauge, control points, levels and priors, in the order and units of this class.
+        """Storage of the normal equations of gauge, control points, levels and priors, which all layouts share.
 
-        `design` is whitened; the columns of targets (T, 3), poses (S, 6) and parameters are given.
+        `design` is whitened; its columns of targets (T, 3), poses (S, 6) and parameters are given by their indices.
         """
         extra = np.zeros((len(design), len(self.parameter_scales) - len(parameter_columns)))
         front = [
@@ -157,13 +158,13 @@ class LayoutScorer:
 
     @property
     def n_stations(self) -> int:
-        """Number of stations of a layout."""
+        """Number of stations of each layout."""
         return len(self.survey.station_positions)
 
     def sightings(self, position: Floats, yaw: Floats, station_indices: Ints) -> Sightings:
         """Sightings of every target in each face from N set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad].
 
-        `station_indices` (N,) is the station that each set-up replaces.
+        `station_indices` (N,) is the index of the station that each set-up replaces.
         """
         survey = self.survey
         axes = np.arange(len(position)), np.arange(len(survey.target_points)), np.array(survey.faces)
@@ -194,8 +195,8 @@ class LayoutScorer:
     ) -> tuple[Floats, Floats]:
         """Whitened derivatives of the r readings of each target by target (N, T, r, 3) and by other unknowns.
 
-        The latter, (N, T, r, 6 + P), are pose and parameters. They are zero for targets that are not `is_visible` (N,
-        T). For effects that depend on the time since the start, the first station is included in the computation.
+        The other unknowns are pose and parameters, (N, T, r, 6 + P). Rows of targets that are not `is_visible` (N, T)
+        are zero. As some effects depend on the time since the start, the first station is included in the computation.
         """
         if self.effects and station_indices.min() > 0:
             first = position[:1], yaw[:1], np.zeros(1, dtype=np.int64)
@@ -222,7 +223,7 @@ class LayoutScorer:
             for e, acts in self._incidence_errors
         ]
         designs = [*reflectors, by_value, *(effect.design(sightings) for effect in self.effects)]
-        sigma = self.survey.true_noise_sigmas(sightings)
+        sigma = self.survey.noise_sigmas(sightings)
         if self.survey.air is not None:
             sigma = np.sqrt(sigma**2 + turbulence_variance(self.survey.air, sightings))
         white = (self._used_observables / sigma)[:, :, None]
@@ -235,8 +236,8 @@ class LayoutScorer:
     ) -> NormalBlocks:
         """Contributions of N set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad] to the normal equations.
 
-        `station_indices` (N,) is the station that each set-up replaces, because some effects depend on the time or name
-        of the station. `is_visible` (N, T) marks the measured targets, default all.
+        `station_indices` (N,) is the index of the station that each set-up replaces, by default 0; some effects depend
+        on the time or name of the station. `is_visible` (N, T) flags the measured targets, by default all.
         """
         station_of_position = np.zeros(len(position), dtype=np.int64) if station_indices is None else station_indices
         is_visible = (
@@ -253,7 +254,7 @@ class LayoutScorer:
     def evaluate_layouts(
         self, blocks: NormalBlocks, setup_indices: Ints, *, with_target_errors: bool = False
     ) -> LayoutPrecision:
-        """Information on the parameters in B layouts, and point errors of targets on request.
+        """Precision of B layouts: information on the parameters, and point errors if `with_target_errors`.
 
         Each row of `setup_indices` (B, S) has the indices in `blocks` of the set-ups of one layout.
         """
@@ -272,8 +273,8 @@ class LayoutScorer:
     def marginal_information(self, schur: Floats, squared_norms: Floats) -> Floats:
         """Information (B, P, P) on the parameters of instrument and effects; NaN for undetermined unknowns.
 
-        All other unknowns are eliminated from normal matrices `schur` (B, K, K); `squared_norms` (B, K) are of the
-        columns of the design, by which undetermined unknowns are recognised.
+        All other unknowns are eliminated from normal matrices `schur` (B, K, K). The squared norms (B, K) of columns of
+        the design serve to recognise undetermined unknowns.
         """
         unit, scale = scale_to_unit_diagonal(schur, squared_norms)
         roots, _ = cholesky_where_determined(unit)
@@ -282,7 +283,7 @@ class LayoutScorer:
         return corner @ np.swapaxes(corner, 1, 2)
 
     def eliminate_targets(self, blocks: NormalBlocks, setup_indices: Ints) -> tuple[Floats, Floats, Floats, Floats]:
-        """Normal matrices without targets, squared column norms before elimination, and two terms of the elimination.
+        """Normal matrices after elimination of targets, squared norms of columns before it, and two terms of it.
 
         The matrices are Schur complements (B, K, K), NaN for an undetermined target; the norms are (B, K). The terms
         are inverse blocks (B, E, 3, 3) of targets, and their products with coupling blocks (B, E, 3, K).
@@ -301,7 +302,7 @@ class LayoutScorer:
         return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", reduced), inverses, coefficients
 
     def _normal_matrices(self, blocks: NormalBlocks, setup_indices: Ints) -> tuple[Floats, Floats, Floats]:
-        """Blocks of the normal matrices: other unknowns (B, K, K), E targets (B, E, 3, 3), coupling (B, E, 3, K)."""
+        """Blocks of normal matrices: other unknowns (B, K, K), targets (B, E, 3, 3), coupling of both (B, E, 3, K)."""
         layouts, stations = setup_indices.shape
         params, gauge = len(self.parameter_scales), len(self._gauge_targets)
         n_unknowns = 6 * stations + 3 * gauge + params
@@ -338,9 +339,9 @@ class LayoutScorer:
         )
 
     def _datum_rows(self, position: Floats) -> Floats:
-        """Whitened rows (B, f, 6 a) that fix f free rigid motions of layouts with stations at `position` (B, S, 3).
+        """Whitened rows (B, f, 6 a) that fix f free rigid motions of layouts with stations at `position` (B, S, 3) [m].
 
-        They fix the pose of the first station (a = 1), or for ranges alone the positions of all (a = S).
+        They constrain the pose of the first station (a = 1), or for ranges alone the positions of all (a = S).
         """
         motion = self._free_motions / np.linalg.norm(self._free_motions, axis=0)
         anchors = position[:, :1] if self._fixes_datum_rotations else position
@@ -350,24 +351,24 @@ class LayoutScorer:
         return (datum_rows / DATUM_SIGMA * INTERNAL_LENGTH_UNIT).reshape(len(datum_rows), motion.shape[1], -1)
 
     def weighted_target_rms(self, schur: Floats, inverses: Floats, coefficients: Floats, targets: Ints) -> Floats:
-        """Root mean square point error (B,) [m] with the weights of the survey; arguments as of `target_variance`."""
+        """Root mean square point error (B,) [m] with the survey's target weights; arguments as of `target_variance`."""
         variance = self.target_variance(schur, inverses, coefficients, targets)
         weight = self._target_weights[self.requested_targets(targets)]
         return np.sqrt(np.sum(weight * variance, axis=1) / np.sum(weight * np.ones_like(variance), axis=1))
 
     def requested_targets(self, targets: Ints) -> Ints:
-        """Indices in the survey of the targets of `target_variance`, (1, E + gauge) or (B, E + gauge)."""
+        """Indices in the survey of `targets` (E,) or (B, E), and of the targets of the gauge: (1 or B, E + gauge)."""
         indices = np.atleast_2d(targets)
         return np.concatenate(
             [indices, np.broadcast_to(self._gauge_targets, (len(indices), len(self._gauge_targets)))], axis=1
         )
 
     def target_variance(self, schur: Floats, inverses: Floats, coefficients: Floats, targets: Ints) -> Floats:
-        """Squared point errors (B, E + gauge) [m^2] of targets, with inner constraints over all of them.
+        """Squared point errors (B, E + gauge) [m^2] of targets, with inner constraints over all of them as datum.
 
         Parameters of the instrument and of reflectors are estimated here, effects are not. `schur` (B, K, K),
         `inverses` (B, E, 3, 3) and `coefficients` (B, E, 3, K) are results of `eliminate_targets`. `targets`,
-        (E,) or (B, E), holds the indices of these targets in the survey. The targets of the gauge are always included.
+        (E,) or (B, E), holds the indices of the E targets in the survey; those of the gauge are always included.
         """
         estimated = self._n_nuisances + len(self.prior_sigma)
         layouts, size = len(schur), schur.shape[1] - (len(self.parameter_scales) - estimated)
@@ -382,7 +383,7 @@ class LayoutScorer:
             self._target_motions.reshape(-1, 3, self._n_free_motions)[self.requested_targets(targets)],
             (layouts, count + gauge, 3, self._n_free_motions),
         )
-        # Inner constraints: what is left of each target's errors without the rigid motion of all of them.
+        # Inner constraints: the errors of each target without the rigid motion of all targets.
         axes = 3 * (count + gauge)
         rows = motion.reshape(layouts, axes, self._n_free_motions)
         held = np.swapaxes(rows @ np.linalg.inv(np.swapaxes(rows, 1, 2) @ rows), 1, 2)

@@ -1,4 +1,4 @@
-"""Reader of plan files, including their lists of points and the scenario or hall that they name or contain."""
+"""Reader of plan files, their lists of points, and the scenario that they name or the hall that they describe."""
 
 import difflib
 import math
@@ -30,9 +30,10 @@ from ltsim.simulation.workshop import make_obstacles, make_sight_limits, planned
 SCENARIO_TABLES = ("workshop", "instrument", "smr", "work")
 """Tables of a scenario that a plan file may contain."""
 USUAL_HEAD_HEIGHTS_MM = (1400.0, 1800.0)
-"""Lowest and highest usual centre of the head [mm] on a stand; default range of heights in a hall of a plan."""
+"""Lowest and highest usual height [mm] of the centre of a tracker head on a stand: default range of heights in a hall
+that a plan file describes."""
 MAX_PLAN_POINTS = 2_000
-"""Largest number of points in the list of a plan; the search takes 130 kB for each."""
+"""Largest number of points in the list of a plan; the search takes 130 kB of memory for each."""
 MAX_SAME_POINT_DISTANCE_MM = 0.1
 """Largest distance [mm] between a point of a list and the target of the same name in the scenario, at which they are
 the same point.
@@ -43,13 +44,16 @@ BUILTIN_FOLDER = files("ltsim.planning") / "builtin"
 
 
 def plan_names() -> tuple[str, ...]:
-    """Names of the built-in plan files, and of the scenarios, which are plans with default settings."""
+    """Names of the built-in plan files, and of the built-in scenarios, which are plans with default settings."""
     plans = sorted(f.name.removesuffix(".toml") for f in BUILTIN_FOLDER.iterdir() if f.name.endswith(".toml"))
     return (*plans, *(name for name in builtin_names() if name not in plans))
 
 
 def plan_text(name: str) -> str:
-    """Content of the commented file of a built-in plan, as a template."""
+    """Content of the commented plan file of the built-in plan `name`, which users take as a template.
+
+    Raises SetupError if there is no such plan.
+    """
     path = BUILTIN_FOLDER / f"{name}.toml"
     if not path.is_file():
         near = _similar_names(name, plan_names())
@@ -82,12 +86,15 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
 
 
 def _similar_names(name: str, candidates: Sequence[str]) -> str:
-    """Text of the names that are most similar to an unknown name."""
+    """Text of the names among `candidates` that are most similar to an unknown `name`, for an error."""
     return ", ".join(difflib.get_close_matches(name, candidates, n=3, cutoff=0.4) or candidates[:8]) or "none is named"
 
 
 def _with_defaults(plan_file: PlanFile, path: Path) -> dict[str, Any]:
-    """Content of a plan file with the points of its list, and with defaults that depend on other keys."""
+    """New values of fields of a plan file: the points of its list, and defaults that depend on other keys.
+
+    `path` is that of the plan file. Raises SetupError for too many points.
+    """
     points = read_points(path.parent / plan_file.points) if isinstance(plan_file.points, str) else plan_file.points
     if len(points) > MAX_PLAN_POINTS:
         raise SetupError(f"{path}: {len(points)} points, expected at most {MAX_PLAN_POINTS}; plan parts of the hall")
@@ -100,7 +107,10 @@ def _with_defaults(plan_file: PlanFile, path: Path) -> dict[str, Any]:
 
 
 def _scenario_of_plan(plan_file: PlanFile, plan_tables: dict[str, Any], path: Path) -> Scenario:
-    """Scenario that a plan file names, or that its tables describe."""
+    """Scenario that a plan file names, or that its tables describe, with the plan's points as targets.
+
+    `plan_tables` are the TOML tables of the plan file at `path`. Raises SetupError for contradictory keys.
+    """
     points = plan_file.listed_points
     tables = [name for name in SCENARIO_TABLES if name in plan_tables]
     if plan_file.workshop is None and tables:
@@ -116,7 +126,10 @@ def _scenario_of_plan(plan_file: PlanFile, plan_tables: dict[str, Any], path: Pa
 
 
 def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
-    """Check that names refer to existing objects and that new names are unused; raises SetupError."""
+    """Check that names in a plan file refer to existing objects, and that names of new reflectors are not yet used.
+
+    Raises SetupError, which names `file`.
+    """
     group_names = sorted({point.group for point in plan_file.listed_points if point.group})
     obstacles = [obstacle.name for obstacle in scenario.workshop.obstacles if obstacle.name]
     for key, wanted, names in (
@@ -146,7 +159,7 @@ def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
 
 
 def _check_dependent_keys(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
-    """Check that keys that belong together are given together; raises SetupError."""
+    """Check that no key is given without the keys that it needs, and that counts are consistent; raises SetupError."""
     if plan_file.goal.tolerances and not plan_file.listed_points:
         raise SetupError(f"{file}: goal.tolerances needs points; give them as a list or a file")
     fixed_keys = [f"budget.{key}" for key in ("faces", "repeats") if getattr(plan_file.budget, key) is not None]
@@ -163,7 +176,7 @@ def _check_dependent_keys(plan_file: PlanFile, scenario: Scenario, file: object)
 
 
 def read_points(path: Path) -> tuple[PointEntry, ...]:
-    """Points of a file with a list of coordinates in any format; further columns are keys of `PointEntry`.
+    """Points from a list of coordinates in any format; additional columns are keys of `PointEntry`, such as ``weight``.
 
     Raises SetupError.
     """
@@ -178,7 +191,7 @@ def read_points(path: Path) -> tuple[PointEntry, ...]:
 
 
 def _point_from_table(table: PointList, row: int, path: Path) -> PointEntry:
-    """Point in a row of a list; raises SetupError for a cell that is not valid."""
+    """Point at index `row` of a list read from `path`; raises RecordError for a cell that is not valid."""
     location: dict[str, Any] = {"file": path, "row": table.line_numbers[row]}
 
     def optional_number(column: str, default: float | None) -> float | None:
@@ -209,7 +222,10 @@ def _point_from_table(table: PointList, row: int, path: Path) -> PointEntry:
 def _hall_scenario(
     plan_file: PlanFile, tables: Mapping[str, Any], points: Sequence[PointEntry], file: Path
 ) -> Scenario:
-    """Scenario of a hall that a plan file describes by tables and points; raises SetupError."""
+    """Scenario of a hall that a plan file describes by its TOML tables and points, with initial stations.
+
+    Raises SetupError, which names `file`.
+    """
     table: dict[str, Any] = {"format": SCENARIO_FORMAT, "title": plan_file.title}
     table |= {name: tables[name] for name in SCENARIO_TABLES if name in tables}
     table["work"] = {"order": "as-listed", **tables.get("work", {})}
@@ -228,9 +244,10 @@ def _hall_scenario(
 
 
 def _require_plausible_extent(points: Sequence[PointEntry], scenario: Scenario, file: object) -> None:
-    """Check that the points extend over more than a thousandth of the hall.
+    """Check that some point is farther from the corner of the hall than a thousandth of the hall's size.
 
-    A full stop may be meant as separator of thousands: 7.000 for 7000 mm. Raises SetupError.
+    Otherwise the coordinates may be in metres, or a full stop may separate thousands (7.000 for 7000 mm). Raises
+    SetupError.
     """
     spread = np.array([[p.x_mm, p.y_mm, p.z_mm] for p in points]).reshape(-1, 3)
     if len(points) and np.all(1000.0 * np.abs(spread) <= scenario.workshop.size_mm):
@@ -241,7 +258,10 @@ def _require_plausible_extent(points: Sequence[PointEntry], scenario: Scenario, 
 
 
 def _with_points(scenario: Scenario, points: Sequence[PointEntry], file: object) -> Scenario:
-    """Scenario with additional targets; a point that is already a target does not change."""
+    """Scenario with the points of a plan as additional targets; a point that is already a target is left out.
+
+    Raises SetupError if a target of the same name is at another position.
+    """
     _require_plausible_extent(points, scenario, file)
     for point in points:
         there = scenario.targets.get(point.name)
@@ -249,16 +269,19 @@ def _with_points(scenario: Scenario, points: Sequence[PointEntry], file: object)
         if there is not None and np.abs(np.array(there.position_mm) - place).max() < MAX_SAME_POINT_DISTANCE_MM:
             continue
         if point.name in scenario.target_names:
-            raise SetupError(f"{file}: points: '{point.name}' is the name of a target at another place in the scenario")
+            raise SetupError(
+                f"{file}: points: '{point.name}' is the name of a target at another position in the scenario"
+            )
     existing = scenario.targets
     added = {p.name: PlannedTarget(position_mm=(p.x_mm, p.y_mm, p.z_mm)) for p in points if p.name not in existing}
     return scenario.model_copy(update={"targets": {**existing, **added}})
 
 
 def _initial_places(plan_file: PlanFile, scenario: Scenario, n_stations: int) -> Floats:
-    """Initial places (`n_stations`, 3) [m] of stations.
+    """Initial positions (`n_stations`, 3) [m] of the stations in a hall.
 
-    Each new station is at the place where it adds most sights to targets with too few.
+    Each next station is at the grid point where it sees most targets that no earlier station sees. Raises SetupError if
+    the floor has no room for the stations.
     """
     heights = (USUAL_HEAD_HEIGHTS_MM[0] * MILLIMETRE, USUAL_HEAD_HEIGHTS_MM[1] * MILLIMETRE)
     areas, keep_outs = areas_and_keep_outs(plan_file.floor, scenario.workshop.size_mm, heights)

@@ -1,4 +1,7 @@
-"""Searches for the best layout from many start layouts, in one or several processes, for each measuring procedure."""
+"""Searches for the best layout from many start layouts, in one or several processes, for each measuring procedure.
+
+The best layout is the one with the smallest objective.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -23,11 +26,12 @@ from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 
 N_STATION_REFLECTOR_ALTERNATIONS = 2
-"""Number of times that stations and reflectors are chosen in turn, if reflectors are movable."""
+"""Number of times that, after the first search for stations, reflectors and then stations are searched again, if
+reflectors are movable."""
 MIN_REPORT_INTERVAL = 5.0
 """Shortest time [s] between two reports of the best layout so far."""
 MIN_REPORTED_GAIN = 0.01
-"""Smallest relative improvement of the objective since the last report at which a layout is reported."""
+"""Smallest relative improvement of the objective since the last report at which a new best layout is reported."""
 
 RatedLayout = tuple[float, PlannedSurvey]
 """Objective and survey of a layout."""
@@ -37,7 +41,7 @@ LayoutsByCount = dict[tuple[int, int], list[tuple[float, int, PlannedSurvey]]]
 
 @dataclass(frozen=True)
 class SearchTask:
-    """Task of a worker process: one start of the search."""
+    """Task of a worker process: a search from one start, with given numbers of stations and faces."""
 
     n_stations: int
     n_faces: int
@@ -46,7 +50,7 @@ class SearchTask:
 
 @dataclass(frozen=True)
 class PlanningProblem:
-    """Plan file with its scenario."""
+    """Plan file with its scenario, from which the inputs of a search are derived."""
 
     plan_file: PlanFile
     scenario: Scenario
@@ -57,7 +61,7 @@ class PlanningProblem:
         return planned_construction(self.scenario)
 
     def search_space(self, task: SearchTask) -> SearchSpace:
-        """Search space for the numbers of stations and faces of a task."""
+        """Search space for the number of stations and the number of faces in `task`."""
         return make_search_space(self.plan_file, self.scenario, n_stations=task.n_stations, n_faces=task.n_faces)
 
     def make_searcher(
@@ -66,7 +70,10 @@ class PlanningProblem:
         report_progress: Callable[[float], None] = no_progress,
         store_layout: Callable[[StationLayout], None] = no_progress,
     ) -> LayoutSearcher:
-        """Searcher for the objective of the plan file in a search space."""
+        """Searcher for layouts in `search_space` with the objective and the search settings of the plan file.
+
+        `report_progress` is called with the finished fraction of a start, `store_layout` with each better layout.
+        """
         settings, objective = self.plan_file.search, layout_objective(self.plan_file, search_space.survey)
         step = grid_step(search_space.allowed_areas, settings.grid_mm)
         return LayoutSearcher(
@@ -88,10 +95,11 @@ def run_searches(
     report_progress: Callable[[float], None],
     store_survey: Callable[[PlannedSurvey, float], None],
 ) -> tuple[LayoutsByCount, bool]:
-    """Layouts of all searches, and True if Ctrl-C ended them.
+    """Layouts of all searches by number of stations and faces, and a flag that is True if Ctrl-C ended the searches.
 
-    `report_progress` is called with the finished fraction, `store_survey` with each better layout and its objective.
-    With one job the search runs in this process, reports its progress, and keeps its best layout after Ctrl-C.
+    `jobs` is the number of processes. `report_progress` is called with the finished fraction of all searches,
+    `store_survey` with each clearly better layout and its objective. With one job the search runs in this process,
+    reports progress within a start, and keeps its best layout after Ctrl-C.
     """
     best_by_task: dict[int, RatedLayout] = {}
     finished, stopped, reported, last = 0, False, np.inf, -np.inf
@@ -104,7 +112,7 @@ def run_searches(
             store_survey(survey, value)
 
     def callbacks_of_task(task_number: int) -> tuple[Callable[[float], None], Callable[[StationLayout], None]]:
-        """Callbacks of a search in this process: finished fraction, better layout."""
+        """Callbacks of a search in this process: for its finished fraction, and for each better layout."""
         site = problem.search_space(tasks[task_number])
         return (
             lambda part: report_progress((finished + part) / len(tasks)),
@@ -140,9 +148,9 @@ def _layout_of_start(
     report_progress: Callable[[float], None] = no_progress,
     store_layout: Callable[[StationLayout], None] = no_progress,
 ) -> tuple[int, RatedLayout | None]:
-    """Task number, and layout of one start of the search; no layout (None) if none meets the rules of the plan.
+    """Task number, and the pair of objective and layout that the search from one start ends with.
 
-    The layout is None too if ranges from too few stations determine no layout.
+    The pair is None if no layout meets the rules of the plan, or if ranges from too few stations determine no layout.
     """
     try:
         return task_number, search_from_start(problem, task, report_progress, store_layout)
@@ -151,7 +159,7 @@ def _layout_of_start(
 
 
 def _layout_in_worker(problem: PlanningProblem, task: SearchTask, task_number: int) -> tuple[int, RatedLayout | None]:
-    """Task number and layout of one start in a worker process; only the main process reacts to Ctrl-C."""
+    """Result of `_layout_of_start` in a worker process, which ignores Ctrl-C: only the main process reacts to it."""
     signal(SIGINT, SIG_IGN)
     return _layout_of_start(problem, task, task_number)
 
@@ -162,7 +170,11 @@ def search_from_start(
     report_progress: Callable[[float], None] = no_progress,
     store_layout: Callable[[StationLayout], None] = no_progress,
 ) -> RatedLayout:
-    """Layout of a start: stations are searched, then reflectors if they are movable, then stations again."""
+    """Objective and layout that the search from one start ends with.
+
+    Stations are searched, then reflectors if they are movable, then stations again. `report_progress` is called with
+    the finished fraction, `store_layout` with each better layout. Raises SetupError or NetworkError without a layout.
+    """
     site, stays, seed = (
         problem.search_space(task),
         is_fixed_target(problem.plan_file, problem.scenario),
@@ -185,7 +197,7 @@ def search_from_start(
 
 
 def _with_moved_stations(search_space: SearchSpace, position: Floats, yaw: Floats) -> PlannedSurvey:
-    """Survey of a search space with stations at other positions (S, 3) [m] and yaws (S,) [rad]."""
+    """Survey of a search space with its stations at `position` (S, 3) [m] with `yaw` (S,) [rad]."""
     return search_space.survey.replace(
         station_positions=position, station_yaws=yaw, is_visible=search_space.is_visible(position)
     )

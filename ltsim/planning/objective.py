@@ -1,11 +1,14 @@
 """Objective of a layout: one number, smaller is better.
 
 The criteria are standard deviations from one covariance matrix or from many at once, (..., p, p), in units of the prior
-sigmas. Micrometres and microradians can thus be averaged, and a criterion of one means that the readings contain no
-information. A D-optimal design (largest determinant of the information) has the smallest value, as in the literature.
-The A criterion is the trace of the covariance and not of the information matrix, which is no measure of precision.
+sigmas of p parameters. Micrometres and microradians can thus be averaged, and a criterion of one means that the
+readings contain no information. The D criterion is smallest for the largest determinant of the information matrix, as
+in the literature. The A criterion follows from the trace of the covariance matrix. The trace of the information matrix
+would be no measure of precision.
 
-References ---------- Atkinson, Donev, Tobias, Optimum Experimental Designs, with SAS (2007), chapter 10.
+References
+----------
+Atkinson, Donev, Tobias, Optimum Experimental Designs, with SAS (2007), chapter 10.
 """
 
 from collections import Counter
@@ -22,19 +25,19 @@ from ltsim.planning.layout_scorer import LayoutPrecision
 
 CriterionName = Literal["D", "A", "E"]
 INSTRUMENT_QUALITY_NAME = "instrument"
-"""Name of the quality: a criterion of the instrument's parameters."""
+"""Name of the quality that is an optimality criterion of the instrument parameters."""
 TARGETS_QUALITY_NAME = "targets"
-"""Name of the quality: point errors of the targets."""
+"""Name of the quality that is the weighted root mean square point error of the targets."""
 DIAGNOSIS_QUALITY_NAME = "diagnosis"
-"""Name of the quality: minimal detectable sizes of effects."""
+"""Name of the quality that is the mean of the minimal detectable sizes of effects."""
 MIN_SWEEP_IMPROVEMENT = 1e-4
 """Smallest relative improvement of the objective by a sweep over all stations, at which another sweep follows."""
 
 
 def d_criterion(covariance: Floats) -> Floats:
-    """Geometric mean (...) of the standard deviations along the principal axes of the covariance: det^(1 / 2p).
+    """Geometric mean (...) of the standard deviations along the principal axes of a `covariance` (..., p, p).
 
-    The volume of the confidence ellipsoid is proportional to its p-th power.
+    It is det^(1 / 2p); the volume of the confidence ellipsoid is proportional to its p-th power.
     """
     _, logarithm = np.linalg.slogdet(covariance)
     return np.exp(0.5 * logarithm / covariance.shape[-1])
@@ -43,13 +46,16 @@ def d_criterion(covariance: Floats) -> Floats:
 def a_criterion(covariance: Floats) -> Floats:
     """Root mean square (...) of the standard deviations of the parameters, from their `covariance` (..., p, p).
 
-    It is the expected size of an error.
+    It is the root mean square error of a parameter.
     """
     return np.sqrt(np.trace(covariance, axis1=-2, axis2=-1) / covariance.shape[-1])
 
 
 def e_criterion(covariance: Floats) -> Floats:
-    """Standard deviation (...) of the worst-determined combination of unit length, from a `covariance` (..., p, p)."""
+    """Standard deviation (...) of the worst determined combination of parameters, from a `covariance` (..., p, p).
+
+    The coefficients of the combination have the norm 1.
+    """
     return np.sqrt(np.linalg.eigvalsh(covariance)[..., -1])
 
 
@@ -58,7 +64,7 @@ CRITERION_FUNCTIONS: dict[CriterionName, Callable[[Floats], Floats]] = {
     "A": a_criterion,
     "E": e_criterion,
 }
-"""Optimality criteria of the instrument's parameters, by name."""
+"""Function that computes each optimality criterion of the instrument parameters from their covariance, by name."""
 
 
 @dataclass(frozen=True)
@@ -75,20 +81,21 @@ class LayoutObjective:
     effects: tuple[Effect, ...] = ()
     """Effects that a diagnosis should detect."""
     n_places_by_effect: Mapping[str, int] = field(default_factory=dict)
-    """Number of places and shapes that a diagnosis tests for each effect, by name of the effect; default the number of
-    entries in `effects`. More tests need a larger effect for the same false-alarm rate.
+    """Number of variants that a diagnosis tests for each effect (stations or targets where it may act, and shapes), by
+    name of the effect; default the number of entries in `effects`. With more tests, only a larger effect is detected at
+    the same false-alarm rate.
     """
 
     @property
     def needs_target_errors(self) -> bool:
-        """True if the objective needs point errors of targets."""
+        """True if point errors of targets have a weight in the objective, so that they must be computed."""
         return self.quality_weights.get(TARGETS_QUALITY_NAME, 0.0) > 0.0
 
     def qualities(self, precision: LayoutPrecision, n_parameters: int) -> dict[str, Floats]:
         """Values (B,) of each quality with a weight, by name of the quality, for B layouts; smaller is better.
 
         They are infinite for a layout that leaves unknowns undetermined. The first `n_parameters` rows of the
-        information matrices are those of the instrument; the rows of effects follow.
+        information matrices in `precision` are those of instrument parameters; the rows of effects follow.
         """
         qualities: dict[str, Floats] = {}
         if self.quality_weights.get(INSTRUMENT_QUALITY_NAME, 0.0) > 0.0:
@@ -104,14 +111,17 @@ class LayoutObjective:
         return {name: np.where(np.isfinite(value), value, np.inf) for name, value in qualities.items()}
 
     def objective_values(self, precision: LayoutPrecision, n_parameters: int) -> Floats:
-        """Weighted geometric mean of the qualities of B layouts, (B,)."""
+        """Objective (B,) of B layouts: weighted geometric mean of their qualities.
+
+        `n_parameters` is the number of instrument parameters.
+        """
         qualities = self.qualities(precision, n_parameters)
         weight_sum = sum(self.quality_weights[name] for name in qualities)
         weighted_logs = [self.quality_weights[name] / weight_sum * np.log(value) for name, value in qualities.items()]
         return np.exp(np.sum(weighted_logs, axis=0))
 
     def _instrument_quality(self, information: Floats) -> Floats:
-        """Criterion (B,) of the instrument parameters for information matrices (B, p, p)."""
+        """Optimality criterion (B,) of the instrument parameters for information matrices (B, p, p)."""
         value = np.full(len(information), np.inf)
         is_valid = np.isfinite(information).all(axis=(1, 2))
         if is_valid.any():
@@ -127,7 +137,8 @@ def mean_detectable_size(
 ) -> Floats:
     """Geometric mean (B,), over the parameters of effects, of minimal detectable size divided by plausible size.
 
-    `information` (B, P, P) has the instrument parameters (`n_parameters` of them) first.
+    `information` (B, P, P) are information matrices of B layouts, whose first `n_parameters` rows are those of
+    instrument parameters and whose other rows are those of `effects`. `n_places_by_effect` is as in `LayoutObjective`.
     """
     sought = {**Counter(effect.name for effect in effects), **(n_places_by_effect or {})}
     parameter_block = information[:, :n_parameters, :n_parameters]

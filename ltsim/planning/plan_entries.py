@@ -1,4 +1,4 @@
-"""Entries of plan.json, each created from a part of the planned network."""
+"""Objects in plan.json, each created from a part of the planned network."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ if TYPE_CHECKING:
     from ltsim.planning.survey import PlannedSurvey
 
 QualityValues = dict[str, OptionalFloat]
-"""Qualities of a layout by name; null if undetermined."""
+"""Values of the qualities of a layout (see `LayoutObjective`) by name; null if undetermined."""
 XyzSizesUm = tuple[OptionalFloat, OptionalFloat, OptionalFloat] | tuple[()]
 """Sizes along x, y and z [um], or an empty tuple if they are unknown."""
 
 
 class StationEntry(Entry):
-    """Station of a plan."""
+    """Station of a plan with its pose and expected precision."""
 
     name: str
     """Name of the station."""
     position_mm: Vector
-    """Centre of the head, in the hall frame."""
+    """Position of the centre of the head, in the hall frame."""
     yaw_deg: Finite
     """Direction of azimuth zero, counter-clockwise from x."""
     sigma_position_um: XyzSizesUm = ()
-    """Expected standard deviation of x, y and z."""
+    """Expected standard deviations of the position along x, y and z."""
     visible_reflectors: int = 0
     """Number of reflectors that the station sees."""
 
@@ -72,9 +72,9 @@ class ReflectorEntry(Entry):
     name: str
     """Name of the reflector."""
     position_mm: Vector
-    """Centre of the reflector, in the hall frame."""
+    """Position of the centre of the reflector, in the hall frame."""
     sigma_um: OptionalFloat
-    """Expected standard deviation of the reflector [um]: square root of the trace of its covariance."""
+    """Expected point error of the reflector [um]: square root of the trace of its covariance."""
     u_um: XyzSizesUm = Field(default=(), alias="U_um")
     """Expanded uncertainty (k = 2) of x, y and z [um], with the mean of all points as datum."""
     stations_seeing: int = 0
@@ -84,15 +84,15 @@ class ReflectorEntry(Entry):
     within_mm: OptionalFloat = None
     """Point error that is not exceeded at the confidence level of the goal; null without a tolerance."""
     tolerance_mm: OptionalFloat = None
-    """Tolerance of the point error."""
+    """Largest permitted point error; null without a tolerance."""
     tolerance_ratio: OptionalFloat = None
     """Ratio of point error to tolerance, `within_mm` divided by `tolerance_mm`; at most 1 if the tolerance is met."""
     met: bool | None = None
-    """True if the tolerance is met; null without one."""
+    """True if the tolerance is met; null without a tolerance."""
 
     @classmethod
     def from_layout(cls, layout: LayoutEvaluation, check: ToleranceCheck | None) -> tuple[Self, ...]:
-        """Entries of the reflectors of a layout with expected precision; `check` adds the tolerances."""
+        """Entries of the reflectors of a layout with expected precision, and with tolerances if there is a `check`."""
         survey, information = layout.survey, layout.information
         expanded = 2.0 * np.sqrt(np.einsum("tii->ti", information.target_covariance)) / MICROMETRE
         return tuple(
@@ -110,10 +110,10 @@ class ReflectorEntry(Entry):
 
     @staticmethod
     def _tolerance_fields(name: str, check: ToleranceCheck | None) -> dict[str, Any]:
-        """Fields of a reflector with a tolerance; empty for a reflector without one."""
-        if check is None or name not in check.error_by_point:
+        """Fields on the tolerance of the reflector `name`, with their values; empty if it has no tolerance."""
+        if check is None or name not in check.error_by_point_m:
             return {}
-        within, used = check.error_by_point[name] / MILLIMETRE, check.tolerance_ratio(name)
+        within, used = check.error_by_point_m[name] / MILLIMETRE, check.tolerance_ratio(name)
         return {
             "within_mm": within, "tolerance_mm": check.tolerance_by_point[name] / MILLIMETRE,
             "tolerance_ratio": used, "met": is_tolerance_met(used),
@@ -126,17 +126,17 @@ class PlannedParameterEntry(Entry):
     name: str
     """Name of the parameter."""
     unit: str = ""
-    """Unit of both standard deviations."""
+    """Unit of `sigma` and `prior_sigma`."""
     sigma: Finite
     """Expected standard deviation after calibration."""
     prior_sigma: Positive
-    """Standard deviation before any reading."""
+    """Prior standard deviation, before any reading."""
     gain: OptionalFloat = None
     """Fraction of the prior variance that the readings are expected to remove: 1 - (sigma / prior_sigma)^2."""
 
     @classmethod
     def from_information(cls, layout_information: LayoutInformation) -> tuple[Self, ...]:
-        """Entries of the instrument's parameters in units of display."""
+        """Entries of the instrument parameters of a layout, in their units of display."""
         parameter_fields = zip(
             layout_information.construction.parameters,
             layout_information.instrument_sigmas,
@@ -159,11 +159,11 @@ class ImprovementEntry(Entry):
     """Expected improvement by calibration of the agreement of stations, in distances or in coordinates of targets."""
 
     before_um: Finite
-    """Expected mean before calibration."""
+    """Expected mean disagreement of the stations before calibration."""
     after_um: Finite
-    """Expected mean after calibration."""
+    """Expected mean disagreement of the stations after calibration."""
     improvement_percent: Finite
-    """Reduction of the mean by the calibration."""
+    """Reduction of the mean disagreement by the calibration."""
 
     @classmethod
     def from_criteria(cls, expected_criteria: ExpectedCriteria) -> dict[str, Self]:
@@ -190,7 +190,7 @@ class ProcedureEntry(Entry):
     repeats: int = 1
     """Number of rounds: complete measurements of all targets from a station."""
     pointings: int = 0
-    """Number of pointings."""
+    """Number of pointings of the whole measurement."""
     hours: Finite
     """Duration of the whole measurement [h]."""
     quality: QualityValues = Field(default_factory=dict)
@@ -200,7 +200,7 @@ class ProcedureEntry(Entry):
 
     @staticmethod
     def _procedure_fields(survey: PlannedSurvey, qualities: dict[str, float]) -> dict[str, Any]:
-        """Fields of the measuring procedure of a survey."""
+        """Fields on the measuring procedure of a survey, with their values, for subclasses."""
         return {
             "faces": len(survey.faces), "repeats": survey.repeats, "pointings": survey.n_pointings,
             "hours": round(survey.duration / 3600, 3), "quality": qualities,
@@ -213,15 +213,15 @@ class LayoutEntry(ProcedureEntry):
     broken_rules: tuple[str, ...] = ()
     """Rules of the plan that the layout breaks, one sentence each."""
     stations: tuple[StationEntry, ...]
-    """Stations of the layout."""
+    """Stations of the layout, with their expected precision."""
     reflectors: tuple[ReflectorEntry, ...] = ()
-    """Reflectors of the layout."""
+    """Reflectors of the layout, with their expected precision."""
     rms_sigma_um: OptionalFloat = None
     """Root mean square of `sigma_um` over all reflectors, each with equal weight."""
     parameters: tuple[PlannedParameterEntry, ...] = ()
     """Instrument parameters with their expected precision."""
     undetermined: tuple[UndeterminedEntry, ...] = ()
-    """Undetermined combinations of instrument parameters."""
+    """Linear combinations of instrument parameters that the layout does not determine."""
     expected_improvement: dict[str, ImprovementEntry] | None = None
     """Expected improvement by calibration of the agreement of the stations, in distances and in coordinates of targets
     (criteria of Sensors 2021, 21, 7479)."""
@@ -232,9 +232,9 @@ class LayoutEntry(ProcedureEntry):
     def from_evaluation(
         cls, layout: LayoutEvaluation, check: ToleranceCheck | None = None, **extra_fields: Any
     ) -> Self:
-        """Entry of a layout, with a check against its tolerances.
+        """Entry of an evaluated layout, and of the `check` against its tolerances if there are any.
 
-        `extra_fields` are the additional fields of a subclass.
+        `extra_fields` are values of the additional fields of a subclass.
         """
         information, survey = layout.information, layout.survey
         names = information.construction.parameter_names
@@ -262,16 +262,16 @@ class LayoutEntry(ProcedureEntry):
 
 
 class TradeoffEntry(ProcedureEntry):
-    """Measuring procedure with its best layout."""
+    """Measuring procedure and number of stations, with the best layout that the search found for them."""
 
     stations: int
     """Number of stations."""
     value: OptionalFloat = None
     """Objective of the layout; smaller is better."""
     efficient: bool = False
-    """True if no procedure with less cost is as good."""
+    """True if every faster procedure has a worse objective."""
     layout: tuple[StationEntry, ...] = ()
-    """Stations of the layout."""
+    """Stations of the best layout, without their expected precision."""
 
     @classmethod
     def from_tradeoff_point(cls, tradeoff_point: TradeoffPoint) -> Self:
@@ -294,19 +294,19 @@ class LossEntry(Entry):
     """Check of the tolerances after the loss of a station or a sight."""
 
     lost: str
-    """Description of the lost station or sight."""
+    """Name of the lost station, or description of the lost sight."""
     met: bool
     """True if all tolerances are met after the loss."""
     ratio: OptionalFloat = None
     """Largest ratio of point error to tolerance; null if a point is undetermined."""
     worst: str = ""
-    """Point with the largest ratio."""
+    """Name of the point with the largest ratio of error to tolerance."""
     unseen: tuple[str, ...] = ()
     """Points with a tolerance that no station sees after the loss."""
 
     @classmethod
     def from_check(cls, check: ToleranceCheck) -> Self:
-        """Entry of a check after a loss."""
+        """Entry of the check of a layout after a loss."""
         return cls(
             lost=check.lost_text,
             met=check.meets_all,
@@ -317,33 +317,40 @@ class LossEntry(Entry):
 
     @property
     def ratio_text(self) -> str:
-        """Text of the largest ratio of error to tolerance [%]; other texts for undetermined and for hidden points."""
+        """Text of the largest ratio of error to tolerance in percent; '' for points that no station sees.
+
+        The text is "not determined" for undetermined points.
+        """
         if self.ratio is not None:
             return percent_text(self.ratio)
         return "" if self.unseen else "not determined"
 
 
 class DetectableSize(Entry):
-    """Minimal detectable size of an effect in a layout, at the best, median and worst place."""
+    """Minimal detectable size of an effect in a layout, for the best, median and worst variant of the effect.
+
+    The variants are the stations or targets on which the effect may act, and its shapes.
+    """
 
     effect: str
     """Identifier of the effect in the catalogue."""
     parameter: str = ""
-    """Name of the parameter."""
+    """Name of the parameter of the effect to which the sizes refer."""
     unit: str = ""
     """Unit of the sizes."""
     best: OptionalFloat = None
-    """Minimal detectable size at the best place or shape."""
+    """Smallest of the minimal detectable sizes over stations, targets or shapes."""
     typical: OptionalFloat = None
-    """Minimal detectable size at the median place or shape."""
+    """Median of the minimal detectable sizes over stations, targets or shapes."""
     worst: OptionalFloat = None
-    """Minimal detectable size at the worst place or shape."""
+    """Largest of the minimal detectable sizes over stations, targets or shapes."""
     worst_at: str = ""
     """Station, target or shape constant with the largest minimal detectable size."""
     plausible: Finite = 0.0
     """Large but plausible size of the effect."""
     visible_fraction: OptionalFloat = None
-    """Median, over places, of the fraction of the effect's change of the readings that remains in the residuals."""
+    """Median, over stations, targets or shapes, of the fraction of the effect's change of the readings that remains in
+    the residuals."""
 
     @classmethod
     def from_minimal_size(cls, row: MinimalSize) -> Self:
@@ -363,20 +370,17 @@ class DetectableSize(Entry):
 
 
 class ConfusablePair(Entry):
-    """Pair of effects that a layout can hardly distinguish.
-
-    `share` is the fraction of the first effect's change of the residuals that the second effect explains.
-    """
+    """Pair of effects that a layout can hardly distinguish."""
 
     effect: str
-    """Identifier of the effect in the catalogue."""
+    """Identifier of the first effect in the catalogue."""
     taken_for: str
-    """Identifier of the second effect, which explains the change of the residuals too."""
+    """Identifier of the second effect, for which the first one may be taken."""
     share: Finite
     """Fraction of the first effect's change of the residuals that the second effect explains; 1 for all of it."""
 
     @classmethod
     def from_pair(cls, pair: tuple[str, str, float]) -> Self:
-        """Entry of a pair in a detectability report."""
+        """Entry of a `pair`: identifiers of the first and the second effect, and `share`."""
         effect, taken_for, share = pair
         return cls(effect=effect, taken_for=taken_for, share=share)

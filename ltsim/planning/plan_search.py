@@ -1,4 +1,4 @@
-"""Searches that a plan file asks for, and selection of the plan from the layouts that they give."""
+"""Searches that a plan file requests, and selection of the planned layout from the layouts that they find."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -38,15 +38,14 @@ from ltsim.scene.floor import grid_step
 from ltsim.simulation.scenario import Scenario
 
 MAX_GRID_SETUPS = 200_000
-"""Largest number of candidate set-ups of a grid; a plan with more is rejected, because one search holds all in memory.
-"""
+"""Largest number of candidate set-ups of a grid; a plan with more is refused, because a search holds all in memory."""
 SEARCH_PROGRESS_FRACTION = 0.8
-"""Fraction of the progress bar for the search; the rest is for checks of tolerances and changes."""
+"""Fraction of the progress bar for the search; the rest is for checks of tolerances and changes of reflectors."""
 MIN_STATIONS = 2
 """Smallest number of stations of a network."""
 MAX_ERROR_RATIO_AFTER_BEFORE = 0.95
-"""Largest useful ratio of two errors, with and without an additional station (each is the largest point error divided
-by its tolerance). If the ratios of the last two stations are larger, no further station is added."""
+"""Largest useful ratio of two errors, with and without an additional station (an error is the largest point error
+divided by its tolerance). If the ratio for the last two stations together exceeds its square, the search ends."""
 UNDETERMINED_LAYOUT_MESSAGE = (
     "no layout of the search determines all poses and points; let stations share more points "
     "(stations.min_stations_per_target = 2), or give more stations or more search.starts"
@@ -58,23 +57,23 @@ STOPPED_MESSAGE = "the search was stopped before it found a layout; let it run l
 
 @dataclass(frozen=True)
 class SearchCallbacks:
-    """Callbacks for the progress of a search."""
+    """Callbacks that report the progress of a search to the user."""
 
     on_progress: ProgressCallback = no_progress
     """Callback with the name of the present task and its finished fraction."""
     on_progress_sentence: Callable[[str], None] = no_progress
-    """Callback with a sentence on the best layout so far."""
+    """Callback with a sentence on the best layout so far, when a better one is found."""
     on_layout: Callable[[PlannedSurvey], None] = no_progress
-    """Callback with the best layout so far."""
+    """Callback with the survey of the best layout so far, when a better one is found."""
 
 
 def make_plan(
     file: PlanFile, scenario: Scenario, *, jobs: int = 1, callbacks: SearchCallbacks | None = None
 ) -> PlannedNetwork:
-    """Best planned network of all searches; the result does not depend on the number of processes.
+    """Planned network with the best layout of all searches; it does not depend on the number of processes `jobs`.
 
-    Ctrl-C ends the search with the best layout so far, and the result says so. Raises SetupError if no layout meets the
-    rules of the plan.
+    Ctrl-C ends the search with the best layout so far (`PlannedNetwork.is_stopped`). Raises SetupError if no layout
+    meets the rules of the plan.
     """
     _require_grid_fits_memory(file, scenario)
     progress_callbacks = callbacks or SearchCallbacks()
@@ -98,7 +97,7 @@ def make_plan(
 
 @dataclass
 class _PlanSearch:
-    """State of the planning: layouts for each number of stations and faces, and selection of the plan."""
+    """State of the planning: layouts for each number of stations and faces, and selection of the best layout."""
 
     problem: PlanningProblem
     jobs: int
@@ -109,15 +108,19 @@ class _PlanSearch:
 
     @property
     def plan_file(self) -> PlanFile:
+        """Plan file of the problem."""
         return self.problem.plan_file
 
     @property
     def face_and_round_choices(self) -> tuple[list[int], list[int]]:
-        """Numbers of faces, and numbers of rounds, among which the search may choose."""
+        """Candidate numbers of faces, and candidate numbers of rounds, of the measuring procedure."""
         return candidate_procedures(self.plan_file, self.problem.scenario)
 
     def _run_searches(self, tasks: Sequence[SearchTask], report_progress: Callable[[float], float]) -> LayoutsByCount:
-        """Layouts of the searches; the callbacks receive the best one so far."""
+        """Layouts of the searches, which are also stored; the callbacks receive the best layout so far.
+
+        `report_progress` converts the finished fraction of these tasks to that of the whole planning.
+        """
         goal = self.plan_file.goal
 
         def report_layout(survey: PlannedSurvey, objective_value: float) -> None:
@@ -146,7 +149,7 @@ class _PlanSearch:
         return made
 
     def best_for_station_count(self) -> TradeoffPoint:
-        """Best layout for the given number of stations, or for the working hours of the budget."""
+        """Layout with the smallest objective for the given number of stations, or within the hours of the budget."""
         scenario = self.problem.scenario
         count, work = self.plan_file.stations.count or len(scenario.stations), scenario.work
         site = make_search_space(self.plan_file, scenario, n_stations=count, n_faces=work.faces)
@@ -182,11 +185,11 @@ class _PlanSearch:
     def best_with_fewest_stations(self) -> TradeoffPoint:
         """Layout with the fewest stations that meets the tolerances, with the fastest sufficient measuring procedure.
 
-        If no layout meets them, it is the closest one.
+        If no layout meets the tolerances, it is the one with the smallest ratio of error to tolerance.
         """
         demands, scenario = PointTolerances.from_plan_file(self.plan_file), self.problem.scenario
         alone = demands.withstood_loss == "no"
-        if not self.plan_file.requires_sights:
+        if not self.plan_file.gives_min_stations:
             least = min_sights_of_reflector(scenario) + (not alone)
             self.problem = replace(self.problem, plan_file=self.plan_file.with_min_stations(least))
         file, faces = self.plan_file, self.face_and_round_choices[0]
@@ -233,7 +236,7 @@ class _PlanSearch:
     def _closest_layout(
         self, layouts: list[tuple[float, int, PlannedSurvey]], tolerances: PointTolerances
     ) -> list[tuple[float, int, PlannedSurvey]]:
-        """Layout of several starts with the smallest ratio of error to tolerance, as a list with one element."""
+        """List with the one layout, among those of several starts, with the smallest ratio of error to tolerance."""
         if len(layouts) == 1:
             return layouts
         return [
@@ -248,7 +251,7 @@ class _PlanSearch:
         ]
 
     def _has_converged(self) -> bool:
-        """True if neither of the last two additional stations reduced the largest error enough."""
+        """True if the last two additional stations hardly reduced the largest ratio of error to tolerance."""
         ratios = [
             outcome.max_error_ratio if outcome.max_error_ratio is not None else np.inf
             for outcome in self.station_count_results
@@ -256,7 +259,7 @@ class _PlanSearch:
         return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > MAX_ERROR_RATIO_AFTER_BEFORE**2 * ratios[-3]
 
     def _no_layout_message(self, station_counts: range) -> str:
-        """Error message if no layout was found for these numbers of stations."""
+        """Error message for a search that found no layout with these numbers of stations."""
         hours = self.plan_file.budget.hours
         if self.is_stopped:
             return STOPPED_MESSAGE
@@ -270,7 +273,7 @@ class _PlanSearch:
         return "the search found no layout; enlarge the floor or give more stations.max_count"
 
     def tradeoff_points(self, layouts: LayoutsByCount) -> tuple[TradeoffPoint, ...]:
-        """Best layout for each number of stations, faces and rounds, in the order of cost."""
+        """Best layout for each number of stations, faces and rounds, in ascending order of duration."""
         points = []
         for starts in layouts.values():
             survey = min(starts, key=lambda layout: layout[:2])[2]
@@ -292,7 +295,10 @@ class _PlanSearch:
 
 
 def _never_visible_text(search_space: SearchSpace, placement: StationPlacement) -> str:
-    """Text of the points that no place on the grid and no station of the present layout sees; empty for none."""
+    """Names of the points that lack sights in the best placement on the grid; empty if none does.
+
+    They are empty, too, if the present layout is feasible.
+    """
     position = search_space.survey.station_positions
     if search_space.is_feasible(position[None], search_space.is_visible(position)[None])[0]:
         return ""
@@ -302,7 +308,7 @@ def _never_visible_text(search_space: SearchSpace, placement: StationPlacement) 
 
 
 def _require_grid_fits_memory(file: PlanFile, scenario: Scenario) -> None:
-    """Check that the number of candidate set-ups is at most `MAX_GRID_SETUPS`; raises SetupError."""
+    """Check that the grid of a plan has at most `MAX_GRID_SETUPS` candidate set-ups; raises SetupError."""
     step = file.search.grid_mm
     if step is None:
         return
@@ -318,12 +324,13 @@ def _require_grid_fits_memory(file: PlanFile, scenario: Scenario) -> None:
         )
 
 
-def max_stations_per_target(search_space: SearchSpace, step: float, n_heights: int) -> tuple[int, str]:
-    """Largest number of stations that see every reflector in some layout, and the name of the limiting reflector.
+def max_stations_seeing_every_target(search_space: SearchSpace, step: float, n_heights: int) -> tuple[int, str]:
+    """Largest number of stations that can see every reflector, and name of the reflector seen from fewest positions.
 
-    The number is a lower bound from greedy placement, and exact if one place on the floor sees everything.
+    `step` [m] and `n_heights` define the grid of candidate positions. The number is a lower bound from greedy
+    placement, and exact if one position on the floor sees everything.
     """
-    placement, names = search_space.greedy_placement(step, n_heights), search_space.survey.target_names
+    placement, names = search_space.candidate_placement(step, n_heights), search_space.survey.target_names
     limiting = names[int(np.argmin(placement.is_visible.mean(axis=0)))]
     n_free_stations = len(search_space.survey.station_positions) - len(search_space.fixed_stations)
     enough = (
@@ -335,18 +342,18 @@ def max_stations_per_target(search_space: SearchSpace, step: float, n_heights: i
 
 
 def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanFile:
-    """Plan file with a value of `stations.min_stations_per_target` that some layout meets.
+    """Plan file whose value of `stations.min_stations_per_target` can be met by some layout.
 
-    A given value is not reduced; instead SetupError reports the largest possible value.
+    A value that the file gives is not reduced; SetupError then reports the largest possible value.
     """
     settings, count = file.search, len(search_space.survey.station_positions)
     step = grid_step(search_space.allowed_areas, settings.grid_mm)
-    reachable, limiting = max_stations_per_target(search_space, step, settings.heights)
+    reachable, limiting = max_stations_seeing_every_target(search_space, step, settings.heights)
     if reachable >= search_space.min_sights:
         return file
 
     def layout_error(min_sights: int) -> SetupError | None:
-        """Error of the search for an initial layout; None if there is a layout."""
+        """Error of the search for an initial layout with `min_sights` stations per target; None if one is found."""
         searcher = LayoutSearcher(
             search_space.replace(min_sights=min_sights), grid_step=step, n_yaws=1, n_heights=settings.heights
         )
@@ -356,7 +363,7 @@ def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanF
             return problem
         return None
 
-    if not file.requires_sights and reachable:
+    if not file.gives_min_stations and reachable:
         while reachable > 1 and layout_error(reachable):
             reachable -= 1
         return file.with_min_stations(reachable)
@@ -368,14 +375,14 @@ def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanF
     cure = "remove a station from stations.fixed" if len(search_space.fixed_stations) else "enlarge the floor"
     raise SetupError(
         f"stations.min_stations_per_target requires {search_space.min_sights} of {count} stations to see every "
-        f"reflector, but at most {reachable} can, and {limiting} is visible from the fewest places: set "
+        f"reflector, but at most {reachable} can, and {limiting} is visible from the fewest positions: set "
         f"stations.min_stations_per_target = {reachable}, move {limiting}, or {cure}"
     )
 
 
 def placement_seeing_all_points(search_space: SearchSpace, file: PlanFile) -> StationPlacement:
-    """Candidate places of stations; raises SetupError with the names of points that no place sees."""
-    placement = search_space.greedy_placement(
+    """Candidate positions of stations on the grid; raises SetupError, which names points that no position sees."""
+    placement = search_space.candidate_placement(
         grid_step(search_space.allowed_areas, file.search.grid_mm), file.search.heights
     )
     if not placement.is_visible.any(axis=0).all():

@@ -1,4 +1,4 @@
-"""Planned networks: layouts with their expected precision before measurement."""
+"""Evaluation of planned layouts before measurement: expected precision, rules, tolerances, changes of reflectors."""
 
 from dataclasses import dataclass, replace
 
@@ -32,19 +32,19 @@ from ltsim.simulation.scenario import Scenario
 
 @dataclass(frozen=True)
 class TradeoffPoint(ValueEquality):
-    """Point of the curve of cost against quality: a measuring procedure with its best layout."""
+    """Point of the curve of cost (duration) against quality: a measuring procedure with its best layout."""
 
     survey: PlannedSurvey
     objective_value: float
-    """Objective; smaller is better."""
+    """Objective of the layout; smaller is better."""
     qualities: dict[str, float]
     """Qualities with a weight in the goal, by name; smaller is better."""
     is_efficient: bool = False
-    """True if no other point is both better and cheaper."""
+    """True if every point of the curve with a shorter duration has a worse objective."""
 
     @property
     def hours(self) -> float:
-        """Duration [h] of the measurement."""
+        """Duration [h] of the whole measurement with this procedure."""
         return self.survey.duration / 3600.0
 
 
@@ -54,17 +54,17 @@ class LayoutEvaluation(ValueEquality):
 
     survey: PlannedSurvey
     objective_value: float
-    """Objective; infinite for a layout that breaks rules of the plan."""
+    """Objective, smaller is better; infinite for a layout that breaks rules of the plan."""
     qualities: dict[str, float]
     """Qualities with a weight in the goal, by name; smaller is better."""
     information: LayoutInformation
     """Expected precision of the layout."""
     visibility: Visibility
-    """Visibility of each target from each station, with reasons."""
+    """Visibility of each target from each station, with the reason for each blocked line of sight."""
     expected_criteria: ExpectedCriteria | None
     """Expected mean disagreement of the stations in distances and coordinates, before and after calibration.
 
-    None if a target is hidden, completely or partly, from a station.
+    None for ranges without angles, for a single station, and if a station does not see all targets.
     """
     broken_rules: tuple[BrokenRule, ...] = ()
     """Rules of the plan that the layout breaks."""
@@ -72,40 +72,42 @@ class LayoutEvaluation(ValueEquality):
 
 @dataclass(frozen=True)
 class StationCountResult:
-    """Result of the searches for one number of stations."""
+    """Result of the searches for layouts with a given number of stations."""
 
     n_stations: int
     """Number of stations."""
     max_error_ratio: float | None
     """Largest ratio of error to tolerance in the best layout; None if there is no layout."""
     has_layout: bool
-    """True if a layout sees every point."""
+    """True if the search found a layout in which every point has the required sights."""
     unseen_points_text: str = ""
-    """Text of the points that the layout with the fewest missing sights does not see."""
+    """Names of the points that lack sights in the layout with the fewest missing sights; empty if none is missing."""
 
 
 @dataclass(frozen=True, repr=False)
 class PlannedNetwork(ValueEquality):
-    """Planned network as arrays, from which the result `Plan` is created."""
+    """Planned network with its evaluations as arrays, from which the result `Plan` is created."""
 
     plan_file: PlanFile
     scenario: Scenario
     search_space: SearchSpace
     """Search space for the chosen measuring procedure."""
     reference_evaluation: LayoutEvaluation | None
-    """Evaluation of the layout in the scenario, measured by the same procedure; None if it is undetermined."""
+    """Evaluation of the layout in the scenario, measured by the same procedure; None if it is undetermined, or if the
+    plan file describes a hall instead of a scenario.
+    """
     layout: LayoutEvaluation
     """Evaluation of the planned layout."""
     reflector_changes: ReflectorChanges
-    """Changes of single reflectors of the chosen layout: moved, added, removed."""
+    """Evaluated changes of single reflectors of the planned layout: moved, added, removed."""
     tolerances: PointTolerances
     """Tolerances of the points."""
     tolerance_check: ToleranceCheck | None = None
-    """Check of the chosen layout against the tolerances; None without tolerances."""
+    """Check of the planned layout against the tolerances; None without tolerances."""
     loss_checks: tuple[ToleranceCheck, ...] = ()
     """Checks of the tolerances without each station, then without each sight of a point with a tolerance."""
     tradeoff_points: tuple[TradeoffPoint, ...] = ()
-    """Trade-off curve in the order of cost."""
+    """Points of the curve of cost against quality, in ascending order of duration."""
     start_objectives: tuple[float, ...] = ()
     """Final objective of each independent search with the chosen procedure, the best first."""
     station_count_results: tuple[StationCountResult, ...] = ()
@@ -122,7 +124,7 @@ class PlannedNetwork(ValueEquality):
 
 
 def evaluate_plan(plan_file: PlanFile, scenario: Scenario, survey: PlannedSurvey) -> PlannedNetwork:
-    """Planned network of a given layout, without a search."""
+    """Planned network whose layout is that of `survey`, without a search."""
     built, demands = planned_construction(scenario), PointTolerances.from_plan_file(plan_file)
     site = make_search_space(
         plan_file,
@@ -150,15 +152,15 @@ def evaluate_plan(plan_file: PlanFile, scenario: Scenario, survey: PlannedSurvey
 def objective_and_qualities(
     survey: PlannedSurvey, objective: LayoutObjective, construction: GeometricErrorModel
 ) -> tuple[float, dict[str, float]]:
-    """Objective and qualities of a survey."""
+    """Value of the objective for a survey, and values of the qualities with a weight in it, by name."""
     reducer = LayoutScorer(survey, construction, objective.effects)
-    slots = np.arange(len(survey.station_positions))
+    stations = np.arange(len(survey.station_positions))
     reduced = reducer.evaluate_layouts(
-        reducer.normal_blocks(survey.station_positions, survey.station_yaws, slots, survey.is_visible),
-        slots[None],
+        reducer.normal_blocks(survey.station_positions, survey.station_yaws, stations, survey.is_visible),
+        stations[None],
         with_target_errors=objective.needs_target_errors,
     )
-    if survey.air is not None and objective.needs_target_errors:  # the search knows no more of the air than its scatter
+    if survey.air is not None and objective.needs_target_errors:  # the search includes turbulence only
         rms = (
             LayoutInformation.from_survey(survey, construction).weighted_target_rms
             if np.isfinite(reduced.weighted_target_rms[0])
@@ -173,7 +175,10 @@ def objective_and_qualities(
 def evaluate_layout(
     search_space: SearchSpace, survey: PlannedSurvey, objective: LayoutObjective, construction: GeometricErrorModel
 ) -> LayoutEvaluation:
-    """Evaluation of a layout before measurement; raises NetworkError for undetermined poses or targets."""
+    """Evaluation of the layout of `survey` before measurement, by the rules of `search_space`.
+
+    Raises NetworkError for undetermined poses or targets.
+    """
     table = layout_visibility(search_space, survey)
     survey = survey.replace(is_visible=table.is_visible)
     information = LayoutInformation.from_survey(with_aimed_nests(search_space, survey), construction)
@@ -185,7 +190,7 @@ def evaluate_layout(
 
 
 def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visibility:
-    """Visibility between stations and targets; fixed nests with a free direction are aimed at the stations."""
+    """Visibility between stations and targets of a survey; fixed nests of free direction are aimed at the stations."""
     normal, aimed = (
         best_nest_normals(survey.station_positions, survey.target_points)[0],
         _is_aimed(search_space, survey),
@@ -201,7 +206,7 @@ def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visib
 
 
 def _is_aimed(search_space: SearchSpace, survey: PlannedSurvey) -> Bools:
-    """Flags (T,) of the targets of a survey in fixed nests that are aimed at the stations."""
+    """Flags (T,) of the targets of `survey` in fixed nests of free direction, which are aimed at the stations."""
     aimed = np.full(len(survey.target_points), bool(search_space.is_aimed_nest.any()))
     aimed[: len(search_space.is_aimed_nest)] = search_space.is_aimed_nest[: len(survey.target_points)]
     return aimed
@@ -224,9 +229,9 @@ def _reference_evaluation(
     construction: GeometricErrorModel,
     survey_with_procedure: PlannedSurvey,
 ) -> LayoutEvaluation | None:
-    """Evaluation of the layout in the scenario, measured by the procedure of the plan.
+    """Evaluation of the layout in the scenario, measured by the faces, rounds and times of `survey_with_procedure`.
 
-    It is None for a hall described by the plan file, and for an undetermined layout.
+    It is None for a hall that the plan file describes, and for an undetermined layout.
     """
     if file.workshop is not None:
         return None

@@ -1,4 +1,4 @@
-"""Result of `next_measurement`: Python object, next.json, tables."""
+"""Result of `next_measurement`: proposals of additional measurements as Python object, next.json and tables."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Literal, Self
@@ -17,7 +17,7 @@ class ProposalEntry(Entry):
     """Proposal of an additional measurement."""
 
     action: str
-    """Text of the action."""
+    """Instruction for the measurement, as a text."""
     kind: str = ""
     """Kind of measurement: pointings, return, station, survey, length or reflectors."""
     minutes: Finite
@@ -27,15 +27,17 @@ class ProposalEntry(Entry):
     before; below 1 is better.
     """
     most_improved_parameter: str = ""
-    """Parameter whose standard deviation falls most."""
+    """Instrument parameter whose standard deviation the measurement reduces most."""
     most_improved_ratio: Finite = 1.0
-    """Ratio of the standard deviation of this parameter after the measurement to that before; below 1 is better."""
+    """Ratio of the standard deviation of `most_improved_parameter` after the measurement to that before; below 1 is
+    better."""
     evidence: dict[str, Finite] = Field(default_factory=dict)
-    """Expected chi-square difference between the first of the effects to distinguish and each other one, by name."""
+    """Expected chi-square difference, after the measurement, between the first effect in `between` of the result and
+    each other effect there, by name of the latter."""
     distinguishes: tuple[str, ...] = ()
-    """Effects that the measurement would distinguish from the first one."""
+    """Effects that the measurement would distinguish from the first effect in `between` of the result."""
     distinguishes_all: bool = False
-    """True if the measurement would distinguish all other effects from the first one."""
+    """True if the measurement would distinguish all other effects in `between` of the result from the first one."""
     position_mm: Vector | None = None
     """Position of the head at a new set-up, workshop frame; null for other measurements."""
     yaw_deg: OptionalFloat = None
@@ -43,7 +45,7 @@ class ProposalEntry(Entry):
 
     @classmethod
     def from_proposal(cls, proposal: MeasurementProposal) -> Self:
-        """Entry of a proposal of `next_measurement`."""
+        """Entry of the result file for a proposal."""
         p, there = proposal, proposal.candidate.added_setup_on_plan
         return cls(
             action=p.candidate.instruction,
@@ -77,8 +79,8 @@ PROPOSALS_TABLE = Table(
 )
 
 
-def _best_yaw_per_place(proposals: Sequence[ProposalEntry]) -> tuple[ProposalEntry, ...]:
-    """Proposals in their order, without further yaws of a new station at the same place."""
+def _best_yaw_per_position(proposals: Sequence[ProposalEntry]) -> tuple[ProposalEntry, ...]:
+    """Proposals in their order; of new stations at the same position that differ in yaw only the first."""
     best_by_place: dict[object, ProposalEntry] = {}
     for number, proposal in enumerate(proposals):
         place = proposal.position_mm if proposal.kind == "station" else None
@@ -87,34 +89,36 @@ def _best_yaw_per_place(proposals: Sequence[ProposalEntry]) -> tuple[ProposalEnt
 
 
 class NextMeasurement(ResultFile):
-    """`next.json`: the result of `next_measurement`, written by `plan --after`."""
+    """Result of `next_measurement`, the content of `next.json`, which `plan --after` writes."""
 
     FILE: ClassVar[str] = "next.json"
     format: Literal["ltsim-next/1"] = "ltsim-next/1"
     """Format and version of this file."""
     diagnosis: str = ""
-    """Result of the diagnosis, as a sentence."""
+    """Result of the diagnosis that preceded the ranking, as a sentence; empty without a diagnosis."""
     between: tuple[str, ...] = ()
-    """Effects that explain the recording equally well and that the measurement should distinguish."""
+    """Effects that explain the recording and that the measurement should distinguish."""
     evidence_now: dict[str, Finite] = Field(default_factory=dict)
-    """Chi-square difference between the first explanation and each other one in the present recording."""
+    """Chi-square difference in the present recording between the first effect in `between` and each other effect there,
+    by name of the latter."""
     advice: str = ""
-    """First action to take, as a sentence."""
+    """Action that the user should take first, as a sentence."""
     site: str = ""
-    """Plan whose floor, bodies and lines of sight new stations meet; empty if they were not checked."""
+    """Plan whose permitted floor, obstacles and lines of sight new stations respect; empty without a plan."""
     proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
-    """Proposals of additional measurements, the best first; of each place of a new station the best yaw."""
+    """Proposals of additional measurements in the order of the ranking, the best first; for each position of a new
+    station only the best yaw."""
 
     @classmethod
     def from_ranking(cls, ranking: RankedProposals, source: SourceEntry | None = None, *, site: str = "") -> Self:
-        """Result with the proposals for a recording."""
+        """Result from a ranking of proposals for the recording `source`, with stations checked on the plan `site`."""
         return cls(
             recording=source,
             between=ranking.compared_explanations,
             evidence_now=ranking.present_chi2,
             advice=ranking.advice_sentence,
             site=site,
-            proposals=_best_yaw_per_place([ProposalEntry.from_proposal(proposal) for proposal in ranking.proposals]),
+            proposals=_best_yaw_per_position([ProposalEntry.from_proposal(proposal) for proposal in ranking.proposals]),
         )
 
     def _lines(self) -> list[str]:
@@ -130,7 +134,7 @@ class NextMeasurement(ResultFile):
         )
 
     def _evidence_table(self) -> Table:
-        """Table of chi-square differences between the first effect and each other one: now, after each measurement."""
+        """Table of chi-square differences between the first effect and each other one: at present, after proposals."""
         rivals = self.between[1:]
         against = tuple(
             Column(f"chi2_against_{name}", "expected difference of chi-square", n_digits=3) for name in rivals

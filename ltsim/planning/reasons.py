@@ -1,4 +1,4 @@
-"""Sentences on the reasons for a plan, each with a number."""
+"""Sentences that give the result of planning and the reasons for it, with numbers."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ CRITERION_PHRASES = {
 
 
 def reason_sentences(plan: PlannedNetwork) -> list[str]:
-    """Sentences on the reasons for a plan, the result first."""
+    """Sentences on a plan: first its result, then the reasons for its layout, its limits and alternatives."""
     sentences = [
         *_result_sentences(plan),
         *_tolerance_sentences(plan),
@@ -57,7 +57,7 @@ def reason_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _quality_text(plan: PlannedNetwork) -> str:
-    """Text of the qualities of the plan with a weight in the goal."""
+    """Text of the values of the qualities that have a weight in the plan's goal."""
     templates = {
         INSTRUMENT_QUALITY_NAME: "instrument parameters known to {:.3f} of their prior sigma "
         + CRITERION_PHRASES[plan.plan_file.goal.criterion],
@@ -70,7 +70,7 @@ def _quality_text(plan: PlannedNetwork) -> str:
 
 
 def _target_rms_text(layout: LayoutEvaluation, weighted_rms: float) -> str:
-    """Text of the root mean square point error over all points, and of the weighted one [m] if weights differ."""
+    """Text of the root mean square point error of a layout, and of the weighted one [m] if target weights differ."""
     text = f"targets known to {layout.information.target_rms / MICROMETRE:.1f} um (root mean square of all points"
     weighted = f"; {_quality_value_text(TARGETS_QUALITY_NAME, weighted_rms)} in the search"
     return f"{text}{weighted if layout.survey.target_weights else ''})"
@@ -97,7 +97,7 @@ def _tolerance_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
-    """Sentences on the numbers of stations that were searched, with the result of each."""
+    """Sentences on the numbers of stations for which layouts were searched, with the result for each number."""
     if not plan.station_count_results:
         return []
     *fewer, last = plan.station_count_results
@@ -128,7 +128,10 @@ def _station_count_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _count_result_clauses(results: Sequence[StationCountResult], min_stations: int) -> list[str]:
-    """Clauses on the result for each number of stations; numbers with the same result share a clause."""
+    """Clauses on the result for each number of stations; numbers with the same result share a clause.
+
+    `min_stations` is the number of stations that must see each point.
+    """
 
     def result_text(count_result: StationCountResult) -> str:
         if count_result.max_error_ratio is not None and np.isfinite(count_result.max_error_ratio):
@@ -151,7 +154,7 @@ def _count_result_clauses(results: Sequence[StationCountResult], min_stations: i
 
 
 def _air_sentences(plan: PlannedNetwork) -> list[str]:
-    """Sentence on the uncertainty of the air that the results include."""
+    """Sentence on the uncertainty of the air that the results include, as a list; empty if it is neglected."""
     adjustment = plan.layout.information.adjustment
     air = relevant_air_uncertainty(adjustment)
     if air is None:
@@ -196,7 +199,7 @@ def _reference_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _quality_value_text(name: str, value: float) -> str:
-    """Text of the value of a quality."""
+    """Text of the value of the quality `name`: the point error of targets in um, other qualities without unit."""
     return f"weighted point error {value / MICROMETRE:.1f} um" if name == TARGETS_QUALITY_NAME else f"{value:.3f}"
 
 
@@ -217,7 +220,7 @@ def _parameter_sentences(reference: LayoutEvaluation, evaluation: LayoutEvaluati
 
 
 def _station_contribution_sentences(plan: PlannedNetwork) -> list[str]:
-    """Sentences on the loss of quality without each station, and the parameter that is affected most."""
+    """Sentence, for each station, on the loss of quality without it and the parameter that becomes worst."""
     survey, now, qualities = plan.layout.survey, plan.layout.information, plan.layout.qualities
     objective, sentences = LayoutObjective({INSTRUMENT_QUALITY_NAME: 1.0}, plan.plan_file.goal.criterion), []
     for s, name in enumerate(survey.station_names):
@@ -244,7 +247,7 @@ def _station_contribution_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _limit_sentences(plan: PlannedNetwork) -> list[str]:
-    """Sentences on rules that limit the layout: floor, elevation, spacing."""
+    """Sentences on rules and circumstances that limit the layout: spacing, edge of the floor, sights, obstacles."""
     survey, site = plan.layout.survey, plan.search_space
     names, sentences = survey.station_names, []
     is_near = is_too_near(survey.station_positions[None], 1.02 * site.min_station_spacing) & ~is_too_near(
@@ -283,15 +286,15 @@ def _limit_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _has_same_procedure(plan: PlannedNetwork, option: TradeoffPoint) -> bool:
-    """True if a point of the trade-off curve has the faces and rounds of the plan."""
+    """True if the point `option` of the trade-off curve has the same faces and rounds as the plan."""
     survey = plan.layout.survey
     return option.survey.faces == survey.faces and option.survey.repeats == survey.repeats
 
 
 def equally_good_with_fewest_stations(plan: PlannedNetwork) -> TradeoffPoint | None:
-    """Point of the trade-off curve with the fewest stations that is as good as the layout in the scenario.
+    """Point of the trade-off curve with the fewest stations whose objective is not above that of the scenario's layout.
 
-    The procedure is that of the plan. None if there is no such point.
+    Only points with the faces and rounds of the plan are compared. None if there is no such point.
     """
     if plan.reference_evaluation is None or not plan.reference_evaluation.qualities:
         return None
@@ -301,7 +304,7 @@ def equally_good_with_fewest_stations(plan: PlannedNetwork) -> TradeoffPoint | N
 
 
 def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
-    """Sentences on fewer stations that are sufficient, and on the cost of a better layout."""
+    """Sentences on fewer stations that match the scenario's layout, and on the additional time of a better layout."""
     sentences, few, reference = [], equally_good_with_fewest_stations(plan), plan.reference_evaluation
     if (
         few is not None
@@ -345,7 +348,7 @@ def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
 
 
 def _reference_objective(plan: PlannedNetwork) -> float:
-    """Objective of the layout in the scenario."""
+    """Value of the plan's objective for the layout in the scenario; infinite without an evaluation of that layout."""
     if plan.reference_evaluation is None:
         return float("inf")
     survey = plan.reference_evaluation.survey
@@ -355,7 +358,10 @@ def _reference_objective(plan: PlannedNetwork) -> float:
 
 
 def _undetermined_sentences(plan: PlannedNetwork) -> list[str]:
-    """Sentences on the number of undetermined combinations, and the measurement that determines most of them."""
+    """Sentence on the number of undetermined combinations of parameters, and a measurement that determines most.
+
+    The result is a list, empty if all combinations are determined.
+    """
     information = plan.layout.information
     count = len(information.undetermined_combinations)
     if not count:

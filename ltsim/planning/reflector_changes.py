@@ -1,4 +1,4 @@
-"""Changes of single reflectors of a planned layout: moves, additions and removals, and their effect on the quality."""
+"""Changes of single reflectors of a planned layout (moves, additions, removals) and their effect on the objective."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ltsim.recordings.result_file import Entry, Finite, Vector
 
 
 def to_millimetres(point: Floats, decimals: int = 1) -> Vector:
-    """Place `point` (3,) [m] in millimetres, rounded to a number of `decimals`, for a result file."""
+    """Coordinates `point` (3,) [m] in millimetres, rounded to a number of `decimals`, for a result file."""
     x, y, z = (round(float(v) / MILLIMETRE, decimals) for v in point)
     return x, y, z
 
@@ -34,28 +34,29 @@ class PlanChange(Entry):
     kind: Literal["move", "add", "remove"]
     """Type of the change."""
     words: str = ""
-    """Change and its benefit, as a sentence."""
+    """Sentence on the change and its benefit."""
     reflector: str = ""
-    """Name of the reflector that is moved or removed."""
+    """Name of the reflector that is moved or removed; empty for an addition."""
     place: str = ""
-    """Name of the new place."""
+    """Name of the new position of the reflector; empty for a removal."""
     position_mm: Vector | None = None
-    """Coordinates of the new place."""
+    """Coordinates of the new position in the hall frame; null for a removal."""
     gain_um: Finite
-    """Decrease of the point error of all other targets (weighted root mean square, inner constraints);
+    """Decrease by the change of the point error of all other targets (weighted root mean square, inner constraints);
     negative for an increase.
     """
     quality: Finite
-    """Objective after the change divided by the plan's objective; if only targets have a weight, the ratio of the
-    errors of all other targets. Below 1 is better."""
+    """Objective after the change divided by the plan's objective; if only targets have a weight in the goal, point
+    error of all other targets after the change divided by that before. Below 1 is better."""
     most_affected_parameter: str = ""
-    """Parameter or target whose standard deviation falls most, or rises most if a reflector is removed."""
+    """Instrument parameter (or target, if only targets have a weight in the goal) whose standard deviation the change
+    reduces most; if a reflector is removed, the one whose standard deviation rises most."""
     most_affected_ratio: Finite = 1.0
-    """Standard deviation of that parameter or target after the change, divided by the one before; below 1 is better."""
+    """Standard deviation of `most_affected_parameter` after the change, divided by that before; below 1 is better."""
 
     @property
     def action_text(self) -> str:
-        """Text of the change, with the place in metres."""
+        """Text of the change, such as "move P3 to N1 (1.00, 2.00, 0.50) m"."""
         if self.position_mm is None:
             return f"leave out {self.reflector}"
         place = f"{self.place} ({', '.join(f'{v / 1000:.2f}' for v in self.position_mm)}) m"
@@ -67,38 +68,38 @@ MIN_REPORTED_IMPROVEMENT = 0.002
 MAX_NEGLIGIBLE_CHANGE = 5e-4
 """Largest relative change of the objective that is reported as no difference."""
 MAX_REPORTED_CHANGES = 3
-"""Largest number of reported changes of each kind."""
+"""Largest number of reported changes of each kind (moves, additions, removals)."""
 
 ChangeKind = Literal["move", "add", "remove"]
 CHANGE_KINDS: tuple[ChangeKind, ...] = get_args(ChangeKind)
 ChangeResult = tuple[float, int | None, int | None, Floats]
-"""Factor on the objective, index of the removed reflector or None, index of the occupied place or None, and resulting
-normal matrix (K, K).
+"""Ratio of the objective after a change to that before, index of the removed or moved reflector (None for an addition),
+index of its new position (None for a removal), and resulting normal matrix (K, K) of the K unknowns without targets.
 """
 
 
 @dataclass(frozen=True)
 class ReflectorChanges:
-    """Results of all moves, additions and removals of one reflector, each evaluated with all others unchanged."""
+    """Results of all moves, additions and removals of one reflector, each with all other reflectors unchanged."""
 
     reported_changes: tuple[PlanChange, ...]
     """Reported changes: useful moves and additions, the best first, then removals with the smallest loss."""
     n_tried: dict[ChangeKind, int]
     """Number of evaluated changes, by kind."""
     n_useful: dict[ChangeKind, int]
-    """Number of changes that improve the quality by more than `MIN_REPORTED_IMPROVEMENT`, by kind."""
+    """Number of changes that improve the objective by more than `MIN_REPORTED_IMPROVEMENT`, by kind."""
 
     @property
     def summary_sentence(self) -> str:
-        """Sentence on the numbers of evaluated and useful changes."""
+        """Sentence on the numbers of evaluated and of useful moves and additions."""
         if not self.n_tried["move"] + self.n_tried["add"]:
             return (
-                "No other place for a reflector was tested: give candidates as reflectors.on, reflectors.places or "
-                "reflectors.surfaces, and say which points of a list may go elsewhere as reflectors.movable."
+                "No other place for a reflector was tested. Give candidate places as reflectors.on, reflectors.places "
+                "or reflectors.surfaces, and name the points of a list that could be moved as reflectors.movable."
             )
         return (
             f"Tested one at a time: {self.n_tried['move']} moves of a reflector ({self.n_useful['move']} help), "
-            f"{self.n_tried['add']} further places ({self.n_useful['add']} help); the others gain less than "
+            f"{self.n_tried['add']} additional reflectors ({self.n_useful['add']} help); all others gain less than "
             f"{100 * MIN_REPORTED_IMPROVEMENT:.1f} %."
         )
 
@@ -110,9 +111,9 @@ def evaluate_reflector_changes(
     objective: LayoutObjective,
     construction: GeometricErrorModel,
 ) -> ReflectorChanges:
-    """Results of every move, addition and removal of one reflector.
+    """Results of every move, addition and removal of a single reflector of the layout of `survey`.
 
-    Reflectors flagged in `is_fixed` (T,) do not change.
+    Reflectors flagged in `is_fixed` (T,) do not change. Candidate positions are those of `search_space`.
     """
     if is_fixed.all() and search_space.candidate_nests is None:
         return ReflectorChanges((), dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0))
@@ -124,7 +125,7 @@ def evaluate_reflector_changes(
 
 
 class _ChangeEvaluator:
-    """Evaluation of changes of a layout, with the reflectors at their present places."""
+    """Evaluation of changes of single reflectors of a layout whose reflectors are at their present positions."""
 
     def __init__(self, movable_reflectors: MovableReflectors, objective: LayoutObjective, spacing: float) -> None:
         self.movable_reflectors, self.normal_matrix_table, self.objective = (
@@ -149,10 +150,10 @@ class _ChangeEvaluator:
         )
 
     def _objective_factors(self, normal_matrices: Floats, occupied_places: Ints, other_places: Ints) -> Floats:
-        """Objectives (B,) with reflectors at `occupied_places` (B, n), divided by the plan's objective.
+        """Objectives (B,) of B layouts with reflectors at `occupied_places` (B, n), divided by the plan's objective.
 
-        `normal_matrices` (B, K, K) are those of the layouts. If only targets have a weight, the ratio is that of the
-        point errors without the changed reflector: `other_places` are the places of all others.
+        Places are given by index. `normal_matrices` (B, K, K) are those of the layouts. If only targets have a weight
+        in the goal, the result is the ratio of point errors of all reflectors but the changed one, at `other_places`.
         """
         if self._has_target_goal_only:
             rms = self.normal_matrix_table.weighted_target_rms
@@ -163,25 +164,25 @@ class _ChangeEvaluator:
         )
 
     def _parameter_sigmas(self, normal_matrix: Floats) -> Floats:
-        """Standard deviations (p,) of the instrument's parameters in prior sigmas, from a normal matrix (K, K)."""
+        """Standard deviations (p,) of the instrument parameters in prior sigmas, from a normal matrix (K, K)."""
         n_parameters = self.normal_matrix_table.scorer.construction.n_parameters
         information = self.normal_matrix_table.information(normal_matrix[None])[0, :n_parameters, :n_parameters]
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
     def _free_places(self, used_places: Ints) -> Ints:
-        """Indices of the places that are free and far enough from the reflectors in use."""
+        """Indices of the candidate positions that are free and keep the spacing to the positions `used_places`."""
         open_ = np.asarray(~self.is_too_near[:, used_places].any(axis=1))
         open_[self.present_place_indices] = False
         return np.flatnonzero(open_)
 
     def evaluate_all(self) -> ReflectorChanges:
-        """Results of all moves, additions and removals of one reflector, each evaluated with all others unchanged."""
+        """Results of all moves, additions and removals of one reflector, with all other reflectors unchanged."""
         terms, chosen = self.normal_matrix_table.place_normal_matrices, self.present_place_indices
         candidates: dict[ChangeKind, list[ChangeResult]] = {what: [] for what in CHANGE_KINDS}
         tried, helped = dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0)
 
         def record_change(kind: ChangeKind, removed_index: int | None, places: Ints) -> None:
-            """Record a change of the reflectors: one removed, or moved to a place; only its best move is stored."""
+            """Storage of the results of a removal, of all additions, or of the best move of a reflector."""
             other_places = chosen if removed_index is None else np.delete(chosen, removed_index)
             start_matrix = (
                 self.present_normal_matrix
@@ -261,7 +262,7 @@ def _change_sentence(change: PlanChange) -> str:
 
 
 def _best_change_per_place(change_results: list[ChangeResult]) -> list[ChangeResult]:
-    """Best change for each place, and every change that needs no place (a removal)."""
+    """Best change for each new position of a reflector, and all removals, from results in the order of benefit."""
     distinct, places = [], set()
     for change in change_results:
         if change[2] is None or change[2] not in places:

@@ -1,8 +1,8 @@
-"""Reflectors at candidate places: selection of all of them, or evaluation of every change of a single one.
+"""Selection of the positions of reflectors from candidate positions (called places), for given stations.
 
-For given stations each reflector adds a separate term to the information (targets are eliminated one by one), so that
-an exchange of two places is the difference of two small matrices. Letters in shapes: P places, K unknowns left after
-elimination of targets, E eliminated targets, B layouts.
+Each reflector adds a separate term to the information (targets are eliminated one by one), so that the exchange of two
+places is the difference of two small matrices. Letters in shapes: P places, K unknowns left after elimination of
+targets, E eliminated targets, B layouts, S stations, T targets of the survey.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ltsim.scene.visibility import best_nest_normals
 MAX_REFLECTOR_SWEEPS = 8
 """Largest number of sweeps of exchanges over all reflectors."""
 MAX_SAME_PLACE_DISTANCE = 1e-3
-"""Distance [m] within which a candidate place is the present place of a reflector, and is not listed twice."""
+"""Distance [m] within which a candidate place counts as the present place of a reflector, and is not listed twice."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,7 @@ class NormalMatrixTable:
     """Terms of the normal matrix of poses, gauge and parameters, for reflectors at each of P candidate places."""
 
     scorer: LayoutScorer
+    """Evaluation of layouts whose targets are the fixed ones, followed by reflectors at all places."""
     fixed_normal_matrix: Floats
     """Normal matrix of the fixed targets, reference lengths, priors and datum, (K, K)."""
     place_normal_matrices: Floats
@@ -38,8 +39,8 @@ class NormalMatrixTable:
     squared_column_norms: Floats
     """Squared norms of the columns of the design before elimination of targets, with reflectors at all places, (K,)."""
     target_block_inverses: Floats
-    """Inverse blocks (E, 3, 3) of the eliminated targets: the fixed ones except the gauge's, followed by the places
-    (`LayoutScorer.eliminate_targets`).
+    """Inverse blocks (E, 3, 3) of the eliminated targets: fixed ones without those of the gauge, followed by reflectors
+    at the places (`LayoutScorer.eliminate_targets`).
     """
     elimination_coefficients: Floats
     """Products (E, 3, K) of the inverse blocks and the coupling blocks."""
@@ -50,18 +51,18 @@ class NormalMatrixTable:
     ) -> NormalMatrixTable:
         """Terms for reflectors at `places` (P, 3) [m] with the stations of a survey.
 
-        `scorer` evaluates layouts whose targets are the fixed ones followed by the places; `is_visible` (S, targets)
-        has the same order.
+        `scorer` evaluates layouts whose targets are the k fixed ones (flagged in `is_fixed`, (T,)), followed by the
+        places; `is_visible` (S, k + P) has the same order.
         """
         count, staying = len(survey.station_positions), int(is_fixed.sum())
-        slots = np.arange(count)
+        stations = np.arange(count)
         only = is_visible.copy()
         only[:, staying:] = False
-        alone = scorer.normal_blocks(survey.station_positions, survey.station_yaws, slots, only)
-        base, squared_norms = (block[0] for block in scorer.eliminate_targets(alone, slots[None])[:2])
+        alone = scorer.normal_blocks(survey.station_positions, survey.station_yaws, stations, only)
+        base, squared_norms = (block[0] for block in scorer.eliminate_targets(alone, stations[None])[:2])
         t, x = (
             part[:, staying:]
-            for part in scorer.whitened_rows(survey.station_positions, survey.station_yaws, slots, is_visible)
+            for part in scorer.whitened_rows(survey.station_positions, survey.station_yaws, stations, is_visible)
         )
         rows: Floats = np.zeros((len(places), count, t.shape[2], len(base)))
         for s in range(count):
@@ -70,23 +71,29 @@ class NormalMatrixTable:
         rows = rows.reshape(len(places), -1, len(base))
         basis = np.linalg.qr(np.swapaxes(t, 0, 1).reshape(len(places), -1, 3))[0]
         projected = rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
-        all_blocks = scorer.normal_blocks(survey.station_positions, survey.station_yaws, slots, is_visible)
-        _, _, inverse, weights = scorer.eliminate_targets(all_blocks, slots[None])
+        all_blocks = scorer.normal_blocks(survey.station_positions, survey.station_yaws, stations, is_visible)
+        _, _, inverse, weights = scorer.eliminate_targets(all_blocks, stations[None])
         squared_norms = squared_norms + np.sum(rows**2, axis=(0, 1))
         return cls(scorer, base, np.swapaxes(projected, 1, 2) @ projected, squared_norms, inverse[0], weights[0])
 
     def normal_matrix(self, places: Ints) -> Floats:
-        """Normal matrix (K, K) with reflectors at the places with the given indices."""
+        """Normal matrix (K, K) with the fixed targets, and reflectors at the places with these indices."""
         return self.fixed_normal_matrix + self.place_normal_matrices[places].sum(axis=0)
 
     def information(self, normal_matrices: Floats) -> Floats:
-        """Information (B, p, p) on the instrument parameters from normal matrices (B, K, K); NaN if undetermined."""
+        """Information matrices (B, p, p) of the parameters of instrument and effects, from normal matrices (B, K, K).
+
+        They are NaN for a layout with undetermined unknowns.
+        """
         return self.scorer.marginal_information(
             normal_matrices, np.broadcast_to(self.squared_column_norms, normal_matrices.shape[:2])
         )
 
     def weighted_target_rms(self, normal_matrices: Floats, place_indices: Ints) -> Floats:
-        """Root mean square point error (B,) [m] of the fixed targets and of reflectors at places (n,) or (B, n)."""
+        """Weighted root mean square point error (B,) [m] of the fixed targets and of reflectors at places.
+
+        `normal_matrices` (B, K, K) are those of B layouts, `place_indices` (n,) or (B, n) the indices of the places.
+        """
         rows = self._block_indices(len(normal_matrices), place_indices)
         return self.scorer.weighted_target_rms(
             normal_matrices,
@@ -96,7 +103,10 @@ class NormalMatrixTable:
         )
 
     def point_error_by_name(self, normal_matrix: Floats, place_indices: Ints) -> dict[str, float]:
-        """Point error [m] by name of the fixed targets and of reflectors at places, for one normal matrix (K, K)."""
+        """Point error [m], by name, of the fixed targets and of reflectors at the places with these indices.
+
+        `normal_matrix` (K, K) is that of the layout.
+        """
         at, scorer = self._block_indices(1, place_indices), self.scorer
         variance = scorer.target_variance(
             normal_matrix[None],
@@ -108,7 +118,7 @@ class NormalMatrixTable:
         return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
 
     def _block_indices(self, n_layouts: int, place_indices: Ints) -> Ints:
-        """Indices in `target_block_inverses` of the fixed targets and of places, (B, fixed + n)."""
+        """Indices in `target_block_inverses` of the f fixed targets and of n places, (B, f + n), for B layouts."""
         stay = len(self.target_block_inverses) - len(self.place_normal_matrices)
         place_indices = np.broadcast_to(place_indices, (n_layouts, np.shape(place_indices)[-1]))
         return np.concatenate([np.broadcast_to(np.arange(stay), (n_layouts, stay)), stay + place_indices], axis=1)
@@ -122,10 +132,13 @@ class NormalMatrixTable:
         return objective.objective_values(LayoutPrecision(information, rms), self.scorer.construction.n_parameters)
 
 
-def with_targets(
+def with_reflectors_at_places(
     survey: PlannedSurvey, is_fixed: Bools, places: Floats, target_names: tuple[str, ...], is_visible: Bools
 ) -> PlannedSurvey:
-    """Survey with the fixed targets, and with reflectors at `places` (P, 3) [m]; `is_visible` is (S, targets)."""
+    """Survey whose targets are the fixed ones, followed by reflectors at `places` (P, 3) [m] called `target_names`.
+
+    `is_fixed` (T,) flags the k fixed targets; `is_visible` (S, k + P) is the visibility of the new targets.
+    """
     keep = np.flatnonzero(is_fixed)
     n_targets = len(keep) + len(places)
     rank = None if survey.target_ranks is None else np.tile(np.arange(n_targets), (len(survey.station_positions), 1))
@@ -139,13 +152,14 @@ def with_targets(
 
 @dataclass(frozen=True)
 class MovableReflectors:
-    """Candidate places of the movable reflectors: the present places first, then those of the search space."""
+    """Places for movable reflectors: the present places of reflectors first, then candidates of the search space."""
 
     places: Floats
     """Coordinates of the places, (P, 3) [m]."""
     place_names: tuple[str, ...]
+    """Name that a reflector has at each place."""
     n_present_places: int
-    """Number of present places of reflectors."""
+    """Number of places where there is a movable reflector at present."""
     is_visible: Bools
     """Visibility of the k fixed targets and of the places from each station, (S, k + P)."""
     normal_matrix_table: NormalMatrixTable
@@ -159,7 +173,7 @@ class MovableReflectors:
         objective: LayoutObjective,
         construction: GeometricErrorModel,
     ) -> MovableReflectors:
-        """Visible places for movable reflectors; `is_fixed` (T,) marks the fixed targets."""
+        """Places that enough stations see and that keep the spacing; `is_fixed` (T,) flags targets that do not move."""
         offered = np.zeros((0, 3)) if search_space.candidate_nests is None else search_space.candidate_nests
         places = np.concatenate([survey.target_points[~is_fixed], offered])
         present = [name for name, stay in zip(survey.target_names, is_fixed, strict=True) if not stay]
@@ -177,12 +191,12 @@ class MovableReflectors:
         visible = search_space.is_visible(
             survey.station_positions, np.concatenate([survey.target_points[is_fixed], places])
         )
-        # What stands already is seen as it is, only new places must be seen with some play.
+        # Sights to present reflectors are those of the survey; only new places need sights within the tolerance.
         now = np.concatenate(
             [survey.is_visible[:, is_fixed], survey.is_visible[:, ~is_fixed][:, is_usable[: len(present)]]], axis=1
         )
         visible[:, : now.shape[1]] = now
-        full_survey = with_targets(survey, is_fixed, places, names, np.ones_like(visible))
+        full_survey = with_reflectors_at_places(survey, is_fixed, places, names, np.ones_like(visible))
         table = NormalMatrixTable.from_places(
             survey, is_fixed, places, visible, LayoutScorer(full_survey, construction, objective.effects)
         )
@@ -196,7 +210,7 @@ def choose_reflectors(
     objective: LayoutObjective,
     construction: GeometricErrorModel,
 ) -> PlannedSurvey:
-    """Survey whose movable reflectors are at the best places, chosen from the present and the candidate ones.
+    """Survey whose movable reflectors are at the places with the smallest objective, of present and candidate places.
 
     Reflectors flagged in `is_fixed` (T,) do not move. Raises SetupError if too few places are visible.
     """
@@ -217,7 +231,7 @@ def choose_reflectors(
     )
     chosen = _exchange_places(choice.normal_matrix_table, objective, places, start, search_space.min_reflector_spacing)
     columns = np.r_[0 : is_fixed.sum(), is_fixed.sum() + chosen]
-    return with_targets(
+    return with_reflectors_at_places(
         survey, is_fixed, places[chosen], tuple(choice.place_names[i] for i in chosen), choice.is_visible[:, columns]
     )
 
@@ -233,13 +247,16 @@ def _is_usable_place(search_space: SearchSpace, survey: PlannedSurvey, places: F
 
 
 def _is_near_point(points: Floats, places: Floats, distance: float) -> Bools:
-    """Flags (P,) of the places within a distance [m] of a point."""
+    """Flags (P,) of the `places` (P, 3) [m] that are within `distance` [m] of any of the `points` (k, 3) [m]."""
     gap = np.linalg.norm(places[:, None] - points[None], axis=2)
     return np.asarray((gap < distance).any(axis=1))
 
 
 def _initial_places(places: Floats, is_present_place: Bools, n_reflectors: int, spacing: float) -> Ints:
-    """Indices (n_reflectors,) of initial places: the present ones, then places far from all that are chosen."""
+    """Indices (n_reflectors,) of initial places: the present ones, then each time the place farthest from all chosen.
+
+    `is_present_place` (P,) flags the present ones. Raises SetupError if there are too few places `spacing` [m] apart.
+    """
     chosen: list[int] = np.flatnonzero(is_present_place).tolist()
     while len(chosen) < n_reflectors:
         gap = np.linalg.norm(places[:, None] - places[chosen][None], axis=2).min(axis=1, initial=np.inf)
@@ -261,9 +278,10 @@ def distances_in_pairs(places: Floats) -> Floats:
 def _exchange_places(
     table: NormalMatrixTable, objective: LayoutObjective, places: Floats, place_indices: Ints, spacing: float
 ) -> Ints:
-    """Indices of the places after exchanges of single reflectors until none improves the objective.
+    """Indices of the places after exchanges of single reflectors until no exchange improves the objective.
 
-    The exchange algorithm is that of Fedorov. Two reflectors stay at least `spacing` [m] apart.
+    The exchange algorithm is that of Fedorov. It starts from `place_indices`, and keeps reflectors at least `spacing`
+    [m] apart.
     """
     place_indices = place_indices.copy()
     normal_matrix = table.normal_matrix(place_indices)

@@ -37,37 +37,37 @@ FRAME_TEXT = (
     "the frame of the hall: the origin is a corner, z is up; yaw is the direction of azimuth zero, "
     "counter-clockwise from x"
 )
-"""Text on the coordinate system of all coordinates in a plan."""
+"""Description, in the result, of the coordinate system of all coordinates in a plan."""
 
 
 class Plan(ResultFile, LayoutEntry):
-    """`plan.json`: the result of planning."""
+    """Result of planning, the content of `plan.json`: planned layout, reasons, comparisons, settings."""
 
     FILE: ClassVar[str] = "plan.json"
     format: Literal["ltsim-plan-result/1"] = "ltsim-plan-result/1"
     """Format and version of this file."""
     title: str = ""
-    """Free text."""
+    """Title of the plan file or of the scenario."""
     summary: str
-    """Sentence on the plan."""
+    """Sentences on the result of planning: the verdict, or the extent of the measurement."""
     reasons: tuple[str, ...] = ()
-    """Reasons for the layout, a sentence each."""
+    """Reasons for the layout, its limits and alternatives, a sentence each."""
     frame: str = ""
     """Description of the coordinate system of all coordinates."""
     reference: LayoutEntry | None = None
-    """Layout of the scenario, for comparison."""
+    """Layout of the scenario with its expected precision, for comparison."""
     fewest_stations: TradeoffEntry | None = None
-    """Option with the fewest stations that is as good as the layout of the scenario."""
+    """Measuring procedure with the fewest stations whose best layout is as good as that of the scenario."""
     tradeoff: tuple[TradeoffEntry, ...] = ()
-    """All measuring procedures that were evaluated, in the order of cost."""
+    """All measuring procedures that were evaluated, in ascending order of duration."""
     start_objectives: tuple[OptionalFloat, ...] = ()
     """Final value of the objective of each independent search, the best first; smaller is better."""
     reflector_changes: tuple[PlanChange, ...] = ()
-    """Useful changes of one reflector, the best first, then reflectors that can be removed."""
+    """Useful moves of a single reflector and useful additional reflectors, the best first, then removals."""
     changes_summary: str = ""
     """Sentence with the numbers of evaluated and of useful changes of single reflectors."""
     bodies: tuple[str, ...] = ()
-    """Obstacles in the hall, one sentence each: type of the file, size and position."""
+    """Obstacles in the hall, one sentence each: type of the CAD file, size and position."""
     reached: bool | None = None
     """True if the goal is reached: no rule is broken and all tolerances are met, after any single loss if required;
     null without tolerances.
@@ -79,7 +79,7 @@ class Plan(ResultFile, LayoutEntry):
     settings: PlanFile = PlanFile()
     """Content of the plan file."""
     seed: int | None = None
-    """Root of the random draws of the search."""
+    """Seed of the random draws of the search."""
     detectable: tuple[DetectableSize, ...] = ()
     """Minimal detectable sizes of effects."""
     confusable: tuple[ConfusablePair, ...] = ()
@@ -91,7 +91,7 @@ class Plan(ResultFile, LayoutEntry):
 
     @classmethod
     def from_network(cls, network: PlannedNetwork) -> Self:
-        """Result of a planned network."""
+        """Result file with the content of a planned network, which it retains as arrays."""
         sentences, few, judged = reason_sentences(network), equally_good_with_fewest_stations(network), network.verdict
         report = catalogue_detectability(network.layout.information.adjustment, CATALOGUE)
         result = cls.from_evaluation(
@@ -124,7 +124,7 @@ class Plan(ResultFile, LayoutEntry):
 
     @property
     def network(self) -> PlannedNetwork:
-        """The planned network as arrays; raises ModelError for a plan that was read from a file."""
+        """Planned network as arrays; raises ModelError for a plan that was read from a file."""
         if self._network is None:
             raise ModelError("a plan read from a file has no arrays; call lt.plan with its folder and move={}")
         return self._network
@@ -203,7 +203,11 @@ class Plan(ResultFile, LayoutEntry):
 
 
 def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | None = None) -> Plan:
-    """Writing of a plan and its companion files to a folder, if one is given; returns the plan with their digests."""
+    """Copy of a plan with the digests of its companion files, which are written with it to `folder`.
+
+    Without a folder nothing is written, and the result is the plan itself. `pictures` are contents of further files by
+    name.
+    """
     if folder is None:
         return plan
     network = plan.network
@@ -215,9 +219,9 @@ def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | 
 
 
 def load_plan_and_scenario(source: str | Path) -> tuple[PlanFile, Scenario]:
-    """Plan file and scenario of a source.
+    """Plan file and scenario from `source`: a plan file, a scenario, a name of a built-in one, or the folder of a plan.
 
-    The source is a plan file, a scenario, the folder of a plan, or a file that the interactive planner saved.
+    In a folder, the file that the interactive planner saved has priority over plan.json. Raises SetupError.
     """
     folder = source_path(source)
     if (folder / PLAN_FILE).is_file():
@@ -239,7 +243,7 @@ def scenario_of_plan(plan: PlannedNetwork) -> Scenario:
 
 
 def with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> Scenario:
-    """Scenario with the stations, reflectors, measuring procedure and air of a planned survey."""
+    """Scenario with the stations, reflectors and measuring procedure of a planned survey, and with a declared air."""
     levelled = {name for name, station in scenario.stations.items() if station.levelled}
     stations = {
         place.name: PlannedStation(
@@ -265,7 +269,10 @@ def with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> S
 
 
 def copy_cad_files(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
-    """Scenario that names CAD files in its own folder, and contents of these files by name; raises SetupError."""
+    """Scenario whose obstacles name CAD files in the scenario's own folder, and contents of these files by name.
+
+    Raises SetupError if a file cannot be read.
+    """
     names: dict[str, str] = {}
     contents: dict[str, bytes] = {}
     for path in dict.fromkeys(entry.file for entry in scenario.workshop.obstacles if entry.file is not None):

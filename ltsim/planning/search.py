@@ -1,8 +1,8 @@
-"""Search for a layout from many starts: exchange of stations over a grid of set-ups, then continuous refinement.
+"""Search for a layout from many starts: exchange of stations over a grid of set-ups, then refinement off the grid.
 
-Both steps replace one station at a time by the best of many candidates, evaluated as one batch; only the contributions
-of the candidates are computed anew. Every step decreases the objective, so that each start ends at a layout that no
-change of a single station improves. Letters in shapes: S stations, T targets, N candidate set-ups, B layouts.
+Both steps replace one station at a time by the best of many candidate set-ups, which are evaluated together. Every step
+decreases the objective, so that each start ends at a layout that no change of a single station improves. Letters in
+shapes: S stations, T targets, N candidate set-ups, B layouts.
 """
 
 from collections.abc import Callable
@@ -23,44 +23,47 @@ from ltsim.planning.search_space import SearchSpace, StationPlacement
 SETUPS_PER_BATCH = 64
 """Number of candidate set-ups whose objectives are computed together."""
 MAX_LAYOUT_SWEEPS = 12
-"""Largest number of sweeps, in each of which every station may be exchanged."""
+"""Largest number of sweeps over the stations, in each of which every station may be exchanged once."""
 MAX_RANDOM_LAYOUTS = 12
-"""Largest number of random layouts that are drawn for one start, until one determines all poses and targets."""
+"""Largest number of random layouts that are drawn for a start, until a layout determines all poses and targets."""
 REMAINING_PROGRESS_FACTOR = 0.985
-"""Factor on the unfinished part of the progress bar at each step of a start, whose number of steps is not known."""
+"""Factor by which each step of a start reduces the unfinished part of the progress bar, as their number is unknown."""
 MIN_REFINEMENT_STEP = 0.004
-"""Step [m] of the pattern search away from the grid, below which the search ends."""
+"""Step [m] of the pattern search off the grid below which the search ends."""
 
 
 @dataclass(frozen=True)
 class StationLayout:
-    """Stations of a layout and its objective."""
+    """Layout of stations with its objective."""
 
     positions: Floats
     """Positions of the stations, (S, 3) [m]."""
     yaws: Floats
     """Yaw of each station, (S,) [rad]."""
     objective_value: float
-    """Objective; infinite for a layout that breaks a rule."""
+    """Objective, smaller is better; infinite for a layout that breaks a rule."""
 
 
 @dataclass
 class LayoutSearcher:
-    """Search for layouts in one search space by one objective."""
+    """Search for the layout in `search_space` with the smallest `objective`.
+
+    `construction` is the error model whose parameters a calibration would estimate.
+    """
 
     search_space: SearchSpace
     objective: LayoutObjective = field(default_factory=LayoutObjective)
     construction: GeometricErrorModel = field(default_factory=misalignment_construction)
     grid_step: float = 0.5
-    """Step of the grid [m]."""
+    """Horizontal step [m] of the grid of candidate positions of stations."""
     n_yaws: int = 6
-    """Number of candidate yaws at each place of the grid."""
+    """Number of candidate yaws at each grid position."""
     n_heights: int = 2
-    """Number of candidate heights at each place of the grid."""
+    """Number of candidate heights at each grid position."""
     on_progress: Callable[[float], None] = no_progress
     """Callback with the finished fraction of a start."""
     on_layout: Callable[[StationLayout], None] = no_progress
-    """Callback with each layout that is better than all before."""
+    """Callback with each layout of a start that is better than all before it."""
 
     def __post_init__(self) -> None:
         self.scorer = LayoutScorer(self.search_space.survey, self.construction, self.objective.effects)
@@ -72,9 +75,9 @@ class LayoutSearcher:
     def candidate_setups(
         self, position: Floats, yaw: Floats, station_index: int, is_visible: Bools | None = None
     ) -> NormalBlocks:
-        """Set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad], as alternatives for one station.
+        """Contributions of set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad], as alternatives for one station.
 
-        `is_visible` (N, T) is computed unless it is given.
+        `is_visible` (N, T) are their sights, which are computed by default.
         """
         is_visible, parts = self.search_space.is_visible(position) if is_visible is None else is_visible, []
         for a in range(0, len(position), SETUPS_PER_BATCH):
@@ -85,9 +88,9 @@ class LayoutSearcher:
         return NormalBlocks.concatenate(parts)
 
     def grid_setups(self, station_index: int) -> NormalBlocks:
-        """Candidate set-ups of the grid as alternatives for one station.
+        """Contributions of all set-ups of the grid, as alternatives for one station; computed once.
 
-        They depend on the station only if an effect in the objective depends on time.
+        They depend on the station only if the objective has effects, which may depend on time.
         """
         key = station_index if self.objective.effects else 0
         if key not in self._grid_tables:
@@ -106,11 +109,11 @@ class LayoutSearcher:
 
     @cached_property
     def placement(self) -> StationPlacement:
-        """Candidate places of stations on the grid, with the targets visible from each."""
-        return self.search_space.greedy_placement(self.grid_step, self.n_heights)
+        """Candidate positions of stations on the grid, with the targets visible from each."""
+        return self.search_space.candidate_placement(self.grid_step, self.n_heights)
 
     def _invisible_targets_sentence(self) -> str:
-        """Sentence on targets that no place sees, or on the target that the fewest places see."""
+        """Sentence on targets that no grid position sees, or on the target that the fewest grid positions see."""
         share = self.placement.is_visible.mean(axis=0)
         if not share.all():
             return self.search_space.invisible_targets_sentence(np.flatnonzero(share == 0))
@@ -122,7 +125,7 @@ class LayoutSearcher:
         )
 
     def layout_blocks(self, position: Floats, yaw: Floats) -> NormalBlocks:
-        """Stations of a layout, at positions (S, 3) [m] with yaws (S,) [rad], as set-ups."""
+        """Contributions of the stations of a layout, at `position` (S, 3) [m] with `yaw` (S,) [rad]."""
         return NormalBlocks.concatenate(
             [self.candidate_setups(position[[s]], yaw[[s]], s) for s in range(self.n_stations)]
         )
@@ -140,7 +143,7 @@ class LayoutSearcher:
         return StationLayout(position, yaw, self._objective_of(blocks) if is_permitted else np.inf)
 
     def _objective_of(self, layout: NormalBlocks) -> float:
-        """Objective of one layout."""
+        """Objective of a layout, given by the contributions of its stations."""
         return float(self._objectives_of(layout, np.arange(self.n_stations)[None])[0])
 
     def _objectives_of(self, blocks: NormalBlocks, setup_indices: Ints) -> Floats:
@@ -159,12 +162,15 @@ class LayoutSearcher:
         return np.concatenate(objective_batches) if objective_batches else np.zeros(0)
 
     def _report_step(self) -> None:
-        """Report of progress to the callback."""
+        """Report of a further step of the search to the callback for progress."""
         self._n_steps += 1
         self.on_progress(1.0 - REMAINING_PROGRESS_FACTOR**self._n_steps)
 
     def replacement_objectives(self, layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> Floats:
-        """Objective (N,) of the layout with each candidate in place of one station; infinite if a rule is broken."""
+        """Objective (N,) of the layout with each candidate in place of one station (by its index).
+
+        It is infinite if a rule is broken.
+        """
         count, (position, visible) = (
             len(candidates.setup_positions),
             _layouts_with_candidates(layout, station_index, candidates),
@@ -177,7 +183,7 @@ class LayoutSearcher:
         return objectives
 
     def best_replacement(self, layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> tuple[int, float]:
-        """Index of the best candidate in place of one station, and the objective with this candidate.
+        """Index of the candidate with the smallest objective in place of one station, and this objective.
 
         The objective is infinite if every candidate breaks a rule.
         """
@@ -192,7 +198,10 @@ class LayoutSearcher:
         objective_value: float,
         candidate_function: Callable[[NormalBlocks, int], NormalBlocks | None],
     ) -> tuple[NormalBlocks, float]:
-        """Layout and objective after one sweep, in which each station is replaced by its best candidate if better."""
+        """Layout and objective after a sweep, in which the best candidate replaces each station if that is better.
+
+        `candidate_function` gives the candidates for a layout and a station (by its index), or None for no candidate.
+        """
         for station_index in self._movable_stations:
             alternatives = candidate_function(layout, station_index)
             if alternatives is None:
@@ -207,7 +216,10 @@ class LayoutSearcher:
         return layout, objective_value
 
     def exchange_on_grid(self, layout: NormalBlocks, objective_value: float) -> tuple[NormalBlocks, float]:
-        """Layout and objective after exchanges of stations for set-ups of the grid, until none is an improvement."""
+        """Layout and objective after exchanges of stations for set-ups of the grid, until no exchange improves it.
+
+        `objective_value` is the objective of the initial `layout`.
+        """
         for _ in range(MAX_LAYOUT_SWEEPS):
             before = objective_value
             layout, objective_value = self._exchange_sweep(
@@ -220,16 +232,17 @@ class LayoutSearcher:
     def refine_off_grid(
         self, layout: NormalBlocks, objective_value: float, random_generator: np.random.Generator
     ) -> tuple[NormalBlocks, float]:
-        """Layout and objective after moves of stations away from the grid.
+        """Layout and objective after small moves of stations away from the grid.
 
-        It is a pattern search with shrinking steps along the axes and at random.
+        The moves are those of a pattern search with shrinking steps, along the axes and in random directions.
+        `objective_value` is the objective of the initial `layout`.
         """
         reach = 0.5 * self.grid_step
 
         def neighbouring_setups(layout: NormalBlocks, station_index: int) -> NormalBlocks | None:
-            """Normal equations of trial set-ups near a station; None if no trial position is permitted.
+            """Contributions of trial set-ups near a station; None if no trial position is permitted.
 
-            Position, height and yaw are changed separately and together.
+            x, y, z and yaw of the station are changed separately and together.
             """
             axes = np.concatenate([np.eye(4), -np.eye(4)])
             steps = [reach, reach, reach, reach / self.grid_step]
@@ -255,8 +268,8 @@ class LayoutSearcher:
     def random_layout(self, random_generator: np.random.Generator) -> NormalBlocks:
         """Random layout that meets the rules; fixed stations remain.
 
-        It determines all poses and targets if one of a few draws does. Raises SetupError, with the targets that lack
-        sights, if no layout meets the rules.
+        Of `MAX_RANDOM_LAYOUTS` draws the first that determines all poses and targets is used, otherwise the last that
+        meets the rules. Raises SetupError, with the targets that lack sights, if no draw meets them.
         """
         survey, free, places = self.search_space.survey, self._movable_stations, self.placement
         tables = {station_index: self.grid_setups(station_index) for station_index in free}
@@ -283,16 +296,18 @@ class LayoutSearcher:
         if loose is not None:
             return loose
         raise SetupError(
-            f"the search found no layout of {self.n_stations} stations among "
-            f"{len(places.candidate_positions)} places that are "
-            f"{self.search_space.min_station_spacing:g} m apart and have every reflector in sight of "
-            f"{self.search_space.min_sights}"
-            f"{f' (the closest one lacks sights of {lacking})' if lacking else ''}; lower "
+            f"the search found no layout of {self.n_stations} stations, {self.search_space.min_station_spacing:g} m "
+            f"apart, among {len(places.candidate_positions)} candidate positions, in which at least "
+            f"{self.search_space.min_sights} stations see every reflector"
+            f"{f' (the closest layout lacks sights of {lacking})' if lacking else ''}; lower "
             "stations.min_stations_per_target or stations.spacing_mm, or enlarge the floor"
         )
 
     def _connect_stations(self, layout: NormalBlocks) -> NormalBlocks:
-        """Layout after exchanges of stations for better connected ones until all poses and targets are determined."""
+        """Layout after exchanges of stations for set-ups that see more common targets, until it is determined.
+
+        It may remain undetermined.
+        """
         for station_index in self._movable_stations * 2:
             table = self.grid_setups(station_index)
             position, visible = _layouts_with_candidates(layout, station_index, table)
@@ -307,7 +322,7 @@ class LayoutSearcher:
         return layout
 
     def search_from(self, seed: int, start_number: int) -> StationLayout:
-        """Result of the search from the start with number `start_number`.
+        """Layout that the search from the start with number `start_number` ends with.
 
         Start 0 is the layout in the scenario if the rules permit it; all other starts are random and depend on `seed`.
         """

@@ -1,4 +1,4 @@
-"""Inputs of a search: survey, search space and objective, from a plan file and its scenario."""
+"""Inputs of a search for a layout: survey, search space and objective, from a plan file and its scenario."""
 
 from collections.abc import Sequence
 
@@ -38,8 +38,8 @@ from ltsim.simulation.workshop import (
 )
 
 MAX_CANDIDATE_PLACES = 3_000
-"""Largest number of candidate places of reflectors of a plan: the search holds their distances in pairs, 70 MB at this
-limit, and 7 kB for each place.
+"""Largest number of candidate positions (places) of reflectors of a plan: the search holds the distances of all pairs,
+70 MB at this limit, and 7 kB for each place.
 """
 MAX_TILT_COSINE_DEFICIT = 1e-3
 """Largest value of 1 - cos(tilt) of an instrument's axis at which a plan treats the station as upright (2.6 deg)."""
@@ -48,11 +48,11 @@ RANGE_ONLY_OBSERVABLES = ("distance",)
 MIN_RANGE_STATIONS = 3
 """Smallest number of stations whose ranges alone determine a reflector."""
 ZERO_PLACEMENT_SCATTER = PlacingSigmas(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
-"""PlacingSigmas without random deviations: stations, targets and gauge stand exactly as planned."""
+"""Standard deviations of zero for the placing of stations, targets and gauge, which then stand exactly as planned."""
 
 
 def planned_survey(scenario: Scenario) -> PlannedSurvey:
-    """Survey of a scenario: its planned layout, set-up, order and timing.
+    """Planned survey of a scenario: its layout, set-up, order and timing.
 
     Raises SetupError for an inclined station, for several trackers, and if ranges are not recorded.
     """
@@ -87,7 +87,10 @@ def planned_survey(scenario: Scenario) -> PlannedSurvey:
 
 
 def _target_ranks(recording: Recording, layout: WorkshopLayout) -> Ints:
-    """Rank (S, T) of each target in the first round of each station; targets that are not visible come last."""
+    """Rank (S, T) of each target in the order of the first round of each station; targets that are not seen come last.
+
+    The order is that of the times in `recording`, a simulated measurement of the scenario's `layout`.
+    """
     n_targets = len(layout.target_names)
     first_ranks = np.full((len(layout.station_names), n_targets), np.inf)
     target = np.array([layout.target_names.index(name) for name in recording.targets])[recording.target]
@@ -115,7 +118,7 @@ def make_search_space(
     min_stations = plan.stations.min_stations_per_target
     least = n_stations if min_stations == "all" else min(min_stations, n_stations)
     if not survey.records_angles and least < MIN_RANGE_STATIONS:
-        if n_stations < MIN_RANGE_STATIONS or plan.requires_sights:
+        if n_stations < MIN_RANGE_STATIONS or plan.gives_min_stations:
             raise SetupError(
                 f"ranges alone determine a reflector from {MIN_RANGE_STATIONS} stations, but the plan requires only "
                 f"{least} to see it; give more stations, or a larger stations.min_stations_per_target"
@@ -146,16 +149,16 @@ def make_search_space(
 
 
 def min_sights_of_reflector(scenario: Scenario) -> int:
-    """Smallest number of stations that must see a reflector: one, or several if ranges alone are recorded."""
+    """Smallest number of stations that determine a reflector: 1, or `MIN_RANGE_STATIONS` if angles are not recorded."""
     return 1 if scenario.instrument.observables == OBSERVABLES else MIN_RANGE_STATIONS
 
 
 def unsearched_plan(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, SearchSpace]:
-    """Plan of the layout in the scenario, and its search space, for an evaluation without a search.
+    """Plan file, and search space with the layout in the scenario, for an evaluation without a search.
 
-    If the plan does not give the number of stations per reflector, the smallest sufficient number is used.
+    If the plan file does not give the number of stations per reflector, the smallest sufficient number is required.
     """
-    asked = file if file.requires_sights else file.with_min_stations(min_sights_of_reflector(scenario))
+    asked = file if file.gives_min_stations else file.with_min_stations(min_sights_of_reflector(scenario))
     work = scenario.work
     site = make_search_space(
         asked, scenario, n_stations=len(scenario.stations), n_faces=work.faces, n_repeats=work.repeats
@@ -164,7 +167,7 @@ def unsearched_plan(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, Searc
 
 
 def candidate_procedures(plan_file: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
-    """Numbers of faces, and numbers of rounds, to choose from; those of the scenario if the plan gives no choice."""
+    """Candidate numbers of faces, and of rounds; those of the scenario if the plan does not choose the procedure."""
     if not plan_file.chooses_procedure:
         return [scenario.work.faces], [scenario.work.repeats]
     usual = sorted({1, 2, scenario.work.repeats})
@@ -190,7 +193,7 @@ def with_station_count(survey: PlannedSurvey, n_stations: int) -> PlannedSurvey:
 
 
 def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None, tuple[str, ...]]:
-    """Candidate places (P, 3) [m] of reflectors, and their names; None if reflectors do not move.
+    """Candidate positions (P, 3) [m] of reflectors, and their names; (None, ()) if reflectors do not move.
 
     Raises SetupError for more than `MAX_CANDIDATE_PLACES`.
     """
@@ -213,7 +216,7 @@ def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None,
 
 
 def _require_few_places(n_places: int) -> None:
-    """Check of the number of candidate places of reflectors; raises SetupError above `MAX_CANDIDATE_PLACES`."""
+    """Check that there are at most `MAX_CANDIDATE_PLACES` candidate positions of reflectors; raises SetupError."""
     if n_places > MAX_CANDIDATE_PLACES:
         raise SetupError(
             f"reflectors: {n_places} candidate places, expected at most {MAX_CANDIDATE_PLACES}; "
@@ -222,7 +225,7 @@ def _require_few_places(n_places: int) -> None:
 
 
 def _places_on_body(plan: PlanFile, scenario: Scenario, obstacle_name: str) -> Floats:
-    """Places (P, 3) [mm] on the surfaces of an obstacle or on the walls, rounded to a millimetre."""
+    """Candidate positions (P, 3) [mm] of reflectors on an obstacle or on the walls, rounded to a millimetre."""
     if obstacle_name == WALLS_NAME:
         triangles = wall_triangles(np.array(scenario.workshop.size_mm) * MILLIMETRE)
     else:
@@ -237,7 +240,7 @@ def _places_on_body(plan: PlanFile, scenario: Scenario, obstacle_name: str) -> F
 
 
 def is_fixed_target(plan: PlanFile, scenario: Scenario) -> Bools:
-    """Flags (T,) of the targets that the search does not move: all if there are no candidate places."""
+    """Flags (T,) of the targets of a scenario that the search does not move: all without candidate positions."""
     names, given = scenario.target_names, plan.reflectors
     if not (given.surfaces or given.places or given.on):
         return np.ones(len(names), dtype=bool)
@@ -245,7 +248,7 @@ def is_fixed_target(plan: PlanFile, scenario: Scenario) -> Bools:
 
 
 def is_immovable_target(plan: PlanFile, scenario: Scenario, survey: PlannedSurvey) -> Bools:
-    """Flags (T,) of the targets of a survey that neither the search moves nor the plan declares as movable."""
+    """Flags (T,) of the targets of a survey that the search does not move and the plan does not declare as movable."""
     free = plan.reflectors.movable
     demanded = [point.name for point in plan.listed_points if point.name not in free and point.group not in free]
     return _fixed_flags(plan, scenario, survey.target_names, demanded)
@@ -257,7 +260,11 @@ def _fixed_flags(plan: PlanFile, scenario: Scenario, names: Sequence[str], fixed
 
 
 def layout_objective(plan: PlanFile, survey: PlannedSurvey) -> LayoutObjective:
-    """Objective of the plan; an effect that acts on one station is evaluated at every station."""
+    """Objective of a plan for layouts with the stations of `survey`.
+
+    An effect that acts on a single station is included for every station. Raises SetupError for effects that act on
+    single targets or readings.
+    """
     goal = plan.goal
     weights = {
         INSTRUMENT_QUALITY_NAME: goal.instrument,

@@ -1,7 +1,8 @@
-"""Search space of a plan: candidate places, and the rules of a layout (floor, heights, obstacles, sights, spacing).
+"""Search space of a plan: candidate positions, and the rules of a layout (floor, heights, obstacles, sights, spacing).
 
 `SearchSpace.is_feasible` tests many layouts at once in a search; `SearchSpace.broken_rules` describes the rules that a
-single layout breaks. Both use the same functions. Letters in shapes: B layouts of S stations, T targets, N positions.
+single layout breaks. Both use the same functions. A sight is an unobstructed line from a station to a target. Letters
+in shapes: B layouts of S stations, T targets, N positions.
 """
 
 from __future__ import annotations
@@ -28,23 +29,21 @@ MIN_VISIBLE_TARGETS = 3
 MAX_COINCIDENCE_DISTANCE = 1e-3
 """Distance [m] below which a station and a target are at the same point, which breaks a rule."""
 SPACING_TOLERANCE = 1e-9
-"""Shortfall [m] of the distance between two stations that counts as rounding and breaks no rule."""
+"""Largest amount [m] by which two stations may be closer than the spacing without breaking the rule: rounding."""
 MAX_NEST_AIMING_STEPS = 60
 """Largest number of steps of the iteration that aims a fixed nest."""
 NEST_ANGLE_MARGIN = 0.004
-"""Margin [rad] of the acceptance angle for the iteration that aims fixed nests."""
+"""Angle [rad] by which a search reduces the acceptance angle, as the iteration that aims fixed nests is inexact."""
 MAX_NAMES_IN_RULE_TEXT = 8
-"""Largest number of names that a sentence lists."""
+"""Largest number of names that a sentence on a rule lists."""
 N_DRAWN_PLACES_PER_STATION = 24
-"""Number of candidate places that are drawn for a station of a random layout."""
+"""Number of candidate positions that are drawn for a station of a random layout, of which the best is used."""
 MAX_BRANCH_NODES = 3000
-"""Largest number of nodes in the branch-and-bound tree for the places of stations; a few were sufficient in all halls
-that were tried.
+"""Largest number of nodes in the branch-and-bound tree for the positions of stations; a few were sufficient in all
+halls that were tried.
 """
 MAX_RANDOM_PLACE_COST = 1e-4
-"""Size of the random costs of places, which make each draw different; they are small compared with the cost of one
-missing sight.
-"""
+"""Largest random cost of a candidate position, which makes each draw different; the cost of a missing sight is 1."""
 
 
 class BrokenRule(NamedTuple):
@@ -62,9 +61,9 @@ def broken_rules_text(rules: Sequence[BrokenRule]) -> str:
 
 
 def is_too_near(position: Floats, spacing: float) -> Bools:
-    """Flags (B, S, S) of pairs of stations, at (B, S, 3) [m], that are closer than the horizontal spacing [m].
+    """Flags (B, S, S) of pairs of stations whose horizontal distance is smaller than `spacing` [m].
 
-    Each pair is flagged once.
+    `position` (B, S, 3) [m] are the stations of B layouts. Each pair is flagged once.
     """
     gap = np.linalg.norm(position[:, :, None, :2] - position[:, None, :, :2], axis=3)
     return np.asarray(np.triu(gap <= spacing - SPACING_TOLERANCE, 1))
@@ -82,16 +81,18 @@ def has_too_few_targets(is_visible: Bools) -> Bools:
 
 @dataclass(frozen=True)
 class SearchSpace(ValueEquality):
-    """Search space of a plan: allowed places of stations and reflectors, and the sights that a layout must have."""
+    """Search space of a plan: allowed positions of stations and reflectors, and the sights that a layout must have."""
 
     survey: PlannedSurvey
     """Initial layout: targets, gauge, noise, order of measurement."""
     allowed_areas: tuple[StandingArea, ...]
     """Areas where tripods may stand."""
     sight_limits: SightLimits
+    """Limits of range, elevation and incidence within which a station can measure a target."""
     is_aimed_nest: Bools
     """Flags (T,) of the targets in fixed nests that are aimed anew for every layout; each must serve all stations."""
     obstacles: Obstacles | None = None
+    """Obstacles that block sights and tripods; None without obstacles."""
     forbidden_areas: tuple[KeepOutArea, ...] = ()
     """Areas where no tripod may stand, even inside `allowed_areas`."""
     min_station_spacing: float = 1.0
@@ -99,32 +100,34 @@ class SearchSpace(ValueEquality):
     position_tolerance: float = 0.0
     """Largest offset [m] of an instrument from its planned position at which every sight is still free."""
     min_sights: int = 1
-    """Smallest number of stations that see each target."""
+    """Smallest number of stations that must see each target."""
     fixed_stations: tuple[int, ...] = ()
     """Indices of the stations that do not move."""
     candidate_nests: Floats | None = None
-    """Candidate places of reflectors, (P, 3) [m]; None if reflectors do not move."""
+    """Candidate positions of reflectors, (P, 3) [m]; None if reflectors do not move."""
     nest_names: tuple[str, ...] = ()
+    """Name that a reflector gets at each of `candidate_nests`."""
     min_reflector_spacing: float = 0.3
     """Smallest distance between reflectors [m]."""
 
     @property
     def head_heights(self) -> tuple[float, float]:
-        """Lowest and highest centre of the instrument in any area [m]."""
+        """Lowest and highest height [m] of the centre of a tracker head that any allowed area permits."""
         return min(area.heights[0] for area in self.allowed_areas), max(area.heights[1] for area in self.allowed_areas)
 
     def replace(self, **changes: Any) -> SearchSpace:
-        """Copy with other values of some fields."""
+        """Copy of the search space in which `changes` replace the fields with these names."""
         return replace(self, **changes)
 
     def is_allowed(self, position: Floats) -> Bools:
-        """Flags (N,) of the positions at which a tripod may stand."""
+        """Flags (N,) of the positions (N, 3) [m] of heads at which a tripod may stand."""
         return is_allowed_position(self.allowed_areas, self.forbidden_areas, self.obstacles, position)
 
     def is_visible(self, position: Floats, points: Floats | None = None) -> Bools:
-        """Flags (N, T) of the targets that are visible from anywhere within the position tolerance.
+        """Flags (N, T) of the targets that are visible from everywhere within the tolerance of a position (N, 3) [m].
 
-        Fixed nests are aimed later, so that their incidence is not tested here.
+        `points` (T, 3) [m] are the targets, by default those of the survey. Fixed nests are aimed later, so that their
+        angles of incidence are not tested here.
         """
         goal = self.survey.target_points if points is None else points
         table = compute_visibility(position, goal, self.sight_limits, obstacles=self.obstacles)
@@ -160,7 +163,7 @@ class SearchSpace(ValueEquality):
         return (*self.broken_position_rules(survey), *self.broken_sight_rules(survey))
 
     def broken_position_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
-        """Rules that the positions of stations break, without rules on sights."""
+        """Rules on floor, coincidence and spacing that the positions of stations break; empty for none."""
         names, position = survey.station_names, survey.station_positions
         rules = []
         for name, place in zip(names, position, strict=True):
@@ -209,7 +212,7 @@ class SearchSpace(ValueEquality):
         return tuple(rules)
 
     def connectivity_scores(self, is_visible: Bools) -> Floats:
-        """Number of stations that are connected to the first one in each of B layouts, plus a fraction for ties, (B,).
+        """Score (B,) of layouts: number of stations that are connected to the first one, plus a fraction below 1.
 
         Two stations are connected if they see at least two common targets, or through other stations. The fraction
         grows with the mean number of common targets, of which at most three count for each pair of stations.
@@ -219,7 +222,10 @@ class SearchSpace(ValueEquality):
         return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (MIN_VISIBLE_TARGETS + 1))
 
     def _has_aimed_nest(self, position: Floats) -> Bools:
-        """Flags (B, N) of the fixed nests that can be aimed so that all stations are within the acceptance angle."""
+        """Flags (B, k) of the k fixed nests that can be aimed so that all stations are within the acceptance angle.
+
+        `position` (B, S, 3) [m] are the stations of B layouts.
+        """
         back = position[:, None] - self.survey.target_points[self.is_aimed_nest][:, None, :]
         range_ = np.linalg.norm(back, axis=3, keepdims=True)
         cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone_axes(back / range_, MAX_NEST_AIMING_STEPS))
@@ -227,7 +233,7 @@ class SearchSpace(ValueEquality):
         return np.asarray(incidence.max(axis=2) < self.sight_limits.max_incidence - NEST_ANGLE_MARGIN)
 
     def invisible_targets_sentence(self, target_indices: Ints) -> str:
-        """Sentence on targets that no place on the floor sees, with the action to take."""
+        """Sentence on targets (by index) that no position on the floor sees, with the action to take."""
         held = (
             target_indices[self.obstacles.is_inside_body(self.survey.target_points[target_indices])]
             if self.obstacles
@@ -245,7 +251,7 @@ class SearchSpace(ValueEquality):
         )
 
     def unseen_targets_text(self, placement: StationPlacement, place_indices: list[int]) -> str:
-        """Names of the targets with too few sights from stations at the given places; empty for none."""
+        """Names of the targets with too few sights from stations at these positions of a placement; empty for none."""
         deficient_names = np.flatnonzero(placement.missing_sights(place_indices, self.min_sights))
         return (
             listing([self.survey.target_names[t] for t in deficient_names], MAX_NAMES_IN_RULE_TEXT)
@@ -254,14 +260,15 @@ class SearchSpace(ValueEquality):
         )
 
     def grid_places(self, step: float, n_heights: int) -> Floats:
-        """Places (N, 3) [m] of a grid with the given step [m] at which a tripod may stand."""
+        """Positions (N, 3) [m] where a tripod may stand, on a grid with a horizontal `step` [m] and several heights."""
         grid = np.concatenate([grid_over_area(area, step, n_heights) for area in self.allowed_areas])
         return np.unique(grid[self.is_allowed(grid)], axis=0)
 
-    def greedy_placement(self, step: float, n_heights: int) -> StationPlacement:
-        """Greedy placement on a grid of places from which three targets are visible; fixed stations are included.
+    def candidate_placement(self, step: float, n_heights: int) -> StationPlacement:
+        """Candidate positions of stations on a grid from which `MIN_VISIBLE_TARGETS` are visible, and fixed stations.
 
-        Raises SetupError if there is no such place.
+        `step` [m] is the horizontal step, `n_heights` the number of heights. Raises SetupError if there is no such
+        position.
         """
         places, fixed = self.grid_places(step, n_heights), self.survey.station_positions[list(self.fixed_stations)]
         visible = self.is_visible(places)
@@ -274,12 +281,12 @@ class SearchSpace(ValueEquality):
 
 @dataclass(frozen=True)
 class StationPlacement:
-    """Candidate places for stations, in addition to the fixed stations."""
+    """Candidate positions for stations, in addition to fixed stations, and the selection of positions from them."""
 
     candidate_positions: Floats
-    """Candidate places, (N, 3) [m]."""
+    """Candidate positions (N, 3) [m], which are referred to by index."""
     is_visible: Bools
-    """Visibility flags of the targets from each place, (N, T)."""
+    """Visibility flags of the targets from each candidate position, (N, T)."""
     min_spacing: float
     """Smallest horizontal distance between two stations [m]."""
     fixed_positions: Floats
@@ -290,10 +297,10 @@ class StationPlacement:
     def place_stations(
         self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None = None
     ) -> list[int]:
-        """Indices of the places of `n_stations` stations that give each target `wanted_sights` sights.
+        """Indices of positions for `n_stations` stations with which `wanted_sights` stations see each target.
 
         If that is not possible, the fewest sights are missing. With `random_generator` each station is at the best of a
-        few random places, so that each draw gives another result.
+        few random positions, so that draws differ.
         """
         place_indices: list[int] = []
         while (
@@ -306,7 +313,7 @@ class StationPlacement:
         return self._optimal_places(n_stations, wanted_sights, random_generator) or place_indices
 
     def missing_sights(self, place_indices: list[int], wanted_sights: int) -> Ints:
-        """Number of sights, (T,), that each target lacks until it has `wanted_sights`."""
+        """Number (T,) of sights that each target lacks, with stations at these positions, to have `wanted_sights`."""
         return np.asarray(
             np.maximum(wanted_sights - self.n_fixed_sights - self.is_visible[place_indices].sum(axis=0), 0)
         )
@@ -314,9 +321,10 @@ class StationPlacement:
     def _best_place(
         self, used_places: list[int], wanted_sights: int, random_generator: np.random.Generator | None
     ) -> int:
-        """Index of the place that sees most targets with too few sights; -1 if no place keeps the spacing.
+        """Index of the position that sees most targets with too few sights; -1 if no position keeps the spacing.
 
-        Sights beyond the wanted number have a small weight.
+        `used_places` are the positions of earlier stations. Sights beyond `wanted_sights` have a small weight. With
+        `random_generator` only a few random positions are compared.
         """
         n_candidates = len(self.candidate_positions)
         candidate_order = (
@@ -343,7 +351,10 @@ class StationPlacement:
     def _optimal_places(
         self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None
     ) -> list[int]:
-        """Places with the fewest missing sights among all combinations; empty if no combination keeps the spacing."""
+        """Indices of the combination of positions with the fewest missing sights; empty if none keeps the spacing.
+
+        It is the solution of a mixed-integer linear program; random costs make it different in each draw.
+        """
         places, targets = self.is_visible.shape
         gap = np.linalg.norm(self.candidate_positions[:, None, :2] - self.fixed_positions[None, :, :2], axis=2)
         free = (gap >= self.min_spacing).all(axis=1)

@@ -1,4 +1,4 @@
-"""Poses of a recording's stations in the axes of a plan's site, by the adjusted network and the plan's points."""
+"""Poses of the stations of a recording in the axes of a plan (the site), from targets that are points of the plan."""
 
 from __future__ import annotations
 
@@ -16,25 +16,27 @@ from ltsim.planning.search_space import SearchSpace
 from ltsim.recordings import Recording
 
 MAX_MEDIAN_MISFIT = 0.1
-"""Largest median distance [m] between adjusted targets and the points of the plan with the same names. Reflectors are
-placed within centimetres of their planned points; points in other axes are metres away."""
+"""Largest median distance [m] between adjusted targets and the points of the plan with the same names, at which they
+count as the same points. Reflectors are placed within centimetres of their planned points; in other axes the distance
+is metres."""
 MAX_NOMINAL_POSITION_ERROR = 0.5
-"""Largest distance [m] of a nominal position of a station from its position on the site. Nominal positions are rounded
-and approximate; those in other axes are metres away.
+"""Largest distance [m] between the nominal position of a station in the set-up and its position on the site, at which
+both have the same axes. Nominal positions are approximate by decimetres; in other axes the distance is metres.
 """
 
 
 def with_positions_on_site(recording: Recording, search_space: SearchSpace, site_name: str) -> Recording:
     """Recording whose set-up has the adjusted positions and yaws of the stations, in the axes of a site.
 
-    The targets with names of points of the plan determine the axes. With fewer than `MIN_RIGID_POINTS` of them the
-    stated positions of the stations do, and the recording is returned unchanged.
+    The targets that have names of points of the plan determine the axes. With fewer than `MIN_RIGID_POINTS` of them the
+    nominal positions of the stations do, and the recording is returned unchanged. `search_space` is that of the plan,
+    `site_name` names the plan in errors.
 
     Raises
     ------
     SetupError
-        For a recording without common points and positions, for common points that do not fit, and for stated positions
-        in other axes than those of the site.
+        For a recording without common points and nominal positions, for common points that do not fit, and for nominal
+        positions in other axes than those of the site.
     """
     nominal = {n: s.position_mm for n, s in recording.setup.stations.items() if s.position_mm is not None}
     adjustment = adjust(recording, declared_construction(recording))
@@ -65,7 +67,7 @@ def _floor_plan_from_points(
 ) -> FloorPlan | None:
     """Transformation from the network to the site by the points with equal names; None if there are too few.
 
-    The vertical is that of the network.
+    The rotation is about the vertical of the network. Targets named in `undetermined` are not used.
     """
     point_by_name = dict(zip(search_space.survey.target_names, search_space.survey.target_points, strict=True))
     names = [name for name in recording.targets if name in point_by_name and name not in undetermined]
@@ -93,34 +95,34 @@ def _floor_plan_from_points(
 def _require_same_axes(
     station: str, nominal_mm: tuple[float, float, float] | None, position: Floats, site_name: str
 ) -> None:
-    """Check that a station is near its stated position; raises SetupError.
+    """Check that the nominal position of a station, if there is one, has the axes of the site; raises SetupError.
 
-    `position` (3,) [m] is its position on the site.
+    `position` (3,) [m] is its adjusted position on the site, to which `nominal_mm` must be near.
     """
     if nominal_mm is None:
         return
     nominal = np.array(nominal_mm) * MILLIMETRE
     if np.linalg.norm(nominal - position) > MAX_NOMINAL_POSITION_ERROR:
         raise SetupError(
-            f"setup.toml places station {station} at {_place_text(nominal)}, but the points of {site_name} place it "
-            f"at {_place_text(position)}: the axes differ; set position_mm and yaw_deg in the axes of this plan"
+            f"setup.toml places station {station} at {_position_text(nominal)}, but the points of {site_name} place it "
+            f"at {_position_text(position)}: the axes differ; set position_mm and yaw_deg in the axes of this plan"
         )
 
 
 def _require_on_allowed_floor(
     recording: Recording, positions: Floats, search_space: SearchSpace, site_name: str
 ) -> None:
-    """Check that a station of the recording stands on the permitted floor of the site; raises SetupError.
+    """Check that at least one station of the recording stands on the permitted floor of the site; raises SetupError.
 
-    `positions` (S, 3) [m] are the stations on the floor plan of the recording.
+    `positions` (S, 3) [m] are those of the stations on the floor plan of the recording.
     """
     if not search_space.is_allowed(positions).any():
         raise SetupError(
             f"no station of the recording stands on the permitted floor of {site_name}: {recording.stations[0]} is at "
-            f"{_place_text(positions[0])}; set position_mm and yaw_deg in the axes of this plan"
+            f"{_position_text(positions[0])}; set position_mm and yaw_deg in the axes of this plan"
         )
 
 
-def _place_text(position: Floats) -> str:
-    """Text of the horizontal coordinates of a position (3,) [m]."""
+def _position_text(position: Floats) -> str:
+    """Text of the horizontal coordinates of a position (3,) [m], for errors."""
     return f"({position[0]:.2f}, {position[1]:.2f}) m"

@@ -1,4 +1,4 @@
-"""Plan file (ltsim-plan/1): hall, degrees of freedom, goal, and budget."""
+"""Content of a plan file (format ltsim-plan/1): hall, rules for stations and reflectors, budget, goal, search."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class PointEntry(TomlSection):
     """
 
     name: str
-    """Name of the point."""
+    """Name of the point, which its reflector gets."""
     x_mm: Finite
     """Coordinate x in the hall frame."""
     y_mm: Finite
@@ -32,7 +32,7 @@ class PointEntry(TomlSection):
     z_mm: Finite
     """Coordinate z in the hall frame."""
     group: str = ""
-    """Group of the point, used by tolerances."""
+    """Group of the point, to which `goal.tolerances` and `reflectors.movable` refer."""
     weight: NonNegative = 1.0
     """Weight of the squared point error in the objective of the search. In a plan with tolerances the weight is divided
     by the square of the point's tolerance; for a point without a tolerance, ten times the widest tolerance is used.
@@ -42,10 +42,7 @@ class PointEntry(TomlSection):
 
 
 class StationSettings(TomlSection):
-    """Number of stations, numbers for the trade-off curve, fixed stations, and rules of their positions.
-
-    Every sight must be free for an instrument up to `position_tolerance_mm` from its planned position.
-    """
+    """Number of stations, numbers for the trade-off curve, fixed stations, and rules for the positions of stations."""
 
     count: StationCount | None = None
     """Number of stations; default that of the scenario."""
@@ -61,51 +58,51 @@ class StationSettings(TomlSection):
     position_tolerance_mm: NonNegative = 50.0
     """Largest distance of an instrument from its planned position at which every sight must still be free."""
     min_stations_per_target: Literal["all"] | Annotated[int, Field(ge=1, le=40)] = "all"
-    """Smallest number of stations that see each reflector; default all, or the largest number that a layout permits."""
+    """Smallest number of stations that must see each reflector; default all, or the most that any layout permits."""
 
 
 class CandidateSurface(TomlSection):
-    """Flat rectangle with candidate places of reflectors in rows and columns, given by a corner and two sides."""
+    """Flat rectangle with candidate positions (places) of reflectors in rows and columns, by a corner and two sides."""
 
     name: str
-    """Name of the surface; its places are called NAME-ROW-COLUMN."""
+    """Name of the surface; candidate positions on it are called NAME-ROW-COLUMN."""
     origin_mm: Vector
-    """Corner of the rectangle."""
+    """Corner of the rectangle in the hall frame."""
     across_mm: Vector
     """Side of the rectangle along the rows, as a vector from the corner."""
     up_mm: Vector
     """Side of the rectangle along the columns, as a vector from the corner."""
     columns: Annotated[int, Field(ge=1, le=200)] = 10
-    """Number of places in a row."""
+    """Number of candidate positions in each row."""
     rows: Annotated[int, Field(ge=1, le=200)] = 6
-    """Number of rows."""
+    """Number of rows of candidate positions."""
 
 
 class CandidatePlace(TomlSection):
-    """Candidate place of a reflector."""
+    """Single candidate position (place) of a reflector."""
 
     name: str
-    """Name that a reflector at this place gets."""
+    """Name that a reflector at this position gets."""
     position_mm: Vector
-    """Coordinates of the place."""
+    """Coordinates of the position in the hall frame."""
 
 
 class ReflectorSettings(TomlSection):
-    """Candidate places of the reflectors. Without candidates no reflector moves; those of the gauge never move."""
+    """Candidate positions of the reflectors. Without candidates no reflector moves; those of the gauge never move."""
 
     surfaces: tuple[CandidateSurface, ...] = ()
-    """Tables `[[reflectors.surfaces]]`: surfaces with a grid of candidate places."""
+    """Tables `[[reflectors.surfaces]]`: rectangles with a grid of candidate positions."""
     places: tuple[CandidatePlace, ...] = ()
-    """Tables `[[reflectors.places]]`: single candidate places."""
+    """Tables `[[reflectors.places]]`: single candidate positions."""
     on: tuple[str, ...] = ()
-    """Names of obstacles, or `walls`, on whose surfaces candidate places are generated."""
+    """Names of obstacles, or `walls`, on whose surfaces candidate positions are generated."""
     place_spacing_mm: Positive = 1000.0
-    """Smallest distance between generated places."""
+    """Smallest distance between candidate positions that are generated on obstacles and walls."""
     standoff_mm: Positive = 40.0
     """Height of a reflector's centre above the surface on which it may be placed."""
     movable: tuple[str, ...] = ()
-    """Points of the list, or groups of them, that could be moved. The search does not move them, but the plan reports
-    the benefit of moving each.
+    """Names of points of the list, or of groups of points, that could be moved. The search does not move them, but the
+    plan reports the benefit of moving each.
     """
     keep: tuple[str, ...] = ()
     """Reflectors of the scenario that do not move; the points of a list never move."""
@@ -114,16 +111,16 @@ class ReflectorSettings(TomlSection):
 
 
 class BudgetSettings(TomlSection):
-    """Cost of the measurement, and candidate procedures; default times are those of the scenario."""
+    """Duration of the measurement, and candidate measuring procedures."""
 
     faces: Annotated[tuple[Literal[1, 2], ...], Field(min_length=1)] | None = None
-    """Candidate numbers of faces, with `hours` or tolerances; default one face and both."""
+    """Candidate numbers of faces, used with `hours` or tolerances; default one face and both."""
     repeats: Annotated[tuple[Annotated[int, Field(ge=1, le=20)], ...], Field(min_length=1)] | None = None
-    """Numbers of rounds to choose from, used with `hours` or tolerances; default 1 and 2."""
+    """Candidate numbers of rounds, used with `hours` or tolerances; default 1 and 2, and that of the scenario."""
     seconds_per_pointing: Positive | None = None
-    """Time from one pointing to the next."""
+    """Time from one pointing to the next; default that of the scenario."""
     minutes_per_move: NonNegative | None = None
-    """Time to move the instrument to the next station."""
+    """Time to move the instrument to the next station; default that of the scenario."""
     hours: Positive | None = None
     """Longest duration of the whole measurement [h]; without it and without tolerances, the procedure of the scenario
     is used.
@@ -133,31 +130,32 @@ class BudgetSettings(TomlSection):
 class PointTolerance(TomlSection):
     """Tolerance for points: each point of a group must be within a distance of its true position.
 
-    The probability is the confidence level of the goal. Tolerances of lengths between points are not goals of a plan;
-    `ltsim uncertainty` evaluates them.
+    It must be within this distance with the probability `level_pct` of the goal. Tolerances of lengths between points
+    are not goals of a plan; `ltsim uncertainty` evaluates them.
     """
 
     group: str = ""
-    """Group in the list of points; default all points of the list."""
+    """Group in the list of points to which the tolerance applies; default all points of the list."""
     within_mm: Positive
-    """Largest distance of a point from its true position, with the mean of all reflectors as datum."""
+    """Largest permitted distance of a point from its true position, with the mean of all reflectors as datum."""
 
 
 class GoalSettings(TomlSection):
     """Goal of a layout: weights of its qualities (0 for a quality that does not count), and tolerances of points.
 
-    With tolerances and without a number of stations, the smallest sufficient number is searched. With a list of points
-    the default is a weight for the targets alone.
+    With tolerances but without a number of stations, the search determines the smallest sufficient number. In a plan
+    with a list of points, the default weights are 1 for `targets` and 0 for all other qualities.
     """
 
     instrument: NonNegative = 1.0
-    """Weight of the precision of the instrument's parameters."""
+    """Weight of the precision of the instrument parameters."""
     targets: NonNegative = 0.0
     """Weight of the reflectors' point errors."""
     diagnosis: NonNegative = 0.0
     """Weight of the minimal detectable sizes of `effects`."""
     criterion: Literal["D", "A", "E"] = "D"
-    """Criterion of the instrument's parameters. D: geometric mean; A: root mean square; E: the worst combination."""
+    """Optimality criterion of the instrument parameters, from their standard deviations in prior sigmas. D: geometric
+    mean over all combinations; A: root mean square over the parameters; E: worst combination."""
     effects: tuple[str, ...] = (
         "station-weather",
         "range-step",
@@ -168,7 +166,7 @@ class GoalSettings(TomlSection):
     )
     """Effects that a diagnosis should detect."""
     tolerances: tuple[PointTolerance, ...] = ()
-    """Tables `[[goal.tolerances]]`; a tolerance of a single point in the list of points has priority."""
+    """Tolerances of groups of points, tables `[[goal.tolerances]]`; the `tolerance_mm` of a point has priority."""
     level_pct: Annotated[float, Field(ge=50, le=99.9)] = 95.0
     """Confidence level: percentage of cases in which a point must be within its tolerance."""
     robust: Literal["no", "sight", "station"] = "no"
@@ -182,22 +180,22 @@ class GoalSettings(TomlSection):
 
 
 class SearchSettings(TomlSection):
-    """Extent of the search."""
+    """Extent of the search: number of starts, grid of candidate set-ups, seed."""
 
     starts: Annotated[int, Field(ge=1, le=1000)] = 4
-    """Number of independent searches for the plan."""
+    """Number of independent searches, from different initial layouts, for the plan."""
     tradeoff_starts: Annotated[int, Field(ge=1, le=1000)] = 1
     """Number of independent searches for each other point of the trade-off curve."""
     grid_mm: Positive | None = None
-    """Step of the grid of candidate places on the floor; default about 250 places, at least 500 mm apart. The stations
-    are moved off the grid at the end of the search.
+    """Step of the grid of candidate positions of stations on the floor; default about 250 positions, at least 500 mm
+    apart. The stations are moved off the grid at the end of the search.
     """
     yaws: Annotated[int, Field(ge=1, le=72)] = 6
-    """Number of candidate yaws at each place."""
+    """Number of candidate yaws at each grid position."""
     heights: Annotated[int, Field(ge=1, le=10)] = 2
-    """Number of candidate heights at each place."""
+    """Number of candidate heights at each grid position."""
     seed: Annotated[int, Field(ge=0)] = 0
-    """Root of the random draws of the search."""
+    """Seed of the random draws of the search."""
 
 
 class PlanFile(TomlSection):
@@ -206,11 +204,11 @@ class PlanFile(TomlSection):
     format: Literal["ltsim-plan/1"] = "ltsim-plan/1"
     """Format and version of this file."""
     title: str = ""
-    """Free text."""
+    """Title of the plan, free text."""
     scenario: str = "paper-workshop"
     """Built-in scenario, or a file in the same folder; not permitted with a `[workshop]` in the plan."""
     points: str | tuple[PointEntry, ...] = ()
-    """Points to measure: the name of a CSV file in the same folder, or tables `[[points]]`."""
+    """Points to measure: the name of a file with a list of coordinates in the same folder, or tables `[[points]]`."""
     workshop: Workshop | None = None
     """Hall in place of a scenario, with the keys of a scenario file; the default height of heads is 1400 to 1800 mm."""
     instrument: ScenarioInstrument | None = None
@@ -224,35 +222,35 @@ class PlanFile(TomlSection):
     floor: Floor = Floor()
     """Areas where tripods may or may not stand."""
     stations: StationSettings = StationSettings()
-    """Number of stations, and their rules."""
+    """Number of stations, and rules for their positions."""
     reflectors: ReflectorSettings = ReflectorSettings()
-    """Candidate places of reflectors."""
+    """Candidate positions of reflectors."""
     budget: BudgetSettings = BudgetSettings()
-    """Limits on the cost of the measurement."""
+    """Duration of the measurement, and candidate measuring procedures."""
     goal: GoalSettings = GoalSettings()
     """Goal of the layout: weights of qualities, tolerances of points."""
     search: SearchSettings = SearchSettings()
-    """Extent of the search."""
+    """Extent of the search: number of starts, grid of candidate set-ups, seed."""
 
     def with_min_stations(self, min_stations: int) -> PlanFile:
-        """Plan file that requires `min_stations` stations for each reflector."""
+        """Copy of the plan file that requires at least `min_stations` stations to see each reflector."""
         return self.model_copy(
             update={"stations": self.stations.model_copy(update={"min_stations_per_target": min_stations})}
         )
 
     @property
-    def requires_sights(self) -> bool:
-        """True if the file requires a number of stations that see each reflector."""
+    def gives_min_stations(self) -> bool:
+        """True if the file itself gives the number of stations that must see each reflector."""
         return "min_stations_per_target" in self.stations.model_fields_set
 
     @property
     def chooses_procedure(self) -> bool:
-        """True if the search chooses the procedure: by a budget of hours, or the fastest that meets the tolerances."""
+        """True if the search chooses faces and rounds: within `budget.hours`, or the fastest that meet tolerances."""
         return self.budget.hours is not None or self.searches_station_count
 
     @property
     def searches_station_count(self) -> bool:
-        """True if the smallest number of stations that meets the tolerances is searched."""
+        """True if the search determines the smallest number of stations with which the tolerances are met."""
         has_tolerances = bool(self.goal.tolerances) or any(
             point.tolerance_mm is not None for point in self.listed_points
         )
@@ -260,5 +258,5 @@ class PlanFile(TomlSection):
 
     @property
     def listed_points(self) -> tuple[PointEntry, ...]:
-        """Points of the list, after its file has been read."""
+        """Points of the list; empty before its file has been read."""
         return () if isinstance(self.points, str) else self.points

@@ -29,7 +29,7 @@ class PlannedSurvey:
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
     station_positions: Floats
-    """Centre of each instrument, (S, 3) [m]."""
+    """Position of the centre of each instrument, (S, 3) [m]."""
     station_yaws: Floats
     """Yaw of each instrument, (S,) [rad]."""
     target_points: Floats
@@ -45,7 +45,7 @@ class PlannedSurvey:
     seconds_per_move: float = 1200.0
     """Time [s] to move the instrument and set it up, per station."""
     target_ranks: Ints | None = None
-    """Rank of each target in the order of measurement of each station, (S, T); default the order of the list."""
+    """Rank of each target in the order of measurement at each station, (S, T); default the order of `target_names`."""
     measures_face_by_face: bool = True
     """True if a station measures all targets in one face and then in the other; False if both faces of each target
     follow each other.
@@ -56,8 +56,8 @@ class PlannedSurvey:
     """Weight of each target by name, in the weighted root mean square of point errors; default 1."""
 
     air: AirUncertainty | None = None
-    """Uncertainty of the air that a search includes; None if no line of sight is long enough for an influence. Final
-    results use the air of the set-up.
+    """Uncertainty of the air that a search includes; None if all lines of sight are so short that it is neglected.
+    Final results use the uncertainty of the air in the set-up.
     """
 
     def __post_init__(self) -> None:
@@ -71,14 +71,14 @@ class PlannedSurvey:
         if not set(self.faces) <= {1, 2} or not self.faces or len(set(self.faces)) < len(self.faces):
             raise SetupError(f"faces are {list(self.faces)}, expected [1], [2] or [1, 2]")
 
-    def true_noise_sigmas(self, sightings: Sightings) -> Floats:
-        """Declared standard deviations (n, 3) [m, rad, rad] of the readings, without the uncertainty of the air."""
+    def noise_sigmas(self, sightings: Sightings) -> Floats:
+        """Standard deviations (n, 3) [m, rad, rad] of readings by the declared noise, without effects of the air."""
         nominal = [self.setup.instrument.noise]
         return noise_sigma(nominal, sightings.instrument, sightings.range_, sightings.elevation)
 
     @property
     def n_pointings(self) -> int:
-        """Number of pointings n."""
+        """Number of pointings of the whole measurement."""
         return int(self.is_visible.sum()) * len(self.faces) * self.repeats
 
     @property
@@ -104,12 +104,12 @@ class PlannedSurvey:
 
     @property
     def records_angles(self) -> bool:
-        """True for ranges with both angles, False for ranges alone."""
+        """True if range and both angles are recorded; False for ranges alone."""
         return bool(self.is_recorded_observable.all())
 
     @property
     def normalised_target_weights(self) -> Floats:
-        """Weight (T,) of each target's squared error, with mean one."""
+        """Weight (T,) of the squared point error of each target in the mean over targets; the mean weight is 1."""
         weight = np.array([self.target_weights.get(name, 1.0) for name in self.target_names], dtype=np.float64)
         return weight / weight.mean() if weight.any() else np.ones_like(weight)
 
@@ -119,7 +119,7 @@ class PlannedSurvey:
         return np.stack([rotation_about_z(float(yaw)) for yaw in self.station_yaws])
 
     def nominal_state(self, construction: GeometricErrorModel) -> NetworkState:
-        """Nominal state: a perfect instrument at the planned positions."""
+        """Nominal state of the network: a perfect instrument at the planned positions, without errors of reflectors."""
         empty = self._empty_recording()
         zero_errors = np.zeros((len(empty.instruments), construction.n_parameters))
         errors = np.zeros(MeasurementModel(empty, construction).n_extra_parameters)
@@ -137,9 +137,9 @@ class PlannedSurvey:
         return empty.with_readings(readings)
 
     def pointing_ranks(self, station: Ints, target: Ints, face: Ints) -> Ints:
-        """Rank (n,), from 0, of pointings in the first round of their station.
+        """Rank (n,), from 0, of n pointings in the first round of their station.
 
-        The pointings have the indices `station` and `target` (n,) and the faces `face` (n,).
+        The pointings are given by the indices `station` (n,) and `target` (n,) and the faces `face` (n,).
         """
         rank = target if self.target_ranks is None else self.target_ranks[station, target]
         face_ranks = np.searchsorted(np.sort(self.faces), face)
@@ -163,7 +163,7 @@ class PlannedSurvey:
         return self.setup.model_copy(update={"stations": station_by_name})
 
     def _empty_recording(self) -> Recording:
-        """Recording of the planned pointings without readings."""
+        """Recording of the planned pointings in the order of measurement, with NaN for all readings."""
         rounds, faces = np.arange(1, self.repeats + 1), np.sort(self.faces)
         axes = np.arange(len(self.station_positions)), rounds, faces, np.arange(len(self.target_points))
         station, repeat, face, target = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
@@ -183,7 +183,7 @@ class PlannedSurvey:
         )
 
     def without_station(self, station: int) -> PlannedSurvey:
-        """Survey without one station."""
+        """Survey without the station with the index `station`."""
         keep = np.arange(len(self.station_positions)) != station
         return self.replace(
             station_names=tuple(n for n, k in zip(self.station_names, keep, strict=True) if k),
@@ -194,7 +194,7 @@ class PlannedSurvey:
         )
 
     def with_targets_only(self, is_selected: Bools) -> PlannedSurvey:
-        """Survey with the targets that are flagged, (T,)."""
+        """Survey with only the targets that `is_selected` (T,) flags."""
         if is_selected.all():
             return self
         return self.replace(
@@ -207,5 +207,5 @@ class PlannedSurvey:
         )
 
     def replace(self, **changes: Any) -> PlannedSurvey:
-        """Copy with other values of some fields."""
+        """Copy of the survey in which `changes` replace the fields with these names."""
         return replace(self, **changes)

@@ -1,4 +1,4 @@
-"""Tables of plans, declared once for CSV, data frame, terminal and page."""
+"""Data tables of plans; each declaration serves the CSV file, the data frame, the terminal and the page."""
 
 from ltsim.core.results import Column, Table, columns_of, flag_columns, number_columns, text_columns
 from ltsim.core.units import DEGREE, MILLIMETRE
@@ -10,12 +10,14 @@ PLACE_COLUMNS = number_columns(
 )
 PLANNED_STATIONS_TABLE = Table(
     "stations.csv",
-    "places of the tripods",
+    "positions of the tripods",
     (
         *text_columns(station="name"),
-        *number_columns(display_format=".0f", x_mm="place in the hall", y_mm="as x_mm", z_mm="as x_mm"),
+        *number_columns(display_format=".0f", x_mm="position in the hall", y_mm="as x_mm", z_mm="as x_mm"),
         *number_columns(display_format=".0f", yaw_deg="direction of azimuth zero"),
-        *number_columns(sigma_x_um="expected standard deviation", sigma_y_um="as x", sigma_z_um="as x"),
+        *number_columns(
+            sigma_x_um="expected standard deviation", sigma_y_um="as sigma_x_um", sigma_z_um="as sigma_x_um"
+        ),
         *number_columns(visible_reflectors="number of visible reflectors"),
     ),
 )
@@ -25,7 +27,7 @@ PLANNED_REFLECTORS_TABLE = Table(
     (
         *text_columns(target="name"),
         *PLACE_COLUMNS,
-        *number_columns(sigma_um="expected, of the point"),
+        *number_columns(sigma_um="expected point error"),
         *number_columns(U_x_um="expanded uncertainty, k = 2", U_y_um="as U_x_um", U_z_um="as U_x_um"),
         *number_columns(within_mm="error at the confidence level of the goal", tolerance_mm="limit of the error"),
         *text_columns(visible_from="stations from which it is visible"),
@@ -37,9 +39,11 @@ PLANNED_PARAMETERS_TABLE = Table(
     (
         *text_columns(parameter="name", unit="of the sigmas"),
         *number_columns(
-            sigma="expected", sigma_reference="with the stations of the scenario", prior_sigma="without data"
+            sigma="expected standard deviation",
+            sigma_reference="standard deviation with the stations of the scenario",
+            prior_sigma="standard deviation before any reading",
         ),
-        *number_columns(gain="fraction of the prior variance that the data remove"),
+        *number_columns(gain="fraction of the prior variance that the readings remove"),
     ),
 )
 VISIBILITY_TABLE = Table(
@@ -47,7 +51,11 @@ VISIBILITY_TABLE = Table(
     "sights between stations and targets",
     (
         *text_columns(station="name", target="name", sees="yes or no", why_not="reason for a blocked sight"),
-        *number_columns(distance_mm="between them", elevation_deg="of the beam", incidence_deg="on the reflector"),
+        *number_columns(
+            distance_mm="distance between station and target",
+            elevation_deg="elevation of the beam",
+            incidence_deg="angle of incidence on the reflector",
+        ),
     ),
 )
 NOMINALS_TABLE = Table(
@@ -67,11 +75,11 @@ WORK_ORDER_TABLE = Table(
 )
 SETUPS_TABLE = Table(
     "setups.csv",
-    "tape measurements to the places of the tripods",
+    "tape measurements to the positions of the tripods",
     (
         *text_columns(station="name"),
         *(
-            Column(f"tape_{i}", "distance and its end point; two define the place, the third checks it", "text")
+            Column(f"tape_{i}", "distance and its end point; two define the position, the third checks it", "text")
             for i in (1, 2, 3)
         ),
         Column("towards", "direction of azimuth zero", "text", title="azimuth zero looks"),
@@ -121,8 +129,8 @@ LOSSES_TABLE = Table(
         *text_columns(lost="station or sight"),
         *flag_columns(met="all tolerances are met"),
         *text_columns(
-            worst_point="with the largest error over its tolerance",
-            tolerance_ratio="that ratio",
+            worst_point="point with the largest ratio of error to tolerance",
+            tolerance_ratio="ratio of error to tolerance of this point",
             unseen="points that are not visible from any station",
         ),
     ),
@@ -155,11 +163,11 @@ PLAN_TABLES = (
     TRADEOFF_TABLE, PLANNED_PARAMETERS_TABLE, EXPECTED_TABLE, REFLECTOR_CHANGES_TABLE, EFFECTS_TABLE,
     CONFUSABLE_TABLE, VISIBILITY_TABLE,
 )  # fmt: skip
-"""Tables that are written with plan.json."""
+"""Tables that are written as CSV files together with plan.json."""
 
 
 def make_visibility_table(layout: LayoutEvaluation) -> Table:
-    """Table `visibility.csv`: every pair of station and target."""
+    """Table `visibility.csv` of a layout: one row for every pair of station and target."""
     words, table, survey = layout.visibility.reason_texts(), layout.visibility, layout.survey
     return VISIBILITY_TABLE.with_rows(
         [
@@ -172,7 +180,7 @@ def make_visibility_table(layout: LayoutEvaluation) -> Table:
 
 
 def make_work_order_table(plan: PlannedNetwork) -> Table:
-    """Table `work-order.csv`: every pointing with the readings of a perfect instrument."""
+    """Table `work-order.csv` of a plan: one row for every pointing, with the readings of a perfect instrument."""
     recording = plan.layout.survey.noise_free_recording(plan.layout.information.construction)
     return WORK_ORDER_TABLE.with_rows(
         [

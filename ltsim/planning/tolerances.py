@@ -1,4 +1,7 @@
-"""Tolerances of points: limits of their errors, checks of a layout, checks after the loss of a station or sight."""
+"""Tolerances of points, check of a layout against them, and checks after the loss of a station or a sight.
+
+A sight is the line from a station to a point that the station measures.
+"""
 
 from __future__ import annotations
 
@@ -19,16 +22,16 @@ from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 
 DEFAULT_TOLERANCE_FACTOR = 10.0
-"""Ratio of the tolerance that is assumed in the objective for points without one to the widest tolerance of the plan.
+"""Ratio of the tolerance that the objective assumes for points without a tolerance to the widest tolerance of the plan.
 """
 MIN_POINT_WEIGHT = 1e-6
 """Smallest weight of a point in the objective, so that every point counts."""
 MAX_POINTS_IN_VERDICT = 5
 """Largest number of points that a sentence of the verdict lists."""
 LOST_SIGHT_PREFIX = "the sight"
-"""First words of the description of a lost sight; that of a lost station is its name."""
+"""First words of the description of a lost sight; the description of a lost station is its name."""
 UNDETERMINED_TEXT = "the network no longer determines its points"
-"""Text for a network with free motions, in which point errors do not exist."""
+"""Text for a network with free motions, in which point errors are not defined."""
 
 
 def is_tolerance_met(ratio: float) -> bool:
@@ -37,19 +40,22 @@ def is_tolerance_met(ratio: float) -> bool:
 
 
 def text_distinct_from_limit(value: float, limit: float, digits: int = 3) -> str:
-    """Text of a value with enough digits to show on which side of its limit the value is, at least `digits`."""
+    """Text of `value` with at least `digits` digits, and with enough to show on which side of `limit` it is."""
     texts = (f"{value:.{count}g}" for count in range(digits, 17))
     return next((text for text in texts if (float(text) > limit) == (value > limit)), repr(value))
 
 
 def percent_text(ratio: float) -> str:
-    """Text of a ratio of error to tolerance in percent, with enough digits: `100.4 %` for an error 0.4 % too large."""
+    """Text, in percent, of the ratio of an error to its tolerance: `100.4 %` for an error that is 0.4 % too large.
+
+    It has enough digits to show on which side of 100 % the ratio is.
+    """
     return f"{text_distinct_from_limit(100.0 * ratio, 100.0)} %"
 
 
 @dataclass(frozen=True)
 class PointTolerances:
-    """Tolerances of points, their confidence level, and the losses after which they must still be met."""
+    """Tolerances of points, their confidence level, and the kind of loss after which they must still be met."""
 
     tolerance_by_point: Mapping[str, float]
     """Tolerance of each point [m], by name."""
@@ -60,9 +66,10 @@ class PointTolerances:
 
     @classmethod
     def from_plan_file(cls, file: PlanFile) -> PointTolerances:
-        """Tolerances of a plan file.
+        """Tolerances of the points in a plan file.
 
-        A point has its own tolerance if there is one, else the smallest tolerance of its group or of all points.
+        The tolerance of a point is its `tolerance_mm` if given, otherwise the smallest of the tolerances of its group
+        and of all points.
         """
         limits = {}
         for point in file.listed_points:
@@ -77,7 +84,11 @@ class PointTolerances:
 
 
 def point_weights(file: PlanFile) -> dict[str, float]:
-    """Weights of a plan's points, divided by the squares of their tolerances."""
+    """Weight of the squared error of each point in the objective, by name: its `weight` times a factor.
+
+    The factor is the squared ratio of the smallest tolerance to that of the point; without tolerances it is 1, and only
+    points whose weight is not 1 are returned.
+    """
     demands = PointTolerances.from_plan_file(file)
     if not demands:
         return {p.name: max(p.weight, MIN_POINT_WEIGHT) for p in file.listed_points if p.weight != 1.0}
@@ -107,13 +118,13 @@ def error_radius(covariance: Floats, confidence_level: float) -> Floats:
 
 @dataclass(frozen=True)
 class ToleranceCheck:
-    """Check of a layout against its tolerances: of the complete layout, or after the loss of a station or sight."""
+    """Check of a layout against its tolerances: complete, or after the loss of a station or a sight."""
 
     lost_text: str
     """Description of the lost station or sight; empty for the complete layout."""
     tolerance_by_point: Mapping[str, float]
     """Tolerance of each point [m], by name."""
-    error_by_point: Mapping[str, float]
+    error_by_point_m: Mapping[str, float]
     """Error [m] of each determined point with a tolerance, by name, that is not exceeded at the confidence level."""
     max_ratio: float
     """Largest ratio of error to tolerance; infinite if a point is undetermined."""
@@ -134,35 +145,35 @@ class ToleranceCheck:
 
     @property
     def exceeding_points(self) -> list[str]:
-        """Determined points whose errors exceed their tolerances."""
-        return [name for name in self.error_by_point if not is_tolerance_met(self.tolerance_ratio(name))]
+        """Names of the determined points whose errors exceed their tolerances."""
+        return [name for name in self.error_by_point_m if not is_tolerance_met(self.tolerance_ratio(name))]
 
     def tolerance_ratio(self, name: str) -> float:
-        """Ratio of a point's error to its tolerance."""
-        return self.error_by_point[name] / self.tolerance_by_point[name]
+        """Ratio of the error of the point `name` to its tolerance."""
+        return self.error_by_point_m[name] / self.tolerance_by_point[name]
 
     @property
     def worst_point_values_text(self) -> str:
-        """Text of the worst point with error and tolerance."""
+        """Text of the worst point with its error and its tolerance; only its name if it is not visible."""
         return (
             self.point_text(self.worst_point_name)
-            if self.worst_point_name in self.error_by_point
+            if self.worst_point_name in self.error_by_point_m
             else self.worst_point_name
         )
 
     @property
     def worst_point_text(self) -> str:
-        """Text of the worst point with its margin or excess; empty for none."""
+        """Text of the worst point with the margin to its tolerance, or the excess over it, in percent."""
         excess = 100 * (self.max_ratio - 1)
         margin = (
             f"margin {-excess:.0f} %" if self.meets_all else f"{excess:{'.0f' if excess >= 1 else '.1g'}} % too large"
         )
         margin = margin if np.isfinite(excess) else "not visible from any station"
-        return f"worst point {self.worst_point_values_text} ({margin})" if self.error_by_point else UNDETERMINED_TEXT
+        return f"worst point {self.worst_point_values_text} ({margin})" if self.error_by_point_m else UNDETERMINED_TEXT
 
     @property
     def violations_clause(self) -> str:
-        """Clause on the points that are not visible or exceed their tolerances."""
+        """Clause on the points that are not visible or exceed their tolerances, or that all tolerances are met."""
         if self.meets_all:
             return f"all tolerances are met, worst point {self.worst_point_values_text}"
         verb, named = (
@@ -170,7 +181,7 @@ class ToleranceCheck:
             listing(self.unseen_points, MAX_POINTS_IN_VERDICT),
         )
         clauses = [f"{named} {verb} not visible from any station"] if self.unseen_points else []
-        if not self.error_by_point:
+        if not self.error_by_point_m:
             clauses.append(UNDETERMINED_TEXT)
         if self.exceeding_points:
             worst, many = max(self.exceeding_points, key=self.tolerance_ratio), len(self.exceeding_points) > 1
@@ -183,15 +194,19 @@ class ToleranceCheck:
         return ", ".join(clauses)
 
     def point_text(self, name: str) -> str:
-        """Text of a point with its error and its tolerance."""
-        error, tolerance = self.error_by_point[name] / MILLIMETRE, self.tolerance_by_point[name] / MILLIMETRE
+        """Text of the point `name` with its error and its tolerance."""
+        error, tolerance = self.error_by_point_m[name] / MILLIMETRE, self.tolerance_by_point[name] / MILLIMETRE
         return f"{name}: {text_distinct_from_limit(error, tolerance)} mm, limit {tolerance:.6g} mm"
 
 
 def check_tolerances(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel, lost_text: str = ""
 ) -> ToleranceCheck:
-    """Check of a survey. Points that no station sees are removed from the network and reported."""
+    """Check of the layout of `survey` against `tolerances`, by a network adjustment with `construction`.
+
+    Points that no station sees are removed from the network and reported. `lost_text` describes the station or sight
+    that the survey lacks.
+    """
     visible: Bools = np.asarray(survey.is_visible.any(axis=0))
     unseen = tuple(
         n for n, s in zip(survey.target_names, visible, strict=True) if not s and n in tolerances.tolerance_by_point
@@ -222,9 +237,9 @@ def check_tolerances(
 def checks_after_losses(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel, loss_kind: str
 ) -> Iterator[ToleranceCheck]:
-    """Checks of a survey after each single loss of one kind.
+    """Checks of the layout of `survey` after each single loss of one kind.
 
-    `loss_kind` is `station`, or `sight` for the sights of points with a tolerance.
+    `loss_kind` is ``station``, or ``sight`` for the sights of points with a tolerance.
     """
     if loss_kind == "station":
         for s, name in enumerate(survey.station_names):
@@ -242,7 +257,10 @@ def checks_after_losses(
 def checks_after_every_loss(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel
 ) -> tuple[ToleranceCheck, ...]:
-    """Checks of a survey without each station, then without each sight of a point with a tolerance."""
+    """Checks of the layout of `survey` without each station, then without each sight of a point with a tolerance.
+
+    The result is empty if there are no tolerances.
+    """
     kinds = ("station", "sight") if tolerances else ()
     return tuple(check for kind in kinds for check in checks_after_losses(survey, tolerances, construction, kind))
 
@@ -250,7 +268,7 @@ def checks_after_every_loss(
 def checks_after_required_losses(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel
 ) -> list[ToleranceCheck]:
-    """Checks for a verdict: without each station, and without each sight if the tolerances must withstand that loss."""
+    """Checks of the layout of `survey` without each station, and without each sight if that loss must be withstood."""
     kinds = ("station", "sight") if tolerances.withstood_loss == "sight" else ("station",)
     return [loss for kind in kinds for loss in checks_after_losses(survey, tolerances, construction, kind)]
 
@@ -258,9 +276,10 @@ def checks_after_required_losses(
 def feasibility_and_ratio(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel
 ) -> tuple[bool, float]:
-    """Flag that a survey meets its tolerances, and the largest ratio of error to tolerance.
+    """Flag that a survey meets its tolerances, and largest ratio of error to tolerance.
 
-    Both include the losses that the tolerances must withstand.
+    If tolerances must still be met after a loss, both refer to the worst loss; but if the complete survey does not meet
+    them, both refer to the complete survey.
     """
     verdict = check_tolerances(survey, tolerances, construction)
     if not verdict.meets_all or tolerances.withstood_loss == "no":
@@ -273,10 +292,7 @@ def feasibility_and_ratio(
 
 @dataclass(frozen=True)
 class PlanVerdict:
-    """Verdict on a layout by the rules and tolerances of its plan.
-
-    Search, interactive planner and page use the same one.
-    """
+    """Verdict on a layout by the rules and tolerances of its plan, for search, interactive planner and page."""
 
     is_goal_reached: bool
     """True if no rule is broken and all tolerances are met, after any single loss if required."""
@@ -290,7 +306,7 @@ def plan_verdict(
     loss_checks: Sequence[ToleranceCheck],
     broken_rules: Sequence[BrokenRule] = (),
 ) -> PlanVerdict:
-    """Verdict from broken rules, the worst point with its margin, and the worst check after the loss of a station."""
+    """Verdict from the broken rules, the check of the complete layout, and the checks after losses."""
     asked = [
         loss for loss in loss_checks if tolerances.withstood_loss == ("sight" if loss.is_sight_loss else "station")
     ]
@@ -299,7 +315,7 @@ def plan_verdict(
     count_text = (
         f"all {n_points}"
         if tolerance_check.meets_all
-        else f"{len(tolerance_check.error_by_point) - len(tolerance_check.exceeding_points)} of {n_points}"
+        else f"{len(tolerance_check.error_by_point_m) - len(tolerance_check.exceeding_points)} of {n_points}"
     )
     words = (
         f"{count_text} tolerances are met at {100 * tolerances.confidence_level:g} % confidence; "
@@ -321,7 +337,7 @@ def plan_verdict(
 
 
 def loss_sentences(loss_checks: Sequence[ToleranceCheck]) -> list[str]:
-    """Sentences on the tolerances after the loss of a station or a sight."""
+    """Sentences on the checks after losses: one for each station, and one on all sights together."""
     texts = [f"Without {loss.lost_text}: {loss.violations_clause}." for loss in loss_checks if not loss.is_sight_loss]
     sights = [loss for loss in loss_checks if loss.is_sight_loss]
     broken = sorted((loss for loss in sights if not loss.meets_all), key=lambda loss: -loss.max_ratio)

@@ -29,9 +29,10 @@ from ltsim.recordings.result_file import SourceEntry
 from ltsim.simulation.scenario import Scenario
 
 MIN_ALTERNATIVE_DISTANCE = 2.0
-"""Smallest horizontal distance [m] of a proposed place from the impossible place and from other proposed places."""
+"""Smallest horizontal distance [m] of an alternative position of a station from its planned position and from other
+alternatives."""
 MAX_ALTERNATIVES = 4
-"""Largest number of proposed places."""
+"""Largest number of alternative positions of a station that are proposed."""
 
 
 def plan(
@@ -53,13 +54,13 @@ def plan(
     starts : int, optional
         Number of independent searches; default from the plan file.
     seed : int, optional
-        Root of the random draws of the search; default from the plan file.
+        Seed of the random draws of the search; default from the plan file.
     jobs : int
         Number of processes; the plan does not depend on it.
     progress : callable
         Callback with the name of the present task and its finished fraction.
     callbacks : SearchCallbacks, optional
-        Callbacks in place of `progress`, also for the expected run time and for the best layout so far.
+        Callbacks in place of `progress`: for the progress, and for the best layout so far.
     move : mapping, optional
         Positions of stations, x, y, z in mm and yaw in degrees; yaw, or z and yaw, can be omitted. The layout with
         these positions is evaluated, without a search.
@@ -102,18 +103,18 @@ def next_measurement(
     recording : Recording, str or Path
     between : sequence of str
         Names of two or more effects that explain the recording. Measurements are ranked by the number of effects that
-        they distinguish from the first, then by effort and time, then by evidence. Without names they are ranked by the
-        information that they give on the instrument's parameters.
+        they distinguish from the first effect, then by effort and time, then by evidence. Without names they are ranked
+        by the information that they give on the instrument parameters.
     with_effects : str, Effect or sequence of them
-        Effects that are already in the model in addition to those of `between`; an effect given by name acts where it
-        fits the residuals best.
+        Effects that the model of the recording already contains, in addition to those of `between`. An effect given by
+        name acts on the stations or targets where it fits the residuals best.
     site : str or Path, optional
-        Plan file, scenario or folder of a plan. New stations are then proposed only where its floor and bodies permit a
-        tripod, for the targets in sight. The adjusted network is transformed to the axes of this
-        plan by the targets that have names of its points. If there are fewer than three of them, the positions of the
+        Plan file, scenario or folder of a plan. New stations are then proposed only where its floor and obstacles
+        permit a tripod, and only for visible targets. The adjusted network is transformed to the axes of this plan by
+        the targets that have names of its points. If there are fewer than three such targets, the positions of the
         stations in the set-up are used.
     minutes_per_move : float
-        Time [min] for moving the tripod.
+        Time [min] to move the tripod to another position.
     progress : callable
         Callback with the name of the present task and its finished fraction.
 
@@ -146,7 +147,10 @@ def next_measurement(
 
 
 def _visibility_function(search_space: SearchSpace) -> VisibilityFunction:
-    """Sights at a site from places where a tripod may stand, within the position tolerance of its height."""
+    """Function that gives the visible targets from positions on a site; no target is visible where no tripod may stand.
+
+    A height out of the permitted range by less than the position tolerance is accepted.
+    """
     low, high = np.array([area.heights for area in search_space.allowed_areas]).T
 
     def sights(places: Floats, targets: Floats) -> Bools:
@@ -160,19 +164,20 @@ def _visibility_function(search_space: SearchSpace) -> VisibilityFunction:
 
 @dataclass(frozen=True)
 class StationAlternative:
-    """Alternative to a station that cannot stand at its planned position.
+    """Alternative layout for a station that cannot stand at its planned position.
 
-    It is another position with all other stations unchanged, or the layout without the station.
+    The station is at another position, with all other stations unchanged, or is left out.
     """
 
     position_text: str
-    """Description of the new position of the station."""
+    """Description of the new position of the station, or `without NAME`."""
     survey: PlannedSurvey
+    """Survey with the alternative layout."""
     verdict: str
-    """Sentence on the layout with this alternative."""
+    """Verdict on the alternative layout, as a sentence."""
     max_error_ratio: float
-    """Largest ratio of error to tolerance, after the losses that must be withstood; without tolerances the largest
-    error [m] at 95 %.
+    """Largest ratio of point error to tolerance, including losses that must be withstood; without tolerances the
+    largest point error [m] that is not exceeded at 95 % confidence.
     """
     meets_goal: bool
     """True if no rule is broken and all tolerances are met, if there are any."""
@@ -181,19 +186,19 @@ class StationAlternative:
 
 
 def station_alternatives(source: str | Path, station: str) -> tuple[StationAlternative, ...]:
-    """Alternatives to a station: the layout without it, then with it at the best other positions.
+    """Alternative layouts for a station: without the station, then with it at other positions, the best first.
 
     Parameters
     ----------
     source : str or Path
-        Folder of a plan, plan file or scenario, whose stations are the layout.
+        Folder of a plan, plan file or scenario with the planned layout.
     station : str
         Name of the station that cannot stand at its planned position.
 
     Raises
     ------
     SetupError
-        When there is no such station, or no place for it.
+        When there is no such station, or no position for it on the floor.
     """
     named, scenario = load_plan_and_scenario(source)
     file, site = unsearched_plan(named, scenario)
@@ -238,9 +243,9 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
 def _plan_with_moved_stations(
     plan: PlanFile, scenario: Scenario, new_positions: Mapping[str, Sequence[float]]
 ) -> PlannedNetwork:
-    """Planned network with stations at other positions: x, y, z [mm] and yaw [deg] of each.
+    """Planned network with stations at new positions, by name: x, y, z [mm] and yaw [deg].
 
-    The yaw, or z and yaw, may be missing. Raises SetupError for a position where no tripod may stand.
+    Without yaw, or without z and yaw, these remain. Raises SetupError for a position where no tripod may stand.
     """
     file, site = unsearched_plan(plan, scenario)
     survey = site.survey
@@ -257,7 +262,10 @@ def _plan_with_moved_stations(
 
 
 def _position_numbers(name: str, position: object) -> Floats:
-    """Numbers of a new position: x and y [mm], then z [mm] and yaw [deg] if given; raises SetupError."""
+    """Numbers of a new position of the station `name`: x and y [mm], then z [mm] and yaw [deg] if given.
+
+    Raises SetupError for other content.
+    """
     words = np.ravel(np.asarray(position, dtype=object)).tolist()
     try:
         place = np.array(words, dtype=np.float64)
@@ -271,13 +279,13 @@ def _position_numbers(name: str, position: object) -> Floats:
 
 
 def _position_text(station: str, place: Floats) -> str:
-    """Text of the position (3,) [m] of a station."""
+    """Text of the name of a station and its position (3,) [m]."""
     x, y, z = place
     return f"{station} at ({x:.2f}, {y:.2f}, {z:.2f}) m"
 
 
 def _horizontal_distances(places: Floats, place: Floats) -> Floats:
-    """Horizontal distances (N,) [m] of places (N, 3) from one place (3,)."""
+    """Horizontal distances (N,) [m] between positions `places` (N, 3) [m] and the position `place` (3,) [m]."""
     return np.linalg.norm(places[:, :2] - place[:2], axis=1)
 
 
@@ -290,7 +298,10 @@ def _station_index(survey: PlannedSurvey, name: str) -> int:
 def _evaluate_alternative(
     problem: PlanningProblem, search_space: SearchSpace, survey: PlannedSurvey, description: str, move: str = ""
 ) -> StationAlternative:
-    """Alternative with the verdict by rules and tolerances, or by the worst point if there are no tolerances."""
+    """Alternative with the layout of `survey`, and its verdict by rules and tolerances, or rules and the worst point.
+
+    `description` is the text of the new position, `move` the value of the option `--move`.
+    """
     demands, built, broken = (
         PointTolerances.from_plan_file(problem.plan_file),
         problem.construction,
@@ -304,9 +315,9 @@ def _evaluate_alternative(
         return StationAlternative(description, survey, judgement.sentences, ratio, judgement.is_goal_reached, move)
     check = check_tolerances(survey, PointTolerances(dict.fromkeys(survey.target_names, np.inf)), built)
     rules = f"it breaks a rule ({broken_rules_text(broken)}); " if broken else ""
-    if not check.error_by_point or check.unseen_points:
+    if not check.error_by_point_m or check.unseen_points:
         return StationAlternative(description, survey, rules + check.violations_clause, np.inf, False, move)
-    worst_point = max(check.error_by_point, key=lambda name: check.error_by_point[name])
-    worst_error = check.error_by_point[worst_point]
-    text = f"{rules}worst {worst_point}, within {worst_error / MICROMETRE:.1f} um at 95 %"
+    worst_point = max(check.error_by_point_m, key=lambda name: check.error_by_point_m[name])
+    worst_error = check.error_by_point_m[worst_point]
+    text = f"{rules}worst point {worst_point}, within {worst_error / MICROMETRE:.1f} um at 95 % confidence"
     return StationAlternative(description, survey, text, worst_error, not broken, move)

@@ -1,4 +1,7 @@
-"""Work order of a plan for the shop floor: tape distances to tripods, order of measurement, checks."""
+"""Work order of a plan for the shop floor: tape distances that locate the tripods, order of measurement, checks.
+
+A mark is the end point of a tape distance: a reflector, a point below a reflector, or a corner of the hall.
+"""
 
 from __future__ import annotations
 
@@ -16,37 +19,37 @@ from ltsim.planning.planner import PlannedNetwork
 MAX_PLUMB_HEIGHT = 2.2
 """Largest height [m] from which a point is plumbed to the floor; distances to higher points are measured straight."""
 MAX_TAPE_DISTANCE = 15.0
-"""Largest distance [m] for a tape or a distance meter; longer ones are used only if there is no other."""
+"""Largest distance [m] for a tape or a distance meter; longer ones are used only if there are too few shorter ones."""
 MAX_CONSIDERED_MARKS = 16
-"""Largest number of marks among which the three of a station are selected."""
+"""Largest number of marks among which the three marks of a station are selected."""
 MIN_STRAIGHT_STRENGTH_GAIN = 0.1
-"""Smallest increase of `intersection_strength` at which a straight distance to a reflector is used instead of one along
-the floor."""
+"""Smallest increase of `intersection_strength` at which a straight distance to a reflector is used instead of a
+distance along the floor."""
 TAPE_RESOLUTION = 0.01
 """Resolution [m] with which a distance is read from a tape."""
 MAX_POSITION_AMBIGUITY = 0.03
-"""Largest uncertainty [m] of the position from three distances read with `TAPE_RESOLUTION`; above it the work order
-asks for another way.
+"""Largest uncertainty [m] of the position from three distances read with `TAPE_RESOLUTION`, above which the work order
+asks for another way to locate the tripod.
 """
 MIN_TAPE_MISCLOSURE = 0.1
-"""Smallest misclosure [m] of the third distance at the second intersection of the other two; below it the position is
-ambiguous.
+"""Misclosure [m] of the third distance at the second intersection of the first two distances, below which the position
+is ambiguous.
 """
 MIN_TAPE_DISTANCE = 0.3
-"""Smallest distance [m] to a mark that is used."""
+"""Smallest distance [m] to a mark at which the mark is used."""
 FREE_TAPE_HEIGHT = 0.1
 """Height [m] above the floor at which no obstacle may cross the tape."""
 MIN_STRENGTH_GAIN_PER_METRE = 0.03
-"""Smallest increase of `intersection_strength` per metre by which the longest of the three distances grows."""
+"""Smallest increase of `intersection_strength` that justifies a longest distance that is longer by one metre."""
 MIN_MOVED_SIGMAS = 3.0
-"""Difference of a repeated point, in standard deviations, above which tripod or point count as moved."""
+"""Difference between two measurements of a point, in standard deviations, above which tripod or point has moved."""
 N_REPEATED_POINTS = 3
-"""Number of points that are measured once more at the end of a station."""
+"""Number of points that are measured again at the end of each station."""
 
 
 @dataclass(frozen=True)
 class TapeDistance:
-    """Distance between the place of a tripod and a mark, along the floor or straight.
+    """Distance between the position of a tripod and a mark, along the floor or straight.
 
     Along the floor it leads from the point below the head to the point below the mark, straight from the head to a
     reflector.
@@ -54,21 +57,22 @@ class TapeDistance:
 
     mark_name: str
     mark_position: Floats
-    """Coordinates of the point, (3,) [m]."""
+    """Coordinates of the mark, (3,) [m]."""
     length: float
+    """Length of the distance [m]."""
     is_along_floor: bool
-    """True along the floor, False straight."""
+    """True for a distance along the floor, False for a straight one."""
 
     @property
     def text(self) -> str:
-        """Text of the distance and its end point."""
+        """Text of the distance and its mark, such as "3.25 m to P4 (straight)"."""
         return f"{self.length:.2f} m to {self.mark_name}{'' if self.is_along_floor else ' (straight)'}"
 
     @classmethod
     def from_station(
         cls, target: str, target_position: Floats, station: Floats, *, is_along_floor: bool
     ) -> TapeDistance:
-        """Tape distance from an instrument at `station` (3,) [m]."""
+        """Tape distance from an instrument at `station` (3,) [m] to the mark `target` at `target_position` (3,) [m]."""
         gap = target_position - station
         return cls(target, target_position, float(np.linalg.norm(gap[:2] if is_along_floor else gap)), is_along_floor)
 
@@ -81,17 +85,18 @@ class StationInstruction:
     head_height: float
     """Height [m] of the head's centre above the floor."""
     tape_distances: tuple[TapeDistance, ...]
-    """Three distances, which determine one position unless `deficiency_sentence` says why not."""
+    """Three distances, which determine the position of the tripod unless there is a `deficiency_sentence`."""
     deficiency_sentence: str
-    """Sentence on the deficiency of the distances; empty if they determine the position."""
+    """Sentence on why the distances do not determine the position; empty if they do."""
     zero_direction_text: str
     """Text of the direction of azimuth zero."""
     target_order: tuple[str, ...]
     """Targets in the order of their first pointing."""
     repeated_targets: dict[str, float]
-    """Targets to be measured again at the end, with their largest permitted deviation [m]."""
+    """Largest permitted difference [m] between both measurements of each target to be measured again at the end, by
+    name of the target."""
     minutes: float
-    """Duration of the pointings [min]."""
+    """Duration [min] of all pointings from this station."""
 
 
 def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]:
@@ -99,7 +104,7 @@ def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]
     survey, built = plan.layout.survey, plan.layout.information.construction
     recording = survey.noise_free_recording(built)
     sightings = sightings_at_state(recording, survey.nominal_state(built))
-    sigma = survey.true_noise_sigmas(sightings) * survey.is_recorded_observable
+    sigma = survey.noise_sigmas(sightings) * survey.is_recorded_observable
     horizontal = sightings.range_ * np.cos(sightings.elevation)
     error = np.linalg.norm(sigma * np.stack([np.ones_like(horizontal), horizontal, sightings.range_], axis=1), axis=1)
     settings = []
@@ -127,11 +132,11 @@ def station_instructions(plan: PlannedNetwork) -> tuple[StationInstruction, ...]
 
 
 def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[TapeDistance]:
-    """Marks for tape distances to a station, in order of preference.
+    """Tape distances from a station at `place` (3,) [m] to possible marks, in order of preference.
 
-    First come those within reach of a tape, then those along the floor, then the nearest. Distances along the floor
-    lead to points that can be plumbed and to corners of the hall, if no body and no keep-out area is in the path;
-    others lead straight to visible reflectors.
+    Distances within reach of a tape come before longer ones, those along the floor before straight ones, short ones
+    before long ones. Distances along the floor lead to points that can be plumbed and to corners of the hall, if no
+    obstacle and no keep-out area is in the path; straight ones lead to reflectors in `is_visible` (T,).
     """
     survey, obstacles = plan.layout.survey, plan.search_space.obstacles
     targets = list(zip(survey.target_names, survey.target_points, strict=True))
@@ -159,9 +164,9 @@ def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[
 
 
 def _best_tape_distances(marks: Sequence[TapeDistance], place: Floats) -> tuple[TapeDistance, ...]:
-    """Three short distances with a good intersection that determine one position only.
+    """Three short distances with a good intersection that determine the position `place` (3,) [m] uniquely.
 
-    If there are none, the three with the strongest intersection.
+    If there are none, the result is the three distances with the strongest intersection, or all if fewer than three.
     """
 
     def preference(candidate_distances: tuple[TapeDistance, ...]) -> tuple[bool, bool, float]:
@@ -183,21 +188,22 @@ def _best_tape_distances(marks: Sequence[TapeDistance], place: Floats) -> tuple[
 
 
 def intersection_strength(distances: Sequence[TapeDistance], place: Floats) -> float:
-    """Strength of the intersection of distances to a place: smallest change of the distances per metre on the floor.
+    """Strength of the intersection of distances: smallest change of the distances if `place` moves by one metre.
 
-    It is the smallest singular value of their gradients, between 0 (undetermined) and the square root of their number.
+    It is the smallest singular value of the gradients of the distances with respect to the horizontal coordinates of
+    `place` (3,) [m], between 0 (undetermined) and the square root of the number of distances.
     """
     slopes = np.array([(place[:2] - mark.mark_position[:2]) / mark.length for mark in distances])
     return float(np.linalg.svd(slopes, compute_uv=False).min())
 
 
 def tape_deficiency_sentence(tape_distances: Sequence[TapeDistance], place: Floats) -> str:
-    """Sentence on why distances read to `TAPE_RESOLUTION` do not determine one position; empty if they do."""
+    """Sentence on why distances, read to `TAPE_RESOLUTION`, do not determine the position `place`; empty if they do."""
     if len(tape_distances) < 3:
-        return "Fewer than three points are within reach of a tape: mark the place in another way."
+        return "Fewer than three points are within reach of a tape: mark the position in another way."
     if (strength := intersection_strength(tape_distances, place)) * MAX_POSITION_AMBIGUITY < TAPE_RESOLUTION:
         wide = f"by {100 * TAPE_RESOLUTION / strength:.0f} cm" if strength > TAPE_RESOLUTION else "along a line"
-        return f"The tapes meet at a flat angle, and the place is uncertain {wide}: mark it in another way."
+        return f"The tapes meet at a flat angle, so the position is uncertain {wide}: mark it in another way."
     end_points = np.array([mark.mark_position[:2] for mark in tape_distances])
     rise = np.array([mark.length for mark in tape_distances]) ** 2 - np.sum((place[:2] - end_points) ** 2, axis=1)
     first, second = max(combinations(end_points, 2), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
@@ -211,7 +217,7 @@ def tape_deficiency_sentence(tape_distances: Sequence[TapeDistance], place: Floa
 
 
 def _zero_direction_text(plan: PlannedNetwork, place: Floats, yaw: float, is_visible: Bools) -> str:
-    """Text of the direction of azimuth zero: the nearest visible target, and the angle to it."""
+    """Text of the direction of azimuth zero: the visible target with the nearest direction, and the angle from it."""
     survey = plan.layout.survey
     way = survey.target_points[is_visible] - place
     direction_errors = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - yaw)))
@@ -222,11 +228,11 @@ def _zero_direction_text(plan: PlannedNetwork, place: Floats, yaw: float, is_vis
 
 
 def check_sentences(plan: PlannedNetwork) -> list[str]:
-    """Checks in the order of measurement, one sentence each."""
+    """Checks that the operator makes during the measurement of a plan, in their order, one sentence each."""
     survey, file = plan.layout.survey, plan.plan_file
     sentences = [
         f"Before the first pointing: the tracker is warm, its built-in checks are passed, the air has the planned "
-        f"{plan.scenario.workshop.temperature_c:g} °C; note temperature, pressure and humidity.",
+        f"{plan.scenario.workshop.temperature_c:g} °C. Note temperature, pressure and humidity.",
         "At every station, before its first pointing: the head is within "
         f"{file.stations.position_tolerance_mm:g} mm of its planned position, and every point of its list is visible.",
         "At the end of every station: measure the points under 'again' once more. If one differs by more than "
@@ -234,7 +240,8 @@ def check_sentences(plan: PlannedNetwork) -> list[str]:
     ]
     if len(survey.faces) == 2:
         sentences.append(
-            "In both faces: the difference of the two readings is similar for all points; otherwise one is wrong."
+            "In both faces: the difference between the readings of both faces is similar for all points; otherwise one "
+            "of the readings is wrong."
         )
     if len(survey.station_positions) > 1:
         sentences.append(

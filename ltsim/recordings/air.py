@@ -7,7 +7,7 @@ from ltsim.recordings.keys import NonNegative, TomlSection
 class AirUncertainty(TomlSection):
     """Uncertainty of the air along the beams, as standard deviations of its properties.
 
-    The standard deviation of a measured property is 0.
+    A property that was measured has the standard deviation 0.
     """
 
     temperature_k: NonNegative = 0.5
@@ -18,14 +18,14 @@ class AirUncertainty(TomlSection):
     2 in heated ones.
     """
     turbulence_um2_per_m3: NonNegative = 0.1
-    """Variance by which turbulence displaces a line of sight perpendicular to the beam, divided by the cube of its
-    range."""
+    """Variance of the displacement of a line of sight by turbulence, perpendicular to the beam, divided by the cube of
+    the range."""
     beyond_mm: NonNegative = 10_000.0
-    """Length of the longest line of sight of a network above which the adjustment takes the uncertainty of the air into
-    account; a shorter network neglects it."""
+    """Longest line of sight of a network above which the adjustment takes the uncertainty of the air into account;
+    in a network with only shorter lines of sight it is neglected."""
 
     def is_relevant(self, max_range: float) -> bool:
-        """True if the uncertainty of the air matters in a network whose longest range is `max_range` [m]."""
+        """True if the longest range `max_range` [m] of a network exceeds `beyond_mm`."""
         return max_range > self.beyond_mm * MILLIMETRE
 
 

@@ -8,8 +8,8 @@ from typing import Literal
 from ltsim.recordings.keys import Positive, TomlSection
 
 Occupation = Literal["station", "instrument_setup", "target_setup", "day"]
-"""Pointings of a target between which its reflector is not moved: all from one station, all with one entry in the
-column `instrument_setup` or `target_setup`, or all of one day."""
+"""Group of pointings to a target during which its reflector is not moved: all pointings from one station, all with the
+same entry in the column `instrument_setup` or `target_setup`, or all of one day."""
 
 
 class CentringUncertainty(TomlSection):
@@ -21,8 +21,8 @@ class CentringUncertainty(TomlSection):
     sigma_mm: Positive
     """Standard deviation of the displacement along each axis."""
     occupation: Occupation = "station"
-    """Pointings of a target between which its reflector is not moved: all from one `station`, all with one entry in the
-    column `instrument_setup` or `target_setup`, or all of one `day`.
+    """Group of pointings to a target during which its reflector is not moved: all pointings from one `station`, all
+    with the same entry in the column `instrument_setup` or `target_setup`, or all of one `day`.
     """
     stations: tuple[str, ...] = ()
     """Names of the stations whose pointings have these errors; empty for all stations."""
@@ -30,7 +30,7 @@ class CentringUncertainty(TomlSection):
     """Names of the targets that have these errors; empty for all targets."""
 
     def restricted_to(self, stations: Sequence[str], targets: Sequence[str]) -> CentringUncertainty | None:
-        """Centring errors of only the given stations and targets; None if they have none."""
+        """Centring errors of the given stations and targets (names) only; None if these errors act on none of them."""
         names_by_key = {
             key: tuple(name for name in chosen if name in names)
             for key, chosen, names in self._declared_names(stations, targets)
@@ -40,9 +40,9 @@ class CentringUncertainty(TomlSection):
     def unknown_names(
         self, stations: Sequence[str], targets: Sequence[str]
     ) -> Iterator[tuple[str, str, Sequence[str]]]:
-        """Key (`stations` or `targets`), name, and permitted names, for each name that the recording does not have.
+        """Key (`stations` or `targets`), name, and permitted names, for each declared name that the recording lacks.
 
-        `stations` and `targets` are the names in the recording.
+        `stations` and `targets` are the names in the recording, which are the permitted ones.
         """
         for key, chosen, names in self._declared_names(stations, targets):
             yield from ((key, name, names) for name in chosen if name not in names)
@@ -50,7 +50,10 @@ class CentringUncertainty(TomlSection):
     def _declared_names(
         self, stations: Sequence[str], targets: Sequence[str]
     ) -> Iterator[tuple[str, tuple[str, ...], Sequence[str]]]:
-        """Key (`stations` or `targets`), names declared under it, and names in the recording; only keys with names."""
+        """Key (`stations` or `targets`), names declared under it, and names in the recording; empty keys are skipped.
+
+        `stations` and `targets` are the names in the recording.
+        """
         yield from (
             (key, chosen, names)
             for key, chosen, names in (("stations", self.stations, stations), ("targets", self.targets, targets))

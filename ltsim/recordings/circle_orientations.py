@@ -1,7 +1,7 @@
-"""Orientations of the horizontal circle within an occupation, from the readings alone.
+"""Orientations of the horizontal circle while an instrument occupies a point, from the readings alone.
 
 A surveyor may set the circle anew before each round. In a file that does not number rounds, repeated pointings show it:
-from one row on, the directions to all targets differ from the earlier ones by one angle, at equal distances.
+from one row on, the directions to all targets differ from the earlier ones by the same angle, and distances are equal.
 """
 
 import math
@@ -20,20 +20,21 @@ MAX_DISTANCE_DIFFERENCE_M = 0.02
 MIN_AGREEING_TARGETS = 3
 """Number of repeated targets whose directions must change by the same rotation before the circle counts as rotated."""
 MAX_CONTRADICTORY_FRACTION = 0.1
-"""Fraction of the repeated pointings of an occupation that may contradict its orientations, because of gross errors.
+"""Largest fraction of the repeated pointings of an occupation that may contradict its orientations, as outliers.
 
-Above it the occupation keeps one orientation.
+Above this fraction all pointings of the occupation keep a single orientation.
 """
 MAX_ROWS_AHEAD = 100
-"""Number of rows after a rotation in which `MIN_AGREEING_TARGETS` targets must be repeated."""
+"""Number of rows after a rotation within which `MIN_AGREEING_TARGETS` targets must be measured again to confirm it."""
 
 
 def circle_orientations(occupation: Ints, sight_number: Ints, readings: Floats) -> Ints | None:
     """Number (n,) of the orientation of the horizontal circle in each row, counted within the row's occupation.
 
-    The result is None if no circle was rotated within an occupation. `occupation` (n,) numbers the occupations,
-    `sight_number` (n,) the pointings from one occupation to one target on one face, `readings` are (n, 3) [m, rad,
-    rad]. An occupation in which a row fits no orientation counts as one orientation.
+    The result is None if no circle was rotated within an occupation. `occupation` (n,) is the number of the occupation
+    in each row. `sight_number` (n,) is equal for all pointings from one occupation to one target on one face.
+    `readings` (n, 3) are distance, azimuth and elevation [m, rad, rad]. An occupation with too many contradictory rows
+    (`MAX_CONTRADICTORY_FRACTION`) counts as one orientation.
     """
     _, first_row_of_sight, code = np.unique(sight_number, return_index=True, return_inverse=True)
     change = readings - readings[first_row_of_sight[code]]
@@ -51,8 +52,8 @@ def circle_orientations(occupation: Ints, sight_number: Ints, readings: Floats) 
     return orientation if orientation.any() else None
 
 
-def zeroed_circle_note(n_orientations: int, n_occupations: int) -> str:
-    """Note that the circle was rotated in `n_occupations` occupations, which gives `n_orientations` orientations."""
+def circle_rotation_note(n_orientations: int, n_occupations: int) -> str:
+    """Note to the user that the circle was rotated: `n_orientations` orientations at `n_occupations` occupations."""
     return (
         f"the circle was rotated between repeated pointings: {n_orientations} orientations at {n_occupations} "
         "occupations are separate set-ups at the same positions"

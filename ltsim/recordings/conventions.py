@@ -1,10 +1,10 @@
-"""Conventions of a polar file: unit, zenith angle or elevation, sense of the azimuth, metres or millimetres.
+"""Conventions of a file of polar readings: unit of angles, zenith angle or elevation, sense of azimuth, unit of length.
 
-The data decide and a note reports the decision, or an error asks for a hint; nothing is assumed silently. Two faces
-determine unit and vertical angle, because their readings add up to a full or a half circle. With one face, the lengths
-between targets common to two stations decide: they agree only in the right unit. Neither determines the sense of the
-azimuth: the mirror image of a network has the same lengths and faces. Coordinates or poses from another source are
-needed for it.
+The data decide and a note reports the decision, or an error asks for a hint; nothing is assumed silently. Readings on
+two faces determine unit and kind of the vertical angle, because they add up to a full or a half circle. With one face,
+the lengths between targets common to two stations decide: they agree only in the right unit. The sense of the azimuth
+needs coordinates or poses from another source, because the mirror image of a network has the same lengths and the same
+sums of both faces.
 """
 
 from collections.abc import Mapping, Sequence
@@ -41,18 +41,18 @@ StationPoseArrays = tuple[Floats, Floats]
 AngleConvention = tuple[AngleUnit, VerticalKind]
 FULL_CIRCLE_BY_UNIT = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
 HINTED_ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
-"""Units of angles among which the data, or a hint, decide."""
+"""Possible units of the angles in a file; the data or a hint decide among them."""
 VERTICAL_KINDS: tuple[VerticalKind, ...] = ("zenith", "elevation")
 MIN_MISFIT_RATIO = 10.0
-"""Ratio of the second-smallest to the smallest misfit of the conventions, from which the data decide."""
+"""Ratio of the second-smallest to the smallest misfit of the possible conventions, from which the data decide."""
 MAX_MIRROR_MISFIT = 1e-3
 """Misfit of a mirror image, divided by the size of the network, below which the mirror image fits."""
 MAX_ROWS_IN_A_NOTE = 3
-"""Largest number of rows that a note lists, and of contradictions that are reported."""
+"""Largest number of rows that a note lists, and of sentences on mirror images that are reported."""
 MIN_TARGET_INTERVAL_S = 0.1
-"""Shortest plausible median time [s] between consecutive targets; below it a question about the clock is asked."""
+"""Shortest plausible median time [s] between consecutive targets; a shorter one raises a question about the clock."""
 MAX_TARGET_INTERVAL_S = 7200.0
-"""Longest plausible median time [s] between consecutive targets; above it a question about the clock is asked."""
+"""Longest plausible median time [s] between consecutive targets; a longer one raises a question about the clock."""
 MIN_TARGET_CHANGES = 8
 """Number of changes from one target to the next below which the time between targets is not judged."""
 
@@ -61,11 +61,11 @@ MIN_TARGET_CHANGES = 8
 class Hints:
     """Decisions of the user on an ambiguous file; None leaves a decision to the data.
 
-    `points` is a list of coordinates (name, x, y, z) in a right-handed frame that decides the sense of the azimuth;
-    `station` names the set-up of a file that contains no name; `columns` assigns the columns of a table
-    (``target=Name,azimuth=Hz[gon]``), `setup` is the file with noise and gauge, `date` the order of day and month in
-    dates with slashes. A file that is still growing (`incomplete_tail`) may end inside a row and may lack targets of
-    reference lengths.
+    `angle` and `length` are units, `vertical` the kind of vertical angle, `azimuth` its sense. `points` is a file of
+    coordinates (name, x, y, z) in a right-handed frame, which decides the sense of the azimuth. `station` names the
+    set-up of a file that contains no name. `columns` assigns the columns of a table (``target=Name,azimuth=Hz[gon]``).
+    `setup` is a `setup.toml` for the file, `date` the order of day and month in dates with slashes. A file that is
+    still growing (`incomplete_tail`) may end inside a row and may lack targets of reference lengths.
     """
 
     angle: AngleUnit | None = None
@@ -85,10 +85,7 @@ NO_HINTS = Hints()
 
 @dataclass(frozen=True)
 class PolarReadings:
-    """Polar readings of n pointings in the units of a file: indices of station and target, angles, distance.
-
-    Each field has the shape (n,).
-    """
+    """Polar readings (n,) of n pointings in the units of a file: indices of station and target, angles, distance."""
 
     station: Ints
     target: Ints
@@ -97,9 +94,9 @@ class PolarReadings:
     distance: Floats
 
     def points(self, angle: AngleUnit, vertical_kind: VerticalKind) -> Floats:
-        """Coordinates (n, 3) in each station's frame, in the unit of the distances.
+        """Coordinates (n, 3) in each station's frame, in the unit of the distances, with counter-clockwise azimuths.
 
-        Azimuths are taken as counter-clockwise.
+        `angle` is the unit of the angles, `vertical_kind` the kind of the vertical angles.
         """
         vertical_angle = self.vertical_angles * SI_PER_UNIT[angle]
         elevation = np.pi / 2 - vertical_angle if vertical_kind == "zenith" else vertical_angle
@@ -107,7 +104,7 @@ class PolarReadings:
 
 
 def angle_convention(polar: PolarReadings, hints: Hints, file: object) -> tuple[AngleUnit, VerticalKind, list[str]]:
-    """Unit of the angles, kind of the vertical angle, and notes on what the data decided.
+    """Unit of the angles, kind of the vertical angles, and notes on decisions from the data; `file` is named in errors.
 
     Raises RecordError, which asks for a hint, if the data do not decide.
     """
@@ -179,9 +176,9 @@ def _count_two_face_pairs(polar: PolarReadings, angle: AngleUnit, vertical_kind:
 def _convention_from_faces(
     polar: PolarReadings, candidates: list[AngleConvention]
 ) -> tuple[AngleConvention, str] | None:
-    """Unit and kind of vertical angle under which most repeated targets are on two faces, and a text with this reason.
+    """Candidate (unit, kind of vertical angle) with which most repeated targets are on two faces, and this reason.
 
-    None if it is not clear which choice that is.
+    None if no candidate has clearly more of them than the others.
     """
     counts = [_count_two_face_pairs(polar, angle, vertical) for angle, vertical in candidates]
     best_index = int(np.argmax(counts))
@@ -193,9 +190,9 @@ def _convention_from_faces(
 def _convention_from_lengths(
     polar: PolarReadings, candidates: list[AngleConvention]
 ) -> tuple[AngleConvention, str] | None:
-    """Unit and kind of vertical angle under which stations measure equal lengths between targets, and a text with it.
+    """Candidate (unit, kind of vertical angle) with which stations measure equal lengths, and this reason.
 
-    None if no choice, or more than one, makes the lengths equal.
+    None if no candidate, or more than one, makes the lengths between targets equal.
     """
     misfits = [length_disagreement(polar.points(unit, kind), polar.station, polar.target) for unit, kind in candidates]
     if not np.all(np.isfinite(misfits)):
@@ -208,17 +205,17 @@ def _convention_from_lengths(
 
 
 def _raise_missing_hint(candidates: list[AngleConvention], file: object) -> tuple[AngleConvention, str]:
-    """Question to the user which of several conventions holds: raises RecordError with the option to type."""
+    """Question to the user which of the candidates holds: always raises RecordError, with the option to type."""
     has_common_unit = len({a for a, _ in candidates}) == 1
     choices = " or ".join(f"{v} angles" if has_common_unit else f"{v} angles in {a}" for a, v in candidates)
     hints = [] if has_common_unit else [f"--hint angle={candidates[0][0]}"]
     hints += [f"--hint vertical={candidates[0][1]}"] if len({v for _, v in candidates}) > 1 else []
-    message = f"the angles may be {choices}, and the file does not decide; give {' '.join(hints)}"
+    message = f"the angles may be {choices}, and the data do not decide which; give {' '.join(hints)}"
     raise RecordError(message, file=file)
 
 
 def length_unit_from_size(distance: Floats, hints: Hints) -> tuple[LengthUnit, list[str]]:
-    """Unit of the distances, and notes on it: m if the longest one is below `MIN_DISTANCE_MM`, otherwise mm."""
+    """Unit of `distance` (n,), and notes on it: m if the longest is a number below `MIN_DISTANCE_MM`, otherwise mm."""
     if hints.length is not None:
         return hints.length, []
     longest = float(np.nanmax(distance, initial=0))
@@ -238,8 +235,9 @@ def azimuth_sense_from_points(
 ) -> tuple[AzimuthSense, list[str]]:
     """Sense of the azimuth from coordinates of targets in `file`, and notes on it.
 
-    `local_points` (n, 3) [m] are measured positions in each station's frame, with counter-clockwise azimuths, and
-    `targets` the names to which `polar.target` refers. Raises RecordError if the coordinates do not decide.
+    `local_points` (n, 3) [m] are measured positions in each station's frame, computed with counter-clockwise azimuths.
+    `targets` are the names to which the indices `polar.target` refer. Raises RecordError if the coordinates do not
+    decide.
     """
     listed = read_points(file, requires_all_axes=False)
     index_of = {name: i for i, name in enumerate(targets)}
@@ -257,7 +255,7 @@ def azimuth_sense_from_points(
 def _azimuth_sense_by_alignment(
     local_points: Floats, polar: PolarReadings, points_by_target: Mapping[int, Floats]
 ) -> AzimuthSense | None:
-    """Sense of the azimuth under which the targets of each station fit known points (by target index) rigidly.
+    """Sense of the azimuth under which a rigid motion takes the targets of each station to `points_by_target` [m].
 
     `local_points` (n, 3) [m] are measured positions with counter-clockwise azimuths. None if neither sense fits ten
     times better than the other, for example if all points lie in one plane.
@@ -277,9 +275,9 @@ def _azimuth_sense_by_alignment(
 
 
 def _rigid_misfits(points: Floats, fixed_points: Floats) -> list[float]:
-    """Median distances [m] of points (n, 3), and of their mirror image, from `fixed_points` (n, 3) after alignment.
+    """Median distances [m] of `points` (n, 3), and of their mirror image, from `fixed_points` (n, 3).
 
-    The alignment is rigid. A distance is 1 if there is none.
+    Both are first aligned rigidly with `fixed_points`. A distance is 1 m if the alignment is not possible.
     """
     misfits = []
     for y_sign in (1.0, -1.0):
@@ -295,7 +293,7 @@ def _rigid_misfits(points: Floats, fixed_points: Floats) -> list[float]:
 def azimuth_sense_from_poses(
     local_points: Floats, polar: PolarReadings, poses: Mapping[int, StationPoseArrays]
 ) -> AzimuthSense | None:
-    """Sense of the azimuth under which stations of known pose (by station index) measure the same points.
+    """Sense of the azimuth under which stations of known pose (by station index) measure equal positions of targets.
 
     `local_points` (n, 3) [m] are measured positions with counter-clockwise azimuths. None if the data do not decide.
     """
@@ -353,8 +351,8 @@ def vertical_pointings_notes(recording: Recording) -> tuple[str, ...]:
 def mirror_image_sentences(recording: Recording) -> tuple[str, ...]:
     """Sentences on stations whose readings fit the declared positions, or another station, only as a mirror image.
 
-    Coordinates in one plane, or a floor plan that fits neither sense, are no contradiction. None are sought among more
-    set-ups than a network may have.
+    Coordinates in one plane, or a floor plan that fits neither sense, give no sentence. A recording with more set-ups
+    than a network may have is not examined.
     """
     if len(recording.stations) > max_pointings(MAX_NETWORK_SETUPS):
         return ()
@@ -364,19 +362,19 @@ def mirror_image_sentences(recording: Recording) -> tuple[str, ...]:
     notes = []
     if len(poses) > 1 and azimuth_sense_from_poses(local_points, polar, poses) == "clockwise":
         notes.append(
-            "the declared places of the stations fit only the mirror image of the readings: if the azimuths run "
+            "the declared positions of the stations fit only the mirror image of the readings: if the azimuths run "
             "clockwise give --hint azimuth=clockwise, otherwise the floor plan is left-handed"
         )
     for first, other in _mirrored_station_pairs(local_points, recording):
         notes.append(
             f"the targets of {recording.stations[first]} and {recording.stations[other]} fit each other only as mirror "
-            "images: the azimuths of one of them run clockwise"
+            "images: the azimuths of one of these stations run clockwise"
         )
     return tuple(notes[:MAX_ROWS_IN_A_NOTE])
 
 
 def _mirrored_station_pairs(local_points: Floats, recording: Recording) -> list[tuple[int, int]]:
-    """Pairs of stations that are mirror images: each station and the previous one with which it shares most targets."""
+    """Mirror-image pairs of stations: each station and the earlier one with which it shares most targets (indices)."""
     measured = np.isfinite(local_points).all(axis=1)
     clouds, pairs = station_clouds(local_points, recording.station, recording.target), []
     for other, s in neighbour_pairs(recording.station[measured], recording.target[measured], len(recording.stations)):
@@ -388,7 +386,7 @@ def _mirrored_station_pairs(local_points: Floats, recording: Recording) -> list[
 
 
 def rough_poses(setup: Setup, names: Sequence[str]) -> dict[int, StationPoseArrays]:
-    """Rough poses of stations by index, from the floor plan: position and direction of azimuth zero."""
+    """Rough pose of stations by index in `names`, if the floor plan has both position and direction of azimuth zero."""
     poses = {}
     for i, name in enumerate(names):
         station = setup.stations.get(name)

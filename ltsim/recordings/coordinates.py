@@ -1,4 +1,4 @@
-"""Lists of coordinates: the reader of names with x, y, z that every command uses for such a file.
+"""Readers of lists of coordinates (names with x, y, z), which every command uses for such files.
 
 `read_points` takes delimited text of any dialect, or a workbook. A header names the columns and perhaps their units:
 ``target,x_mm,y_mm,z_mm``, ``Name;X [m];Y [m];Z [m]``, ``Punkt;Rechtswert;Hochwert;Höhe``; standard deviations are in
@@ -46,15 +46,15 @@ MAX_ASYMMETRY = 1e-6
 MIN_RELATIVE_EIGENVALUE = -1e-9
 """Smallest accepted eigenvalue of a correlation matrix, divided by its number of rows: rounding may make 0 negative."""
 MAX_COORDINATE_IN_METRES = 500.0
-"""Largest coordinate of a list without a unit below which the unit is metres, and from which it is millimetres."""
+"""Largest coordinate in a list without a unit, as a number, below which the unit is metres, otherwise millimetres."""
 MIN_GRID_COORDINATE = 1e6
-"""Largest coordinate of a list without a unit from which the list is taken as one in a national grid, in metres."""
+"""Largest coordinate in a list without a unit, as a number, from which it is in a national grid, in metres."""
 GEODETIC_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
-"""Column titles, in lower case, by which a list without a unit is taken as one in metres."""
+"""Column titles, in lower case, that show that the unit of a list without a unit is the metre."""
 HEADERLESS_FIELD_COUNTS = (4, 7, 8, 16, 17)
 """Numbers of fields in lines without header: name, x, y, z; with 3 or 4 sigmas; with these and a covariance."""
 NAME_ROLES = ("target", "station", "", "time", "date")
-"""Roles of the column that names the points; the first that a header has counts."""
+"""Possible roles of the column that names the points; the first role that a header contains is used."""
 POINT_LIST_CONTENT_TEXT = (
     "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
     "Name;X [m];Y [m];Z [m], or lines of a name, x, y and z"
@@ -95,18 +95,18 @@ class PointList:
 def read_points(path: str | Path, *, requires_all_axes: bool = True) -> PointList:
     """List of points from a file.
 
-    Without a unit in the header it is in metres if no coordinate reaches 500, and a note reports that.
+    Without a unit in the header the unit is the metre or the millimetre, by size, and a note reports which.
 
     Parameters
     ----------
     path : str or Path
     requires_all_axes : bool
-        Refuse a point that is listed twice with other coordinates; otherwise the first are used and a note reports it.
+        Refuse a point that is listed again with other coordinates; if False, the first ones are used, with a note.
 
     Raises
     ------
     RecordError
-        One sentence: file, row, what was found and what is expected.
+        One sentence: file, row, the content there and the expected content.
     """
     path = Path(path)
     for sheet in read_sheets(path):
@@ -165,7 +165,7 @@ def _header_columns(sheet_rows: Sequence[SheetRow]) -> tuple[int, list[TableColu
 
 
 class _PointRowReader:
-    """Reader of the points in a sheet from row `first_row` on, given the meaning of the columns."""
+    """Reader of the points in a sheet from row index `first_row` on; `columns` give the role of each column."""
 
     def __init__(self, sheet: TableSheet, first_row: int, columns: list[TableColumn]) -> None:
         self.sheet, self.rows, self.columns = sheet, sheet.rows[first_row:], columns
@@ -175,7 +175,7 @@ class _PointRowReader:
         self.name = next(c for c in columns if c.role == "target")
 
     def points(self, *, requires_all_axes: bool) -> PointList:
-        """List of the points in these rows, with notes on decisions; raises RecordError."""
+        """List of the points in the sheet, with notes on the assumed unit and on ignored rows; raises RecordError."""
         self.sheet.require_complete_end(self.width)
         places, row_indices, numbers = dict[str, int](), list[int](), array("d")
         n, notes, ignored = len(self.numbers), list[str](), list[tuple[Sequence[float], list[float]]]()
@@ -190,7 +190,7 @@ class _PointRowReader:
                 what = f"the point {quoted_text(name)} was listed before with other coordinates"
                 if requires_all_axes:
                     raise SourceLocation(self.sheet.file, row.line).error(what)
-                notes.append(f"{what} in {self.sheet.file.name}; the first ones are used")
+                notes.append(f"{what} in {self.sheet.file.name}; the first coordinates are used")
                 ignored.append((before, values))
         if not places:
             raise RecordError("holds no points", file=self.sheet.file)
@@ -222,7 +222,7 @@ class _PointRowReader:
         return where.name(unguard_formula(row.cell(self.name.position)), "point"), coordinates
 
     def _unit_factors(self, table: Floats) -> tuple[Floats, list[str]]:
-        """Factors that convert each column of numbers to m (covariances to m^2), and notes on the assumed unit."""
+        """Factor that converts each of the k columns of `table` (n, k) to m or m^2, and notes on the assumed unit."""
         axes = [c for c in self.numbers.values() if c.role in COORDINATE_ROLES]
         largest = np.nanmax(np.abs(table[:, [role in COORDINATE_ROLES for role in self.numbers]]), initial=0.0)
         declared_unit = next((c.unit for c in axes if c.unit in SI_PER_UNIT and c.unit), "")
@@ -236,7 +236,7 @@ class _PointRowReader:
 
 
 def _point_covariances(numbers_by_column: Mapping[str, Floats], n_points: int) -> Floats:
-    """Covariance (n, 3, 3) [m^2] of n points from columns with a full matrix, or with standard deviations."""
+    """Covariance (n, 3, 3) [m^2] of n points, from columns by role that hold full matrices or standard deviations."""
     if "covariance 0" in numbers_by_column:
         full = np.stack([numbers_by_column[f"covariance {i}"] for i in range(9)], axis=1).reshape(n_points, 3, 3)
         return np.asarray((full + full.transpose(0, 2, 1)) / 2)
@@ -272,7 +272,7 @@ class EpochCoordinates:
 
 
 def _targets_path(path: Path) -> Path:
-    """Path of the list of targets in a folder of results; any other path unchanged."""
+    """Path of the list of targets if `path` is a folder of results; otherwise `path` itself."""
     return path / TARGETS_FILE if (path / TARGETS_FILE).is_file() and not (path / "observations.csv").exists() else path
 
 
@@ -308,7 +308,7 @@ def read_coordinates(path: Path) -> EpochCoordinates:
 
 
 def _coordinates_from_gama(path: Path) -> EpochCoordinates:
-    """Adjusted points in a result of gama-local, with the covariance that its upper band [mm^2] gives."""
+    """Adjusted points in a result file of gama-local, with their covariance matrix from its upper band [mm^2]."""
     elements = {node.tag: node for node in parse_xml(path).descendants("adjusted", "cov-mat", "description")}
     if not {"adjusted", "cov-mat"} <= elements.keys():
         raise RecordError("contains no <adjusted> points with their <cov-mat>", file=path)
@@ -340,7 +340,7 @@ def _parse_number(cell: XmlNode) -> float:
 
 
 def _coordinates_from_list(path: Path) -> EpochCoordinates:
-    """Coordinates of a list along the axes that it gives; covariance from `NAME.covariance.csv` or its columns."""
+    """Coordinates from a list, along the axes it contains; covariance from `NAME.covariance.csv` or its columns."""
     listed = read_points(path)
     measured = np.isfinite(listed.points)
     axes = "".join(
@@ -371,7 +371,7 @@ def _coordinates_from_list(path: Path) -> EpochCoordinates:
 
 
 def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
-    """Content of ``NAME.covariance.csv``: a covariance [m^2] converted to mm^2, with headers such as ``TARGET.x``."""
+    """Content of ``NAME.covariance.csv`` [mm^2] from a covariance [m^2] of coordinates with names like ``TARGET.x``."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     names = list(map(guard_formula, coordinates))

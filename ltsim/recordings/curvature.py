@@ -18,10 +18,11 @@ deviation: Gauss's mean value; Brunner 1984, Geodetic Refraction.
 def with_earth_curvature(recording: Recording) -> Recording:
     """Recording whose set-up has plumb lines that depend on the position (`curved`), and refraction.
 
-    The recording is unchanged if its set-up declares either itself. Over a line of sight of length d a level surface
-    departs from the horizontal plane by d^2 / (2 R), with R the radius of the earth, which is an angle of d / (2 R).
-    The curvature is modelled if this angle exceeds `MIN_CURVATURE_SIGMAS` standard deviations of an elevation.
-    Refraction changes the angle by its fraction k (coefficient of refraction), and is modelled above the same limit.
+    A recording whose set-up declares `curved` is unchanged, and a declared refraction is kept. Over a line of sight of
+    length d a level surface departs from the horizontal plane by d^2 / (2 R), with R the radius of the earth, which is
+    an angle of d / (2 R). The curvature is modelled if this angle exceeds `MIN_CURVATURE_SIGMAS` standard deviations of
+    an elevation. Refraction changes the angle by its fraction k (the coefficient of refraction). It is modelled if k
+    plus one standard deviation of k, times the angle, exceeds the same limit.
     """
     setup = recording.setup
     is_levelled = np.array([recording.station_setup(name).levelled for name in recording.stations])[recording.station]
@@ -35,8 +36,8 @@ def with_earth_curvature(recording: Recording) -> Recording:
     longest = float(np.nanmax(horizontal_length))
     drop = longest**2 / (2.0 * EARTH_RADIUS) / MILLIMETRE
     note = (
-        f"the set-ups are levelled on a curved earth: over the longest sight, {longest:.4g} m, a level surface leaves "
-        f"the plane by {drop:.2g} mm; coordinates refer to one plumb line (for parallel plumb lines "
+        f"the set-ups are levelled on a curved earth: over the longest sight, {longest:.4g} m, a level surface departs "
+        f"from the plane by {drop:.2g} mm; coordinates refer to one plumb line (for parallel plumb lines "
         "set curved = false in setup.toml)"
     )
     if setup.refraction is None and sum(DEFAULT_REFRACTION) * angle_in_sigmas > MIN_CURVATURE_SIGMAS:

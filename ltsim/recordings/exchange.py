@@ -32,12 +32,13 @@ RecordingSource = Recording | str | Path
 MAX_HEAD_BYTES = 16_384
 """Number of bytes at the beginning of a file that are read to recognise its format."""
 MIN_CONTRADICTORY_ROWS = 2
-"""Number of rows that repeat a name with other coordinates, from which a list counts as the successive positions of one
-moving target."""
+"""Number of rows that repeat a name with other coordinates, from which a list of coordinates is taken as the successive
+positions of a moving target."""
 TRIAL_STATION_NAME = "S1"
-"""Name of a set-up with which a table of positions is tried."""
+"""Station name with which a list of coordinates is read on trial as a table of the positions that one station measured.
+"""
 MAX_REPEATED_POINT_M = 1e-3
-"""Distance [m] between rows with one name below which they count as repeated measurements of one point."""
+"""Distance [m] between rows with the same name below which they count as repeated measurements of a point."""
 NATIVE_FORMAT = "folder with observations.csv and setup.toml"
 POLAR_TEXT_FORMAT = "plain text: station, target, azimuth, zenith or elevation, distance"
 POINT_LIST_FORMAT = "names and coordinates, which are not a recording"
@@ -51,8 +52,8 @@ WriteFunction = Callable[[Recording, Path], None]
 class FileFormat:
     """File format: a function that recognises it by the beginning of a file, its reader, and its writer if it has one.
 
-    If `has_signature` is True, no other format can begin in the same way. If the beginning of a file fits several
-    formats, the `suffixes` of file names decide.
+    `description` is for lists of formats. If `has_signature` is True, no other format can begin in the same way. If the
+    beginning of a file fits several formats, the `suffixes` of file names, such as ".csv", decide.
     """
 
     name: str
@@ -133,14 +134,14 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     path : str or Path
         A folder or a file.
     format : str, optional
-        Name of the format; default by content, then by suffix.
+        Name of the format; by default recognised by the content, then by the suffix of the file name.
     hints : Hints, optional
         Decisions on an ambiguous file.
 
     Raises
     ------
     RecordError
-        The error and its place, or the hint that is needed.
+        The error and its location in the file, or the hint that is needed.
     """
     path = Path(path)
     hints = hints or NO_HINTS
@@ -169,7 +170,7 @@ def is_recording(path: Path) -> bool:
 
 
 def load_recording(source: RecordingSource) -> Recording:
-    """Recording itself, or the recording that is read from a path; raises RecordError for any other object."""
+    """Recording that `source` is, or that is read from the path `source`; raises RecordError for any other object."""
     if not isinstance(source, Recording | str | Path):
         raise RecordError(f"expected a recording or the path of one, found a {type(source).__name__}")
     return source if isinstance(source, Recording) else read(source)
@@ -208,7 +209,7 @@ def recognise_format(path: Path) -> FileFormat:
 
 
 def write(recording: Recording, path: Path | str, format: str = "native") -> None:  # noqa: A002
-    """Export of a recording to one of the formats with a writer.
+    """Export of a recording to a file or folder, in a format (by name) that has a writer.
 
     Raises RecordError if the format cannot represent the recording, or the path cannot be written to. No partial file
     remains.

@@ -16,9 +16,9 @@ MAX_RECORDING_NAME_LENGTH = 100
 MAX_NUMBER_LENGTH = 40
 """Number of characters above which a cell is not read as a number."""
 MAX_TEXT_LENGTH = 500
-"""Number of characters above which a text is refused."""
+"""Number of characters above which a text, such as a cell of an additional column, is refused."""
 MAX_RECORDING_TITLE_LENGTH = 120
-"""Number of characters to which the title of a foreign file is shortened."""
+"""Number of characters to which a title in a file of another program is shortened."""
 UTF8_MARK = b"\xef\xbb\xbf"
 """Byte-order mark of UTF-8."""
 UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
@@ -52,7 +52,7 @@ def read_bytes(path: Path, max_bytes: int = MAX_FILE_BYTES) -> bytes:
 
 
 def decode_head(content: bytes) -> str:
-    """Text of the first bytes of a file: UTF-16 by its byte-order mark, UTF-8, or Latin-1.
+    """Text of the first bytes of a file, decoded as UTF-16 (by its byte-order mark), UTF-8 or Latin-1.
 
     An incomplete last character is dropped.
     """
@@ -101,7 +101,7 @@ def read_lines(path: Path, *, replaces_undecodable: bool = False) -> list[str]:
 
 
 def with_unix_line_ends(text: str) -> str:
-    """Text with all line breaks converted to those of Unix."""
+    """Copy of `text` in which all line breaks are those of Unix."""
     return re.sub("\r+\n|\r", "\n", text) if "\r" in text else text
 
 
@@ -116,14 +116,14 @@ def is_not_finite(text: str) -> bool:
 
 
 def quoted_text(text: str, max_length: int = 40) -> str:
-    """`text` for a one-line message: without unprintable characters, cut after `max_length` characters."""
+    """Form of `text` for a one-line message: unprintable characters replaced, cut after `max_length` characters."""
     printable_text = "".join(c if c.isprintable() else "?" for c in text[: max_length + 1])
     return printable_text if len(printable_text) <= max_length else printable_text[:max_length] + "..."
 
 
 @dataclass(frozen=True, slots=True)
 class SourceLocation:
-    """Location in a file. Its methods check the content there, and their errors name file, row and column."""
+    """Location in a file; its methods check content from there and raise errors that name file, row and column."""
 
     file: object = None
     row: int | None = None
@@ -151,7 +151,7 @@ class SourceLocation:
         return value
 
     def name(self, name: str, kind: str, column: str | None = None) -> str:
-        """The name, checked as the name of a station, target or instrument; raises RecordError.
+        """Unchanged `name`, if it is permitted for a station, target or instrument (`kind`); raises RecordError.
 
         Names are used in tables, pages and paths; therefore control characters, markup and path separators are refused.
         """
@@ -172,7 +172,7 @@ class SourceLocation:
         return name
 
     def text(self, text: str, column: str | None = None) -> str:
-        """The text, checked as a short line without control characters or markup; raises RecordError."""
+        """Unchanged `text`, if it is a short line without control characters and markup; raises RecordError."""
         has_markup = "<" in text or ">" in text or not text.isprintable()
         if len(text) > MAX_TEXT_LENGTH or has_markup:
             reason = (
@@ -190,13 +190,13 @@ def parse_comma_number(text: str, *, file: object, row: int | None = None, colum
 
 
 def single_line_title(text: str) -> str:
-    """Title of a foreign file as one line of at most `MAX_RECORDING_TITLE_LENGTH` characters."""
+    """Title in a file of another program as one line of at most `MAX_RECORDING_TITLE_LENGTH` characters."""
     line = textwrap.shorten(text, MAX_RECORDING_TITLE_LENGTH, placeholder=" ...")
     return "".join(c for c in line.replace("<", "(").replace(">", ")") if c.isprintable())
 
 
 def write_texts(folder: Path, texts: Mapping[str, str | bytes]) -> None:
-    """Atomic writing of files, given as texts by name, into `folder`; names may contain subfolders.
+    """Atomic writing of files into `folder`, from contents by file name; names may contain subfolders.
 
     Raises RecordError if the folder cannot be created or written to, or a link leads out of it.
     """
@@ -208,5 +208,5 @@ def write_texts(folder: Path, texts: Mapping[str, str | bytes]) -> None:
 
 
 def write_text(path: Path, text: str | bytes) -> None:
-    """Atomic writing of one file: a temporary file is renamed to it."""
+    """Atomic writing of one file: a temporary file is written and then renamed to `path`."""
     write_texts(path.parent, {path.name: text})

@@ -58,7 +58,8 @@ def symmetric_matrix(upper_triangle: tuple[float, ...]) -> Floats:
 
 
 MIN_CORRELATION_EIGENVALUE = 1e-9
-"""Eigenvalue of a correlation matrix below which a declared covariance is refused as not positive definite."""
+"""Smallest eigenvalue of the correlation matrix of a declared covariance; with a smaller one the covariance is refused
+as not positive definite."""
 MIN_VECTOR_LENGTH = 1e-6
 """Length below which a vector is refused as a direction."""
 Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
@@ -73,7 +74,7 @@ Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
 SingleLine = Annotated[str, Field(max_length=200), AfterValidator(_require_single_line)]
 Date = Annotated[str, AfterValidator(_require_calendar_date)]
 MIN_SIGMA = 1e-6
-"""Smallest permitted standard deviation [mm, arcsec, ppm]; the weights of smaller ones lose their digits."""
+"""Smallest permitted standard deviation [mm, arcsec, ppm]; with a smaller one the normal equations lose digits."""
 Sigma = Annotated[float, Field(ge=MIN_SIGMA, le=1e9, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Covariance = Annotated[
@@ -85,6 +86,6 @@ EXACT_LEVELLING_SIGMA_ARCSEC = 1e-3
 
 
 class TomlSection(DescribedModel):
-    """Table of a user-written file: unknown keys are errors, values are immutable."""
+    """Base class of the tables of user-written TOML files: unknown keys are errors, values are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)

@@ -65,11 +65,11 @@ COLUMN_BOUNDS = {
 WRONG_UNIT_SUFFIXES = ("k", "f", "pa", "bar", "inch")
 """Suffixes of column names that are recognised as a wrong unit, in addition to the units of ltsim."""
 TextTable = tuple[list[str], list[Sequence[str]]]
-"""Names of columns, and the texts of each column, as `observations.csv` has them. Rows would take twice the memory."""
+"""Names of columns, and the texts of each column, as in `observations.csv`. A list of rows takes twice the memory."""
 MAX_COMPARED_NAMES = 100_000
-"""Number of names that are compared, in all notes on unused settings, to propose similar ones; one takes 5 us."""
+"""Largest number of names with which all notes on unused settings compare to propose similar ones; each takes 5 us."""
 MAX_INTERNED_TEXTS = 10_000
-"""Number of distinct texts of cells, such as names, up to which equal cells share one string, which saves memory."""
+"""Largest number of distinct texts of cells, such as names, whose equal cells share one string to save memory."""
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
@@ -78,7 +78,7 @@ def recognises(path: Path, file_beginning: str) -> bool:
 
 
 def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Recording of a folder (or of the `observations.csv` in it); raises RecordError.
+    """Recording from a folder, or from the path of the `observations.csv` in it; raises RecordError.
 
     For a recording that is still growing (`hints.incomplete_tail`) an incomplete last row is ignored, and targets of
     reference lengths may be missing. Azimuths that `hints` declares clockwise are reversed.
@@ -94,7 +94,7 @@ def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _read_table(path: Path, *, incomplete_tail: bool) -> TextTable:
-    """Header and columns of a CSV file, whose rows have the same number of cells; raises RecordError."""
+    """Header and columns of a CSV file; with `incomplete_tail` an incomplete end is ignored. Raises RecordError."""
     lines = read_lines(path)
     if lines[-1] and incomplete_tail:
         lines = lines[:-1]
@@ -104,7 +104,7 @@ def _read_table(path: Path, *, incomplete_tail: bool) -> TextTable:
         )
     rows, texts = list[list[str]](), dict[str, str]()
     try:
-        for fields in csv.reader(_release_lines(lines), strict=True):
+        for fields in csv.reader(_pop_lines(lines), strict=True):
             cells = [texts.get(cell, cell) for cell in map(str.strip, fields)]
             if len(texts) < MAX_INTERNED_TEXTS:
                 texts.update(zip(cells, cells, strict=True))
@@ -123,15 +123,15 @@ def _read_table(path: Path, *, incomplete_tail: bool) -> TextTable:
     return rows[0], list(zip(*rows[1:], strict=True))
 
 
-def _release_lines(lines: list[str]) -> Iterator[str]:
-    """Iterator over lines in order; each line is removed from the list before it is used, which frees its memory."""
+def _pop_lines(lines: list[str]) -> Iterator[str]:
+    """Lines in order; each line is removed from the list before it is yielded, which frees its memory."""
     lines.reverse()
     while lines:
         yield lines.pop()
 
 
 def parse(table: TextTable, setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
-    """Recording from the header and columns of `observations.csv` and its set-up; `folder` is named in errors."""
+    """Recording from header and columns of `observations.csv`, and its set-up; `folder` is only named in errors."""
     file = folder / OBSERVATIONS_FILE
     header = list(map(unguard_formula, table[0]))
     _check_header(header, file)
@@ -216,7 +216,7 @@ def _integer_column(column: list[str], location: SourceLocation, bounds: tuple[i
 
 
 def _float_column(column: list[str], location: SourceLocation, *, is_optional: bool = True) -> Floats:
-    """Column of numbers within the bounds of its name; empty cells are NaN if `is_optional`."""
+    """Numbers (n,) in a column of texts, checked with `COLUMN_BOUNDS`; empty cells are NaN if `is_optional`."""
     low, high = COLUMN_BOUNDS.get(location.column or "", (-1e15, 1e15))
     numbers = np.full(len(column), np.nan)
     filled_rows = [i for i, text in enumerate(column) if text or not is_optional]
@@ -286,7 +286,7 @@ def _require_declared_smrs(recording: Recording, folder: Path) -> None:
 
 
 def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
-    """Notes on settings without effect, such as tables of stations without pointings, and on changed data sheets."""
+    """Notes on settings without effect, such as tables of unmeasured stations, and on replaced data-sheet values."""
     setup, notes = recording.setup, list[str]()
     stations, targets = frozenset(recording.stations), frozenset(recording.targets)
     marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in stations)
@@ -322,7 +322,7 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
 
 
 def _similar_names(name: str, names: Sequence[str], n_notes: int) -> str:
-    """Text with names similar to `name`, for one of the first notes; empty after `n_notes` notes with many names."""
+    """End of a note, with `names` similar to `name`; empty if `n_notes` earlier notes compared too many names."""
     if (n_notes + 1) * len(names) > MAX_COMPARED_NAMES:
         return ""
     similar = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
@@ -330,7 +330,7 @@ def _similar_names(name: str, names: Sequence[str], n_notes: int) -> str:
 
 
 def write_recording(recording: Recording, path: Path) -> None:
-    """Writing of a recording as a folder; both files are written completely or not at all.
+    """Writing of a recording as a folder: both files are written completely, or neither.
 
     Raises RecordError for names or values that could not be read back, and if the folder cannot be written to.
     """
@@ -355,7 +355,7 @@ def recording_texts(recording: Recording, path: Path) -> dict[str, str]:
 
 
 def observation_table(recording: Recording) -> TextTable:
-    """Header and columns of `observations.csv`."""
+    """Header and columns of `observations.csv` for a recording."""
     readings = recording.readings
     columns: dict[str, Sequence[str]] = {
         "station": [guard_formula(recording.stations[i]) for i in recording.station],
@@ -374,14 +374,14 @@ def observation_table(recording: Recording) -> TextTable:
 
 
 def _integer_texts(values: Ints) -> list[str]:
-    """Integers as texts; equal ones share a text (memory)."""
+    """Texts of integers; equal integers share a text to save memory."""
     distinct, index = np.unique(values, return_inverse=True)
     texts = list(map(str, distinct.tolist()))
     return [texts[i] for i in index]
 
 
 def _number_texts(si_values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
-    """Texts of SI values in `unit`: with `digits` decimals if that is exact, otherwise with all digits; '' for NaN."""
+    """Texts of values, divided by `unit`: with `digits` decimals if exact, otherwise with all digits; '' for NaN."""
     is_finite = np.isfinite(si_values)
     finite_values = (si_values[is_finite] / unit).tolist()
     texts = list(map(repr, finite_values))

@@ -21,7 +21,10 @@ MAX_LISTED_NAMES = 12
 
 
 def days_of_pointings(recording: Recording) -> tuple[str, ...]:
-    """Day of each pointing, from the column `date` or counted from the clock; empty if neither tells several days."""
+    """Day of each pointing, n texts: from the column `date`, otherwise counted from the first pointing.
+
+    The result is empty without that column if the recording has no clock or is shorter than a day.
+    """
     if DAY_COLUMN in recording.labels:
         return recording.labels[DAY_COLUMN]
     if not recording.has_clock or np.ptp(recording.time) < DAY_LENGTH_S:
@@ -44,13 +47,15 @@ def check_centring(recording: Recording, file: object) -> None:
             message = f"occupation = \"day\" needs a column '{DAY_COLUMN}' or times of several days"
             raise location.error(f"{message}, and the recording has neither")
         if entry.occupation in OCCUPATION_COLUMNS and entry.occupation not in recording.labels:
-            raise location.error(f'occupation = "{entry.occupation}" needs this column, and the recording has none')
+            raise location.error(
+                f'occupation = "{entry.occupation}" needs a column of this name, and the recording has none'
+            )
 
 
 def target_occupations(recording: Recording, centring: CentringUncertainty) -> Ints:
-    """Index (n,) of the occupation of a target by a reflector, for each pointing; -1 without centring errors.
+    """Index (n,) of the occupation of its target by a reflector, for each pointing; -1 for one without centring errors.
 
-    Without the column or the days that distinguish occupations, each target has a single occupation.
+    Each target has a single occupation if the recording lacks the column, or the days, that distinguish occupations.
     """
     keys: Sequence[object] = ("",) * len(recording)
     if centring.occupation == "station":

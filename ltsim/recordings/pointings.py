@@ -32,7 +32,7 @@ _UNIT_BY_KIND = dict(zip(OBSERVABLES, SIGMA_UNITS, strict=True))
 class Pointing:
     """Pointing: names, face, range [m], azimuth and elevation [rad], time [s]; NaN if not measured.
 
-    `covariates` and `labels` are the numbers and texts of additional columns; `source` is the file and line.
+    `covariates` and `labels` are the numbers and texts of additional columns by name; `source` is the file and line.
     """
 
     station: str
@@ -65,12 +65,15 @@ class PointingColumns:
 
 
 def numbered_name(point: str, n_earlier: int) -> str:
-    """Name of a set-up over a point: the point's name, with a number if `n_earlier` set-ups were there before."""
+    """Name of a set-up over a point: the point's name, with a number if `n_earlier` set-ups were already over it."""
     return f"{point}#{n_earlier + 1}" if n_earlier else point
 
 
 def index_names(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, ...], Ints]:
-    """Distinct names in order of appearance, and the index of each entry; raises RecordError for an invalid name."""
+    """Distinct names in order of appearance, and the index (n,) of each of the n `names` among them.
+
+    `kind` is "station" or "target". Raises RecordError for a name that is not permitted.
+    """
     index_by_name: dict[str, int] = {}
     index = []
     for row, name in enumerate(names):
@@ -91,7 +94,7 @@ def declares_noise(recording: Recording) -> bool:
 def recording_of_pointings(
     pointings: Sequence[Pointing], setup: Setup, *, notes: Sequence[str] = (), file: object = None
 ) -> Recording:
-    """Recording of pointings in the order of the file; repeats are numbered.
+    """Recording of pointings in the order of the file; repeated pointings are numbered.
 
     Raises RecordError without pointings, for a pointing without a reading, and for a name that is not permitted.
     """
@@ -115,7 +118,7 @@ def recording_of_pointings(
 def recording_from_columns(
     columns: PointingColumns, recording_setup: Setup, *, notes: Sequence[str] = (), file: object = None
 ) -> Recording:
-    """Recording from the columns of a table of pointings, with the settings of `setup.toml`; repeats are numbered.
+    """Recording from columns of pointings, with `recording_setup` as its set-up; repeated pointings are numbered.
 
     Raises RecordError for a pointing without a reading, and for a name that is not permitted.
     """
@@ -150,7 +153,7 @@ def recording_from_columns(
 class SingleObservation:
     """Single observation of a target: value and standard deviation [m, rad], heights [m]; NaN if not given.
 
-    `is_horizontal` marks a distance that is reduced to the horizontal plane; `line` is that of the file, or 0.
+    `is_horizontal` marks a distance that is reduced to the horizontal plane; `line` is its line in the file, or 0.
     """
 
     kind: ObservationKind
@@ -163,11 +166,11 @@ class SingleObservation:
     is_horizontal: bool = False
     line: int = 0
     shared_error_changes: dict[str, float] = field(default_factory=dict)
-    """Change of the value [m, rad] by one standard deviation of each error that it shares with others, by name."""
+    """Change of the value [m, rad] by one standard deviation of each error that observations share, by error name."""
 
     @property
     def heights(self) -> tuple[float, float]:
-        """Heights [m] of the instrument and the target above their marks."""
+        """Heights [m] of the instrument and the reflector above their survey marks."""
         return self.instrument_height, self.target_height
 
 
@@ -192,7 +195,7 @@ def merge_observations(observations: Iterable[SingleObservation], file: str) -> 
         row[observation.kind] = observation
         if len(row) == len(OBSERVABLES):
             candidates.remove(row)
-    return [_pointing(row, file) for row in pointing_rows]
+    return [_merged_pointing(row, file) for row in pointing_rows]
 
 
 def _have_equal_heights(observations: Sequence[SingleObservation]) -> bool:
@@ -201,7 +204,7 @@ def _have_equal_heights(observations: Sequence[SingleObservation]) -> bool:
     )
 
 
-def _pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
+def _merged_pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
     sigmas = {SIGMA_COLUMNS[OBSERVABLES.index(kind)]: row[kind].sigma / _UNIT_BY_KIND[kind] for kind in row}
     heights = zip(HEIGHT_COLUMNS, zip(*(o.heights for o in row.values()), strict=True), strict=True)
     shared_columns = {
@@ -229,10 +232,10 @@ def _pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
 def separate_constant_heights(
     pointings: Sequence[Pointing],
 ) -> tuple[list[Pointing], dict[str, float], dict[str, float]]:
-    """Pointings without constant heights; these heights [mm] of the instrument by station, of reflectors by target.
+    """Pointings without constant heights, these heights [mm] of the instrument by station, of the reflector by target.
 
-    If the height varies at one station, all heights of instruments remain in the pointings, and their mapping is empty.
-    The same holds for the heights of reflectors.
+    If the height of the instrument varies at any station, all heights of instruments remain in the pointings and their
+    mapping is empty. The same holds for the heights of reflectors.
     """
     constant_heights: list[dict[str, float]] = []
     for column, kind in zip(HEIGHT_COLUMNS, ("station", "target"), strict=True):
@@ -248,6 +251,6 @@ def separate_constant_heights(
 
 
 def _without_constant_height(covariates: dict[str, float], column: str, *, is_constant: bool) -> dict[str, float]:
-    """Covariates of a pointing without the height in `column` if it `is_constant`, otherwise with it (or 0)."""
+    """Covariates of a pointing without the height in `column` if `is_constant`; otherwise with it, by default 0."""
     other_covariates = {name: value for name, value in covariates.items() if name != column}
     return other_covariates if is_constant else {**other_covariates, column: covariates.get(column, 0.0)}

@@ -20,15 +20,18 @@ from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Tar
 
 OBSERVABLES = ("distance", "azimuth", "elevation")
 SIGMA_COLUMNS = ("sigma_distance_mm", "sigma_azimuth_arcsec", "sigma_elevation_arcsec")
-"""Covariates with the standard deviation of single readings; an empty cell means the instrument's noise."""
+"""Columns with the standard deviation of each range, azimuth and elevation; an empty cell means the instrument's noise.
+"""
 SIGMA_UNITS = (MILLIMETRE, ARCSECOND, ARCSECOND)
 """Unit [m, rad, rad] of each of `SIGMA_COLUMNS`."""
 UNIT_SUFFIXES = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
 """Ends of the names of columns for each observable, with the unit, such as `distance_mm`."""
 HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
-"""Covariates with the heights of single pointings; an empty cell means the height in the set-up."""
+"""Columns with the heights of instrument and reflector in each pointing; an empty cell means the height in the set-up.
+"""
 SHARED_ERROR_COLUMN_PATTERN = re.compile(f"shared_(.+)_({'|'.join(UNIT_SUFFIXES)})")
-"""Name of a covariate with the change of each reading by one standard deviation of an error that readings share."""
+"""Pattern of the name of a column with the change of each reading by one standard deviation of an error that readings
+share: name of the error, then observable and unit."""
 BOOKKEEPING_COLUMNS = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
 """Covariates with standard deviations and heights, which a diagnosis does not use as regressors."""
 DISTANCE_KIND_COLUMN = "distance_kind"
@@ -50,14 +53,15 @@ There 1 arcsec across the beam is 2.8 deg of azimuth, and the elevation is not d
 is valid.
 """
 OCCUPATION_COLUMNS = ("instrument_setup", "target_setup")
-"""Text columns with the occupation of a mark by the instrument, and by the reflector, for each pointing."""
+"""Text columns that name the occupation of a survey mark by the instrument, and by the reflector, in each pointing."""
 
 
 def noise_sigma(noise_declarations: Sequence[Noise], instrument: Ints, range_: Floats, elevation: Floats) -> Floats:
     """Standard deviation (n, 3) [m, rad, rad] of the range, azimuth and elevation of n pointings by the declared noise.
 
-    `instrument` (n,) is the index into `noise_declarations` of the instrument of each pointing. A range has constant +
-    ppm * range, an azimuth the noise across the beam divided by the cosine of the elevation.
+    `instrument` (n,) is the index into `noise_declarations` of the instrument of each pointing; `range_` (n,) is in m,
+    `elevation` (n,) in rad. A range has the standard deviation distance_mm + distance_ppm * range, an azimuth that
+    across the beam divided by the cosine of the elevation.
     """
     noise_values = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise_declarations]
     units = np.array([MILLIMETRE, PPM, ARCSECOND, ARCSECOND])
@@ -79,10 +83,10 @@ def repeat_numbers(station: Ints, target: Ints, face: Ints) -> Ints:
 
 @dataclass(frozen=True, repr=False)
 class Recording(Result):
-    """Readings of a tracker network, with the prior knowledge about its set-up."""
+    """Readings of a tracker network in n pointings, with the prior knowledge about its set-up."""
 
     setup: Setup
-    """Prior knowledge about the set-up."""
+    """Prior knowledge about instruments, stations, targets and reference values, from `setup.toml`."""
     stations: tuple[str, ...]
     """Names of the stations."""
     targets: tuple[str, ...]
@@ -125,7 +129,7 @@ class Recording(Result):
 
     @property
     def headline(self) -> str:
-        """Number of stations, targets and pointings in one line."""
+        """Summary line with the title and the numbers of pointings, stations, targets, faces and known lengths."""
         faces = np.unique(self.face)
         in_faces = "two faces" if len(faces) == 2 else f"face {faces[0]} only" if len(faces) else "no face"
         title = f"{self.setup.title}: " if self.setup.title else ""
@@ -172,7 +176,7 @@ class Recording(Result):
 
     @property
     def is_vertical(self) -> Bools:
-        """Flags (n,) of the pointings along the vertical axis of the tracker, to the zenith or the nadir."""
+        """Flags (n,) of the pointings along the standing axis of the tracker, to its zenith or nadir."""
         return np.asarray(np.abs(np.cos(self.readings[:, 2])) < MIN_COS_ELEVATION_FOR_ANGLES)
 
     @cached_property
@@ -193,7 +197,7 @@ class Recording(Result):
         return name if name is not None and name in self.setup.instruments else ""
 
     def instrument_of(self, station: str) -> Instrument:
-        """Instrument of a station."""
+        """Declared instrument of the station with this name."""
         return self.setup.instrument_of(station)
 
     @property
@@ -202,23 +206,23 @@ class Recording(Result):
         return all(self.setup.instrument_named(name).corrected for name in self.instruments)
 
     def station_setup(self, station: str) -> Station:
-        """Entry of a station in the set-up (defaults where there is none)."""
+        """Prior knowledge about the station with this name; default values if the set-up has no table for it."""
         return self.setup.stations.get(station, _DEFAULT_STATION)
 
     def target_setup(self, target: str) -> Target:
-        """Entry of a target in the set-up (defaults where there is none)."""
+        """Prior knowledge about the target with this name; default values if the set-up has no table for it."""
         return self.setup.targets.get(target, _DEFAULT_TARGET)
 
     @property
     def gauge(self) -> Gauge:
-        """Gauge of the set-up; an empty one if there is none."""
+        """Reference lengths of the set-up; a gauge without lengths if the set-up declares none."""
         return self.setup.gauge or Gauge()
 
     def sigma(self) -> Floats:
         """Declared standard deviation (n, 3) [m, rad, rad] of each range, azimuth and elevation.
 
-        A value in the columns `SIGMA_COLUMNS` replaces that of the instrument's noise. For an azimuth it is the
-        standard deviation of the reading, not the one across the beam.
+        A value in the columns `SIGMA_COLUMNS` replaces the one that follows from the instrument's noise. For an azimuth
+        it is the standard deviation of the reading, not the one across the beam.
         """
         noise = [self.instrument_of(name).noise for name in self.stations]
         range_, _, elevation = np.nan_to_num(self.readings).T
@@ -230,7 +234,7 @@ class Recording(Result):
         return sigma
 
     def heights(self) -> tuple[Floats, Floats]:
-        """Heights (n,) [m] of the instrument, and heights (n,) [m] of the reflector, over their marks."""
+        """Heights (n,) [m] of the instrument, and heights (n,) [m] of the reflector, above their survey marks."""
         instrument = [self.station_setup(s).instrument_height_mm for s in self.stations]
         target = [self.target_setup(t).height_mm for t in self.targets]
         default_heights = np.array(instrument)[self.station], np.array(target)[self.target]
@@ -243,7 +247,10 @@ class Recording(Result):
 
     @property
     def regressor_covariates(self) -> Mapping[str, Floats]:
-        """Covariates (n,) by name on which readings may depend; with both meters also `distance_mode`, 1 for `ifm`."""
+        """Covariates (n,) by name on which readings may depend: all except standard deviations, heights, shared errors.
+
+        If both ADM and IFM measured, `distance_mode` is one of them: 1 for the IFM, 0 otherwise.
+        """
         columns = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING_COLUMNS}
         regressors = {
             name: column for name, column in columns.items() if not SHARED_ERROR_COLUMN_PATTERN.fullmatch(name)
@@ -288,14 +295,15 @@ class Recording(Result):
         )
 
     def thin(self, row_step: int) -> Recording:
-        """Recording with each `row_step`-th of the pointings from one station to one target on one face."""
+        """Recording with every `row_step`-th pointing of each station to each target on each face."""
         return self.select((repeat_numbers(self.station, self.target, self.face) - 1) % row_step == 0)
 
     def require_at_most(self, pointings: int, targets: int, command: str) -> None:
-        """Check that a command can process the recording: not more `pointings`, set-ups and `targets` than its limits.
+        """Check that the recording has at most this number of pointings and of targets, the limits of a `command`.
 
-        Raises NetworkError, which names the `command` and the way to divide or to thin the recording. The environment
-        variable that raises the limit of the pointings raises the other limits by the same factor.
+        The number of set-ups is checked too (`MAX_NETWORK_SETUPS`). Raises NetworkError, which names the `command` and
+        the way to divide or to thin the recording. The environment variable that raises the limit of the pointings
+        raises the other limits by the same factor.
         """
         setups, pointings, targets = (max_pointings(n) for n in (MAX_NETWORK_SETUPS, pointings, targets))
         if len(self.stations) > setups:
@@ -328,9 +336,9 @@ class Recording(Result):
         return f"on a machine with more memory set the environment variable {POINTINGS_LIMIT_VARIABLE} to {len(self)}"
 
     def with_readings(self, readings: Floats) -> Recording:
-        """Copy of the recording with other readings (n, 3)."""
+        """Copy of the recording with these readings (n, 3) [m, rad, rad] instead of its own."""
         return self.replace(readings=readings)
 
     def replace(self, **changes: Any) -> Recording:
-        """Copy of the recording with other values of some fields."""
+        """Copy of the recording in which `changes` replace the fields with these names."""
         return dataclasses.replace(self, **changes)

@@ -1,4 +1,4 @@
-"""Reference values of a recording: reference lengths at their temperature of use, and differences between marks."""
+"""Reference values of a recording: lengths at their temperature of use, and coordinate differences between marks."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Target, symmetric_matrix
 
 EXPANSION_ERROR_PREFIX = "expansion of "
-"""Beginning of the name of the error that lengths of one material share: the error of the expansion coefficient."""
+"""Beginning of the name of the error of an expansion coefficient, which lengths of one material share."""
 SCALE_ERROR_NAME = "scale of all lengths"
-"""Name of the error of scale that all lengths share."""
+"""Name of the scale error that all lengths share."""
 MIN_UNKNOWN_SCALE_PPM = 1000.0
 """Declared standard deviation [ppm] of the common scale of all lengths above which the lengths determine only ratios.
 
@@ -50,7 +50,7 @@ class ReferenceLengths:
     def from_recording(cls, recording: Recording, file: object = "setup.toml") -> Self:
         """Reference lengths between targets of the recording; `file` is named in errors.
 
-        Raises RecordError if a material is not declared, or the column with temperatures has none for a length.
+        Raises RecordError if a material is not declared, or if a length has no temperature in the declared column.
         """
         index = {name: i for i, name in enumerate(recording.targets)}
         indexed_lengths = [(i, d) for i, d in enumerate(recording.gauge.distance) if d.from_ in index and d.to in index]
@@ -79,23 +79,24 @@ class ReferenceLengths:
 
     @property
     def is_scale_determined(self) -> bool:
-        """True if the lengths constrain their common scale."""
+        """True if the lengths determine the scale of the network, not only the ratios of its lengths."""
         return SCALE_ERROR_NAME not in self.shared_error_changes or bool(
             np.any(self.shared_error_changes[SCALE_ERROR_NAME] < 0.99 * MIN_UNKNOWN_SCALE_PPM * PPM * self.lengths)
         )
 
     @property
     def sigma(self) -> Floats:
-        """Total standard deviation (g,) [m] of each length, with the shared errors."""
+        """Total standard deviation (g,) [m] of each length: certificate and shared errors."""
         return np.sqrt(self.certificate_sigmas**2 + sum(change**2 for change in self.shared_error_changes.values()))
 
 
 def _expansion_factor_and_changes(
     recording: Recording, gauge_distance: GaugeDistance, location: dict[str, Any]
 ) -> tuple[float, dict[str, float]]:
-    """Ratio of a length at its temperature of use to that at calibration, and its change by one sigma of each error.
+    """Ratio of a length at its temperature of use to the length at calibration, and changes of the ratio by errors.
 
-    The changes are given by the name of the error, which other lengths may share.
+    The changes are those by one standard deviation of each error, by name of the error; several lengths may share it.
+    `location` (file and column) is named in errors.
     """
     if gauge_distance.measured_in_place:
         return 1.0, {}
@@ -130,7 +131,10 @@ def _expansion_factor_and_changes(
 
 
 def _mean_of_column(recording: Recording, name: str, gauge: GaugeDistance, location: dict[str, Any]) -> float:
-    """Mean of the column `name` over the pointings to both ends of a length; raises RecordError."""
+    """Mean of the column `name` [deg C] over the pointings to both ends of the reference length `gauge`.
+
+    Raises RecordError, which names `location`, if there is no such column or it is empty there.
+    """
     if name not in recording.covariates:
         columns = ", ".join(recording.covariates) or "none"
         message = f"measured_at_c names '{quoted_text(name)}', which is not a column of numbers; there are {columns}"
@@ -144,15 +148,15 @@ def _mean_of_column(recording: Recording, name: str, gauge: GaugeDistance, locat
 
 
 MAX_EXACT_SIGMA_RATIO = 0.1
-"""Ratio of the standard deviation of an unmeasured mark to that of a difference, up to which the mark counts as
-exact."""
+"""Largest ratio of the standard deviation of the coordinates of an unmeasured mark to the standard deviation of a
+reference difference, at which the difference takes the mark as exact."""
 
 
 def mark_indices(recording: Recording) -> dict[str, int]:
-    """Index of each mark by name, in a recording with T targets and S set-ups.
+    """Index of each survey mark by name, in a recording with T targets and S set-ups.
 
-    A measured mark has the index of its target (0 to T - 1), a mark under a set-up T plus the index of the first set-up
-    over it, and an unmeasured mark with known coordinates T + S.
+    A mark that was measured has the index of its target (0 to T - 1), a mark under a set-up T plus the index of the
+    first set-up over it. Every mark with known coordinates that is neither has the index T + S.
     """
     n_targets, unmeasured_index = len(recording.targets), len(recording.targets) + len(recording.stations)
     index_by_mark = {
@@ -164,7 +168,10 @@ def mark_indices(recording: Recording) -> dict[str, int]:
 
 
 def check_differences(recording: Recording, file: object) -> None:
-    """Check that each end of a reference difference was measured, or is known ten times better; raises RecordError."""
+    """Check that each end of a reference difference was measured, or is known ten times better than the difference.
+
+    Raises RecordError, which names `file`.
+    """
     index_by_mark, unmeasured_index = mark_indices(recording), len(recording.targets) + len(recording.stations)
     for difference in recording.setup.differences:
         for name in (difference.from_, difference.to):
@@ -172,7 +179,7 @@ def check_differences(recording: Recording, file: object) -> None:
                 recording.target_setup(name), difference
             ):
                 wanted = f"known along {difference.known_axes}, at least ten times better than this difference"
-                message = f"'{quoted_text(name)}' was never measured, expected a mark that was, or one that is {wanted}"
+                message = f"'{quoted_text(name)}' was never measured, expected a measured mark, or one that is {wanted}"
                 raise SourceLocation(file, column=f"difference {difference.label}").error(message)
 
 

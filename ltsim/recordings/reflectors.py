@@ -29,11 +29,12 @@ def excess_radii_of_names(
 ) -> Floats:
     """Height (n,) [m] of each pointing's SMR centre above the seat of its nest, minus the reference height.
 
-    The reference height is `reference_mm`, or the common radius of all SMRs. It also holds for a pointing without SMR
-    ('' in `names`), such as a planned one. `file` is named in errors.
+    `names` are the SMRs and `targets` the targets of the n pointings. The reference height is `reference_mm`, or the
+    common radius of all SMRs; it is also the height of a pointing without SMR ('' in `names`), such as a planned one.
+    `reflectors` are the declared SMRs by name; `file` is named in errors.
 
-    Raises RecordError if an SMR has no table, if radii differ without a declared reference, or if an SMR of another
-    radius was in a nest without normal.
+    Raises RecordError if an SMR has no table, if radii differ without a declared reference, or if an SMR whose radius
+    is not the reference was in a nest without normal.
     """
     names_used = [name for name in dict.fromkeys(names) if name]
     for name in names_used:
@@ -66,7 +67,8 @@ def excess_radii_of_names(
 def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | None:
     """Height (n,) [m] of the SMR centre above the seat of its nest in each pointing, minus the reference height.
 
-    The result is None if all are 0. Raises RecordError under the conditions of `excess_radii_of_names`.
+    The result is None if all differences are 0. Raises RecordError if an SMR has no table, radii differ without a
+    declared reference, or a nest without normal held an SMR whose radius is not the reference.
     """
     setup = recording.setup
     if not setup.reflectors:
@@ -82,7 +84,7 @@ def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | 
 def require_equal_radii(recording: Recording, task: str) -> None:
     """Check that all SMRs have the reference radius, so that every SMR centre is at its target.
 
-    Raises NetworkError that names the `task` which needs this.
+    Raises NetworkError, whose subject is the `task` that assumes this.
     """
     if excess_radii(recording) is not None:
         raise NetworkError(

@@ -1,8 +1,8 @@
-"""Resolution of the readings of a file: the largest usual step of which all values are multiples.
+"""Resolution of the readings of a file: the largest usual display step of which all readings are multiples.
 
-A total station shows about as many digits as it measures, so its default noise is no smaller than the step of its
-readings. The values decide and not the digits of the file: degrees, minutes and seconds, and lengths that were
-converted from feet, have digits beyond their step.
+A total station displays about as many digits as are significant, so the default noise that is assumed for it is no
+smaller than the step of its readings. The step follows from the values, not from the number of digits in the file:
+angles in degrees, minutes and seconds, and lengths converted from feet, have digits beyond their step.
 """
 
 from collections.abc import Sequence
@@ -23,19 +23,23 @@ ANGLE_STEPS = tuple(
         reverse=True,
     )
 )
-"""Steps [rad] of the displays of theodolites, the largest first; 1 arcsec and less is the noise of the default."""
+"""Display steps [rad] of theodolites, the largest first; smaller steps have no influence beside the default noise."""
 FOOT_STEPS = tuple(step * SI_PER_UNIT["ft"] for step in (0.1, 0.05, 0.01, 0.005, 0.001))
-"""Steps [m] of the displays of distance meters in feet, the largest first."""
+"""Display steps [m] of distance meters that display feet, the largest first."""
 LENGTH_STEPS = tuple(sorted((*FOOT_STEPS, 0.1, 0.05, 0.01, 0.005, 0.001), reverse=True))
-"""Steps [m] of the displays of distance meters in metres and in feet, the largest first."""
+"""Display steps [m] of distance meters that display metres or feet, the largest first."""
 MAX_STEP_DEVIATION = 1e-4
-"""Largest difference of a value from a multiple of a step, in steps: rounding of numbers with 15 digits."""
+"""Largest difference between a reading and a multiple of a step, in steps, at which the reading counts as this
+multiple: rounding of numbers with 15 digits."""
 MIN_VALUES_FOR_STEP = 10
-"""Smallest number of different values that show a step: fewer may all be multiples by chance."""
+"""Number of different readings below which no step is determined: so few may all be multiples by chance."""
 
 
 def reading_step(readings: Floats, steps: Sequence[float]) -> float:
-    """Largest of descending `steps` of which all finite values of `readings` (n,) are multiples; 0 without one."""
+    """Largest of `steps` of which all finite `readings` (n,) are multiples, in their unit; 0 if there is no such step.
+
+    `steps` are in descending order and in the unit of the readings.
+    """
     readings = readings[np.isfinite(readings)]
     if len(np.unique(readings)) < MIN_VALUES_FOR_STEP:
         return 0.0
@@ -45,7 +49,11 @@ def reading_step(readings: Floats, steps: Sequence[float]) -> float:
 
 
 def default_total_station(readings: Floats, reason: str) -> tuple[Instrument, str]:
-    """Default total station, with a noise no smaller than the steps of its readings (n, 3) [m, rad], and its note."""
+    """Default total station with a noise no smaller than the steps of its readings, and a note that reports this noise.
+
+    `readings` (n, 3) are distance, azimuth and elevation [m, rad, rad]; `reason` completes the note: why the file is
+    taken as one of a total station.
+    """
     noise = TOTAL_STATION.noise
     distance_mm = reading_step(readings[:, 0], LENGTH_STEPS) / MILLIMETRE
     angle_arcsec = reading_step(readings[:, 1:].ravel(), ANGLE_STEPS) / ARCSECOND

@@ -1,4 +1,4 @@
-"""Base class of results that have a JSON file: one pydantic model is the Python object and the content of the file.
+"""Base class of results with a JSON file: the same pydantic model is the Python object and the content of the file.
 
 The JSON file holds digests of its companion files and of the recording, so that tables of different runs are never
 mixed.
@@ -38,16 +38,16 @@ from ltsim.recordings.recording import Recording
 DIGEST_STEP = 1e-6
 """Step [m, rad] to which a digest rounds readings, so that writing and reading a recording does not change it."""
 DIGEST_OFFSET = 1.0 / np.pi
-"""Offset, in steps, that is added before rounding, so that decimal readings are not on the limit between two steps."""
+"""Offset, in steps, that is added before rounding, so that no decimal reading lies on the limit between two steps."""
 
 
 def finite_or_none(value: Any) -> Any:
-    """The value itself; None for a number that is not finite."""
+    """Unchanged `value`; None for a floating-point number that is not finite."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _require_not_zero(value: Any) -> Any:
-    """The number, or the vector, itself; raises ValueError if it is smaller than `MIN_NONZERO_MAGNITUDE`."""
+    """Unchanged `value`, a number or a vector; raises ValueError if it is smaller than `MIN_NONZERO_MAGNITUDE`."""
     if not np.max(np.abs(value)) >= MIN_NONZERO_MAGNITUDE:
         raise ValueError("Input should not be zero")
     return value
@@ -55,7 +55,7 @@ def _require_not_zero(value: Any) -> Any:
 
 Finite = FiniteFloat
 OptionalFloat = Annotated[FiniteFloat | None, BeforeValidator(finite_or_none)]
-"""A number, or null if there is none, because JSON has neither NaN nor infinities."""
+"""Number, or null for NaN and infinities, which JSON does not have."""
 NotNegative = Annotated[Finite, Field(ge=0)]
 Sigma = Annotated[NotNegative | None, BeforeValidator(finite_or_none)]
 MIN_NONZERO_MAGNITUDE = 1.0 / MAX_MAGNITUDE
@@ -68,7 +68,7 @@ Quaternion = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_re
 
 
 def _stop_at_first_error(schema: Any) -> None:
-    """Change of a pydantic core schema in place, so that validation of a list stops at its first wrong entry."""
+    """Modification of a pydantic core schema in place: validation of a list then stops at its first wrong entry."""
     if isinstance(schema, list | tuple):
         for part in schema:
             _stop_at_first_error(part)
@@ -81,19 +81,19 @@ def _stop_at_first_error(schema: Any) -> None:
 
 
 class Entry(DescribedModel):
-    """Table of a result file: values are immutable, and unknown keys (of a later version) are ignored."""
+    """Base class of objects in a result file: values are immutable, unknown keys (of a later version) are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, populate_by_name=True)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Core schema with which validation of a list stops at its first wrong entry: each error takes 500 bytes."""
+        """Core schema with which validation of a list stops at its first wrong entry, to save the memory of errors."""
         schema = handler(source)
         _stop_at_first_error(schema)
         return schema
 
     def with_values(self, **values: Any) -> Self:
-        """Validated copy of the entry with other values of some fields; numbers that are not finite become null.
+        """Validated copy in which `values` replace the fields with these names; NaN and infinities become None.
 
         Raises TypeError for a name that is no field: validation would ignore it as a key of a later version.
         """
@@ -116,7 +116,7 @@ class SourceEntry(Entry):
 
     @classmethod
     def from_recording(cls, recording: Recording) -> SourceEntry:
-        """Entry for a recording."""
+        """Description of a recording: its title, number of pointings, digest and day of measurement."""
         time_keys = {"measured": recording.setup.measured_on} if recording.setup.measured_on else {}
         return cls(
             title=recording.setup.title, pointings=len(recording), digest=recording_digest(recording), **time_keys
@@ -124,7 +124,7 @@ class SourceEntry(Entry):
 
     @classmethod
     def from_coordinates(cls, coordinates: EpochCoordinates) -> SourceEntry:
-        """Entry for a list of coordinates, whose pointings are unknown."""
+        """Description of a list of coordinates: its title and digest, with 0 pointings."""
         content = (
             "\t".join((*coordinates.names, coordinates.axes)).encode()
             + coordinates.points.tobytes()
@@ -136,8 +136,8 @@ class SourceEntry(Entry):
 class ResultFile(Entry, Result):
     """Base model of a result: the object that a public function returns, and the content of its JSON file.
 
-    Subclasses set `FILE`, the name of the file, and `format`. Arrays that the file does not hold are in private
-    attributes, which comparisons ignore.
+    Subclasses set `FILE`, the name of the file, and `format`. Arrays that the file does not contain are in private
+    attributes, which the comparison of results ignores.
     """
 
     FILE: ClassVar[str]
@@ -165,7 +165,10 @@ class ResultFile(Entry, Result):
         return json.dumps(self.content(), indent=1, allow_nan=False) + "\n"
 
     def is_ltsim_file(self, folder: Path, name: str) -> bool:
-        """True if the file `name` in the result's folder was written together with the result; raises RecordError."""
+        """True if the file `name` in `folder` was written together with this result, by its digest.
+
+        Raises RecordError if the file cannot be read.
+        """
         return self.files.get(name) == _digest(read_bytes(folder / name))
 
 
@@ -189,7 +192,7 @@ ResultFileType = TypeVar("ResultFileType", bound=ResultFile)
 
 
 def write_result(folder: Path, result: ResultFileType, companions: Mapping[str, str | bytes]) -> ResultFileType:
-    """Writing of a result and its companion files, given by name; returns the result with the digests of these files.
+    """Copy of `result` with digests of its companion files (contents by file name); all are written into `folder`.
 
     Raises RecordError if the folder cannot be written to; no partial files remain.
     """
@@ -221,7 +224,7 @@ def read_result(path: Path, model: type[ResultFileType]) -> ResultFileType:
 
 
 def read_json(file: Path, kind: str) -> dict[str, Any]:
-    """Object in a JSON file; `kind` is the expected content, for errors.
+    """JSON object in a file, as a dictionary; `kind` is the expected content, named in errors.
 
     Raises RecordError for other content, for too many values, and for a number beyond `MAX_MAGNITUDE`.
     """
@@ -249,9 +252,9 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
 
 
 def companion_path(folder: Path, name: str, result: ResultFile) -> Path | None:
-    """Path of the companion file `name` of a result; None if there is none.
+    """Path of the companion file `name` of a result in `folder`; None if there is no such file.
 
-    Raises RecordError when it was not written together with the result.
+    Raises RecordError if the file was not written together with the result.
     """
     file = folder / name
     if not file.is_file():
@@ -265,7 +268,10 @@ def companion_path(folder: Path, name: str, result: ResultFile) -> Path | None:
 
 
 def require_same_recording(result: ResultFile, recording: Recording | None, folder: Path) -> None:
-    """Check that a recording is the one from which a result was computed; raises RecordError."""
+    """Check that a recording, if given, is the one from which `result` (read from `folder`) was computed.
+
+    Raises RecordError.
+    """
     source = result.recording
     if recording is None or source is None or source.digest == recording_digest(recording):
         return

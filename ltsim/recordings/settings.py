@@ -59,8 +59,8 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
 def check_toml_limits(text: str, file: object) -> None:
     """Check of the number of keys and values, and of the depth of tables, in a TOML text before it is parsed.
 
-    Strings and comments are skipped. Each part of a dotted key counts as a key; it, and each bracket around it, adds
-    one to the depth. Raises RecordError, also for a key or number of too many characters.
+    Strings and comments are skipped. Each part of a dotted key counts as a key. Each part, and each bracket around it,
+    adds one to the depth. Raises RecordError, also for a key or number with too many characters.
     """
     keys = values = brackets = parts = line = 0
     is_header = False
@@ -101,14 +101,19 @@ def _line_number_of_token(token: re.Match[str]) -> int:
 
 def validate_setup(setup_tables: Mapping[str, Any], file: object) -> Setup:
     """Set-up from the tables of a file; `file` is named in errors. Raises RecordError."""
-    tables = with_completed_instruments(setup_tables, lambda table, place: _with_data_sheet(table, place, file))
+    tables = with_completed_instruments(
+        setup_tables, lambda table, place: _with_data_sheet_defaults(table, place, file)
+    )
     setup = validate_settings(tables, Setup, "set-up", file)
     _check_names(setup, file)
     return setup
 
 
 def with_completed_instruments(tables: Mapping[str, Any], complete_table: Callable[[Any, str], Any]) -> dict[str, Any]:
-    """Tables of a file in which `complete_table(table, key)` replaces the table of each instrument, at its key."""
+    """Tables of a file in which `complete_table(table, key)` replaces the table of each instrument.
+
+    `key` is ``instrument`` or ``instruments.NAME``.
+    """
     completed, named_instruments = dict(tables), tables.get("instruments")
     if isinstance(named_instruments, dict):
         completed["instruments"] = {
@@ -119,7 +124,7 @@ def with_completed_instruments(tables: Mapping[str, Any], complete_table: Callab
     return completed
 
 
-def _with_data_sheet(table: Any, place: str, file: object) -> Any:
+def _with_data_sheet_defaults(table: Any, place: str, file: object) -> Any:
     if not isinstance(table, dict) or not isinstance(table.get("sheet"), str):
         return table
     from ltsim.recordings.specification import (  # most files name no sheet and need not wait
@@ -135,7 +140,7 @@ def _with_data_sheet(table: Any, place: str, file: object) -> Any:
 
 
 def merge_defaults(table: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """Table with the entries of `defaults` as defaults; nested tables are merged recursively."""
+    """Entries of `table`, and those of `defaults` whose keys `table` lacks; nested tables are merged recursively."""
     common_keys = [
         key for key, value in defaults.items() if isinstance(value, dict) and isinstance(table.get(key), dict)
     ]
@@ -164,7 +169,10 @@ def validate_settings(tables: Mapping[str, Any], model: type[SettingsType], kind
 
 
 def load_settings(path: Path, model: type[SettingsType], kind: str) -> SettingsType:
-    """User-written file validated against its model; raises SetupError."""
+    """Settings from a user-written file, validated against their `model`; `kind` is the expected content, for errors.
+
+    Raises SetupError.
+    """
     with as_setup_error():
         return validate_settings(read_toml(path, kind), model, kind, path)
 
@@ -174,9 +182,9 @@ def _single_line(problem: Exception) -> str:
 
 
 def _check_names(setup: Setup, file: object) -> None:
-    """Check of a set-up: permitted names, declared instruments, lengths and differences between two different ends.
+    """Check of a set-up: permitted names, declared instruments, two different ends of each length and each difference.
 
-    Raises RecordError.
+    Raises RecordError, which names `file`.
     """
     for kind, names in (
         ("station", setup.stations),
@@ -263,7 +271,7 @@ def _model_schema(root: type[BaseModel]) -> JsonSchema:
 
 
 def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[JsonSchema, list[JsonSchema]]]:
-    """JSON schemas of the value at a `path` of keys below the schema `root`, each with the list of its alternatives."""
+    """JSON schemas of the value at a `path` of keys in the model `root`, each with the schemas of its alternatives."""
 
     def choices(node: JsonSchema) -> list[JsonSchema]:
         if "$ref" in node:

@@ -37,7 +37,7 @@ MIN_BENCH_ANGLES = 3
 
 
 class Noise(TomlSection):
-    """Standard deviations of the white noise of readings; that of a range is distance_mm + distance_ppm * range."""
+    """Standard deviations of the white noise of readings; a range has distance_mm + distance_ppm * range."""
 
     distance_mm: NonNegative = 0.003
     """Part of a range's standard deviation that does not depend on the range."""
@@ -69,17 +69,17 @@ class Prior(TomlSection):
     offset_mm: Sigma = 0.020
     """Standard deviation of every offset of an axis or of the beam."""
     parameters: dict[str, Positive] = Field(default_factory=dict)
-    """Standard deviations of single parameters by name, in the unit of the parameter; they replace those of the keys
-    above."""
+    """Standard deviations of single parameters by name, in the unit of the parameter; they replace the values of the
+    other keys."""
 
 
 class ElevationLimits(TomlSection):
     """Range of elevations that the instrument can measure."""
 
     elevation_min_deg: Elevation = -55.0
-    """Lowest elevation."""
+    """Lowest elevation that the instrument can measure."""
     elevation_max_deg: Elevation = 77.0
-    """Highest elevation."""
+    """Highest elevation that the instrument can measure."""
 
     @model_validator(mode="after")
     def _check_elevation_order(self) -> ElevationLimits:
@@ -102,7 +102,7 @@ class Instrument(TomlSection):
     corrected: bool = False
     """True if the readings already contain the corrections of the manufacturer or of an earlier calibration."""
     noise: Noise = Noise()
-    """Standard deviations of the white noise."""
+    """Standard deviations of the white noise of readings."""
     prior: Prior = Prior()
     """Prior standard deviations of the instrument's parameters, from the manufacturer's specification."""
     limits: ElevationLimits | None = None
@@ -113,7 +113,7 @@ class Material(TomlSection):
     """Material of a gauge or a scale bar; lengths of one material share the error of its expansion coefficient."""
 
     expansion_per_k: Finite = 0.0
-    """Coefficient of thermal expansion."""
+    """Coefficient of thermal expansion of the material."""
     sigma_expansion_per_k: NonNegative | None = None
     """Standard deviation of the coefficient of thermal expansion; by default the coefficient is exact."""
 
@@ -126,8 +126,8 @@ class LengthConditions(TomlSection):
     both ends is used; default the temperature of the gauge.
     """
     sigma_temperature_k: NonNegative | None = None
-    """Standard deviation of that temperature, an error that all lengths with the same column share; default that of the
-    gauge.
+    """Standard deviation of this temperature, an error that all lengths with the same column share; default that of the
+    gauge temperature.
     """
     material: SingleLine | None = None
     """Name of a table `[gauge.materials.NAME]`; default the expansion coefficient of the gauge."""
@@ -146,18 +146,18 @@ class GaugeDistance(LengthConditions):
     length_mm: Positive
     """Length at the temperature `calibrated_at_c`, or as measured in the hall (`measured_in_place`)."""
     sigma_mm: Sigma
-    """Standard deviation of the length."""
+    """Standard deviation of `length_mm`."""
 
 
 class Gauge(TomlSection):
     """Reference lengths, with the temperatures of their calibration and of the recording."""
 
     calibrated_at_c: Finite = 20.0
-    """Temperature to which the lengths refer."""
+    """Temperature to which all reference lengths refer, except those measured in the hall."""
     measured_at_c: Finite | SingleLine = 20.0
     """Temperature of the gauge during the recording: a number, or the name of a column."""
     expansion_per_k: Finite = 0.0
-    """Coefficient of thermal expansion."""
+    """Coefficient of thermal expansion of the lengths without `material`."""
     sigma_expansion_per_k: NonNegative | None = None
     """Standard deviation of the coefficient, an error that all lengths share; by default the coefficient is exact."""
     sigma_temperature_k: NonNegative | None = None
@@ -175,17 +175,17 @@ class Station(TomlSection):
     """Prior knowledge about one set-up, from the floor plan or a level.
 
     `over` names the target on whose mark the tripod stands. The head is `instrument_height_mm` above the mark along
-    `vertical`, the direction of the plumb line in the network frame (default z; it differs between stations in a
-    network that is large compared with the curvature of the earth).
+    `vertical`, the direction of the plumb line in the network frame (default z; it differs between stations of a
+    network that is so large that the curvature of the earth matters).
     """
 
     position_mm: Vector | None = None
-    """Rough position of the head on the floor plan, an approximate value without weight; it also gives nest directions
-    in the network frame.
+    """Rough position of the head on the floor plan, an approximate value without weight. Such positions also relate the
+    axes of the floor plan, in which nest normals are given, to the network frame.
     """
     yaw_deg: Finite | None = None
-    """Direction of azimuth zero, counter-clockwise from x: an approximate value, used if fewer than three positions of
-    stations are known.
+    """Direction of azimuth zero, counter-clockwise from x: an approximate value, used if fewer than three stations have
+    a `position_mm`.
     """
     yaw_sigma_arcsec: Sigma | None = None
     """Standard deviation of `yaw_deg`, for example of a gyroscope. With this key `yaw_deg` of a levelled station is a
@@ -198,9 +198,9 @@ class Station(TomlSection):
     instrument: str | None = None
     """Name of the instrument at this station, a table `[instruments.NAME]`."""
     instrument_height_mm: Height = 0.0
-    """Height of the head above its mark."""
+    """Height of the head above the survey mark under it."""
     over: str | None = None
-    """Name of the target on whose mark the tripod stands."""
+    """Name of the target on whose survey mark the tripod stands."""
     vertical: Direction | None = None
     """Direction of the plumb line in the network frame; default z."""
 
@@ -220,7 +220,8 @@ class Target(TomlSection):
     """
 
     nest_normal: Direction | None = None
-    """Normal of the open face of a fixed reflector, on the floor plan."""
+    """Direction of the nest's normal in the axes of the floor plan; a reflector that is not turned has its open face
+    towards it."""
     reflector: str | None = None
     """Name of the SMR in this target, for pointings that name none; targets with the same SMR share its errors."""
     reaimed: bool = True
@@ -238,15 +239,15 @@ class Target(TomlSection):
     approximate_mm: Vector | None = None
     """Start value of the coordinates, without weight."""
     datum: bool = False
-    """True for a target in the inner constraints that define the frame."""
+    """True for a target whose coordinates take part in the inner constraints that define the frame."""
     datum_axes: Axes = "xyz"
     """Axes along which the target takes part in the inner constraints."""
     height_mm: Height = 0.0
-    """Height of the reflector above the mark that the name refers to."""
+    """Height of the reflector above the survey mark that has the name of the target."""
 
 
 class ReferenceDifference(TomlSection):
-    """Known vector between two marks, for example from levelling (along z) or satellites: a weighted constraint.
+    """Known vector between two survey marks, for example from levelling (along z) or GNSS: a weighted constraint.
 
     Marks are targets, or points under set-ups. A mark that was not measured must be known ten times better than the
     difference.
@@ -255,9 +256,9 @@ class ReferenceDifference(TomlSection):
     name: SingleLine | None = None
     """Name of the difference, needed if several differences join the same marks; default `A-B` for marks A and B."""
     from_: str = Field(alias="from")
-    """Mark at the start."""
+    """Survey mark at the start of the vector."""
     to: str
-    """Mark at the end."""
+    """Survey mark at the end of the vector."""
     known_mm: Vector
     """Coordinates of `to` minus those of `from`."""
     known_sigma_mm: Sigma = 0.01
@@ -297,14 +298,15 @@ class BenchTest(TomlSection):
     angle_deg: tuple[Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)], ...]
     """Angles of incidence."""
     error_um: tuple[Finite, ...]
-    """Range error (reading minus truth) at each angle, up to a constant that all angles share."""
+    """Range error (reading minus true range) at each angle, up to an additive constant that all angles share."""
     sigma_um: tuple[NonNegative, ...]
     """Standard deviation of each error relative to the error at normal incidence."""
     direction_deg: Finite = 0.0
-    """Direction of the positive angles around the nest, 0 along the horizontal, given by the mark on the SMR."""
+    """Direction around the nest's normal in which angles of incidence are positive, 0 along the horizontal; an index
+    mark on the SMR shows it."""
 
     @model_validator(mode="after")
-    def _check_lengths(self) -> BenchTest:
+    def _check_equal_counts(self) -> BenchTest:
         counts = len(self.angle_deg), len(self.error_um), len(self.sigma_um)
         if len(set(counts)) > 1 or counts[0] < MIN_BENCH_ANGLES:
             angles, errors, sigmas = counts
@@ -321,15 +323,15 @@ class Setup(TomlSection):
     format: Literal["ltsim-recording/1"] = "ltsim-recording/1"
     """Format and version of this file."""
     title: str = ""
-    """Free text."""
+    """Title of the recording, free text."""
     started: str = ""
     """Start of the recording (time 0): date and time in ISO format, or the time alone."""
     axes: SingleLine | None = None
-    """Source of the coordinates of the datum's targets. With this key each target is tested against the others; one
-    that contradicts them is removed from the datum and reported.
+    """Source of the coordinates of the datum's targets. With this key each of these targets is tested against the other
+    ones; a target that contradicts them is removed from the datum and reported.
     """
     heads_sigma_mm: Sigma | None = None
-    """Standard deviation of the height of a tracker head, or a reflector, above its mark. With this key the adjustment
+    """Standard deviation of the height of a tracker head, or a reflector, above its survey mark. With it the adjustment
     estimates a correction of the height in each occupation, named by `instrument_setup` and `target_setup`.
     """
     curved: bool = False
@@ -351,13 +353,13 @@ class Setup(TomlSection):
     instruments: dict[str, Instrument] = Field(default_factory=dict)
     """Several instruments by name, tables `[instruments.NAME]`."""
     gauge: Gauge | None = None
-    """Reference lengths."""
+    """Reference lengths with their temperatures, table `[gauge]`."""
     stations: dict[str, Station] = Field(default_factory=dict)
     """Prior knowledge about set-ups, tables `[stations.NAME]`."""
     targets: dict[str, Target] = Field(default_factory=dict)
     """Prior knowledge about targets, tables `[targets.NAME]`."""
     differences: tuple[ReferenceDifference, ...] = ()
-    """Known vectors between marks, one table `[[differences]]` each."""
+    """Known vectors between survey marks, one table `[[differences]]` each."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
     """SMRs with individual radii, tables `[reflectors.NAME]`. The centre of an SMR is displaced along the nest normal
     by its radius minus the reference radius. Without tables all SMRs are equal.
@@ -370,7 +372,7 @@ class Setup(TomlSection):
     """
 
     def instrument_of(self, station: str) -> Instrument:
-        """Instrument of a station."""
+        """Instrument of the station with this name."""
         return self.instrument_named(self.stations.get(station, Station()).instrument or "")
 
     def instrument_named(self, name: str) -> Instrument:

@@ -16,14 +16,14 @@ from ltsim.geometry.polar import to_polar
 from ltsim.recordings.setup import Instrument, Noise, NonNegative, Prior, TomlSection
 
 MPE_COVERAGE_FACTOR = 2.0
-"""Number of standard deviations that a maximum permissible error counts as: manufacturers state a typical error of half
-the maximum."""
+"""Maximum permissible error divided by the standard deviation that is derived from it: manufacturers specify a typical
+error of half the maximum."""
 TWO_FACE_LIMIT_RATIO = 2.0
 """Limit of a two-face difference divided by the limit of the error of a point perpendicular to the beam (ISO
 10360-10:2021, 6.3 and annex D).
 """
 REQUIRED_LIMITS = ("transverse_um", "transverse_um_per_m", "range_um", "range_um_per_m")
-"""Keys of a specification that must be given, because tests have no limit without them."""
+"""Keys of a specification that must be given, because acceptance tests have no limit without them."""
 RANGE_PREFIXES = ("distance_", "range_")
 """Beginnings of the keys of noise and prior that follow from the limits of range errors."""
 
@@ -32,19 +32,19 @@ TOTAL_STATION_NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.
 TOTAL_STATION = Instrument(noise=TOTAL_STATION_NOISE, corrected=True)
 """Instrument that is assumed for files of total stations; its readings are already corrected."""
 ASSUMED_NOISE_TEXT = "the file declares no noise"
-"""Beginning of the notes on an assumed noise."""
+"""Beginning of a note that reports an assumed noise."""
 NO_NOISE_NOTE = (
-    f"{ASSUMED_NOISE_TEXT}: that of the default laser tracker is used (3 um + 0.3 ppm, 0.37 arcsec); set it in "
+    f"{ASSUMED_NOISE_TEXT}: the noise of the default laser tracker is used (3 um + 0.3 ppm, 0.37 arcsec); set it in "
     "setup.toml, or estimate it from the readings (--noise-from-data)"
 )
 TOTAL_STATION_NOTE = (
-    ASSUMED_NOISE_TEXT + ": that of a total station is used ({distance:g} mm + {ppm:g} ppm, {angle:g} arcsec), "
+    ASSUMED_NOISE_TEXT + ": the noise of a total station is used ({distance:g} mm + {ppm:g} ppm, {angle:g} arcsec), "
     "because {reason}; set it in setup.toml, or estimate it from the readings (--noise-from-data)"
 )
 
 
 def has_assumed_noise(notes: Iterable[str]) -> bool:
-    """True if one of the notes of a recording says that its noise is assumed, because its file declares none."""
+    """True if one of the notes of a recording reports that its noise is assumed, because its file declares none."""
     return any(note.startswith(ASSUMED_NOISE_TEXT) for note in notes)
 
 
@@ -59,11 +59,11 @@ class Specification(TomlSection):
     name: str = ""
     """Name of the instrument."""
     source: str = ""
-    """Source of the numbers."""
+    """Source of the numbers, such as the title of a data sheet."""
     transverse_um: NonNegative
-    """Limit perpendicular to the beam, constant part (e_T)."""
+    """Limit of the error of a point perpendicular to the beam, constant part (e_T)."""
     transverse_um_per_m: NonNegative
-    """Limit perpendicular to the beam, part proportional to the range."""
+    """Limit of the error of a point perpendicular to the beam, part proportional to the range."""
     range_um: NonNegative
     """Limit of the range error, constant part (e_ADM or e_IFM)."""
     range_um_per_m: NonNegative
@@ -71,7 +71,7 @@ class Specification(TomlSection):
     range_offset_um: NonNegative = 0.0
     """Limit of the range zero error (e_R0)."""
     noise_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
-    """Fraction of the variance that is noise; the rest belongs to the instrument's constants."""
+    """Fraction of the variance that is noise; the rest is due to errors of the instrument parameters."""
 
     @model_validator(mode="after")
     def _check_positive_limits(self) -> Self:
@@ -81,11 +81,11 @@ class Specification(TomlSection):
         return self
 
     def transverse_limit(self, range_: Floats) -> Floats:
-        """Limit [m] of the error of a point perpendicular to the beam, at ranges [m]."""
+        """Limit (k,) [m] of the error of a point perpendicular to the beam, at ranges (k,) [m]."""
         return (self.transverse_um + self.transverse_um_per_m * range_) * MICROMETRE
 
     def range_limit(self, range_: Floats) -> Floats:
-        """Limit [m] of the error of a point along the beam, at ranges [m], without the range zero error."""
+        """Limit (k,) [m] of the error of a point along the beam, at ranges (k,) [m], without the range zero error."""
         return (self.range_um + self.range_um_per_m * range_) * MICROMETRE
 
     def length_limits(self, first_points: Floats, second_points: Floats) -> Floats:
@@ -113,9 +113,9 @@ class Specification(TomlSection):
         """Instrument whose noise and priors correspond to these limits at `MPE_COVERAGE_FACTOR` sigma.
 
         The part of each limit that grows with the range is an angle or a scale, the constant part an offset. The
-        fraction `noise_share` of each variance is noise of the readings, and the rest belongs to the instrument's
-        constants; two angular constants act on each direction perpendicular to the beam. The constant transverse part
-        belongs to offsets alone. The constant part of the range is all noise if the range zero has a separate limit.
+        fraction `noise_share` of each variance is noise of the readings, and the rest the prior variance of instrument
+        parameters, of which two angular ones act on each direction perpendicular to the beam. The constant transverse
+        part is that of offsets alone. The constant part of the range is all noise if the range zero has its own limit.
         """
         sigma = 1.0 / MPE_COVERAGE_FACTOR
         noise_factor, constants_factor = np.sqrt(self.noise_share), np.sqrt(1 - self.noise_share)
@@ -144,7 +144,7 @@ class Specification(TomlSection):
         return (
             f"a limit is taken as {MPE_COVERAGE_FACTOR:g} standard deviations, {100 * self.noise_share:g} "
             "% of the variance as "
-            "noise and the rest as constants of the instrument"
+            "noise and the rest as errors of the instrument parameters"
         )
 
 
@@ -168,9 +168,10 @@ def data_sheet_values(name: str) -> dict[str, Any]:
 
 
 def complete_values(name: str, declared_values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values of a specification by key: those that the user declares, otherwise those of a built-in data sheet.
+    """Values of a `Specification` by key: those that the user declares, and for other keys those of a data sheet.
 
-    Raises ModelError if there is no such sheet, or neither gives a required limit.
+    `name` is that of a built-in data sheet. Raises ModelError if there is no such sheet, or neither source gives a
+    required limit.
     """
     keys = data_sheet_values(name)
     missing = [key for key in REQUIRED_LIMITS if key not in keys and key not in declared_values]
@@ -192,9 +193,9 @@ def noise_and_prior_tables(
 ) -> dict[str, dict[str, float]]:
     """Tables ``noise`` and ``prior`` from a built-in data sheet.
 
-    `declared_tables` are the tables of the instrument that the user declares. They must contain the values that the
-    sheet does not give, and the keys `limit_keys` of the table ``limits``, because no available sheet gives the range
-    of elevations.
+    `name` is that of the data sheet, `declared_tables` are the tables of the instrument in the user's file. These must
+    contain the values that the sheet does not give, and the keys `limit_keys` of the table ``limits``, because no
+    built-in sheet gives the range of elevations.
 
     Raises ModelError if there is no such sheet, or such a value is missing.
     """
@@ -232,7 +233,7 @@ def noise_and_prior_tables(
 
 
 def deviating_keys(instrument: Instrument) -> list[str]:
-    """Keys of noise and prior whose values differ from those of the instrument's data sheet."""
+    """Keys of ``noise`` and ``prior``, such as ``noise.distance_mm``, whose values differ from the data sheet."""
     if instrument.sheet is None:
         return []
     declared_tables: dict[str, dict[str, float]] = instrument.model_dump(include={"noise", "prior"})

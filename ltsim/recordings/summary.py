@@ -1,4 +1,4 @@
-"""Summary of the content of a recording, to compare with the field book before any computation."""
+"""Summary of the content of a recording, which the user compares with the field book before any computation."""
 
 from collections.abc import Sequence
 
@@ -11,11 +11,11 @@ from ltsim.recordings.recording import HEIGHT_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Noise
 
 MAX_NAMES_IN_SUMMARY = 6
-"""Largest number of names, or of noise descriptions, in a line of the summary."""
+"""Largest number of names of set-ups, or of texts of noise, in a line of the summary."""
 
 
 def recording_summary(recording: Recording) -> dict[str, str]:
-    """Text by topic: set-ups, pointings, faces, readings, heights, time, noise and reference values of a recording."""
+    """Summary text of a recording by topic: set-ups, pointings, faces, readings, heights, time, noise, known values."""
     topics = {
         "set-ups": _setups_text(recording),
         "pointings": _pointings_text(recording),
@@ -97,7 +97,7 @@ def _time_text(recording: Recording) -> str:
 
 
 def recording_noise_text(recording: Recording) -> str:
-    """Standard deviations of the readings as text: those of each instrument, and whether rows declare their own."""
+    """Text of the standard deviations of readings: per instrument, and `declared per row` if a column gives them."""
     instrument_by_noise = {recording.instrument_of(name).noise: name for name in reversed(recording.stations)}
     words = [noise_text(noise) for noise in instrument_by_noise]
     if len(words) > 1:
@@ -132,7 +132,7 @@ def _reference_values_text(recording: Recording) -> str:
 
 
 def _range_text(values: Floats | Sequence[float], number_format: str) -> str:
-    """Text with the smallest and the largest of the finite values, in the number format `number_format`."""
+    """Text with the smallest and the largest finite value, such as "3 to 8"; `number_format` is "d" or like ".4g"."""
     finite = np.asarray(values, dtype=np.float64)
     finite = finite[np.isfinite(finite)]
     low, high = (format(int(v) if number_format == "d" else v, number_format) for v in (finite.min(), finite.max()))

@@ -1,4 +1,4 @@
-"""Text of times of a recording, for sentences on what happened when."""
+"""Texts of times and time intervals of a recording, for messages."""
 
 from collections.abc import Sequence
 from datetime import datetime, time as clock, timedelta
@@ -7,9 +7,9 @@ from ltsim.recordings.recording import Recording
 
 
 def time_text(recording: Recording, time: float) -> str:
-    """Text of a time [s] since the start of a recording with a clock.
+    """Text of a `time` [s] since the start of a recording with a clock.
 
-    The text is the clock time if the start is declared, otherwise the number of seconds.
+    The text is date and clock time, or clock time, as the set-up declares the start; otherwise the number of seconds.
     """
     started = recording.setup.started
     try:
@@ -28,8 +28,9 @@ def interval_text(
 ) -> str:
     """Text of the interval between the times of two pointings, given by their indices in the recording.
 
-    Their rows follow the times, or replace them if the recording has no clock: `between 310.0 s and 320.0 s (rows 32
-    and 33)`. `row_numbers` (n,) are the rows of the n pointings, from 1, if the recording is a part of a larger one.
+    The numbers of both rows follow the times: `between 310.0 s and 320.0 s (rows 32 and 33)`; without a clock only the
+    rows are given. `row_numbers` (n,) are the row numbers, from 1, of the n pointings in the larger recording of which
+    this recording is a part; by default indices plus 1.
     """
     first, second = (index + 1 if row_numbers is None else row_numbers[index] for index in (first_index, second_index))
     rows = f"rows {first} and {second}"

@@ -1,7 +1,7 @@
-"""Transcription errors: readings in another unit, in another sense, or of the other face.
+"""Transcription errors: readings in a wrong unit, in the opposite sense, or of the other face.
 
-Readers use the list of these errors to refuse a file, an effect to simulate such an error, and the diagnosis to correct
-a station or a single pointing. A file with a column that is wrong in all rows (radians as degrees, metres as
+Readers use the list of these errors to refuse a file. An effect simulates such an error, and the diagnosis corrects it
+at a station or a single pointing. A file with a column that is wrong in all rows (radians as degrees, metres as
 millimetres, gon, zenith angles) is refused by `require_degrees_and_millimetres`. A wrong unit in one row is a gross
 error, which the diagnosis locates.
 """
@@ -21,19 +21,19 @@ from ltsim.recordings.files import SourceLocation
 
 @dataclass(frozen=True)
 class TranscriptionError:
-    """Transcription error of a recording, whose columns contain factor * reading + offset in place of the reading."""
+    """Transcription error of a recording: its columns contain factor * reading + offset in place of the reading."""
 
     name: str
     wrong_content: str
-    """Text for what the columns contain, such as "metres"."""
+    """Content of the columns with the error, as text such as "metres"."""
     right_content: str
-    """Text for what the columns should contain, such as "millimetres"."""
+    """Content of the columns without the error, as text such as "millimetres"."""
     reading_conversions: tuple[tuple[int, float, float], ...]
     """Column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad] of each changed reading."""
 
     @property
     def changed_columns(self) -> tuple[int, ...]:
-        """Columns that the error changes."""
+        """Indices of the columns that the error changes: 0 range, 1 azimuth, 2 elevation."""
         return tuple(column for column, _, _ in self.reading_conversions)
 
     @property
@@ -56,18 +56,18 @@ class TranscriptionError:
         return corrected
 
 
-def _length_error(name: str, unit: str, unit_in_mm: float) -> TranscriptionError:
+def _length_unit_error(name: str, unit: str, unit_in_mm: float) -> TranscriptionError:
     return TranscriptionError(name, unit, "millimetres", ((0, 1.0 / unit_in_mm, 0.0),))
 
 
 GON_PER_DEGREE, RADIAN_PER_DEGREE = (SI_PER_UNIT["deg"] / SI_PER_UNIT[unit] for unit in ("gon", "rad"))
 
 UNIT_ERRORS = (
-    _length_error("inch", "inches", 25.4),
-    _length_error("metre", "metres", 1e3),
-    _length_error("micrometre", "micrometres", 1e-3),
-    _length_error("centimetre", "centimetres", 10.0),
-    _length_error("foot", "feet", 304.8),
+    _length_unit_error("inch", "inches", 25.4),
+    _length_unit_error("metre", "metres", 1e3),
+    _length_unit_error("micrometre", "micrometres", 1e-3),
+    _length_unit_error("centimetre", "centimetres", 10.0),
+    _length_unit_error("foot", "feet", 304.8),
     TranscriptionError("gon", "gon", "degrees", ((1, GON_PER_DEGREE, 0.0), (2, GON_PER_DEGREE, 0.0))),
     TranscriptionError("radian", "radians", "degrees", ((1, RADIAN_PER_DEGREE, 0.0), (2, RADIAN_PER_DEGREE, 0.0))),
     TranscriptionError("gon-azimuth", "gon", "degrees of the azimuth", ((1, GON_PER_DEGREE, 0.0),)),
@@ -84,37 +84,41 @@ UNIT_ERRORS = (
 """Transcription errors of a unit, the kind of vertical angle, or the sense of the azimuth."""
 
 FACE_ERRORS = (
-    TranscriptionError("face-azimuth", "the azimuth of the other face", "its own value", ((1, 1.0, np.pi),)),
-    TranscriptionError("face-elevation", "the elevation of the other face", "its own value", ((2, -1.0, np.pi),)),
+    TranscriptionError("face-azimuth", "the azimuth of the other face", "that of its own face", ((1, 1.0, np.pi),)),
+    TranscriptionError(
+        "face-elevation", "the elevation of the other face", "that of its own face", ((2, -1.0, np.pi),)
+    ),
 )
 """Transcription errors of one angle that was read on the other face."""
 
 MAX_CIRCLE_RADIANS = 2 * np.pi + 0.01
 """Largest angle [rad] up to which a column may be in radians: a full circle, with a margin for rounding."""
 MIN_DISTANCE_MM = 200.0
-"""Longest distance of a recording, as a number, below which its distances are in metres, not millimetres."""
+"""Number below which the longest distance of a recording shows that its distances are in metres, not millimetres."""
 MAX_COMPARED_PAIRS = 400
 """Largest number of pairs of stations, and of lengths between targets, that are compared."""
 MAX_COMPARED_TARGETS = 60
-"""Largest number of targets of two stations that are compared."""
+"""Largest number of common targets of two stations between which lengths are compared."""
 MIN_WRONG_DISAGREEMENT = 2e-3
-"""Median relative difference of the lengths between targets from two stations, above which an error is searched."""
+"""Median relative difference, between stations, of the lengths between their common targets, above which a
+transcription error is sought."""
 MAX_RIGHT_DISAGREEMENT = 2e-4
-"""Median relative difference of the lengths between targets, below which a correction explains the file."""
+"""Median relative difference, between stations, of the lengths between their common targets, below which they count as
+equal, so that the correction of a transcription error explains the file."""
 
 MIN_MIRRORED_TARGETS = 5
-"""Smallest number of common targets of two stations that are compared with mirror images: four may lie in a plane."""
+"""Smallest number of common targets with which two stations are tested as mirror images: four may lie in a plane."""
 
 
 @dataclass(frozen=True)
 class StationCloud:
-    """Targets (k,) of one station in ascending order, and their mean positions (k, 3) in the station's frame."""
+    """Indices (k,) of the targets of one station, ascending, and their mean positions (k, 3) in the station's frame."""
 
     targets: Ints
     points: Floats
 
     def common_points(self, other_cloud: StationCloud) -> tuple[Floats, Floats]:
-        """Positions (m, 3) of the targets of both stations, in both frames."""
+        """Positions (m, 3) of the m common targets in the frame of this station, and in that of the other station."""
         _, rows, other_rows = np.intersect1d(self.targets, other_cloud.targets, assume_unique=True, return_indices=True)
         return self.points[rows], other_cloud.points[other_rows]
 
@@ -122,9 +126,10 @@ class StationCloud:
 def station_clouds(
     points: Floats, station: Ints, target: Ints, max_stations: int | None = None
 ) -> dict[int, StationCloud]:
-    """Cloud of each station, by its index, of the positions (n, 3) of single pointings; rows with NaN are ignored.
+    """Mean positions of the targets of each station, by station index, from n single pointings.
 
-    Only the first `max_stations` stations with a position have a cloud; by default all.
+    `points` (n, 3) are positions in each station's frame; rows with NaN are ignored. `station` and `target` (n,) are
+    indices. Only the first `max_stations` stations with a position are returned; by default all.
     """
     is_valid = np.all(np.isfinite(points), axis=1)
     n_targets = int(target.max(initial=0)) + 1
@@ -141,7 +146,7 @@ def station_clouds(
 
 
 def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
-    """Numbers (S, S) of targets that pairs of S stations share, from the stations and targets (n,) of pointings."""
+    """Number (S, S) of targets that each pair of the S stations shares; `station` and `target` (n,) index pointings."""
     pairs = np.unique(np.stack([target, station]), axis=1)
     counts = np.zeros((n_stations, n_stations), dtype=np.int64)
     for part in batches(int(target.max(initial=0)) + 1, n_stations):
@@ -153,9 +158,10 @@ def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
 
 
 def neighbour_pairs(station: Ints, target: Ints, n_stations: int) -> list[tuple[int, int]]:
-    """Pairs of each station and that earlier one with which it shares most targets, `MIN_MIRRORED_TARGETS` at least.
+    """Pairs of the earlier station with which a station shares most targets, and this station, as indices.
 
-    Fewer targets may lie in a plane, which is its own mirror image.
+    Pairs with fewer than `MIN_MIRRORED_TARGETS` common targets are left out: these may lie in a plane, which is its own
+    mirror image.
     """
     n_shared = np.triu(shared_target_counts(station, target, n_stations), 1)
     best_neighbours = n_shared.argmax(axis=0).tolist()
@@ -163,10 +169,10 @@ def neighbour_pairs(station: Ints, target: Ints, n_stations: int) -> list[tuple[
 
 
 def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:
-    """Median relative difference of the lengths between targets from two stations; NaN without two common targets.
+    """Median relative difference between the lengths that two stations measure between their common targets.
 
-    Lengths do not depend on poses: they test units and the kind of vertical angle, but not the sense of the azimuth.
-    `points` (n, 3) are the positions in each station's frame.
+    The result is NaN if no two stations have two common targets. Lengths do not depend on poses: they test units and
+    the kind of vertical angle, but not the sense of the azimuth. `points` (n, 3) are positions in each station's frame.
     """
     clouds = station_clouds(points, station, target, MAX_COMPARED_PAIRS + 1).values()
     disagreements: list[float] = []
@@ -183,9 +189,9 @@ def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:
 
 
 def position_disagreement(points: Floats, station: Ints, target: Ints) -> float:
-    """Median over targets of the distance [m] between their positions from different stations; NaN without any.
+    """Median, over targets, of the distance [m] between their positions from different stations.
 
-    `points` (n, 3) are the positions in a common frame.
+    `points` (n, 3) are the positions in a common frame. The result is NaN if no target was measured from two stations.
     """
     clouds = station_clouds(points, station, target).values()
     if not clouds:
@@ -200,7 +206,7 @@ def position_disagreement(points: Floats, station: Ints, target: Ints) -> float:
 
 
 def _two_face_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Floats:
-    """Sum of the mean vertical angles on both faces, for each station and target that were measured on both."""
+    """Sum (k,) of the mean vertical angles on face 1 and face 2, for each sight (station, target) on both faces."""
     keys, place = np.unique(station * (int(target.max(initial=0)) + 1) + target, return_inverse=True)
     means = []
     for side in (1, 2):
@@ -246,7 +252,7 @@ def require_degrees_and_millimetres(
 
 
 def _face_sum_with_error(error: TranscriptionError) -> float | None:
-    """Sum [deg] of the vertical angles of a target on both faces with a transcription error.
+    """Sum of the vertical angles on both faces that a file with a transcription error contains, in the wrong unit.
 
     None if the error leaves vertical angles unchanged.
     """
@@ -258,10 +264,10 @@ def _face_sum_with_error(error: TranscriptionError) -> float | None:
 
 
 def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> TranscriptionError | None:
-    """Transcription error of all angles whose correction makes lengths between targets equal from all stations.
+    """Transcription error of all angles whose correction makes the lengths between targets equal from all stations.
 
-    `readings` (n, 3) [m, rad, rad] are raw. None if there is no such error, or the lengths are already equal. Lengths
-    do not reveal a mirrored network.
+    `readings` (n, 3) [m, rad, rad] are uncorrected. None if there is no such error, or the lengths are already equal.
+    Lengths do not reveal a mirrored network.
     """
     if not length_disagreement(from_polar(readings), station, target) > MIN_WRONG_DISAGREEMENT:
         return None

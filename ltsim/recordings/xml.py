@@ -34,7 +34,7 @@ LINE_ATTRIBUTE = "{ltsim}line"
 
 
 class _LineNumberBuilder(TreeBuilder):
-    """Tree builder that adds to each element the line where it begins and raises RecordError beyond a depth limit."""
+    """Tree builder that adds a line number to each element, and raises RecordError for too deeply nested elements."""
 
     def __init__(self, file: Path) -> None:
         super().__init__()
@@ -51,7 +51,7 @@ class _LineNumberBuilder(TreeBuilder):
 
 
 class _DepthCheck:
-    """Parser target that builds no tree and raises RecordError for elements beyond the permitted depth."""
+    """Parser target that builds no tree and raises RecordError if elements are nested deeper than `MAX_XML_DEPTH`."""
 
     def __init__(self, file: Path) -> None:
         self._file, self._depth = file, 0
@@ -69,7 +69,10 @@ class _DepthCheck:
 
 
 class _WorkbookCheck(_DepthCheck):
-    """Check that counts elements also, and cells in each row: a library keeps both in memory."""
+    """Parser target that also limits the number of elements, and of cells in a row of a workbook.
+
+    The library that reads workbooks keeps all of them in memory.
+    """
 
     def __init__(self, file: Path) -> None:
         super().__init__(file)
@@ -97,7 +100,7 @@ def check_tag_attributes(content: bytes, file: Path) -> None:
 
 
 def check_xml_part(content: bytes, file: Path) -> None:
-    """Check of a part of a workbook, before another library parses it: entities, elements, depth, attributes, encoding.
+    """Check of an XML part of a workbook before a library parses it: entities, elements, depth, attributes, encoding.
 
     Raises RecordError, or ParseError if the text is not well formed.
     """
@@ -185,7 +188,10 @@ class XmlNode:
         return self.get(name)
 
     def number(self, name: str, default: float | None = None, limit: float = 1e12) -> float:
-        """Number of an attribute; if the attribute is missing, the default, or RecordError without a default."""
+        """Attribute as a number of at most `limit` in magnitude; `default` if the attribute is missing.
+
+        Raises RecordError for other content, and for a missing attribute without default.
+        """
         if default is not None and name not in self:
             return default
         return self.location.number(self.required_attribute(name), f"<{quoted_text(self.tag)}> {name}", limit=limit)
@@ -196,9 +202,9 @@ class XmlNode:
 
 
 def band_matrix_size(node: XmlNode, n_rows: float, band: float) -> int:
-    """Number of values of the upper triangle of a matrix in Gama's band form.
+    """Number of values in a symmetric band matrix of GNU Gama: diagonal and `band` diagonals above it, `n_rows` rows.
 
-    Raises RecordError, which names `node`, for a size that is not possible or above the limit.
+    Raises RecordError, which names `node`, if a size is not possible or the number of values exceeds the limit.
     """
     if not 0 <= band < n_rows or n_rows % 1:
         raise node.location.error(MATRIX_SIZE_MESSAGE)
@@ -213,9 +219,10 @@ def band_matrix_size(node: XmlNode, n_rows: float, band: float) -> int:
 def band_matrix_entries(
     node: XmlNode, n_rows: float, band: float, band_values: Sequence[float]
 ) -> tuple[Ints, Ints, Floats]:
-    """Row index (k,), column index (k,) and value (k,) of the upper triangle of a matrix in Gama's band form.
+    """Row index (k,), column index (k,) and value (k,) of each value in the upper band of a symmetric matrix.
 
-    Raises RecordError, which names `node`, if the number of values does not match the size and the band width.
+    `band_values` are row by row: the diagonal and the `band` next values, as in files of GNU Gama. Raises RecordError,
+    which names `node`, if their number does not match.
     """
     if len(band_values) != band_matrix_size(node, n_rows, band):
         raise node.location.error(MATRIX_SIZE_MESSAGE)

@@ -329,7 +329,7 @@ def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ('<point id="BM" z="8.5" fix="z"/>', "", "difference BM-A: 'BM' was never measured, expected a mark that was"),
+        ('<point id="BM" z="8.5" fix="z"/>', "", "difference BM-A: 'BM' was never measured, expected a measured mark"),
         ('id="BM" z="8.5" fix="z"', 'id="BM" z="8.5" adj="z"', "difference BM-A: 'BM' was never measured"),
         ("</obs>", '<cov-mat dim="6" band="1">9 9 9 0 9 0 9 0 9 0 9</cov-mat></obs>', "not positive definite"),
         ("</obs>", '<cov-mat dim="6" band="0">9 0 9 9 9 9</cov-mat></obs>', "has a variance that is not above 0"),

@@ -84,7 +84,7 @@ def test_what_was_tried_and_did_not_help_is_said() -> None:
     assert f"{found.n_tried['move']} moves of a reflector (0 help)" in found.summary_sentence
     alone = evaluate_reflector_changes(site(), site().survey, STAYS, LayoutObjective(), misalignment_construction())
     assert alone.n_tried == {"move": 0, "add": 0, "remove": 24}
-    assert "give candidates" in alone.summary_sentence
+    assert "Give candidate places" in alone.summary_sentence
 
 
 def test_reflectors_are_chosen_for_the_targets_alone() -> None:

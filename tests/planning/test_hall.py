@@ -319,7 +319,7 @@ def test_tapes_meet_in_one_point_or_say_what_they_lack(hall: Path, monkeypatch) 
     )
     flat = tape_deficiency_sentence(marks((0.0, 2.2), (6.0, 2.2), (7.0, 2.3)), place)
     assert re.fullmatch(
-        r"The tapes meet at a flat angle, and the place is uncertain by \d+ cm: mark it in another way\.", flat
+        r"The tapes meet at a flat angle, so the position is uncertain by \d+ cm: mark it in another way\.", flat
     )
     assert "uncertain along a line" in tape_deficiency_sentence(marks((0.0, 2.0), (6.0, 2.0), (7.0, 2.0)), place)
     assert tape_deficiency_sentence(in_line[:2], place).startswith("Fewer than three points are within reach of a tape")

@@ -312,5 +312,5 @@ def test_tolerances_of_a_plan_are_a_table(tmp_path: Path) -> None:
     assert table.column("tolerance_mm") == [0.5, 0.5, 0.5]
     check = made.network.tolerance_check
     assert check is not None
-    assert table.column("within_mm") == pytest.approx([1e3 * check.error_by_point[name] for name in "ABC"])
+    assert table.column("within_mm") == pytest.approx([1e3 * check.error_by_point_m[name] for name in "ABC"])
     assert {"S1", "S2"} <= set(made.table("losses").column("lost"))

@@ -188,7 +188,7 @@ def test_the_page_marks_what_the_verdict_does_not_keep(hall: Path, tmp_path: Pat
 
     move = {"S1": (1200, 2000), "S2": (4700, 1200)}
     made = lt.plan(hall, move=move).network
-    worst = made.tolerance_check.error_by_point[made.tolerance_check.worst_point_name]  # type: ignore[union-attr]
+    worst = made.tolerance_check.error_by_point_m[made.tolerance_check.worst_point_name]  # type: ignore[union-attr]
     hall.write_text(PLAN.replace("within_mm = 0.5", f"within_mm = {worst * 1000 / 1.0004!r}"))
     content = lt.plan(hall, move=move)
     (grid, *_) = _tolerance_tables(content)

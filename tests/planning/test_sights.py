@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.core.errors import SetupError
 from ltsim.planning.loading import load_plan
-from ltsim.planning.plan_search import max_stations_per_target, with_feasible_min_sights
+from ltsim.planning.plan_search import max_stations_seeing_every_target, with_feasible_min_sights
 from ltsim.planning.search_inputs import make_search_space
 from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.spec import PlanFile, StationSettings
@@ -25,8 +25,8 @@ def short_sighted(least: int) -> SearchSpace:
 
 def test_what_can_be_had_is_had() -> None:
     """The number is reached by the layout it stands for, and all are seen from everywhere where that is possible."""
-    assert max_stations_per_target(site(), 0.5, 2)[0] == 3
-    found, limiting = max_stations_per_target(short_sighted(3), 0.5, 2)
+    assert max_stations_seeing_every_target(site(), 0.5, 2)[0] == 3
+    found, limiting = max_stations_seeing_every_target(short_sighted(3), 0.5, 2)
     assert 1 <= found < 3
     position = short_sighted(3).grid_places(0.5, 2)
     share = short_sighted(3).is_visible(position).mean(axis=0)
@@ -34,7 +34,7 @@ def test_what_can_be_had_is_had() -> None:
 
 
 def test_asking_for_too_much_is_answered_with_the_key_and_the_number() -> None:
-    found, limiting = max_stations_per_target(short_sighted(3), 0.5, 2)
+    found, limiting = max_stations_seeing_every_target(short_sighted(3), 0.5, 2)
     asked = PlanFile(stations=StationSettings(min_stations_per_target="all"))
     with pytest.raises(
         SetupError, match=rf"set stations.min_stations_per_target = {found}, move {limiting}, or enlarge the floor"
@@ -44,7 +44,7 @@ def test_asking_for_too_much_is_answered_with_the_key_and_the_number() -> None:
 
 
 def test_the_default_is_found() -> None:
-    found, _ = max_stations_per_target(short_sighted(3), 0.5, 2)
+    found, _ = max_stations_seeing_every_target(short_sighted(3), 0.5, 2)
     settled = with_feasible_min_sights(PlanFile(), short_sighted(3))
     assert settled.stations.min_stations_per_target == found
     assert with_feasible_min_sights(PlanFile(), site()).stations.min_stations_per_target == "all"
@@ -56,5 +56,5 @@ def test_an_exchange_finds_what_one_after_the_other_misses(tmp_path: Path) -> No
     (tmp_path / "hall.toml").write_text(HALL.replace("grid_mm = 1500", "grid_mm = 1000"), encoding="utf-8")
     file, scenario = load_plan(tmp_path / "hall.toml")
     where = make_search_space(file, scenario, n_stations=3, n_faces=1)
-    assert max_stations_per_target(where, 1.0, 1)[0] == 2
+    assert max_stations_seeing_every_target(where, 1.0, 1)[0] == 2
     assert with_feasible_min_sights(file, where).stations.min_stations_per_target == 2

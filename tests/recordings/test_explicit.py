@@ -309,7 +309,8 @@ def test_a_mirrored_hall_and_a_mirrored_station_are_told() -> None:
     second = np.where((one.station == 1)[:, None], [1.0, -1.0, 1.0], 1.0)
     found = mirror_image_sentences(workshop().with_readings(one.readings * second))
     assert found == (
-        "the targets of S1 and S2 fit each other only as mirror images: the azimuths of one of them run clockwise",
+        "the targets of S1 and S2 fit each other only as mirror images: the azimuths of one of these stations "
+        "run clockwise",
     )
 
 

@@ -510,7 +510,7 @@ def test_the_concealed_recordings_survive(tmp_path: Path) -> None:
     [
         ('stations = ["S11"]', "centring 1: stations names 'S11', which was never measured; did you mean S1"),
         ('targets = ["X9"]', "centring 1: targets names 'X9', which was never measured; did you mean "),
-        ('occupation = "target_setup"', 'occupation = "target_setup" needs this column'),
+        ('occupation = "target_setup"', 'occupation = "target_setup" needs a column of this name'),
         ('occupation = "day"', "occupation = \"day\" needs a column 'date' or times of several days"),
     ],
 )

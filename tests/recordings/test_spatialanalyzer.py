@@ -101,7 +101,7 @@ def test_one_name_in_two_places(tmp_path: Path) -> None:
     file.write_text("\n".join(lines), encoding="utf-8")
     recording = read(file)
     assert set(recording.targets) == {"T1", "T2", "T3", "T4", "T5", "T6", "Line:T1"}
-    assert any("1 names stand for points at different places" in note for note in recording.notes)
+    assert any("1 names stand for points at different positions" in note for note in recording.notes)
 
 
 @pytest.mark.parametrize(

@@ -323,10 +323,10 @@ def test_numbered_shots_of_one_point_are_reported(tmp_path: Path) -> None:
         return "Station;Point;X [mm];Y [mm];Z [mm]\n" + "".join(rows)
 
     (tmp_path / "a.csv").write_text(table(0.01))
-    notes = [note for note in read(tmp_path / "a.csv").notes if "have one position" in note]
+    notes = [note for note in read(tmp_path / "a.csv").notes if "have the same position" in note]
     assert len(notes) == 1 and "4 times, such as 'P0-0', 'P0-1', 'P0-2': if these are shots of one point" in notes[0]
     (tmp_path / "a.csv").write_text(table(20.0))
-    assert not any("have one position" in note for note in read(tmp_path / "a.csv").notes)
+    assert not any("have the same position" in note for note in read(tmp_path / "a.csv").notes)
 
 
 @pytest.mark.parametrize("n_names", [1, 2])

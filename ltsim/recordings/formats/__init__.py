@@ -1,1 +1,1 @@
-"""Foreign file formats, one module per format."""
+"""Readers and writers of the file formats of other programs and instruments, one module per format."""

@@ -2,7 +2,7 @@
 
 ``*POIN`` lines may end with ``SX``, ``SY``, ``SZ`` (standard deviations in mm, 0 for fixed; an axis without one is
 free) or ``APRICOV DIAG(...)`` or ``MAT(...)`` (covariance in square metres). ``*OBSXYZ`` lines observe a point: its
-coordinates and their standard deviations in mm. Independent observations of one point are one: their weighted mean.
+coordinates and their standard deviations in mm. Several observations of a point are replaced by their weighted mean.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from ltsim.recordings.setup import Axes, Instrument, Noise
 
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
 FIXED_SIGMA_M = 1e-7
-"""Standard deviation [m] that a coordinate declared as fixed is given."""
+"""Standard deviation [m] that is used for a coordinate declared as fixed."""
 FIXED_AXES: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
-"""Axes along which a point is fixed, by the keyword of its block."""
+"""Axes along which a point is fixed, by the keyword (such as ``*CALA``) of the section in which it is declared."""
 SIGMA_OPTIONS = ("SX", "SY", "SZ")
 """Options of a point that are followed by the standard deviation along x, y, z."""
 ROTATION_KEYWORDS = ("BEAR", "SLOPE", "ROLL", "HDEFL")
@@ -54,15 +54,15 @@ class LineWords:
     location: SourceLocation
 
     def first_words(self, n_words: int, message: str) -> Sequence[str]:
-        """The first `n_words` words; raises RecordError with `message` if there are fewer."""
+        """First `n_words` words of the line; raises RecordError with `message` if there are fewer."""
         if len(self.tokens) < n_words:
             raise self.location.error(message)
         return self.tokens[:n_words]
 
     def numbers(self, first_word: int, *columns: str, limit: float = 1e12) -> list[float]:
-        """Numbers in the words from index `first_word` on, one for each name in `columns`; raises RecordError.
+        """Numbers in the words from index `first_word` on, one for each name in `columns`, which errors report.
 
-        Numbers are decimal, and at most `limit` in magnitude.
+        Raises RecordError if a word is no decimal number of at most `limit` in magnitude.
         """
         words = zip(self.tokens[first_word : first_word + len(columns)], columns, strict=True)
         return [self.location.number(word, column, limit=limit) for word, column in words]
@@ -103,7 +103,10 @@ class DeclaredPoint:
     """Product (3,) [1 / m] of `information` and the observed coordinates, for the weighted mean."""
 
     def add_observation(self, point: Floats, covariance: Floats, axis_mask: Bools | None = None) -> None:
-        """Addition of observed coordinates (3,) [m] with covariance (3, 3) [m^2], along flagged axes (3,) or all."""
+        """Addition of observed coordinates `point` (3,) [m] with their covariance (3, 3) [m^2].
+
+        `axis_mask` (3,) is True for the axes that were observed; by default all.
+        """
         block = np.ix_(*[np.ones(3, dtype=bool) if axis_mask is None else axis_mask] * 2)
         information = np.zeros((3, 3))
         information[block] = np.linalg.inv(covariance[block])
@@ -128,9 +131,9 @@ class DeclaredPoint:
 
     @property
     def point_and_covariance(self) -> tuple[Floats, Floats]:
-        """Coordinates (3,) [m] and covariance (3, 3) [m^2].
+        """Adjusted coordinates (3,) [m] and their covariance (3, 3) [m^2].
 
-        A coordinate that is not known has its declared value and a variance of 1 mm^2.
+        A coordinate that was not observed has its declared value and a variance of 1 mm^2.
         """
         axes = np.diag(self.information) > 0
         block, covariance, point = np.ix_(axes, axes), np.eye(3) * MILLIMETRE**2, self.declared_point.copy()
@@ -140,7 +143,10 @@ class DeclaredPoint:
 
 
 def parse_point(keyword: str, line_words: LineWords) -> tuple[str, DeclaredPoint]:
-    """Name and declaration of the point in a line of a block of points (`keyword`); raises RecordError."""
+    """Name and declaration of the point in a line of a section of points; raises RecordError.
+
+    `keyword` is that of the section, such as ``CALA``.
+    """
     name, declared_point = _name_and_point(line_words, "a point needs a name and three coordinates")
     point = DeclaredPoint(declared_point)
     axes = np.array([axis in FIXED_AXES[keyword] for axis in "xyz"])
@@ -188,7 +194,7 @@ def _read_precision(point: DeclaredPoint, sigma_words: list[str], location: Sour
 
 
 def _parse_matrix(word: str, location: SourceLocation) -> Floats:
-    """Covariance (3, 3) [m^2] written as `DIAG(xx,yy,zz)` or `MAT(xx,xy,...,zz)`."""
+    """Covariance (3, 3) [m^2] from a word `DIAG(xx,yy,zz)` or `MAT(xx,xy,...,zz)`; raises RecordError."""
     match = re.fullmatch(r"(DIAG|MAT)\(([^()]*)\)", word)
     matrix_entries = [location.number(v, "APRICOV") for v in match[2].split(",")] if match else []
     if match and len(matrix_entries) == (3 if match[1] == "DIAG" else 9):
@@ -200,10 +206,10 @@ def _parse_matrix(word: str, location: SourceLocation) -> Floats:
 
 @dataclass(frozen=True)
 class TargetSigmas:
-    """Declared standard deviations of pointings to a kind of target, and the height of such targets.
+    """Declared standard deviations of pointings to targets of one kind, and the height of such targets.
 
-    The standard deviations are those of azimuth and zenith angle (`elevation`) [cc], of the distance [mm], and of its
-    part that is proportional to the distance [ppm]. The height is in metres.
+    The standard deviations are those of the azimuth [cc] and of the zenith angle (`elevation`) [cc], and for the
+    distance a constant part [mm] and a proportional part [ppm]. The height is in metres.
     """
 
     azimuth: float
@@ -213,7 +219,10 @@ class TargetSigmas:
     height: float
 
     def sigma_of(self, kind: str, options: LineOptions, value: float) -> float:
-        """Standard deviation [m, rad] of an observation, from its line or from the declaration of the target."""
+        """Standard deviation [m, rad] of an observation, from the options of its line or else from this declaration.
+
+        `kind` is azimuth, elevation or distance; `value` is the distance [m]. Raises RecordError if the result is 0.
+        """
         option = {"azimuth": "ASE", "elevation": "ZSE", "distance": "DSE"}[kind]
         declared = options.number(option, options.number("OBSE", getattr(self, kind)))
         sigma = declared * CENTESIMAL_SECOND
@@ -226,16 +235,16 @@ class TargetSigmas:
 
 @dataclass
 class PolarInstrument:
-    """Polar instrument of the file: name of its default kind of target, height [m], and standard deviations by kind."""
+    """Polar instrument of the file: name of its default kind of target, height [m], kinds of targets by name."""
 
     default: str
     height: float
     targets: dict[str, TargetSigmas] = field(default_factory=dict)
 
     def declare(self, line_words: LineWords) -> str:
-        """Storage of the kind of target that a line declares, with its standard deviations.
+        """Addition of the kind of target that a line declares; the result is a note on an unused distance correction.
 
-        Returns a note on a distance correction that is not used, or ''. Raises RecordError.
+        The note is '' if the line has no such correction. Raises RecordError.
         """
         fields = "its name and the standard deviations of azimuth, elevation, distance (constant and ppm)"
         name = line_words.first_words(5, f"a target needs {fields}")[0]
@@ -250,13 +259,13 @@ class PolarInstrument:
         )
 
     def instrument(self, name: str) -> Instrument:
-        """Instrument with its noise; a name such as AT402.392506 contains model and serial number."""
+        """Instrument with this name and its noise; a name such as AT402.392506 contains model and serial number."""
         match = re.fullmatch(r"([A-Z]+\d+)[._](\d{4,})", name)
         model, serial = match.groups() if match else (None, None)
         return Instrument(noise=self._noise(), corrected=True, model=model, serial=serial)
 
     def _noise(self) -> Noise:
-        """Noise from the sigmas of the default kind of target; sigmas of single observations are in columns."""
+        """Noise with the standard deviations of the default kind of target, or of the first kind that is declared."""
         sigmas = self.targets.get(self.default) or next(iter(self.targets.values()), None)
         if sigmas is None:
             return Noise()

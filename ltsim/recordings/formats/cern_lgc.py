@@ -54,7 +54,7 @@ OBSERVATION_KEYWORDS: dict[str, tuple[ObservationKind, ...]] = {
     "DIST": ("distance",),
     "DHOR": ("distance",),
 }
-"""Observables in a line of each kind of block with observations."""
+"""Observables in a line, by the keyword of its section (such as ``*PLR3D``)."""
 CURVED_KEYWORDS = ("RS2K", "LEP", "SPHE")
 """Keywords of reference systems whose third coordinate is a height above a curved surface."""
 KEYWORDS_WITHOUT_OBSERVATIONS = (
@@ -65,7 +65,7 @@ KEYWORDS_WITHOUT_OBSERVATIONS = (
 
 @dataclass(frozen=True)
 class _SetUp:
-    """Set-up over a point: instrument and its height [m], default kind of target, constant of its directions [rad]."""
+    """Set-up over a point: instrument, its height [m], default kind of target, constant added to directions [rad]."""
 
     point: str
     instrument: str
@@ -77,7 +77,7 @@ class _SetUp:
 
 @dataclass
 class _LgcContent:
-    """Content of the lines that were read so far."""
+    """Content of an LGC file, to which its reader adds line by line."""
 
     path: Path
     title_words: list[str] = field(default_factory=list)
@@ -186,9 +186,9 @@ def _begin_setup(line_words: LineWords, file: _LgcContent) -> None:
 
 
 def _begin_direction_set(line_words: LineWords, file: _LgcContent) -> None:
-    """Begin of a set of directions with one orientation of the circle.
+    """Start of a set of directions (``*V0``), all with the same orientation of the circle.
 
-    The first set of a set-up belongs to this set-up; each further set creates another set-up over the same point.
+    The first set after ``*TSTN`` belongs to that set-up; each further set adds another set-up over the same point.
     """
     if not file.setups:
         raise line_words.location.error("*V0 has no set-up (*TSTN) before it")
@@ -203,7 +203,7 @@ def _begin_direction_set(line_words: LineWords, file: _LgcContent) -> None:
 
 
 def _process_line(keyword: str, line_words: LineWords, file: _LgcContent) -> bool:
-    """Processing of one line in a block of the kind `keyword`; returns False if such blocks are not supported."""
+    """Addition of the content of a line to `file`; False if the section of the line (`keyword`) is not supported."""
     if keyword in ("TITR", ""):
         file.title_words += line_words.tokens
     elif keyword in FIXED_AXES:
@@ -255,7 +255,10 @@ def _add_observation(keyword: str, line_words: LineWords, file: _LgcContent) -> 
 
 
 def _reading_in_si(kind: ObservationKind, value: float, setup: _SetUp, location: SourceLocation) -> float:
-    """Reading [m, rad] from a value of the file: distance, counter-clockwise azimuth, or elevation."""
+    """Distance [m], counter-clockwise azimuth [rad] or elevation [rad] (`kind`) from a `value` in the file.
+
+    Raises RecordError for a zenith angle beyond 200 gon, or a distance that is not above 0.
+    """
     if kind == "azimuth":
         return float(np.mod(-value * GON - setup.direction_constant, 2 * np.pi))
     if kind == "elevation":
@@ -276,7 +279,7 @@ def _make_recording(file: _LgcContent) -> Recording:
     if not pointings:
         raise RecordError("contains no polar observations", file=file.path)
     targets = dict.fromkeys(p.target for p in pointings)
-    _use_observed_coordinates(file)
+    _add_observed_coordinates(file)
     occupied_marks = [s.point for s in file.setups.values() if file.points[s.point].axes or s.point in targets]
     plane = _TangentPlane.from_points(
         [file.points[name] for name in {*targets, *(s.point for s in file.setups.values())}],
@@ -308,8 +311,8 @@ def _make_recording(file: _LgcContent) -> Recording:
     )
 
 
-def _use_observed_coordinates(file: _LgcContent) -> None:
-    """Addition of observed coordinates to the points that are not fixed; raises RecordError."""
+def _add_observed_coordinates(file: _LgcContent) -> None:
+    """Addition of the observations of ``*OBSXYZ`` to the points that are not fixed; raises RecordError."""
     for name, point, covariance in file.observed_points:
         if name not in file.points:
             raise RecordError(f"*OBSXYZ observes {name}, which is in no block of points", file=file.path)
@@ -321,9 +324,9 @@ def _use_observed_coordinates(file: _LgcContent) -> None:
 
 @dataclass(frozen=True)
 class _TangentPlane:
-    """Tangent plane of a curved reference surface; it touches the surface at `centre` (2,) [m] in plan.
+    """Plane that touches the reference surface of heights at plan coordinates `centre` (2,) [m].
 
-    Without a curved surface (`is_curved`) it is the horizontal plane.
+    If the reference surface is not curved (`is_curved` is False), the plane is horizontal.
     """
 
     centre: Floats
@@ -331,18 +334,18 @@ class _TangentPlane:
 
     @classmethod
     def from_points(cls, points: list[DeclaredPoint], earth_model: str) -> _TangentPlane:
-        """Plane at the median of the points, without placeholders; `earth_model` is '' without a curved reference."""
+        """Plane at the median of the points with known plan coordinates; `earth_model` is '' for a plane reference."""
         plan_points = [point.declared_point[:2] for point in points if not point.is_placeholder]
         return cls(np.median(plan_points, axis=0) if plan_points else np.zeros(2), bool(earth_model))
 
     def plane_coordinates(self, point: Floats) -> Vector:
-        """Coordinates [mm] over the plane, from plan coordinates and height `point` (3,) [m]."""
+        """Coordinates [mm] with z over the plane, from `point` (3,) [m] with z over the reference surface."""
         x, y, height = point.tolist()
         drop = float(np.sum((point[:2] - self.centre) ** 2)) / (2 * EARTH_RADIUS) if self.is_curved else 0.0
         return round(x * 1e3, 6), round(y * 1e3, 6), round((height - drop) * 1e3, 6)
 
     def setup_keys(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
-        """Keys of the set-up over a point in `setup.toml`: position and direction of the vertical."""
+        """Keys and values in `setup.toml` of the set-up over a point: position, levelling, plumb line."""
         keys: dict[str, Any] = (
             {} if point.is_placeholder else {"position_mm": self.plane_coordinates(point.declared_point)}
         )
@@ -354,7 +357,7 @@ class _TangentPlane:
         return keys
 
     def coordinate_keys(self, point: DeclaredPoint) -> dict[str, Any]:
-        """Keys of a target's coordinates in `setup.toml`: known along some axes, approximate along the others."""
+        """Keys and values in `setup.toml` of a target: coordinates known along some axes, approximate along others."""
         axes = point.axes
         if axes is None:
             return {} if point.is_placeholder else {"approximate_mm": self.plane_coordinates(point.declared_point)}

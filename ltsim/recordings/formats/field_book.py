@@ -1,4 +1,4 @@
-"""Field book of a total station, filled by the readers of several formats: set-ups over points, and pointings."""
+"""Field book of a total station: set-ups over points, and pointings, which the readers of several formats add."""
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
@@ -9,7 +9,7 @@ import numpy as np
 from ltsim.core.errors import RecordError
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
-from ltsim.recordings.circle_orientations import circle_orientations, zeroed_circle_note
+from ltsim.recordings.circle_orientations import circle_orientations, circle_rotation_note
 from ltsim.recordings.curvature import with_earth_curvature
 from ltsim.recordings.files import SourceLocation
 from ltsim.recordings.pointings import (
@@ -40,7 +40,10 @@ class FieldBook:
     """Number of records that are not used."""
 
     def add_setup(self, name: str, height: float, coordinates_mm: Vector | None, location: SourceLocation) -> None:
-        """Addition of a set-up over a point, with height [m] and coordinates [mm]; repeated set-ups are numbered."""
+        """Addition of a set-up over the point `name`, with instrument height [m] and coordinates [mm] of the point.
+
+        A repeated set-up over a point gets the name of the point and a number.
+        """
         n_earlier = sum(point == location.name(name, "station") for point, _, _ in self.setups.values())
         self.station = numbered_name(name, n_earlier)
         self.setups[self.station] = (name, height, coordinates_mm)
@@ -58,9 +61,10 @@ class FieldBook:
     ) -> None:
         """Addition of a pointing: distance [m], clockwise direction and zenith angle [rad], height of the target [m].
 
-        A value that was not measured is NaN. `is_horizontal` marks a distance that is reduced to the horizontal plane.
+        A reading that was not measured is NaN. `horizontal` is the direction; `is_horizontal` is True for a distance
+        that is reduced to the horizontal plane.
 
-        Raises RecordError before the first station, and for impossible values.
+        Raises RecordError if no set-up was added before, and for impossible readings.
         """
         if not self.station:
             raise location.error("this measurement precedes the first named station; give --hint station=NAME")
@@ -90,7 +94,8 @@ class FieldBook:
     def make_recording(self, kind: str, *notes: str) -> Recording:
         """Recording with levelled set-ups over points and the noise of a total station.
 
-        `kind` is the format, which a note names. All set-ups over one point have the same position.
+        `kind` is the format of the file, for a note, and `notes` are further notes. All set-ups over a point have the
+        same position.
 
         Raises RecordError if the file has no measurements.
         """
@@ -128,9 +133,9 @@ class FieldBook:
         return with_earth_curvature(recording_of_pointings(pointings, setup, notes=all_notes, file=self.path))
 
     def _separate_orientations(self) -> list[str]:
-        """Division of set-ups during which the circle was rotated into set-ups of one orientation each.
+        """Replacement, in place, of each set-up during which the circle was rotated by one set-up per orientation.
 
-        The field book is changed in place; the result is a list of notes.
+        The result is a list of notes to the user.
         """
         occupations, occupation = index_names([p.station for p in self.pointings], "station", self.path)
         _, sight = np.unique([f"{p.station}\n{p.target}\n{p.face}" for p in self.pointings], return_inverse=True)
@@ -147,4 +152,4 @@ class FieldBook:
             counts[point] += 1
         self.setups = {new: self.setups[old] for (old, _), new in name_by_key.items()}
         self.pointings = [replace(p, station=name_by_key[key]) for p, key in zip(self.pointings, keys, strict=True)]
-        return [zeroed_circle_note(len(name_by_key), len(occupations))]
+        return [circle_rotation_note(len(name_by_key), len(occupations))]

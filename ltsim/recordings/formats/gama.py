@@ -2,9 +2,9 @@
 
 The reader supports directions, azimuths, zenith angles, slope and horizontal distances, angles, heights of instrument
 and target, and points that are fixed, constrained, adjusted or observed with a covariance. Each set of directions
-becomes a separate set-up over the same point, and azimuths an oriented one. A distance between two points without other
-measurements becomes a reference length; height differences and vectors become reference differences between marks. A
-file without pointings is not a recording.
+becomes a separate set-up over the same point; azimuths become a set-up of known orientation. A distance between two
+points without other measurements becomes a reference length; height differences and vectors become reference
+differences between survey marks. A file without pointings is not a recording.
 
 Gama's instruments are levelled exactly, and its angles are clockwise unless the file declares otherwise. In a left-
 handed system of axes the sign of y is changed, which a note reports.
@@ -51,21 +51,19 @@ CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
 STDEV_ATTRIBUTE_PREFIXES = {"z-angle": "zenith-angle", "s-distance": "distance"} | {
     k: k for k in ("direction", "azimuth", "distance")
 }
-"""Beginning of the attribute with the default standard deviation (``KIND-stdev``), by element of the observation."""
+"""Kind in the attribute of the default standard deviation (``KIND-stdev``), by XML element of an observation."""
 NAME_ATTRIBUTES = ("id", "from", "to", "bs", "fs")
 """Attributes of elements that name a point."""
 SigmaAndSharedErrors = tuple[float, dict[str, float]]
-"""Standard deviation of the independent error of an observation, and its change by each shared error, by name [mm, cc].
-
-The standard deviation is NaN for the default of the file.
-"""
+"""Standard deviation of the independent error of an observation (NaN for the default of the file), and change of the
+observation by one standard deviation of each shared error, by name of the error [mm, cc]."""
 CORRELATIONS_NOTE = "correlations between observed coordinates of different points are not used"
 OMITTED_CORRELATIONS_NOTE = "correlations between height differences, or between vectors, are not used"
 _SEXAGESIMAL_ANGLE_PATTERN = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
-    """True if the root element is that of an input file of gama-local."""
+    """True if the file begins with the root element of an input file of gama-local."""
     return (
         re.search(r"<gama-(local|xml)\b", file_beginning) is not None and "<gama-local-adjustment" not in file_beginning
     )
@@ -100,7 +98,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 def _replace_slashes(root: XmlNode, network: GamaNetwork) -> None:
     """Replacement, in place, of `/` in names of points by `_`, because names of targets must not contain `/`.
 
-    A name with `..` is left as it is, because it is not permitted in any case.
+    A name with `..` is not changed, because it is refused in any case.
     """
     attributes = [(element, key) for element in root.element.iter() for key in NAME_ATTRIBUTES if key in element.attrib]
     file_names = dict.fromkeys(element.attrib[key] for element, key in attributes)
@@ -156,9 +154,9 @@ def _read_element(node: XmlNode, network: GamaNetwork) -> None:
 
 
 def _read_point(node: XmlNode, network: GamaNetwork) -> GamaPoint:
-    """Point of an element, added to the network: known along fixed axes, approximate along the others.
+    """Point that an XML element declares, added to `network`: known along fixed axes, approximate along the others.
 
-    Capital letters in `adj` mark axes of the datum.
+    Capital letters in the attribute ``adj`` are axes along which the point defines the datum.
     """
     name = node.name("id", "point")
     point = network.points.setdefault(name, GamaPoint())
@@ -182,7 +180,7 @@ def _named_axes(letters: str) -> str:
 
 
 def _read_coordinates(node: XmlNode, network: GamaNetwork) -> None:
-    """Addition of the observed coordinates of an element with their covariance, without correlations between points."""
+    """Addition of the observed coordinates in an element, with covariance; correlations between points are ignored."""
     row, column, numbers = covariance_entries(node)
     sign, next_row = np.array([1.0, network.y_sign, 1.0]), 0
     for child in [child for child in node if child.tag == "point"]:
@@ -205,7 +203,7 @@ def _read_coordinates(node: XmlNode, network: GamaNetwork) -> None:
 
 
 def _read_observation_block(block: XmlNode, network: GamaNetwork) -> None:
-    """Addition of the observations of a block, from the point in `from` of the block or of each observation."""
+    """Addition of the observations in an element ``<obs>`` (`block`) to `network`."""
     children = [child for child in block if child.tag != "cov-mat"]
     row, column, numbers = covariance_entries(block)
     if len(numbers) and row[-1] + 1 != len(children):
@@ -233,7 +231,7 @@ def _read_observation_block(block: XmlNode, network: GamaNetwork) -> None:
 
 
 def _start_point(child: XmlNode, block: XmlNode) -> str:
-    """Name of the point from which an observation was made; raises RecordError."""
+    """Name of the point from which the observation `child` of the element `block` was made; raises RecordError."""
     return (child if "from" in child else block).name("from", "point")
 
 
@@ -281,11 +279,10 @@ def _read_angle(child: XmlNode, block: XmlNode, sigma_and_errors: SigmaAndShared
 def _scale_sigma(
     sigma_and_errors: SigmaAndSharedErrors, unit: float, child: XmlNode, network: GamaNetwork, distance: float = 0.0
 ) -> tuple[float, dict[str, float]]:
-    """Standard deviation [m, rad] of the independent error of an observation, and its changes by shared errors.
+    """Standard deviation [m, rad] of the independent error of an observation, and changes [m, rad] by shared errors.
 
     `sigma_and_errors` holds both in the unit of the file, and `unit` converts them to SI; a negative `unit` reverses
-    the sense of an angle. A standard deviation that the file does not give follows from its defaults and the `distance`
-    [m].
+    the sense of an angle. If the file gives none, its default and the `distance` [m] determine the standard deviation.
     """
     sigma, shared = sigma_and_errors
     independent = sigma if np.isfinite(sigma) else _sigma_of_observation(child, network, distance)
@@ -293,7 +290,7 @@ def _scale_sigma(
 
 
 def _parse_angle(child: XmlNode) -> tuple[float, float]:
-    """Angle [rad] from gon, or from degrees, minutes and seconds, and the unit [rad] of its standard deviation."""
+    """Angle [rad] from gon or degrees-minutes-seconds, and the unit [rad] of its standard deviation in the file."""
     match = _SEXAGESIMAL_ANGLE_PATTERN.fullmatch(child.required_attribute("val"))
     if match is None:
         return child.number("val", limit=1e4) * GON, CENTESIMAL_SECOND
@@ -304,7 +301,7 @@ def _parse_angle(child: XmlNode) -> tuple[float, float]:
 def _sigma_of_observation(child: XmlNode, network: GamaNetwork, distance: float = 0.0) -> float:
     """Standard deviation [mm, cc] of an observation, from its attribute or the default of the file.
 
-    The attribute is ``a``, or ``a b c`` for a + b D^c with the distance D in km. Raises RecordError.
+    Both are ``a``, or ``a b c`` for a + b D^c with the distance D in km; `distance` is in m. Raises RecordError.
     """
     kind = STDEV_ATTRIBUTE_PREFIXES.get(child.tag, child.tag)
     words = child.get("stdev", network.default_sigmas.get(kind, "")).split()
@@ -328,8 +325,8 @@ def _make_recording(network: GamaNetwork) -> Recording:
     pointings, instrument_heights, target_heights = separate_constant_heights(
         merge_observations(observed, network.file.name)
     )
-    no_place = "not read: a recording cannot contain it"
-    skipped = [f"{count} <{quoted_text(what)}> {no_place}" for what, count in network.skipped_counts.items()]
+    reason = "not read: a recording cannot contain it"
+    skipped = [f"{count} <{quoted_text(what)}> {reason}" for what, count in network.skipped_counts.items()]
     if not pointings and network.differences:
         message = "contains height differences or vectors without pointings, expected readings of instruments too"
         raise RecordError(f"{message}; gama-local adjusts such a network", file=network.file)
@@ -381,7 +378,7 @@ def _target(point: GamaPoint, height: float) -> Target:
 
 
 def _noise(network: GamaNetwork) -> Noise:
-    """Noise with the default standard deviations of the file; those of single observations are in columns."""
+    """Noise with the default standard deviations of the file; single observations have theirs in columns."""
 
     def default(kind: str, fallback: float) -> float:
         words = network.default_sigmas.get(kind, "").split()

@@ -1,4 +1,4 @@
-"""Content of an input file of GNU Gama, and its observations with a common covariance matrix."""
+"""Content of an input file of GNU Gama, and the conversion of its correlated observations."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -16,12 +16,12 @@ from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Vector
 from ltsim.recordings.xml import MATRIX_SIZE_MESSAGE, XmlNode, band_matrix_entries, band_matrix_size
 
 FIXED_SIGMA_MM = 1e-4
-"""Standard deviation [mm] that a coordinate declared as fixed is given."""
+"""Standard deviation [mm] that is used for a coordinate declared as fixed."""
 
 
 @dataclass
 class GamaPoint:
-    """Point of the file."""
+    """Point that the file declares: coordinates, role along each axis, precision."""
 
     values: dict[str, float] = field(default_factory=dict)
     """Coordinates [m] by axis."""
@@ -34,32 +34,32 @@ class GamaPoint:
     sigma: float = FIXED_SIGMA_MM
     """Standard deviation [mm] of the coordinates along the fixed axes."""
     covariance: tuple[float, ...] | None = None
-    """Covariance xx, xy, xz, yy, yz, zz [mm^2]; None if not given."""
+    """Covariance xx, xy, xz, yy, yz, zz [mm^2] of the coordinates; None if not given."""
 
     @property
     def complete_coordinates(self) -> Vector | None:
-        """Coordinates [mm]; None if one of the three is missing."""
+        """Coordinates x, y, z [mm] of the point; None if any of them is missing."""
         return self.coordinates_or_zeros if len(self.values) == 3 else None
 
     @property
     def coordinates_or_zeros(self) -> Vector:
-        """Coordinates [mm]; a missing coordinate is 0."""
+        """Coordinates x, y, z [mm] of the point; 0 for each that is missing."""
         x, y, z = (round(self.values.get(axis, 0.0) / MILLIMETRE, 9) for axis in "xyz")
         return x, y, z
 
 
 @dataclass
 class GamaNetwork:
-    """Content of a file of gama-local that was read so far."""
+    """Content of a file of gama-local, to which its reader adds element by element."""
 
     file: Path
     title: str = ""
     y_sign: float = 1.0
-    """-1 if the sign of y is changed, otherwise 1."""
+    """Factor of y coordinates: -1 if the file has a left-handed frame, otherwise 1."""
     angle_sign: float = -1.0
-    """-1 if angles in the file are clockwise, otherwise 1."""
+    """Factor of horizontal angles: -1 if angles in the file are clockwise, otherwise 1."""
     default_sigmas: dict[str, str] = field(default_factory=dict)
-    """Text of the default standard deviation, by kind of observation."""
+    """Text of the default standard deviation in the file, by kind of observation."""
     points: dict[str, GamaPoint] = field(default_factory=dict)
     n_direction_sets: Counter[str] = field(default_factory=Counter)
     """Number of sets of directions at each point."""
@@ -67,18 +67,21 @@ class GamaNetwork:
     north_direction_deg: float = 0.0
     """Direction [deg] of north, counter-clockwise from x."""
     oriented_setups: set[str] = field(default_factory=set)
-    """Set-ups with azimuths, whose circle is zero in the north."""
+    """Names of the set-ups with azimuths, whose horizontal circle reads 0 to the north."""
     observations: list[SingleObservation] = field(default_factory=list)
     apriori_sigma: float = 10.0
-    """Standard deviation [mm, cc] of unit weight."""
+    """A-priori standard deviation [mm, cc] of unit weight."""
     differences: list[ReferenceDifference] = field(default_factory=list)
     skipped_counts: Counter[str] = field(default_factory=Counter)
     n_shared_errors: int = 0
-    """Number of errors that several observations share."""
+    """Number of shared errors so far, each of which acts on several observations."""
     notes: list[str] = field(default_factory=list)
 
     def station(self, point: str, *, with_directions: bool = False) -> str:
-        """Name of the set-up over a point; each further set of directions gets another set-up."""
+        """Name of the set-up over a point for new observations; a further set of directions starts another set-up.
+
+        `with_directions` is True if the observations are a set of directions.
+        """
         self.n_direction_sets[point] += with_directions
         name = numbered_name(point, max(self.n_direction_sets[point] - 1, 0))
         self.point_of_station[name] = point
@@ -86,9 +89,9 @@ class GamaNetwork:
 
 
 def drop_undetermined_heights(network: GamaNetwork) -> None:
-    """Removal of observations that need the height of a point that is adjusted in plan only.
+    """Removal, in place, of observations that need the height of a point that is adjusted in plan only.
 
-    The heights of such points are fixed, as in Gama.
+    As in Gama, the heights of such points are then held fixed.
     """
     plan_points = {name for name, point in network.points.items() if point.active_axes == "xy"}
     if not plan_points:
@@ -121,9 +124,10 @@ def drop_undetermined_heights(network: GamaNetwork) -> None:
 
 
 def split_reference_lengths(network: GamaNetwork) -> tuple[list[GaugeDistance], list[SingleObservation]]:
-    """Reference lengths, made of slope distances from points without other measurements, and all other observations.
+    """Reference lengths, and all other observations.
 
-    Both ends of such a distance are targets of other observations.
+    A slope distance without heights counts as a reference length if its station has no angles and no horizontal
+    distances, and both of its ends are targets of stations that have.
     """
     stations_with_angles = {o.station for o in network.observations if o.kind != "distance" or o.is_horizontal}
     targets = {o.target for o in network.observations if o.station in stations_with_angles}
@@ -145,7 +149,7 @@ def split_reference_lengths(network: GamaNetwork) -> tuple[list[GaugeDistance], 
 
 
 def with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[ReferenceDifference]:
-    """Differences with distinct names: a number is added if several join the same points (a line levelled twice)."""
+    """Reference differences with distinct names: those of the same two points (a line levelled twice) are numbered."""
     counts: Counter[str] = Counter()
     for difference in differences:
         number = counts[difference.label]
@@ -154,18 +158,19 @@ def with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[Refe
 
 
 MAX_CORRELATED_OBSERVATIONS = 500
-"""Number of correlated observations above which a file is refused, because each shared error is an unknown."""
+"""Largest number of correlated observations of a file that is read: each shared error is an unknown of the adjustment.
+"""
 MAX_ZERO_CORRELATION_EIGENVALUE = 1e-6
-"""Eigenvalue of a correlation matrix below which it counts as zero and the matrix is refused.
+"""Eigenvalue of a correlation matrix below which it counts as zero, so that the matrix is refused.
 
-Eigenvalues with a smaller relative difference count as equal.
+It is also the relative difference below which two eigenvalues count as equal.
 """
 
 
 def covariance_entries(node: XmlNode) -> tuple[Ints, Ints, Floats]:
-    """Row index (k,), column index (k,) and value (k,) [mm^2, cc^2] of the upper triangle of an element's covariance.
+    """Row index (k,), column index (k,) and value (k,) [mm^2, cc^2] of each entry in the upper band of a covariance.
 
-    Empty arrays if the element has no <cov-mat>.
+    The covariance is the <cov-mat> inside the element `node`; the arrays are empty if there is none.
     """
     matrix = next((inner for inner in node if inner.tag == "cov-mat"), None)
     if matrix is None:
@@ -181,7 +186,8 @@ def covariance_entries(node: XmlNode) -> tuple[Ints, Ints, Floats]:
 def read_differences(section: XmlNode, y_sign: float, apriori_sigma: float) -> tuple[list[ReferenceDifference], bool]:
     """Height differences or vectors of a section, and a flag that is True if correlations between them were ignored.
 
-    A height difference without a standard deviation has `apriori_sigma` [mm] times the square root of its length in km.
+    `y_sign` is the factor of y coordinates. The standard deviation of a height difference without one is
+    `apriori_sigma` [mm] times the square root of the length of its line in km.
     """
     children = [child for child in section if child.tag != "cov-mat"]
     tag, size = ("dh", 1) if section.tag == "height-differences" else ("vec", 3)
@@ -202,7 +208,10 @@ def read_differences(section: XmlNode, y_sign: float, apriori_sigma: float) -> t
 
 
 def _sigma_of_difference(child: XmlNode, apriori_sigma: float) -> float:
-    """Standard deviation [mm] of a height difference, as declared or from the length of the levelling line."""
+    """Standard deviation [mm] of a height difference, as declared or from the length of the levelling line.
+
+    Over a line of D km it is `apriori_sigma` [mm] times the square root of D. Raises RecordError.
+    """
     attributes = [name for name in ("stdev", "dist") if name in child and child.tag == "dh"]
     if not attributes:
         wanted = "stdev, dist or a <cov-mat>" if child.tag == "dh" else "a <cov-mat>"
@@ -212,7 +221,10 @@ def _sigma_of_difference(child: XmlNode, apriori_sigma: float) -> float:
 
 
 def _reference_difference(child: XmlNode, y_sign: float, covariance: Floats) -> ReferenceDifference:
-    """Reference difference of an element with its covariance (1, 1) or (3, 3) [mm^2]."""
+    """Reference difference from an element ``<dh>`` or ``<vec>``, with its covariance (1, 1) or (3, 3) [mm^2].
+
+    `y_sign` is the factor of y coordinates. Raises RecordError.
+    """
     end_names = {"from": child.name("from", "point"), "to": child.name("to", "point")}
     x, y, z = (0.0, 0.0, child.number("val")) if child.tag == "dh" else (child.number(f"d{a}") for a in "xyz")
     if any(child.number(name, 0.0) for name in ("from_dh", "to_dh")):
@@ -235,13 +247,13 @@ def _reference_difference(child: XmlNode, y_sign: float, covariance: Floats) -> 
 
 
 def split_correlations(block: XmlNode, matrix: tuple[Ints, Ints, Floats], n_earlier: int) -> tuple[Floats, Floats]:
-    """Independent and shared errors of n observations that have the declared covariance together.
+    """Division of the declared covariance of n observations into independent errors and errors that they share.
 
     The results are the standard deviations (n,) of the independent errors, and the changes (n, q) of the observations
     by one standard deviation of each of q shared errors. With the changes F and the independent standard deviations on
     the diagonal of D, the declared covariance is D^2 + F F'. F has the smallest number of columns for which D has no
     zero; it has none for uncorrelated observations. `matrix` is the covariance from `covariance_entries`, `n_earlier`
-    the number of shared errors of earlier observations, from which the new ones are numbered. Raises RecordError.
+    the number of shared errors of earlier observations, which counts for the limit. Raises RecordError.
     """
     (row, column, numbers), diagonal = matrix, matrix[0] == matrix[1]
     if not np.all(numbers[diagonal] > 0.0):

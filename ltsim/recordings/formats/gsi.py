@@ -27,14 +27,17 @@ from ltsim.recordings.recording import Recording
 _WORD_PATTERN = re.compile(r"(\d\d)(.{4})([+-])(.{16}|.{8})", re.ASCII)
 _PPM_PATTERN = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
 GSI_LENGTH_FACTORS = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
-"""Factor from the data of a word to m, by the last character of its information."""
+"""Factor from the data of a word to m, by the unit code (last character of the word's information)."""
 GSI_ANGLE_FACTORS = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
-"""Factor from the data of a word to rad, by the last character of its information; 4 is degrees, minutes, seconds."""
+"""Factor from the data of a word to rad, by the unit code (last character of the word's information).
+
+The code 4, degrees-minutes-seconds, has no factor.
+"""
 
 
 @dataclass(frozen=True)
 class _GsiBlock:
-    """Block (line) of a GSI file: information and signed data of each word by its index."""
+    """Measurement block (one line) of a GSI file: information and signed data of each word, by the word's index."""
 
     words: dict[str, tuple[str, str]]
     location: SourceLocation
@@ -56,7 +59,7 @@ class _GsiBlock:
         return all(key in self.words for key in keys)
 
     def name(self, key: str) -> str:
-        """Name in the word with this index, without leading zeros."""
+        """Name in the word with index `key`, such as "11", without leading zeros."""
         return self.words[key][1][1:].strip().lstrip("0") or "0"
 
     def _number(self, key: str) -> float:
@@ -68,7 +71,7 @@ class _GsiBlock:
         return float(digits)
 
     def length(self, key: str, default: float = 0.0) -> float:
-        """Length [m] in the word with this index; `default` if the block does not have it. Raises RecordError."""
+        """Length [m] in the word with index `key`; `default` if the block lacks this word. Raises RecordError."""
         if key not in self.words:
             return default
         unit = self.words[key][0][-1]
@@ -79,9 +82,9 @@ class _GsiBlock:
         return self._number(key) * GSI_LENGTH_FACTORS[unit]
 
     def angle(self, key: str) -> float:
-        """Angle [rad] in the word with this index, from gon, degrees, degrees-minutes-seconds or mils (1/6400 circle).
+        """Angle [rad] in the word with index `key`, from gon, degrees, degrees-minutes-seconds or mils (1/6400 circle).
 
-        NaN if the block does not have the word. Raises RecordError.
+        NaN if the block lacks this word. Raises RecordError.
         """
         if key not in self.words:
             return NOT_MEASURED
@@ -102,7 +105,7 @@ def recognises(path: Path, file_beginning: str) -> bool:
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Recording of a GSI file.
+    """Recording from a GSI file.
 
     Raises RecordError for a word that is malformed, or measurements before a station is named (``hints.station`` names
     one).
@@ -122,7 +125,10 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _blocks(lines: Sequence[str], path: Path) -> Iterator[_GsiBlock]:
-    """Blocks of the lines that are not blank; none is kept, since a block takes ten times the memory of its line."""
+    """Measurement blocks in the lines that are not blank.
+
+    It is a generator, because a block takes ten times the memory of its line.
+    """
     return (
         _GsiBlock.from_line(line.strip(), SourceLocation(path, i + 1)) for i, line in enumerate(lines) if line.strip()
     )
@@ -130,7 +136,7 @@ def _blocks(lines: Sequence[str], path: Path) -> Iterator[_GsiBlock]:
 
 @dataclass
 class _BlockFacts:
-    """Properties of all blocks of a file together, which decide how each single block is read."""
+    """Properties of a GSI file as a whole, which decide how each single measurement block is read."""
 
     has_stations: bool = False
     """True if a block has the coordinates of a station."""
@@ -139,17 +145,17 @@ class _BlockFacts:
     has_staff_readings: bool = False
     """True if a block has the reading of a levelling staff (33)."""
     code_with_height: str | None = None
-    """Code (41) of the first block with a name and a height."""
+    """Code (word 41) of the first block that has a code, a name (42) and a height (43)."""
     code_with_name: str | None = None
-    """Code (41) of the first block with a name."""
+    """Code (word 41) of the first block that has a code and a name (42)."""
     last_block: _GsiBlock | None = None
-    """Last block."""
+    """Last block of the file."""
     keys_before_last: frozenset[str] = frozenset()
-    """Indices of the words of the block before the last."""
+    """Indices of the words in the last block but one."""
 
     @classmethod
     def from_blocks(cls, blocks: Iterable[_GsiBlock]) -> _BlockFacts:
-        """Contents of a whole file (stations, directions, staff readings, codes), collected from its blocks."""
+        """Properties of the whole file from all of its blocks, in order."""
         facts = cls()
         for block in blocks:
             facts._add_block(block)
@@ -167,10 +173,12 @@ class _BlockFacts:
         self.last_block = block
 
     def setup_code(self, path: Path, *, is_line_broken: bool) -> str | None:
-        """Code (41) of the blocks that name a set-up, the first with a name and a height; None if no code does.
+        """Code (word 41) of the blocks that name a set-up; None if no code does.
 
-        Other codes describe points. Where blocks with coordinates name the set-ups, all codes do. RecordError is raised
-        for a last line without a line break that differs from the one before, and for the file of a level.
+        It is the code of the first block with a name and a height, or of the first with a name; other codes describe
+        points. If blocks with coordinates of stations name the set-ups, all codes describe points. `is_line_broken` is
+        True if the last line of the file ends with a line break. Raises RecordError, which names `path`, if it does not
+        and has other words than the line before, and for the file of a level.
         """
         if self.last_block is not None and not is_line_broken and self.last_block.words.keys() != self.keys_before_last:
             raise self.last_block.location.error("the last line has no line break and is incomplete")

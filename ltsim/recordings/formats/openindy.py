@@ -1,7 +1,7 @@
 """Format: OpenIndy projects (``oiProjectData`` XML), readings of trackers in radians and metres.
 
 The reader uses polar, direction, distance and cartesian readings. All observations of a point geometry belong to one
-target. Observations of planes, spheres and other geometries are at different places, so each one is a separate target.
+target. Observations of planes, spheres and other geometries are different points, so that each is a separate target.
 OpenIndy's azimuth is counter-clockwise. Its readings are reduced to the front face; the zenith angle determines the
 face.
 """
@@ -32,18 +32,18 @@ READINGS_BY_TYPE = {
     "distance": ("distance",),
     "cartesian": ("x", "y", "z"),
 }
-"""Measurements that a reading of each supported type must have."""
+"""Measured quantities that a reading must have, by supported type of reading."""
 SIGMA_COLUMN_BY_MEASUREMENT = dict(zip(("distance", "azimuth", "zenith"), SIGMA_COLUMNS, strict=True))
-"""Column of the standard deviation of each measurement."""
+"""Column of the recording with the standard deviation, by measured quantity."""
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
-    """True if the root element is an OpenIndy project."""
+    """True if the file begins with the root element of an OpenIndy project."""
     return f"<{ROOT_ELEMENT}" in file_beginning
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Recording of an OpenIndy project.
+    """Recording from an OpenIndy project.
 
     Raises RecordError for XML that is malformed or unsafe, or a reading that lacks a measurement.
     """
@@ -54,7 +54,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     stations = {node.required_attribute("id"): node for node in named_nodes if node.tag == "station"}
     geometries = {node.required_attribute("id"): node for node in named_nodes if node.tag != "station"}
     notes: Counter[str] = Counter()
-    readings = [_pointing(node, stations, geometries, notes) for node in root.descendants("observation")]
+    readings = [_parse_pointing(node, stations, geometries, notes) for node in root.descendants("observation")]
     pointings = [p for p in readings if p is not None]
     if not pointings:
         raise RecordError("holds no readings", file=path)
@@ -66,7 +66,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     return recording if declares_noise(recording) else recording.replace(notes=(NO_NOISE_NOTE, *recording.notes))
 
 
-def _pointing(
+def _parse_pointing(
     node: XmlNode, stations: dict[str, XmlNode], geometries: dict[str, XmlNode], notes: Counter[str]
 ) -> Pointing | None:
     children = {child.tag: child for child in node}
@@ -113,7 +113,10 @@ def _pointing(
 
 
 def _polar_reading(values_by_observable: dict[str, float]) -> tuple[float, float, float]:
-    """Range [m], azimuth and raw elevation [rad] from the measurements of a reading; NaN if not measured."""
+    """Range [m], azimuth [rad] and raw elevation [rad] of a reading; NaN if not measured.
+
+    `values_by_observable` holds ``x``, ``y``, ``z`` [m], or ``distance`` [m], ``azimuth`` and ``zenith`` [rad].
+    """
     if "x" in values_by_observable:
         d, a, e = to_polar(
             np.array([[values_by_observable["x"], values_by_observable["y"], values_by_observable["z"]]])
@@ -142,7 +145,10 @@ def _sigmas(nodes: dict[str, XmlNode]) -> dict[str, float]:
 
 
 def _target_name(node: XmlNode, geometries: dict[str, XmlNode]) -> str:
-    """Name of the target of an observation: that of its point geometry, or a separate name for another geometry."""
+    """Name of the target of an observation: the name of the point it measured, or a separate name on other geometries.
+
+    `geometries` are the elements of geometries by id.
+    """
     geometries_of_node = [
         geometries[e.get("ref")] for e in node.descendants("measuredTargetGeometry") if e.get("ref") in geometries
     ]

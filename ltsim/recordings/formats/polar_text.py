@@ -33,7 +33,7 @@ _POLAR_PATTERN = re.compile(r"^#.*(polar|spherical|azimuth)", re.IGNORECASE | re
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
-    """True if the first lines have two names and three numbers, or one name if a comment declares polar text."""
+    """True if each of the first lines has two names and three numbers, or, after a comment on polar data, one name."""
     data_rows = [row.fields for row in head_rows(file_beginning) if not row.is_comment]
     sample = data_rows[: max(1, min(6, len(data_rows) - 1))]
     field_counts = (4, 5) if _POLAR_PATTERN.search(file_beginning) else (5,)
@@ -41,7 +41,7 @@ def recognises(path: Path, file_beginning: str) -> bool:
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Recording of a polar text.
+    """Recording from a file of plain polar text.
 
     Raises RecordError for a malformed line, or for a convention that the data do not decide.
     """

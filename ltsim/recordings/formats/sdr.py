@@ -22,22 +22,22 @@ from ltsim.recordings.recording import Recording
 
 _HEADER_PATTERN = re.compile(r"00NMSDR(20|33)", re.ASCII)
 FIELD_WIDTHS = {"20": (4, 10), "33": (16, 16)}
-"""Number of characters of a name and of a number, by dialect."""
+"""Number of characters of a name and of a number, by version of the format (SDR20 or SDR33)."""
 SDR_ANGLE_FACTORS = {"1": DEGREE, "2": GON, "4": 2 * np.pi / 6400}
 """Factor to rad by the code of the unit of angles in the header record."""
 SDR_LENGTH_FACTORS = {"1": 1.0, "2": SI_PER_UNIT["ft"]}
 """Factor to m by the code of the unit of lengths in the header record."""
 UNITS_COLUMN = slice(40, 45)
-"""Columns of the unit codes in the header record."""
+"""Character positions of the unit codes in the header record."""
 VERTICAL_ZERO_COLUMN = 50
-"""Column of the code for the zero of vertical angles in the instrument record."""
+"""Character position, in the instrument record, of the code for the zero of vertical angles (zenith or horizon)."""
 OBSERVATION_RECORDS = ("09F1", "09F2")
 """Beginnings of the records with raw observations on face 1 and face 2."""
 
 
 @dataclass(frozen=True)
 class _Dialect:
-    """Dialect of a file, from its header: widths of fields, factors to rad and m, and order of the coordinates."""
+    """Dialect of a file: widths of names and numbers in characters, factors to rad and m, order of plan coordinates."""
 
     name_width: int
     number_width: int
@@ -64,7 +64,7 @@ class _Dialect:
         return cls(*FIELD_WIDTHS[match[1]], SDR_ANGLE_FACTORS[units[0]], SDR_LENGTH_FACTORS[units[1]], units[4] != "2")
 
     def fields(self, line: str, n_names: int, n_numbers: int) -> tuple[list[str], list[str]]:
-        """Texts of the first `n_names` names in a record, and of the `n_numbers` numbers after them."""
+        """Texts of the first `n_names` names in the record `line`, and texts of the `n_numbers` numbers after them."""
         start = 4
         widths = [self.name_width] * n_names + [self.number_width] * n_numbers
         cells = []
@@ -80,7 +80,7 @@ def recognises(_: Path, file_beginning: str) -> bool:
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Recording of an SDR file.
+    """Recording from an SDR file.
 
     Raises RecordError for a malformed record, or for observations from an unknown station.
     """

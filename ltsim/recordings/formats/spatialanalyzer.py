@@ -1,9 +1,9 @@
 """Format: instrument report of SpatialAnalyzer (``Instruments - CompositeReport``) exported as text.
 
-The report has a block for each set-up: its pose (``Transform``), then a table of its observations. Cells are separated
-by semicolons (with decimal commas) or by commas (with decimal points); headings contain the units. The column called
-elevation may contain zenith angles; the values decide. The poses decide the sense of the azimuth, and whether points
-with one name in different groups are the same point.
+The report has a section for each set-up: its pose (``Transform``), then a table of its observations. Cells are
+separated by semicolons (with decimal commas) or by commas (with decimal points); headings contain the units. The column
+called elevation may contain zenith angles; the values decide. The poses decide the sense of the azimuth, and whether
+points with one name in different groups are the same point.
 """
 
 import csv
@@ -31,42 +31,42 @@ from ltsim.recordings.tables.rows import read_pointing_table
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
 REPORT_TITLE = "CompositeReport"
-"""Text in the title of a report."""
+"""Word in the title of a report by which it is recognised."""
 MAX_SAME_POINT_DISTANCE = 2e-3
-"""Distance [m] between points with one name in two groups below which they are the same target."""
+"""Distance [m] below which points with the same name in two groups count as the same target."""
 SPATIALANALYZER_COLUMN_MAP = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
-"""Roles of the columns of a block, as in the option --columns."""
+"""Roles of the columns in the table of a set-up, in the notation of the option --columns."""
 PERMITTED_UNITS = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
-"""Columns that a block must have, with their permitted units."""
+"""Permitted units of each column that the table of a set-up must have; None for a column without unit."""
 RETAINED_COLUMNS = (*PERMITTED_UNITS, "datetime", "offset1", "offset2")
-"""Columns of a report that are read; others are ignored."""
+"""Columns in the table of a set-up that are read; others are ignored."""
 _HEADING_PATTERN = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.MULTILINE)
 
 
 @dataclass
 class _Block:
-    """Block of a set-up in a report: its instrument, its pose, and the table of its observations."""
+    """Section of a report on one set-up: collection, number and model of its instrument, pose, observations."""
 
     collection: str
     number: str
     model: str
     n_declared_observations: int | None = None
-    """Number of observations that the block announces."""
+    """Number of observations that the section announces; None if it does not."""
     position: Floats | None = None
     """Position (3,) [m] of the instrument."""
     rotation: Floats | None = None
     """Rotation angles (3,) [rad] about the fixed axes x, y, z."""
     rows: list[SheetRow] = field(default_factory=list)
-    """Heading of the table, and its rows."""
+    """Heading row and data rows of the table of observations."""
 
     def cell(self, row: SheetRow, title: str) -> str:
-        """Text in the column with this title in a row; '' without such a column."""
+        """Text of the cell of `row` in the column with this title; '' if the table has no such column."""
         titles = self.rows[0].fields
         return row.cell(titles.index(title)) if title in titles else ""
 
     @property
     def pose(self) -> StationPoseArrays | None:
-        """Pose of the set-up; None if the block has none."""
+        """Pose of the set-up: rotation to the network frame (3, 3), position (3,) [m]; None if the section has none."""
         if self.position is None or self.rotation is None:
             return None
         from scipy.spatial.transform import Rotation
@@ -80,7 +80,7 @@ def recognises(path: Path, file_beginning: str) -> bool:
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
-    """Recording of an instrument report.
+    """Recording from an instrument report.
 
     Raises RecordError for a malformed or truncated report, or for a convention that the data do not decide.
     """
@@ -123,7 +123,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _read_cells(path: Path) -> Iterator[SheetRow]:
-    """Rows that are not empty, each with the number of the line where it ends; raises RecordError."""
+    """Rows of the file that are not empty, each with the number of its last line; raises RecordError."""
     lines = read_lines(path)
     heading = next((line for line in lines if _HEADING_PATTERN.match(line)), None)
     if heading is None:
@@ -139,7 +139,7 @@ def _read_cells(path: Path) -> Iterator[SheetRow]:
 
 
 def _read_blocks(path: Path) -> list[_Block]:
-    """Blocks of the set-ups in a report, in order; a block that continues on another page is one block.
+    """Sections of the set-ups in a report, in order; parts of a section on several pages are joined.
 
     Raises RecordError.
     """
@@ -205,7 +205,10 @@ def _check_heading(fields: Sequence[str], location: SourceLocation) -> None:
 
 
 def _sheet_of_block(block: _Block, name: str, sheet_rows: list[SheetRow], file: Path) -> TableSheet:
-    """Table of a set-up with only the columns that are read; the titles of offsets contain their unit."""
+    """Table of `sheet_rows` of the set-up `name`, with only the columns in `RETAINED_COLUMNS`.
+
+    The titles of columns with offsets of reflectors are changed so that they end with the unit.
+    """
     titles = {}
     for place, title in enumerate(block.rows[0].fields):
         word, unit = title_words_and_unit(title)
@@ -216,7 +219,7 @@ def _sheet_of_block(block: _Block, name: str, sheet_rows: list[SheetRow], file: 
 
 
 def _station_names(blocks: Sequence[_Block]) -> list[str]:
-    """Names of the stations: ``Instrument_0`` if the numbers are unique, otherwise ``COLLECTION::0``."""
+    """Name of the station of each section: ``Instrument_0`` if instrument numbers are unique, or ``COLLECTION::0``."""
     block_numbers = [block.number for block in blocks]
     if len(set(block_numbers)) == len(block_numbers):
         return [f"Instrument_{number}" for number in block_numbers]
@@ -226,7 +229,11 @@ def _station_names(blocks: Sequence[_Block]) -> list[str]:
 def _prefix_ambiguous_points(
     table: PointingTable, group_names: Sequence[str], readings: Floats, poses: dict[str, StationPoseArrays | None]
 ) -> list[str]:
-    """Addition, in place, of the group to names that stand for several points; returns notes."""
+    """Addition, in place, of the group to target names that stand for several points; the result is a list of notes.
+
+    `group_names` and `readings` (n, 3) [m, rad, rad] are the group and the range, azimuth and elevation of each
+    pointing; `poses` are those of the stations by name.
+    """
     sightings: dict[str, dict[str, list[tuple[str, Floats]]]] = {}
     printed = table.pointings
     for station, target, group_name, point in zip(
@@ -243,15 +250,16 @@ def _prefix_ambiguous_points(
     examples = ", ".join(ambiguous_names[:4])
     n_ambiguous = len(ambiguous_names)
     return [
-        f"{n_ambiguous} names stand for points at different places ({examples}, ...): their group is added to the name"
+        f"{n_ambiguous} names stand for points at different positions ({examples}, ...): their group is added to the "
+        "name"
     ]
 
 
 def _new_names_by_group(name: str, groups: dict[str, list[tuple[str, Floats]]]) -> dict[str, str]:
     """New name, by group, of points in several groups that are all called `name` but are different points.
 
-    `groups` holds the station and the position (3,) [m] of each pointing, by group. The position that was measured from
-    most stations, and then with most pointings, keeps the name.
+    `groups` holds the station and the position (3,) [m] of each pointing, by group. The point that was measured from
+    most stations, and among equals with most pointings, keeps the name.
     """
     clusters: list[tuple[Floats, list[str]]] = []
     for group, members in groups.items():

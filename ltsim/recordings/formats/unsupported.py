@@ -6,13 +6,13 @@ from dataclasses import dataclass
 OBSERVATIONS_ADVICE = (
     "export GSI, SDR or a table of the observations (station, point, horizontal circle, zenith, distance)"
 )
-"""Text on what to export in place of a field book of a total station."""
+"""Advice to a user whose file is a field book of a total station in an unsupported format."""
 ARRAYS_ADVICE = "write its arrays to a table, as docs/how-to/own-tracker.md shows in a few lines"
-"""Text on what to write in place of a file of a numerical program."""
+"""Advice to a user whose file comes from a numerical program, such as MATLAB."""
 DATABASES_ADVICE = "export the observations from its program as a table (SpatialAnalyzer, PolyWorks: reports as text)"
-"""Text on what to export in place of a database, in which a metrology program stores its jobs."""
+"""Advice to a user whose file is the database in which a metrology program stores its jobs."""
 WORKBOOKS_ADVICE = "save it as xlsx or CSV"
-"""Text on how to save a workbook in another format."""
+"""Advice to a user whose file is a workbook in an unsupported format."""
 
 
 @dataclass(frozen=True)

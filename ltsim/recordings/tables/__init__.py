@@ -1,1 +1,1 @@
-"""Delimited text and workbooks: from bytes to rows, from the header to roles, conventions, and the recording."""
+"""Recordings from delimited text and workbooks: rows, roles of columns, conventions of readings, assembly."""

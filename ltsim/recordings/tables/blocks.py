@@ -1,4 +1,4 @@
-"""Lines between the rows of a table that name the station, or the heights, of the rows below them."""
+"""Lines between the rows of a table that name the station, or give the heights, that apply to the rows below them."""
 
 import re
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from ltsim.recordings.tables.sheets import SheetRow
 INSTRUMENT_WORDS = frozenset(
     ("instrument", "instrumentname", "tracker", "trackername", "device", "deviceid", "devicename")
 )
-"""Words before the name of an instrument, which names the set-up if no line names a station."""
+"""Words that precede the name of an instrument in a line; the set-up gets this name if no line names a station."""
 STATION_WORDS_BEFORE_SIGN = frozenset(("from", "fromstn", "fromstation", "frompoint", "frompointid", "von"))
 """Words that precede the name of a station only before a colon or an equals sign; otherwise they belong to a text."""
 MAX_HEIGHT_TITLE_WORDS = 4
@@ -20,25 +20,28 @@ MAX_HEIGHT_TITLE_WORDS = 4
 _WORDS_AND_VALUE_PATTERN = re.compile(r"#?\s*([^:=]{1,60}?)\s*[:=]\s*(\S.*?)[\s;,]*")
 """Pattern of words and a value, separated by a colon or an equals sign."""
 _WORD_PATTERN = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
-"""Pattern of one word and a value."""
+"""Pattern of a line with a single word and a value, such as ``Station S1``."""
 _HEIGHT_PATTERN = re.compile(r"(.*?)[\s:=;,]\s*(\d{1,5}(?:[.,]\d{1,6})?)\s*(mm|cm|m|ft|in)?[\s;,]*")
 """Pattern of a line that ends with a length and possibly its unit."""
 
 
 @dataclass
 class TableBlock:
-    """Current block of rows in a sheet: its station, and the heights above marks that apply to its rows."""
+    """Group of rows in a sheet below a line that names their station; the object is updated line by line.
+
+    It has the station, and the heights above survey marks, that apply to the next rows.
+    """
 
     station: str = ""
     height_columns: list[TableColumn] = field(default_factory=list)
-    """Column of each height that a line gave so far."""
+    """Column for each kind of height that any line has given so far."""
     heights: dict[str, str] = field(default_factory=dict)
-    """Text of each height of the current block, by the quantity that its column holds (such as `instrument height`)."""
+    """Text of each height that applies to the next rows, by the role of its column (such as `instrument_height_mm`)."""
     is_station_named: bool = False
     """True if a line has named a station, and not only an instrument."""
 
     def read_line(self, row: SheetRow) -> bool:
-        """Update of the block by a line that is no pointing; returns False if it has neither a station nor a height."""
+        """Update of station and heights by a line that is no pointing; False if the line contains neither."""
         line = " ".join(cell for cell in row.fields if cell).rstrip(" \t;,")
         if len(line) > MAX_TEXT_LENGTH:
             return False
@@ -53,13 +56,13 @@ class TableBlock:
         return station is not None or bool(heights)
 
     def missing_height_columns(self, columns: Sequence[TableColumn]) -> list[TableColumn]:
-        """Columns of the heights, to be added after the columns of a header, without those that the header has."""
+        """Columns of the heights that lines have given, positioned after the `columns` of a header that lacks them."""
         roles = {column.role for column in columns}
         further_columns = [column for column in self.height_columns if column.role not in roles]
         return [replace(column, position=len(columns) + i) for i, column in enumerate(further_columns)]
 
     def _station_name(self, line: str) -> str | None:
-        """Name of the station in a line; None if the line names none."""
+        """Name of the station in a line; None if the line names no station."""
         sign_match = _WORDS_AND_VALUE_PATTERN.fullmatch(line)
         if sign_match is not None and title_role(sign_match[1]) == "station":
             word, name = title_words_and_unit(sign_match[1])[0], sign_match[2]
@@ -77,7 +80,7 @@ class TableBlock:
 
 
 def _split_heights(line: str) -> tuple[str, list[tuple[TableColumn, str]]]:
-    """Line without the heights at its end, and column and text of each of these heights."""
+    """Line without the heights at its end, and a list of the column and the text of each of these heights."""
     heights = []
     while (match := _HEIGHT_PATTERN.fullmatch(line)) is not None:
         words = match[1].rstrip(" \t:=;,").split()

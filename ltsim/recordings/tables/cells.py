@@ -19,7 +19,7 @@ FACE_WORDS = (
 )
 """Words for face 1, and words for face 2."""
 FACE_BY_WORD = {word: face for face, words in enumerate(FACE_WORDS, start=1) for word in words.split()}
-"""Face by each of its words."""
+"""Face (1 or 2) by each word that stands for it."""
 MISSING_VALUE_TEXTS = frozenset(("-", "--", "---", "----", "-----", "\u2013", "\u2014", "n/a", "N/A", "#N/A"))
 """Texts that programs write in cells without a value."""
 ValueType = TypeVar("ValueType")
@@ -38,20 +38,19 @@ _SEXAGESIMAL_PATTERN = re.compile(
 _DEGREES_AND_MINUTES_PATTERN = re.compile(
     rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN})\s*({_SEXAGESIMAL_PART_PATTERN})\s*(?:{_MINUTES_PATTERN})()"
 )
-"""Pattern of degrees and minutes, each with its mark; `_SEXAGESIMAL_PATTERN` is that of degrees, minutes and
-seconds."""
+"""Pattern of degrees and minutes, each with its symbol."""
 _CENTESIMAL_PATTERN = re.compile(
     r"([+-]?)\s*(\d{1,3})\s*g\s*(\d{1,2})\s*c\s*(\d{1,2}(?:[.,]\d+)?)\s*(?:cc)?", re.IGNORECASE
 )
 """Pattern of an angle in gon with its hundredths (c) and ten-thousandths (cc)."""
-UNIT_BY_MARK = {
+UNIT_BY_SYMBOL = {
     **dict.fromkeys(("g", "gon", "gr", "grd", "ᵍ"), "gon"),
     **dict.fromkeys(("°", "º", "deg"), "deg"),
     **{unit: unit for unit in ("rad", "mm", "cm", "m", "ft", "in")},
 }
-"""Unit by the mark after the number in a cell."""
+"""Unit by its symbol after the number in a cell."""
 _NUMBER_WITH_UNIT_PATTERN = re.compile(
-    rf"([+-]?\d[\d.,]*)\s*({'|'.join(sorted(UNIT_BY_MARK, key=len, reverse=True))})", re.IGNORECASE
+    rf"([+-]?\d[\d.,]*)\s*({'|'.join(sorted(UNIT_BY_SYMBOL, key=len, reverse=True))})", re.IGNORECASE
 )
 _PACKED_PATTERN = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
 _DIGIT_CHARACTERS = re.compile(r"[0-9.+eE-]*")
@@ -90,7 +89,7 @@ _DATE_PATTERN = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})")
 
 
 def python_number(text: str) -> str:
-    """Number in Python's notation, from text with comma or point as decimal sign and possibly a degree sign."""
+    """Text of a number in Python's notation, from text with a decimal comma or point and possibly a degree sign."""
     text = text.strip().removesuffix("°").replace("\u2212", "-").replace("\u00a0", "").strip()
     comma, point = text.rfind(","), text.rfind(".")
     if comma < 0:
@@ -108,8 +107,8 @@ _COMMA_AND_POINT_PATTERN = {
 def thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object) -> str:
     """Thousands separator of the cells of a sheet, point or comma; '' if there is none.
 
-    ``7.000,5`` in one cell shows that ``7.000`` in another cell is 7000. Raises RecordError if the cells have both
-    separators.
+    ``7.000,5`` in one cell shows that ``7.000`` in another cell is 7000. Raises RecordError, which names `file`, if
+    both separators occur.
     """
     mixed_cells = (cell for row in sheet_rows for cell in row if "," in cell and "." in cell)
     cell_by_separator = {
@@ -129,12 +128,12 @@ def is_value(text: str) -> bool:
         is_number(text)
         or is_number(python_number(text))
         or _parse_sexagesimal(text) is not None
-        or split_unit_mark(text) is not None
+        or split_unit_symbol(text) is not None
     )
 
 
-def split_unit_mark(text: str) -> tuple[str, str] | None:
-    """Number and unit of a cell with the mark of a unit (``43.71 gon``, ``43g71c20cc``, ``12.5 m``); None without."""
+def split_unit_symbol(text: str) -> tuple[str, str] | None:
+    """Number and unit of a cell with a unit symbol (``43.71 gon``, ``43g71c20cc``, ``12.5 m``); None without one."""
     text = text.strip()
     if len(text) > MAX_VALUE_LENGTH or text[-1:].isdigit():
         return None
@@ -144,16 +143,16 @@ def split_unit_mark(text: str) -> tuple[str, str] | None:
         parts = Decimal(minutes) * 100 + Decimal(seconds.replace(",", "."))
         return f"{sign}{Decimal(whole) + parts / 10_000}", "gon"
     marked_match = _NUMBER_WITH_UNIT_PATTERN.fullmatch(text)
-    return None if marked_match is None else (marked_match[1], UNIT_BY_MARK[marked_match[2].casefold()])
+    return None if marked_match is None else (marked_match[1], UNIT_BY_SYMBOL[marked_match[2].casefold()])
 
 
 def split_common_unit(texts: Sequence[str]) -> tuple[Sequence[str], str]:
-    """Cells without the mark of their common unit, and this unit; unchanged cells and '' without a common unit."""
+    """Cells without the symbol of their common unit, and this unit; unchanged cells and '' without a common unit."""
     filled = list(filter(None, texts))
-    first_split = split_unit_mark(filled[0]) if filled else None
+    first_split = split_unit_symbol(filled[0]) if filled else None
     if first_split is None:
         return texts, ""
-    split = [split_unit_mark(text) if text else ("", first_split[1]) for text in texts]
+    split = [split_unit_symbol(text) if text else ("", first_split[1]) for text in texts]
     if any(pair is None or pair[1] != first_split[1] for pair in split):
         return texts, ""
     return [pair[0] for pair in split if pair is not None], first_split[1]
@@ -203,12 +202,18 @@ def parse_value(text: str, group_separator: str = "") -> Decimal | None:
 
 
 def parse_quantity(text: str, group_separator: str = "") -> Decimal | None:
-    """Exact value of a cell as `parse_value` gives it, but None for a cell that is a date or time."""
+    """Exact value of a cell with a number, or an angle with minutes and seconds [deg]; None for a date or a time.
+
+    `group_separator` is the thousands separator of the sheet, '' for none.
+    """
     return None if not is_number(text) and is_date_or_time(text) else parse_value(text, group_separator)
 
 
 def parse_packed_degrees(text: str) -> Decimal | None:
-    """Degrees from a cell whose decimals are minutes and seconds (``33.120747``: 33° 12' 07.47"); None for others."""
+    """Degrees from a cell whose decimals are minutes and seconds (``33.120747``: 33° 12' 07.47").
+
+    Degrees, minutes and seconds with symbols are read too. None for any other cell.
+    """
     match = _PACKED_PATTERN.fullmatch(text.strip()) if len(text) <= MAX_VALUE_LENGTH else None
     if match is None:
         return _parse_sexagesimal(text)
@@ -241,10 +246,10 @@ def parse_face(text: str) -> int | None:
 
 
 def parse_times(texts: Sequence[str], date_order: str | None = None) -> tuple[list[float] | None, str]:
-    """Seconds since the earliest of several times, dates, or dates with times, and the earliest in ISO format.
+    """Seconds after the earliest of several times, dates, or dates with times, and this earliest one in ISO format.
 
-    `date_order` is the order of day and month in dates with slashes, ``dmy`` or ``mdy``. The seconds are None if a
-    text is not understood (with the text ''), and if the order is ambiguous (with the text "?").
+    `date_order` is the order of day and month in dates with slashes, ``dmy`` or ``mdy``. The result is (None, "") if a
+    text is no date or time, and (None, "?") if the order is ambiguous.
     """
     texts = [_without_apostrophe(text) for text in texts]
     clocks = _convert_all(_parse_clock, texts)
@@ -261,7 +266,7 @@ def parse_times(texts: Sequence[str], date_order: str | None = None) -> tuple[li
 
 
 def _convert_all(convert: Callable[[str], ValueType | None], texts: Sequence[str]) -> list[ValueType] | None:
-    """Converted texts; None if one of them cannot be converted."""
+    """Results of `convert` for all texts; None if it returns None for any of them."""
     converted = []
     for text in texts:
         value_of_text = convert(text)
@@ -290,7 +295,7 @@ def has_clock(text: str) -> bool:
 
 
 def _without_apostrophe(text: str) -> str:
-    """Date or time without the apostrophe that marks it as text in a spreadsheet."""
+    """Date or time without the leading apostrophe with which spreadsheets store it as text."""
     return text.strip().removeprefix("'").strip()
 
 
@@ -301,7 +306,7 @@ def _seconds_since_first(stamps: list[datetime], *, has_date: bool) -> tuple[lis
 
 
 def _unwrap_midnight(clocks: list[timedelta]) -> list[timedelta]:
-    """Times of day continued over midnight: a decrease by more than half a day adds a day to all later times."""
+    """Times since the first midnight, from times of day in order: each decrease by more than half a day adds a day."""
     days, last, unwrapped = timedelta(0), clocks[0], []
     for clock in clocks:
         if last - clock > DAY / 2:
@@ -327,7 +332,7 @@ def _parse_clock(text: str) -> timedelta | None:
 
 
 def _with_numeric_month(text: str) -> str:
-    """Text of a date and time in which the month is a number and separators are present."""
+    """Date and time as text with a number for the month, and with separators between all parts."""
     compact = _COMPACT_STAMP_PATTERN.fullmatch(text)
     if compact is not None:
         year, month, day, hours, minutes, seconds, _ = compact.groups()

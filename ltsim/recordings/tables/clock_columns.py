@@ -12,13 +12,13 @@ from ltsim.recordings.tables.pointing_table import PointingTable
 
 
 def with_time_column(table: PointingTable) -> PointingTable:
-    """Table with a time column: if no title is one of times, the first additional column with times of day is used.
+    """Table with a time column: if no title is that of times, the first additional column with times of day is used.
 
-    A column of rounds with one pointing each, to several targets, is an additional column: directions of a round have
-    one orientation.
+    A column of rounds becomes an additional column if every round has a single pointing, because a round is a set of
+    directions to several targets. `table` is changed in place.
     """
     rounds = table.column(("round",))
-    if rounds is not None and table.pointings.has_single_pointing_rounds:
+    if rounds is not None and table.pointings.every_round_has_single_pointing:
         table.columns = [replace(c, role="") if c is rounds else c for c in table.columns]
         table.notes.append(
             f"'{quoted_text(rounds.title)}' is different for each pointing and not interpreted as the round; if it is "
@@ -48,7 +48,7 @@ def with_time_column(table: PointingTable) -> PointingTable:
 
 
 def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str, list[str]]:
-    """Time [s] of each pointing, moment of time 0 in ISO format ('' if unknown), and notes; NaN if unreadable."""
+    """Time [s] of each pointing (NaN if not readable), moment of time 0 in ISO format ('' if unknown), and notes."""
     column = table.column(("time",)) or table.column(("date",))
     texts = table.pointings.date_and_time
     missing = [float("nan")] * len(texts)

@@ -1,4 +1,4 @@
-"""Columns of a table by the option ``--columns``: assignments of roles to titles or numbers of columns."""
+"""Option ``--columns``, which assigns roles to the columns of a table by their titles or numbers."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,8 +6,8 @@ from dataclasses import replace
 from ltsim.core.errors import RecordError
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.tables.header import (
-    ANGLE_MARKS,
     ANGLE_PART_ROLE,
+    ANGLE_SYMBOLS,
     SIGMA_ROLES,
     UNITS_BY_ROLE,
     TableColumn,
@@ -22,10 +22,11 @@ MAPPABLE_ROLES = tuple(dict.fromkeys((*TITLE_WORDS, *SIGMA_ROLES.values())))
 
 
 def mapped_columns(fields: Sequence[str], assignments: str, file: object) -> list[TableColumn] | None:
-    """Columns of a header with the roles in ``--columns``, ``role=Header[unit],...``; None if a title is missing.
+    """Columns of a header with the roles from ``--columns``; None if the header lacks an assigned title.
 
-    A number in place of a title counts columns from 1; ``role=Degrees+Minutes+Seconds`` joins columns. Columns without
-    an assignment have the role of their title.
+    `fields` are the titles in the header, `assignments` is ``role=Header[unit],...``. A number in place of a title
+    counts columns from 1; ``role=Degrees+Minutes+Seconds`` joins columns. A column without assignment has the role that
+    its title implies.
 
     Raises RecordError for an unknown role or unit.
     """
@@ -45,7 +46,10 @@ def mapped_columns(fields: Sequence[str], assignments: str, file: object) -> lis
 
 
 def parse_assignments(assignments: str, file: object = None) -> list[tuple[str, int, str, str]]:
-    """Role, face (0 for both), title and unit ('' if not given) of each ``role=Header[unit]``; raises RecordError."""
+    """Role, face (0 for both), title and unit ('' if not given) of each assignment ``role=Header[unit]``.
+
+    Raises RecordError, which names `file`, for an unknown role or unit.
+    """
     assignments_of_roles = []
     for part in filter(None, (p.strip() for p in assignments.split(","))):
         role, equals, title = part.partition("=")
@@ -69,19 +73,19 @@ def parse_assignments(assignments: str, file: object = None) -> list[tuple[str, 
 
 
 def _title_positions(fields: Sequence[str], title: str) -> tuple[int, ...] | None:
-    """Position of a title, or positions of the titles of degrees, minutes and seconds that `title` joins by plus signs.
+    """Position of `title` among `fields`, or positions of the titles that it joins by plus signs.
 
-    None if a title is missing.
+    Joined titles are those of degrees, minutes and seconds. None if `fields` lack any of them.
     """
     position = _title_position(fields, title)
     if position is not None or "+" not in title:
         return None if position is None else (position,)
-    positions = [_title_position(fields, part) for part in title.split("+")[: len(ANGLE_MARKS)]]
+    positions = [_title_position(fields, part) for part in title.split("+")[: len(ANGLE_SYMBOLS)]]
     return None if None in positions else tuple(p for p in positions if p is not None)
 
 
 def _title_position(fields: Sequence[str], title: str) -> int | None:
-    """Position of a title, given with or without its unit or as a column number from 1; None if it is missing."""
+    """Position of `title` among `fields`; None if they lack it. It may be without unit, or a column number from 1."""
     for fold in (str.strip, lambda text: split_unit(text)[0].casefold()):
         folded_title = fold(title)
         for position, field in enumerate(fields):

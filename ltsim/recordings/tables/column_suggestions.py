@@ -1,4 +1,4 @@
-"""Suggestions for the option ``--columns`` for a table without recognised titles, from the content of its columns."""
+"""Suggested values of the option ``--columns`` for a table without recognised titles, from its cells."""
 
 from collections.abc import Callable, Sequence
 from decimal import Decimal
@@ -10,7 +10,7 @@ from ltsim.recordings.conventions import FULL_CIRCLE_BY_UNIT, AngleUnit
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
-    ANGLE_MARKS,
+    ANGLE_SYMBOLS,
     COORDINATE_ROLES,
     normalised_title,
     title_words_and_unit,
@@ -20,15 +20,15 @@ from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 from ltsim.recordings.transcription_errors import MAX_CIRCLE_RADIANS, MIN_DISTANCE_MM
 
 MAX_SAMPLE_ROWS = 400
-"""Number of rows from which the meanings of columns are suggested."""
+"""Largest number of rows from which roles of columns are suggested."""
 MAX_TRIED_ASSIGNMENTS = 20
-"""Largest number of suggested assignments that are tested on the whole sheet, the most likely first."""
+"""Largest number of suggested values of ``--columns`` that are tested on the whole sheet, the most likely first."""
 MAX_SAMPLE_CELLS = 100_000
-"""Number of cells, in the first rows of a table, from which the suggestions are made."""
+"""Largest number of cells, in the first rows of a table, from which roles of columns are suggested."""
 MAX_LENGTH_IN_METRES = MIN_DISTANCE_MM
-"""Largest distance or coordinate below which metres are suggested as its unit, and above which millimetres."""
+"""Number below which the largest distance or coordinate suggests metres as its unit, and otherwise millimetres."""
 CellsByColumn = Sequence[tuple[str, ...]]
-"""Cells of each column of a table."""
+"""Cells of a table, column by column."""
 COLUMNS_TEMPLATE = (
     '--columns "station=HEADER,target=HEADER,azimuth=HEADER[deg],elevation=HEADER[deg],distance=HEADER[mm]"'
 )
@@ -76,7 +76,11 @@ def sample_rows(sheet: TableSheet) -> list[SheetRow]:
 
 
 def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str]]) -> list[str]:
-    """Values of ``--columns`` that the cells permit, most likely first: names, a face, then readings or coordinates."""
+    """Values of ``--columns`` that the cells permit, most likely first.
+
+    `titles` are those of all columns, `first_rows` the sample of rows. Each value assigns names, a face, and readings
+    or coordinates.
+    """
     columns: list[tuple[str, ...]] = list(zip(*first_rows, strict=True))
     time_columns = [
         i for i, column in enumerate(columns) if any(column) and all(cells.has_clock(t) for t in column if t)
@@ -137,13 +141,13 @@ def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str
 
 
 def _angle_columns(number_columns: Sequence[int], columns: CellsByColumn) -> list[tuple[int, ...]]:
-    """Columns that may contain an angle: the column alone, or with those of minutes and seconds after it."""
+    """Positions of the column of each possible angle, followed by those of its minutes and seconds if there are any."""
     angles: list[tuple[int, ...]] = []
     used_columns: set[int] = set()
     for i in number_columns:
         part_columns = [i]
         while (
-            len(part_columns) < len(ANGLE_MARKS)
+            len(part_columns) < len(ANGLE_SYMBOLS)
             and part_columns[-1] + 1 in number_columns
             and _is_minutes_or_seconds(columns[part_columns[-1] + 1])
         ):
@@ -162,14 +166,17 @@ def _angle_columns(number_columns: Sequence[int], columns: CellsByColumn) -> lis
 
 
 def _is_minutes_or_seconds(column: tuple[str, ...]) -> bool:
-    """True if all numbers are from 0 to 60, as minutes and seconds are."""
+    """True if all numbers in a column are at least 0 and below 60, as minutes and seconds are."""
     return all(0 <= number < 60 for number in _column_numbers(column))
 
 
 def _possible_conventions(
     horizontal: Sequence[int], vertical: Sequence[int], columns: CellsByColumn, titles: Sequence[str]
 ) -> list[tuple[str, str]]:
-    """Pairs of unit and kind of the vertical angle that its numbers and its title permit, most likely first."""
+    """Pairs of angle unit and kind of vertical angle that numbers and title permit, most likely first.
+
+    `horizontal` and `vertical` are the positions of the columns of both angles.
+    """
     vertical_angles = _column_numbers(columns[vertical[0]])
     max_value = max(_largest_magnitude(columns[horizontal[0]]), _largest_magnitude(columns[vertical[0]]))
     if _is_sexagesimal(horizontal, columns):
@@ -187,10 +194,10 @@ def _possible_conventions(
 def _distance_columns(
     role: str, candidate_columns: Sequence[int], titles: Sequence[str], columns: CellsByColumn, angle: Sequence[int]
 ) -> list[list[str]]:
-    """Assignment for ``--columns`` of the first candidate column whose cells may be distances, else an empty list.
+    """Assignment `role=title[unit]` for the first candidate column whose cells may be distances, as [[assignment]].
 
-    It is a list with one list of texts `role=title[unit]`. The unit is that of the title. Without a unit in the title
-    it is metres if the `angle` is in degrees, minutes and seconds, otherwise it follows from the size of the numbers.
+    The result is [] if there is no such column. The unit is that of the title. A title without unit has metres if the
+    column `angle` is in degrees, minutes and seconds; otherwise the size of the numbers decides.
     """
     candidates = [
         i
@@ -214,12 +221,12 @@ def _is_sexagesimal(angle: Sequence[int], columns: CellsByColumn) -> bool:
 
 @lru_cache(maxsize=1024)
 def _has_marked_angles(column: tuple[str, ...]) -> bool:
-    """True if one of the cells is an angle in degrees, minutes and seconds."""
+    """True if any cell of a column is an angle in degrees, minutes and seconds."""
     return cells.plain_numbers(column) is None and any(map(cells.is_sexagesimal, column))
 
 
 def _joined_titles(positions: Sequence[int], titles: Sequence[str]) -> str:
-    """Titles of several columns, joined by plus signs as in the option ``--columns``."""
+    """Titles of the columns at `positions`, joined by plus signs as in the option ``--columns``."""
     return "+".join(titles[i] for i in positions)
 
 
@@ -234,5 +241,5 @@ def _largest_magnitude(column: tuple[str, ...]) -> Decimal:
 
 @lru_cache(maxsize=1024)
 def _has_fraction(column: tuple[str, ...]) -> bool:
-    """True if one of the numbers is not an integer."""
+    """True if any number in a column is not an integer."""
     return any(number != int(number) for number in _column_numbers(column))

@@ -34,7 +34,8 @@ SIGMA_ROLES = {
     **dict.fromkeys(VERTICAL_ROLES, "sigma_elevation_arcsec"),
     **{axis: f"sigma_{axis}_mm" for axis in COORDINATE_ROLES},
 }
-"""Meaning (role) of the column with the standard deviation of another column, by the meaning of that column."""
+"""Role of the column with the standard deviation of a reading or coordinate, by the role of the column of the reading
+or coordinate."""
 ROLE_BY_TITLE = {
     **{instrument + place: "station" for instrument in STATION_TITLE_PREFIXES for place in STATION_TITLE_PLACES},
     **{
@@ -57,17 +58,17 @@ UNITS_BY_ROLE = {
     "air_pressure_hpa": ("hpa",),
     "relative_humidity_pct": ("%",),
 }
-"""Permitted units by the meaning of a column; a column with another unit does not have this meaning."""
+"""Permitted units by the role of a column; a column whose title has another unit does not have this role."""
 _SETUP_TITLES = ("setup", "setupname", "setupid", "setupno", "setupnr", "setupnumber")
 _OCCUPATION_TITLES = ("occupation", "occupationid", "aufstellung", "aufstellungnr", "aufstellungsnr", "besetzung")
 FALLBACK_TITLES = {
     "target": ("nr", "nummer", "no", "id"),
     "station": (*_SETUP_TITLES, *_OCCUPATION_TITLES),
 }
-"""Titles that have a meaning only if no other title has it."""
+"""Titles, by role, that have this role only if no other title in the header has it."""
 FALLBACK_TITLE_ROLES = {"target": "", "station": "instrument_setup"}
-"""Role of a column with such a title if another column already has the usual role: beside a column of stations, a
-column of set-up numbers counts the occupations."""
+"""Role ('' for none) of a column with a title in `FALLBACK_TITLES` if another column has the usual role: in a table
+with a column of stations, a column of set-up numbers counts the occupations."""
 MAX_TITLE_LENGTH = 80
 """Number of characters above which a cell is not tested as a title."""
 _BRACKET_PATTERN = re.compile(r"(.*?)\s*[\[({（【]\s*([^\])}）】]*?)\s*[\])}）】]?\s*")
@@ -77,8 +78,8 @@ _SIGMA_TITLE_PATTERN = (
     re.compile(r"(?:sigma|stddev|std|sd|s)([a-z]+)"),
     re.compile(r"([a-z]+?)(?:error|err|sigma|stddev|std|sd)"),
 )
-ANGLE_MARKS = ("°", "'", '"')
-"""Marks that are added to degrees, minutes and seconds from separate columns."""
+ANGLE_SYMBOLS = ("°", "'", '"')
+"""Symbols that are added to degrees, minutes and seconds from separate columns when these are joined."""
 ANGLE_PART_UNITS = ("min", "sec", "'", '"', "m", "s")
 """Units in titles of separate columns with the minutes or seconds of an angle."""
 ANGLE_PART_ROLE = "part"
@@ -100,7 +101,10 @@ instruments with such an ending are listed separately."""
 
 @dataclass(frozen=True)
 class TableColumn:
-    """Column of a table: position from 0, title, role (what it holds, '' if unknown), unit, and face (0 for both)."""
+    """Column of a table: position from 0, title, role ('' if unknown), unit ('' if not declared), face (0 for both).
+
+    The role says what the cells contain, such as ``target``, ``azimuth`` or ``time``.
+    """
 
     position: int
     title: str
@@ -111,12 +115,12 @@ class TableColumn:
     """Positions of the columns with the minutes and seconds of an angle whose degrees are in this column."""
 
     def texts(self, table: Sequence[Sequence[str]]) -> Sequence[str]:
-        """Cells of this column, from the cells of each column in `table`; joined with those of minutes and seconds."""
+        """Cells of this column, joined with those of minutes and seconds; `table` has the cells of each column."""
         if not self.part_positions:
             return table[self.position]
         cell_rows = zip(*(table[place] for place in (self.position, *self.part_positions)), strict=True)
         return [
-            " ".join(cell + mark for cell, mark in zip(row, ANGLE_MARKS, strict=False) if cell) for row in cell_rows
+            " ".join(cell + sign for cell, sign in zip(row, ANGLE_SYMBOLS, strict=False) if cell) for row in cell_rows
         ]
 
     @property
@@ -126,16 +130,16 @@ class TableColumn:
 
 
 def header_columns(fields: Sequence[str]) -> list[TableColumn]:
-    """Columns of a header (cached), each with the meaning and unit of its title; see `_compute_header_columns`."""
+    """Columns of a header with the titles `fields`, each with the role and unit of its title, as a new list."""
     return list(_compute_header_columns(tuple(fields)))
 
 
 @lru_cache(maxsize=64)
 def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
-    """Columns of a header, each with the meaning (role) and unit of its title.
+    """Columns of a header, each with the role and unit of its title; cached.
 
-    If two titles have one meaning, the first column has it. Faces are distinguished if each reading has two columns.
-    Coordinates in a table of polar readings are additional columns.
+    If two titles have the same role, the first column gets it. Faces are distinguished if a reading has a column for
+    each face. Coordinates in a table of polar readings are additional columns.
     """
     candidates = _join_angle_parts([_column_from_title(place, title) for place, title in enumerate(fields)])
     roles = {c.role for c in candidates}
@@ -173,7 +177,10 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
 
 
 def _sigma_of_distance(column: TableColumn) -> TableColumn:
-    """Column of the title sD as one of standard deviations; without other distances it has slope distances (SD)."""
+    """Column with the role of standard deviations of distances if its title is sD; any other column unchanged.
+
+    It is used in tables with other distances; otherwise the title stands for slope distances (SD).
+    """
     is_sigma = column.role == "distance" and title_words_and_unit(column.title)[0] == "sd"
     return replace(column, role=SIGMA_ROLES["distance"]) if is_sigma else column
 
@@ -190,14 +197,14 @@ def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
 
 
 def _match_unit_ending(pattern: re.Pattern[str], title: str) -> re.Match[str] | None:
-    """Match of a title with a pattern that ends with a unit; None if there is none or the title is too long."""
+    """Match of a title with a pattern that ends with a unit; None if it does not match or is too long."""
     return pattern.fullmatch(title) if len(title) <= MAX_TITLE_LENGTH else None
 
 
 def _join_angle_parts(columns: list[TableColumn]) -> list[TableColumn]:
-    """Columns in which those with degrees, minutes and possibly seconds of one angle are joined.
+    """Columns of a header, in which those of degrees, minutes and possibly seconds of the same angle are joined.
 
-    Minutes and seconds are in the next columns, or anywhere in columns with the title of the degrees.
+    Minutes and seconds are in the next columns, or in any columns with the same title as the degrees.
     """
     joined_columns = list(columns)
     for place, column in enumerate(columns):
@@ -219,7 +226,10 @@ def _join_angle_parts(columns: list[TableColumn]) -> list[TableColumn]:
 
 
 def _adjacent_angle_parts(columns: Sequence[TableColumn], place: int, stem: str) -> tuple[int, ...]:
-    """Positions of the minutes and seconds directly after the degrees at `place`, whose title is `stem` and a unit."""
+    """Positions of the columns of minutes and seconds directly after that of degrees at position `place`.
+
+    `stem` is the title of the degrees without its unit.
+    """
     names, after = [stem], columns[place + 1 : place + 3]
     has_letters = [c.title.casefold() for c in after] == ["m", "s"]
     for form, column in zip(_ANGLE_PART_PATTERNS[1:], after, strict=False):
@@ -233,7 +243,7 @@ def _adjacent_angle_parts(columns: Sequence[TableColumn], place: int, stem: str)
 
 
 def _angle_parts_with_stem(columns: Sequence[TableColumn], stem: str) -> tuple[int, ...]:
-    """Positions of the columns of minutes and seconds with the title `stem`; empty without a column of minutes."""
+    """Positions of the columns of minutes and seconds whose title without unit is `stem`; empty without minutes."""
     positions: list[int] = []
     for form in _ANGLE_PART_PATTERNS[1:]:
         matches = ((c.position, _match_unit_ending(form, c.title)) for c in columns)
@@ -247,13 +257,13 @@ def _angle_parts_with_stem(columns: Sequence[TableColumn], stem: str) -> tuple[i
 
 
 def _count_reading_kinds(columns: Sequence[TableColumn]) -> int:
-    """Number of kinds of readings among the columns, of direction, vertical angle and distance."""
+    """Number of kinds of readings that the columns contain, from 0 to 3: direction, vertical angle, distance."""
     roles = {column.role for column in columns}
     return sum(bool(roles.intersection(kind)) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES))
 
 
 def count_recognised_titles(fields: Sequence[str]) -> int:
-    """Number of fields that are titles with a known meaning; a header has at least two."""
+    """Number of fields that are titles with a known role; a header has at least two."""
     return sum(map(_has_role, fields))
 
 
@@ -273,7 +283,7 @@ def is_header(columns: Sequence[TableColumn], *, allows_unnamed: bool = False) -
 
 
 def unknown_unit_sentence(titles: Sequence[str]) -> str:
-    """Sentence on the first title of a reading with an unknown unit; empty without such a title."""
+    """Sentence for the user on the first title of a reading that has an unknown unit; '' if there is none."""
     for title in titles:
         name, unit = title_words_and_unit(title)
         units = UNITS_BY_ROLE.get(title_role(name), ())
@@ -296,7 +306,7 @@ def require_readable_units(columns: Sequence[TableColumn], location: SourceLocat
 
 
 def has_named_coordinates(columns: Sequence[TableColumn]) -> bool:
-    """True if the columns include x, y, z of named targets."""
+    """True if the columns include names of targets and coordinates x, y, z."""
     return {"target", *COORDINATE_ROLES} <= {column.role for column in columns}
 
 
@@ -314,7 +324,7 @@ def title_words_and_unit(title: str) -> tuple[str, str]:
 
 
 def title_role(name: str) -> str:
-    """Role of a title, for example that of the sigma of a direction for `haerror`; '' for none."""
+    """Role of a title without unit; '' if it has none. `haerror` has that of standard deviations of directions."""
     name = normalised_title(name)
     if name in ROLE_BY_TITLE:
         return ROLE_BY_TITLE[name]
@@ -329,7 +339,7 @@ def title_role(name: str) -> str:
 
 
 def normalised_title(text: str) -> str:
-    """Letters and digits of a title in lower case, without accents; Latin or East Asian."""
+    """Title reduced to its Latin or East Asian letters and its digits, in lower case and without accents."""
     letters = re.sub("[\u0300-\u036f]", "", unicodedata.normalize("NFKD", text.casefold()))
     return _OTHER_SIGNS_PATTERN.sub("", unicodedata.normalize("NFC", letters))
 
@@ -351,7 +361,7 @@ def _column_from_title(position: int, title: str, *, has_face: bool = True) -> T
 
 
 def split_unit(text: str) -> tuple[str, str]:
-    """Title without the unit in brackets at its end, and this unit ('' if it has none)."""
+    """Title without the unit in brackets at its end, and this unit ('' if there is none)."""
     bracket_match = _BRACKET_PATTERN.fullmatch(text)
     if bracket_match is None or not bracket_match[1]:
         return text, ""
@@ -359,7 +369,7 @@ def split_unit(text: str) -> tuple[str, str]:
 
 
 def reading_kind(role: str) -> str:
-    """Kind of the reading in a column: the first of the roles for this kind; any other role unchanged."""
+    """Kind of reading in a column with this role: ``horizontal``, ``vertical``, ``distance``; other roles unchanged."""
     for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES):
         if role in kind:
             return kind[0]

@@ -1,4 +1,4 @@
-"""Heights above marks in tables in which some cells of heights are empty."""
+"""Completion of heights above survey marks in tables in which some cells of heights are empty."""
 
 import numpy as np
 
@@ -9,9 +9,10 @@ from ltsim.recordings.tables.pointing_table import PointingTable, indices_by_val
 
 
 def with_heights_of_setups(table: PointingTable, covariates: dict[str, Floats]) -> tuple[dict[str, Floats], list[str]]:
-    """Covariates in which all rows of a set-up have its height of the instrument, and notes on empty heights.
+    """Covariates in which each row has the instrument height of its set-up, and notes on empty cells of heights.
 
-    An instrument keeps its height within a set-up, so that tables often give it only in the first row.
+    `covariates` (n,) are the additional columns of numbers by name. Tables often give the height of the instrument only
+    in the first row of a set-up, because it is constant.
     """
     notes = []
     for column in HEIGHT_COLUMNS:

@@ -1,10 +1,10 @@
 """Conventions of a table: units, zenith angle or elevation, sense of the circle, coordinates in place of readings.
 
-The header decides if it is explicit; otherwise the data (`ltsim.recordings.conventions`), or a question to the user.
-Data without known positions cannot decide the sense of the circle, because the mirror image of a network is also a
-network. The titles decide it: `Hz` and `HA` are the horizontal circle of a theodolite, clockwise; azimuth and elevation
-are the spherical coordinates of a tracker, counter-clockwise. An azimuth with a zenith angle can be either and needs a
-hint.
+The header decides if it is explicit; otherwise the data decide (`ltsim.recordings.conventions`), or an error asks the
+user for a hint. Data without known positions cannot decide the sense of the circle, because the mirror image of a
+network fits equally well. The titles then decide it: `Hz` and `HA` are the horizontal circle of a theodolite,
+clockwise; azimuth and elevation are the spherical coordinates of a tracker, counter-clockwise. An azimuth with a zenith
+angle can be either and needs a hint.
 """
 
 from collections.abc import Mapping
@@ -60,14 +60,15 @@ FULL_CIRCLE_DEG = 360
 QUARTER_CIRCLE_DEG = 90
 """Quarter circle [deg]."""
 HEIGHT_RANGE_M = (0.2, 3.0)
-"""Smallest and largest height [m] above a mark, between which heights without a unit show that the table is in
-metres."""
+"""Smallest and largest median of heights above survey marks, as numbers without unit, between which they show that the
+table is in metres."""
 PLAUSIBLE_HEIGHT_RANGES = (("m", 0.2, 5.0), ("mm", 100.0, 5000.0))
-"""Unit, smallest and largest number of plausible heights above marks; in the other unit they would be implausible."""
+"""Unit, smallest and largest plausible height above a survey mark in this unit; no such number fits both units."""
 MAX_AMBIGUOUS_DISTANCE_MM = 1000.0
-"""Longest distance of a table without unit below which it may be in metres or millimetres, and a hint is needed."""
+"""Number below which the longest distance of a table without unit may be in metres or millimetres: a hint is needed."""
 MAX_COMMON_FRAME_DIFFERENCE_M = 2e-3
-"""Median difference [m] of coordinates of common targets below which set-ups count as transformed into one frame."""
+"""Median distance [m] between the points that two set-ups give for a common target, below which the coordinates count
+as transformed into one frame."""
 COORDINATES_NOTE = (
     "coordinates in the axes of each set-up are converted to distance, azimuth and elevation; the declared noise "
     "is that of single readings in both faces"
@@ -76,7 +77,10 @@ COORDINATES_NOTE = (
 
 @dataclass(frozen=True)
 class ColumnInterpretation:
-    """Units and conventions of the readings in a table; `notes` reports what decided them."""
+    """Units of directions, vertical angles and lengths in a table, kind of vertical angle, sense of the azimuth.
+
+    `notes` reports to the user how each was decided.
+    """
 
     horizontal_unit: str
     vertical_unit: str
@@ -86,7 +90,7 @@ class ColumnInterpretation:
     notes: tuple[str, ...] = ()
 
     def readings(self, pointings: UnconvertedPointings) -> Floats:
-        """Raw ranges, azimuths and elevations (n, 3) [m, rad, rad], exactly as from a native file of these numbers."""
+        """Raw ranges, azimuths and elevations (n, 3) [m, rad, rad], converted without rounding of decimal digits."""
         clockwise, zenith = self.azimuth == "clockwise", self.vertical == "zenith"
 
         def azimuth(reading: Any, units_per_degree: Any) -> Any:
@@ -106,9 +110,10 @@ class ColumnInterpretation:
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
     def unit_of(self, role: str, column_values: Floats) -> str:
-        """Unit of a column of sigmas or heights (n,) that declares none: the unit of the readings.
+        """Unit of a column of standard deviations or heights that declares none: in general that of the readings.
 
-        Heights are in millimetres, or metres, if only that unit makes them plausible.
+        `role` is that of the column, `column_values` (n,) are its numbers. Heights have millimetres or metres instead,
+        if the unit of the readings makes them implausible.
         """
         if role in HEIGHT_ROLES and self.length_unit in ("m", "mm"):
             sizes = np.abs(column_values[np.isfinite(column_values) & (column_values != 0)])
@@ -124,9 +129,9 @@ class ColumnInterpretation:
 def interpret_readings(
     table: PointingTable, poses: Mapping[int, StationPoseArrays], hints: Hints, file: Path
 ) -> tuple[ColumnInterpretation, Floats]:
-    """Interpretation of the numbers of a table, and its raw readings (n, 3) [m, rad, rad].
+    """Interpretation of the numbers in a table, and its raw readings (n, 3) [m, rad, rad].
 
-    Rough `poses` of stations, by index of the station in the table, decide the sense of the circle.
+    Rough `poses` of stations, by index of the station in the table, can decide the sense of the circle.
 
     Raises RecordError with the option to type if neither the header nor the data decide.
     """
@@ -151,7 +156,7 @@ def interpret_readings(
 
 
 def _missing_readings_notes(table: PointingTable) -> list[str]:
-    """Notes on vertical angles or distances without a column, if unrecognised columns have such a unit."""
+    """Notes that the table lacks vertical angles or distances, if unrecognised columns have a unit of these."""
     notes = []
     for kind, name, units in (
         (VERTICAL_ROLES, "vertical angles", ANGLE_UNITS),
@@ -179,9 +184,10 @@ def _angle_conventions(
     hints: Hints,
     file: Path,
 ) -> tuple[tuple[str, str], VerticalKind, list[str]]:
-    """Units of the directions and of the vertical angles, kind of the vertical angle, and notes; raises RecordError.
+    """Units of directions and of vertical angles, kind of vertical angle, and notes; raises RecordError.
 
-    `columns` and `unit_by_column` are given by kind of reading; the unit is '' if the header does not declare it.
+    `columns` are the columns, and `unit_by_column` their units, by kind of reading; a unit that the header does not
+    declare is ''. `polar` are the readings in the units of the table.
     """
     column = columns["vertical"]
     role = column.role if column is not None else ""
@@ -214,7 +220,7 @@ def _length_convention(
 ) -> tuple[str, list[str]]:
     """Unit of the distances, and notes on it: as declared, from a hint, from their size, or from heights in the table.
 
-    Raises RecordError if nothing decides.
+    Raises RecordError if none of these decides.
     """
     if declared_unit or not np.isfinite(polar.distance).any():
         return declared_unit or hints.length or "mm", []
@@ -245,7 +251,7 @@ def _azimuth_sense(
 ) -> tuple[AzimuthSense, list[str]]:
     """Sense of the circle, and notes on it: from a hint, from known positions, or from the titles of the header.
 
-    Raises RecordError if nothing decides.
+    Raises RecordError if none of these decides.
     """
     if hints.azimuth is not None or not np.isfinite(polar.horizontal_angles).any():
         return hints.azimuth or "counter-clockwise", []
@@ -321,9 +327,10 @@ def _require_separate_frames(table: PointingTable, points: Floats, file: Path) -
 
 
 def sigmas_from_coordinates(table: PointingTable, readings: Floats, length: str) -> dict[str, Floats]:
-    """Standard deviations (n,) of the readings (n, 3) by column name, from those of x, y, z; empty without them.
+    """Standard deviations (n,) of range, azimuth and elevation by column name, from those of x, y, z in a table.
 
-    `length` is the unit of columns that declare none.
+    `readings` (n, 3) are the corresponding readings [m, rad, rad]; `length` is the unit of columns that declare none.
+    The result is empty if the table has no coordinates or no standard deviations.
     """
     columns = [table.column((SIGMA_ROLES[axis],)) or table.column((COMMON_SIGMA_ROLE,)) for axis in COORDINATE_ROLES]
     titles = [(c.title, SI_PER_UNIT[c.unit or length]) for c in columns if c is not None]

@@ -11,17 +11,20 @@ from ltsim.recordings.tables.header import HORIZONTAL_ROLES, VERTICAL_ROLES, Tab
 from ltsim.recordings.tables.pointing_table import Digits, PointingTable, to_digits
 
 MIN_PACKED_CELLS = 10
-"""Number of distinct angles from which a column counts as packed if all minutes and seconds are below 60. The digits of
-a decimal angle fulfil this by chance with a probability of 36 %, those of ten angles with 4e-5."""
+"""Number of distinct angles from which a column counts as packed if the digits of minutes and seconds of all of them
+are below 60. For a decimal angle this happens by chance with a probability of 36 %, for ten of them with 4e-5."""
 MIN_PACKED_DIGITS = 4
-"""Number of decimals from which a cell contains minutes and seconds."""
+"""Smallest number of decimals of a packed angle with minutes and seconds."""
 
 N_SAMPLE_CELLS = 1000
 """Number of cells of each column that are tested before all others, to save time."""
 
 
 def with_unpacked_angles(table: PointingTable, hints: Hints) -> PointingTable:
-    """Table in which packed angles are converted to degrees: those without a unit whose cells all have such digits."""
+    """Table in which packed angles are converted to decimal degrees, in place.
+
+    Angles count as packed if their columns declare no unit and all cells have such digits.
+    """
     columns = [c for c in table.columns if c.role in (*HORIZONTAL_ROLES, *VERTICAL_ROLES)]
     if hints.angle is not None or not columns or any(c.unit for c in columns):
         return table
@@ -43,7 +46,7 @@ def with_unpacked_angles(table: PointingTable, hints: Hints) -> PointingTable:
 
 
 def _are_packed(digits: Digits) -> bool:
-    """True if there are `MIN_PACKED_CELLS` distinct angles with minutes and seconds, and all of these are below 60."""
+    """True if at least `MIN_PACKED_CELLS` distinct angles have decimals for minutes and seconds, all below 60."""
     distinct = [text for text in np.unique(digits).astype(str).tolist() if _n_decimals(text) >= MIN_PACKED_DIGITS]
     return len(distinct) >= MIN_PACKED_CELLS and all(cells.parse_packed_degrees(text) is not None for text in distinct)
 

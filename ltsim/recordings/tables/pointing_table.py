@@ -24,22 +24,22 @@ Digits = NDArray[np.bytes_]
 """Numbers (n,) as texts of decimal digits in ASCII; an empty text for a missing number."""
 ValueType = TypeVar("ValueType")
 MAX_EXACT_PRODUCT = 2**51
-"""Magnitude below which products of floating-point numbers are rounded to the correct integer; above it, Python's
-integers are used.
+"""Magnitude below which a product of floating-point numbers is rounded to the correct integer; for larger products
+Python's integers are used.
 """
 MAX_ANGLE_SUM = 720.0
-"""Largest magnitude [deg] of a sum of angles in a conversion."""
+"""Largest magnitude [deg] that a sum of angles can have in a conversion."""
 ROWS_PER_BATCH = 8192
 """Number of rows that are converted at once, which limits the memory of intermediate results."""
 
 
 def to_digits(texts: Sequence[str]) -> Digits:
-    """Numbers (n,) as texts of decimal digits."""
+    """Array (n,) of texts of decimal digits, from a sequence of such texts."""
     return np.array(texts, dtype=np.bytes_)
 
 
 def to_floats(digits: Digits) -> Floats:
-    """Nearest floating-point numbers (n,); NaN for a missing number."""
+    """Floating-point numbers (n,) nearest to the numbers in `digits`; NaN for a missing number."""
     numbers = np.full(len(digits), np.nan)
     filled = digits != b""
     numbers[filled] = digits[filled].astype(np.float64)
@@ -47,7 +47,7 @@ def to_floats(digits: Digits) -> Floats:
 
 
 def to_decimals(digits: Digits) -> Iterator[Decimal | None]:
-    """Exact decimal numbers; None for a missing number."""
+    """Exact decimal number for each entry of `digits`; None for a missing number."""
     for start in range(0, len(digits), ROWS_PER_BATCH):
         for text in digits[start : start + ROWS_PER_BATCH].astype(np.str_).tolist():
             yield Decimal(text) if text else None
@@ -72,9 +72,10 @@ def apply_exactly(
 
 
 def _scaled_integers(digits: Digits, n_decimals: int, multiplier: int, unit: int) -> NDArray[Any]:
-    """Numbers (n,) in units of their last of `n_decimals` decimals, times `multiplier`, as integers.
+    """Integers (n,) 10^`n_decimals` times the numbers in `digits`, times `multiplier`.
 
-    They are int64 if floating-point arithmetic is exact, otherwise Python integers.
+    They are int64 if floating-point arithmetic is exact, otherwise Python integers. `unit` is the integer that
+    represents 1.0 after the scaling.
     """
     numbers = to_floats(digits)
     if unit * multiplier * int(np.abs(numbers).max(initial=MAX_ANGLE_SUM)) < MAX_EXACT_PRODUCT:
@@ -85,7 +86,7 @@ def _scaled_integers(digits: Digits, n_decimals: int, multiplier: int, unit: int
 
 
 def decimal_places(digits: Digits) -> Ints:
-    """Number of decimals (n,) of each number; negative if the last digit is before the decimal point."""
+    """Number of decimals (n,) of each number; negative for a number such as 12e3 that ends before its decimal point."""
     if np.any(np.char.find(digits, b"e") >= 0) or np.any(np.char.find(digits, b"E") >= 0):
         return np.array([-int(number.as_tuple().exponent) for number in to_decimals(digits) if number is not None])
     point = np.char.find(digits, b".")
@@ -134,7 +135,7 @@ class UnconvertedPointings:
         return indices
 
     def digits_of_roles(self, roles: Sequence[str]) -> Digits:
-        """Digits (n,) of each row, from the first of the given kinds of column in which the row has a number."""
+        """Digits (n,) of each row, from the column of the first of these roles in which the row has a number."""
         digits: Digits = np.zeros(len(self), dtype="S1")
         for role in roles:
             if role in self.digits_by_role:
@@ -142,29 +143,29 @@ class UnconvertedPointings:
         return digits
 
     @property
-    def has_single_pointing_rounds(self) -> bool:
-        """True if each of the rounds has one pointing, and the pointings are to several targets."""
+    def every_round_has_single_pointing(self) -> bool:
+        """True if every round of measurements has a single pointing, and the table has several targets."""
         rounds = {*zip(self.station, self.round_label, strict=True)}
         return len(rounds) == len(self) and len({*self.target}) > 1
 
     def texts(self, title: str) -> list[str]:
-        """Cells (n) of the additional column with this title; all '' if there is no such column."""
+        """Cells of the additional column with this title, n texts; all are '' if there is no such column."""
         return self.additional_cells.get(title) or [""] * len(self)
 
     @property
     def complete_columns(self) -> tuple[list[Any], ...]:
-        """Columns in which every row has an entry, in the order of the fields of this class."""
+        """Columns in which every row has an entry (file, line, station, ...), in the order of the fields."""
         names = (self.station, self.target)
         return (self.file, self.line, *names, self.face, self.date_and_time, self.round_label, self.group_separator)
 
     @property
     def source(self) -> list[str]:
-        """File and line of each pointing."""
+        """File and line of each pointing, as n texts."""
         names = {key: file.name for key, file in dict(zip(map(id, self.file), self.file, strict=True)).items()}
         return [f"{names[key]}, line {line}" for key, line in zip(map(id, self.file), self.line, strict=True)]
 
     def take(self, order: Iterable[int]) -> UnconvertedPointings:
-        """Pointings at the given positions, in this order."""
+        """Pointings at the indices `order`, in this order."""
         positions = list(order)
         list_columns: list[Any] = [[column[i] for i in positions] for column in self.complete_columns]
         digits_by_role = {role: digits[positions] for role, digits in self.digits_by_role.items()}
@@ -207,21 +208,21 @@ class PointingTable:
     columns: list[TableColumn]
     pointings: UnconvertedPointings = field(default_factory=UnconvertedPointings)
     unread_lines: list[str] = field(default_factory=list)
-    """Lines that are no pointing and were not used, as texts for a note."""
+    """Texts, for a note to the user, that name lines without a pointing that were not used."""
     lacks_station_names: bool = False
-    """True if a pointing has no name of its station."""
+    """True if the station of any pointing has no name."""
     is_positional: bool = False
-    """True if the columns have fixed meanings, because there is no header."""
+    """True if the roles of the columns follow from their positions, because there is no header."""
     has_unnamed_targets: bool = False
     """True if no row names its target."""
     marks: dict[str, str] = field(default_factory=dict)
-    """Name of the mark under each set-up, if it differs from that of the set-up."""
+    """Name of the survey mark under a set-up by the name of the set-up, if the names differ."""
     notes: list[str] = field(default_factory=list)
     cell_units: dict[str, str] = field(default_factory=dict)
-    """Unit from the marks in the cells of a column, by its title."""
+    """Unit from the unit symbols in the cells of a column, by the column's title."""
 
     def column(self, kind: Sequence[str]) -> TableColumn | None:
-        """First column with one of the given meanings (roles); None if there is none."""
+        """First column whose role is among `kind`; None if there is no such column."""
         return next((c for c in self.columns if c.role in kind), None)
 
     @property
@@ -231,13 +232,13 @@ class PointingTable:
 
     @property
     def mark(self) -> list[str]:
-        """Name of the mark under the set-up of each pointing, n names."""
+        """Name of the survey mark under the set-up of each pointing, n names."""
         return [self.marks.get(station, station) for station in self.pointings.station]
 
     def add_header(self, columns: Sequence[TableColumn], file: object, row: int | None = None) -> None:
         """Addition of the columns of another header; additional columns may differ.
 
-        Raises RecordError if the meanings or units of its readings differ from those before.
+        Raises RecordError, which names `file` and `row`, if roles or units of readings differ from earlier headers.
         """
         earlier_columns, new_columns = (
             [(c.role, c.unit, c.face) for c in table_columns if c.role in READING_ROLES]
@@ -250,7 +251,7 @@ class PointingTable:
         self.columns += [c for c in columns if c.title not in titles]
 
     def add_cell_units(self, units: Mapping[str, str], file: object) -> None:
-        """Addition of units from marks in cells; raises RecordError if a column has two units."""
+        """Addition of units from symbols in cells, by title of the column; raises RecordError if a column has two."""
         for title, unit in units.items():
             earlier_unit = self.cell_units.setdefault(title, unit)
             if earlier_unit != unit:

@@ -48,7 +48,8 @@ SETUP_FILE = "setup.toml"
 MAX_ROWS_IN_NOTE = 3
 """Largest number of rows that a note lists."""
 HEAD_HEIGHT_SIGMA_MM = 1.0
-"""Assumed standard deviation [mm] of the height of a head above its mark, for tables whose heights are not applied."""
+"""Assumed standard deviation [mm] of the height of a tracker head above its survey mark, for tables whose heights are
+not applied."""
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
@@ -70,9 +71,9 @@ def recognises(path: Path, file_beginning: str) -> bool:
 
 
 def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Recording:
-    """Recording of a table; with `positional`, also of lines with names and three numbers without a header.
+    """Recording from a table, a folder of tables or a workbook.
 
-    Raises RecordError.
+    With `positional`, lines of names and three numbers are also read without a header. Raises RecordError.
     """
     printed = read_pointing_table(read_sheets(path), hints, path, positional=positional)
     table = name_unnamed_targets(with_unpacked_angles(with_time_column(printed), hints), hints, path)
@@ -103,7 +104,10 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
 def assemble_recording(
     table: PointingTable, interpretation: ColumnInterpretation, readings: Floats, setup: Setup, hints: Hints, file: Path
 ) -> Recording:
-    """Recording of a table from its interpreted readings (n, 3) [m, rad, rad], in the order of its pointings."""
+    """Recording from a table and its interpreted readings (n, 3) [m, rad, rad], in the order of the table.
+
+    `interpretation` has the units and conventions; `setup` is the prior knowledge that is completed from the table.
+    """
     printed, missing_values = table.pointings, np.full(len(table.pointings), NOT_MEASURED)
     sigmas = sigmas_from_coordinates(table, readings, interpretation.length_unit)
     covariates, labels, column_notes = _additional_columns(table, interpretation)
@@ -161,7 +165,7 @@ def assemble_recording(
 
 
 def _merged_labels(default_labels: dict[str, list[str]], priority_labels: dict[str, list[str]]) -> dict[str, list[str]]:
-    """Labels by column of both mappings; in each row a label of `priority_labels` has priority unless it is empty."""
+    """Labels of both mappings by column; in a column of both, an empty label of `priority_labels` has the default."""
     merged_labels = {
         name: [upper or other for upper, other in zip(priority_labels[name], column, strict=True)]
         if name in priority_labels
@@ -172,19 +176,22 @@ def _merged_labels(default_labels: dict[str, list[str]], priority_labels: dict[s
 
 
 def _setup_path(path: Path, hints: Hints) -> Path:
-    """Path of the file with noise and gauge: that of the hints, otherwise `setup.toml` in the same folder."""
+    """Path of the `setup.toml` of a table: that in the hints, otherwise in the folder of the table."""
     file = hints.setup or (path if path.is_dir() else path.parent) / SETUP_FILE
     return file / SETUP_FILE if file.is_dir() else file
 
 
 def _read_setup(path: Path, hints: Hints) -> Setup | None:
-    """Set-up from the file with noise and gauge; None if there is no such file."""
+    """Set-up from the `setup.toml` of a table; None if there is no such file."""
     file = _setup_path(path, hints)
     return read_setup(file) if hints.setup is not None or file.is_file() else None
 
 
 def _pointing_faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]]:
-    """Face of each pointing, and notes; readings of face 2 that were reduced to face 1 are made raw again, in place."""
+    """Face (1 or 2) of each pointing, and notes.
+
+    `readings` (n, 3) [m, rad, rad] are changed in place: those of face 2 that were reduced to face 1 become raw again.
+    """
     beyond_zenith = np.abs(readings[:, 2]) > np.pi / 2 + 1e-9
     faces = [face or int(b) + 1 for face, b in zip(table.pointings.face, beyond_zenith.tolist(), strict=True)]
     is_second_face = np.array(faces) == 2
@@ -204,8 +211,8 @@ def _additional_columns(
 ) -> tuple[dict[str, Floats], dict[str, list[str]], list[str]]:
     """Covariates (additional columns of numbers) by name, labels (additional columns of texts) by name, and notes.
 
-    Columns of sigmas and heights have the names of the native format; without a unit in their title they are in the
-    unit of the readings.
+    Columns of standard deviations and heights get the names of the native format. If their titles have no unit, their
+    numbers are in the unit of the readings.
     """
     columns = [c for c in table.columns if c.is_additional]
     label_titles = {c.title for c in columns if c.role in OCCUPATION_COLUMNS}
@@ -234,7 +241,7 @@ def _additional_columns(
 
 
 def _unit_reason(role: str, unit: str, interpretation: ColumnInterpretation) -> str:
-    """Text for the reason why a column that declares no unit is taken to be in `unit`."""
+    """Reason, as the end of a note, for the `unit` that is assumed for a column without declared unit."""
     of_reading = role not in HEIGHT_COLUMNS or unit == interpretation.length_unit
     return (
         " as the readings" if of_reading else f", because heights in {interpretation.length_unit} would be implausible"
@@ -244,7 +251,10 @@ def _unit_reason(role: str, unit: str, interpretation: ColumnInterpretation) -> 
 def _covariate_values(
     column: TableColumn, pointings: UnconvertedPointings, interpretation: ColumnInterpretation
 ) -> tuple[Floats, str] | None:
-    """Numbers (n,) of a column in the unit of its kind, NaN for an empty cell, and unit of the cells; None for text."""
+    """Numbers (n,) of a column in the unit of its role, and unit of its cells; None for a column of texts.
+
+    A number is NaN for an empty cell.
+    """
     texts = pointings.additional_cells.get(column.title, [])
     if not any(texts):
         return None
@@ -283,9 +293,9 @@ def _unread_lines_notes(table: PointingTable) -> list[str]:
 MAX_TRACKER_RANGE_M = 160.0
 """Range [m] above which a table is from a total station (longest range of trackers in data sheets: 80 to 160)."""
 MIN_COARSE_DIGIT_M = 0.5e-4
-"""Last digit [m] of ranges above which a table is from a total station; trackers report micrometres."""
+"""Value [m] of the last digit of ranges above which a table is from a total station; trackers report micrometres."""
 MIN_DISPLAYED_DIGIT_M = 0.5e-9
-"""Last digit [m] below which the digits of a range are those of a computation and not of an instrument."""
+"""Value [m] of the last digit of ranges below which the digits come from a computation, not from an instrument."""
 
 MIN_RANGES_FOR_RESOLUTION = 6
 """Number of ranges below which their last digits do not show the resolution of the instrument: fewer may all end in
@@ -293,9 +303,9 @@ zeros by chance."""
 
 
 def total_station_reason(table: PointingTable, interpretation: ColumnInterpretation, readings: Floats) -> str:
-    """Text for the reason why a table is from a total station; empty if it may be from a laser tracker.
+    """Reason, as text, why a table is from a total station; empty if it may be from a laser tracker.
 
-    Heights above marks are not a sufficient reason, because trackers are also set up over marks.
+    Heights above survey marks are not a sufficient reason, because trackers are also set up over marks.
     """
     if table.has_coordinates:
         return ""

@@ -1,4 +1,4 @@
-"""Conversion of consecutive rows below one header to columns of pointings, all at once."""
+"""Conversion of consecutive rows below a header to columns of pointings, all rows at once."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MAX_READING_MAGNITUDE = 10**9
 
 @dataclass
 class RowBatch:
-    """Consecutive rows below one header: line number, cells, and station of the block of each row."""
+    """Consecutive rows below a header: for each row its line number, its cells, and the station that applies to it."""
 
     line: list[int] = field(default_factory=list)
     fields: list[tuple[str, ...]] = field(default_factory=list)
@@ -37,21 +37,22 @@ class RowBatch:
         return len(self.line)
 
     def add_row(self, row: SheetRow, station: str) -> None:
-        """Addition of a row."""
+        """Addition of a row to which `station` applies if its cells name no station."""
         self.line.append(row.line)
         self.fields.append(row.fields)
         self.station.append(station)
 
     def single_rows(self) -> Iterator[RowBatch]:
-        """Batches with one row each, for each row of this batch."""
+        """Batch with only this row, for each row of the batch."""
         for line, fields, station in zip(self.line, self.fields, self.station, strict=True):
             yield RowBatch([line], [fields], [station])
 
 
 class RowBatchReader:
-    """Reader of the rows below one header of a sheet.
+    """Reader of the rows below a header of a sheet.
 
-    `lacks_station_names` and `cell_units` have the meaning as in `PointingTable`.
+    After reading, `lacks_station_names` is True if a row has no station, and `cell_units` is the unit of the symbols in
+    the cells of a column, by the column's title.
     """
 
     def __init__(self, sheet: TableSheet, columns: Sequence[TableColumn]) -> None:
@@ -61,9 +62,9 @@ class RowBatchReader:
         self.cell_units: dict[str, str] = {}
 
     def read(self, row_batch: RowBatch) -> UnconvertedPointings:
-        """Pointings of the rows; a row that names no station has the station of its block.
+        """Pointings of the rows; a row whose cells name no station has the station in `row_batch`.
 
-        Raises RecordError for an invalid cell, which need not be the first one if the batch has several rows.
+        Raises RecordError for an invalid cell, not necessarily the first one if the batch has several rows.
         """
         width = len(self.columns)
         padded_rows = [fields if len(fields) == width else pad_cells(fields, width) for fields in row_batch.fields]
@@ -78,7 +79,7 @@ class RowBatchReader:
     def _pointings_of_face(
         self, face: int, row_batch: RowBatch, table: Sequence[Sequence[str]]
     ) -> UnconvertedPointings:
-        """Pointings, one for each row, from the columns of one face and the common columns.
+        """Pointings, one for each row, from the columns of one face and those that both faces share.
 
         `face` is 0 if the columns do not distinguish faces. `table` has the cells of each column.
         """
@@ -126,8 +127,8 @@ class RowBatchReader:
     def _numbers(self, texts: Sequence[str], column: TableColumn, lines: Sequence[int]) -> Digits:
         """Decimal digits (n,) of the readings in a column, as texts; empty for a missing reading.
 
-        Cells that are not plain numbers are converted first: separators, units, and degrees with minutes and seconds.
-        Raises RecordError for a cell that is no number, and for cells in several units.
+        Cells with separators, units, or degrees with minutes and seconds are converted first. `lines` are the line
+        numbers of the cells. Raises RecordError for a cell that is no number, and for cells in several units.
         """
         texts = ["" if text in cells.MISSING_VALUE_TEXTS else text for text in texts]
         plain_values = (
@@ -170,7 +171,7 @@ class RowBatchReader:
         return str(exact_value)
 
     def _texts(self, texts: Sequence[str], lines: Sequence[int]) -> list[str]:
-        """Checked cells of an additional column; equal texts are stored once. Raises RecordError."""
+        """Cells of an additional column, checked as short texts; equal texts share memory. Raises RecordError."""
         distinct = dict.fromkeys(texts)
         joined_text = "".join(distinct)
         if (
@@ -188,12 +189,12 @@ class RowBatchReader:
 
 
 def pad_cells(fields: Sequence[str], width: int) -> Sequence[str]:
-    """Cells of a row, with empty cells added, or cells removed, at the end to have `width` cells."""
+    """Cells of a row, made `width` cells long by empty cells added, or cells removed, at the end."""
     return (*fields[:width], *[""] * (width - len(fields)))
 
 
 def _joined_cells(first_cells: Sequence[str] | None, second_cells: Sequence[str] | None) -> list[str] | None:
-    """Cells of two columns, joined by a blank; those of one column if the other is None, and None if both are."""
+    """Cells of two columns joined by a blank, or of the single column that is not None; None if both are None."""
     if first_cells is None or second_cells is None:
         return list(first_cells or second_cells or ()) or None
     return [" ".join(filter(None, pair)) for pair in zip(first_cells, second_cells, strict=True)]

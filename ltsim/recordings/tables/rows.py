@@ -1,4 +1,4 @@
-"""Pointings from the rows of a table, which may have several headers, blocks of a station, and free text."""
+"""Pointings from the rows of a table, which may have several headers, lines that name stations, and free text."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ from ltsim.recordings.tables.title_words import SUMMARY_WORDS
 POSITIONAL_ROLES = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of the columns of a table without header whose lines have names and three numbers."""
 MIN_HEADER_TITLES = 2
-"""Smallest number of titles with a known meaning in a header: two angles, or an angle and a distance."""
+"""Smallest number of titles with a known role in a header: two angles, or an angle and a distance."""
 
 
 def read_pointing_table(
     sheets: Sequence[TableSheet], hints: Hints, file: object, *, positional: bool = False
 ) -> PointingTable:
-    """Pointings of all sheets; with `positional`, also of lines with names and three numbers without a header.
+    """Pointings of all sheets, and their columns.
 
-    Raises RecordError for a header without recognised titles, for headers with different roles, and for an invalid
-    cell.
+    With `positional`, lines of names and three numbers are also read without a header. Raises RecordError, which names
+    `file` or that of a sheet, for a header without recognised titles, headers with different roles, or an invalid cell.
     """
     joined_table, parts = PointingTable([]), []
     header_indices = [find_header(sheet, hints) for sheet in sheets]
@@ -82,7 +82,7 @@ def read_pointing_table(
 
 
 def parse_header(row: SheetRow, hints: Hints, file: object = None) -> list[TableColumn] | None:
-    """Columns whose titles are in a row; None if the row is not a header."""
+    """Columns whose titles are the cells of `row`; None if the row is not a header."""
     if hints.columns is not None:
         return mapped_columns(row.fields, hints.columns, file) if any(row.fields) else None
     if count_recognised_titles(row.fields) < MIN_HEADER_TITLES or any(map(cells.is_value, row.fields)):
@@ -92,14 +92,14 @@ def parse_header(row: SheetRow, hints: Hints, file: object = None) -> list[Table
 
 
 def _header_at(sheet: TableSheet, row: int | None, hints: Hints) -> list[TableColumn]:
-    """Columns of the header with index `row`; empty without a header, and for numbered columns (-1)."""
+    """Columns of the header in the row with index `row`; empty for None (no header) and for -1 (numbered columns)."""
     return [] if row is None or row < 0 else parse_header(sheet.rows[row], hints, sheet.file) or []
 
 
 def find_header(sheet: TableSheet, hints: Hints) -> int | None:
-    """Index of the first header; None if there is none.
+    """Index of the first row that is a header; None if there is none.
 
-    If `hints.columns` numbers the columns of a table without header, it is the index before the first row of numbers.
+    If `hints.columns` assigns numbered columns of a table without header, it is the index of the first row minus 1.
     """
     if hints.columns is not None and sheet.rows:
         asked = parse_assignments(hints.columns, sheet.file)
@@ -110,7 +110,7 @@ def find_header(sheet: TableSheet, hints: Hints) -> int | None:
 
 
 class _SheetReader:
-    """Reader of one sheet; its state is the current header, the current block, and the rows that were not converted."""
+    """Reader of one sheet; its state is the current header, the current station, and the rows not yet converted."""
 
     def __init__(self, sheet: TableSheet, hints: Hints) -> None:
         self.sheet, self.hints = sheet, hints
@@ -120,9 +120,9 @@ class _SheetReader:
         self.header: list[TableColumn] = []
         """Columns of the current header."""
         self.columns: list[TableColumn] = []
-        """Columns of the current header, and of the heights that the lines of a block give."""
+        """Columns of the current header, and of heights that lines without a pointing give."""
         self.station_position: int | None = None
-        """Position of the column of stations."""
+        """Position of the column of stations; None without such a column."""
         self.n_unnamed = 0
         """Number of rows without a station, which have the station of the row above."""
         self.reading_positions: list[int] = []
@@ -132,7 +132,7 @@ class _SheetReader:
         """Rows of pointings that are not converted yet."""
 
     def read(self, header_row: int) -> PointingTable:
-        """Pointings of the rows below the header with index `header_row`; -1 for numbered columns."""
+        """Pointings of the rows below the header in the row with index `header_row`; -1 for numbered columns."""
         sheet_rows = self.sheet.rows
         for row in sheet_rows[: max(header_row, 0)]:
             self._process_other_line(row)
@@ -193,7 +193,7 @@ class _SheetReader:
         return self.table
 
     def _is_measured(self, row: SheetRow) -> bool:
-        """True if a cell in a column of readings has a value, and the row is no sum or mean of other rows."""
+        """True for a row of a pointing: a column of readings has a value, and the row is no sum or mean of rows."""
         fields = row.fields
         if self._is_summary(fields):
             return False
@@ -211,7 +211,7 @@ class _SheetReader:
         return any(place >= len(fields) or not fields[place] for place in needed)
 
     def _process_other_line(self, row: SheetRow) -> None:
-        """Processing of a line that is no pointing: it names a station or heights, or is not used."""
+        """Update of station and heights by a line that is no pointing; a line without either is noted as not used."""
         n_heights = len(self.block.height_columns)
         if self.block.read_line(row):
             if self.header and len(self.block.height_columns) > n_heights:
@@ -239,7 +239,7 @@ class _SheetReader:
         self.row_batch.add_row(row, self.block.station)
 
     def _convert_rows(self) -> None:
-        """Conversion of the rows since the last header to columns, all at once.
+        """Conversion of the rows that were not yet converted to columns of pointings, all at once.
 
         If this fails, the rows are converted one by one, to report the first error.
         """
@@ -263,7 +263,7 @@ class _SheetReader:
 
 
 def _duplicate_role_warnings(columns: Sequence[TableColumn]) -> list[str]:
-    """Notes on columns whose title has a role that an earlier column of the table already has."""
+    """Notes on columns that are read as additional ones because an earlier column has the role of their title."""
     title_by_role = {c.role: c.title for c in columns if c.role}
     unused_columns = [(c.title, title_role(title_words_and_unit(c.title)[0])) for c in columns if not c.role]
     return [

@@ -1,7 +1,7 @@
-"""Set-ups and targets in surveyors' tables: different names of one target, occupations, heights above marks.
+"""Set-ups and targets in surveyors' tables: different names of one target, occupations, heights above survey marks.
 
-The name of one target may differ between set-ups (`P 01` and `p1`, `S1_P01` and `S2_P01`). Set-ups may be over marks
-that are also targets, and their circle may be rotated between rounds.
+The name of a target may differ between set-ups (`P 01` and `p1`, `S1_P01` and `S2_P01`). Set-ups may be over survey
+marks that are also targets, and the horizontal circle may be rotated between rounds.
 """
 
 import re
@@ -14,7 +14,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.notation import listing
 from ltsim.core.units import EARTH_RADIUS
-from ltsim.recordings.circle_orientations import circle_orientations, zeroed_circle_note
+from ltsim.recordings.circle_orientations import circle_orientations, circle_rotation_note
 from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, quoted_text
 from ltsim.recordings.pointings import numbered_name
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
@@ -24,7 +24,7 @@ from ltsim.recordings.tables.header import HEIGHT_ROLES
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, indices_by_value
 
 SPELLING_DIFFERENCES_TEXT = "case, blanks or leading zeros"
-"""Differences of spelling between names of one point."""
+"""Differences of spelling in spite of which two names stand for one point, as text for notes."""
 MAX_NAMES_IN_SETUP_NOTE = 4
 """Largest number of names that a note on set-ups lists."""
 OCCUPATION_TEXT_BY_ROLE = (
@@ -32,14 +32,14 @@ OCCUPATION_TEXT_BY_ROLE = (
     ("date", "day"),
     ("instrument_height_mm", "height of the instrument"),
 )
-"""Roles of the columns that distinguish occupations, the first available one being used, and their names in a note."""
+"""Role of each column that can distinguish occupations, by priority, and what a note calls it."""
 MIN_ROWS_OF_OCCUPATION = 3
-"""Number of rows with one height of the instrument from which the height distinguishes an occupation."""
+"""Number of rows with the same height of the instrument from which this height distinguishes an occupation."""
 MIN_RECIPROCAL_LINES = 4
-"""Number of lines measured in both directions below which they do not decide whether heights are applied."""
+"""Number of lines measured in both directions from which their misclosures decide on the use of heights."""
 MAX_CLOSURE_RATIO = 0.5
-"""Limit for applying heights above marks. Lines measured in both directions close better with the correct heights: the
-heights are not applied if the misclosure without them is below this fraction of the misclosure with them."""
+"""Ratio of the misclosure of lines measured in both directions without heights above survey marks to that with them,
+below which the heights are not applied: correct heights would improve the misclosure."""
 MIN_CIRCLE_ROTATION = 1e-3
 """Median difference [rad] between the directions of two rounds above which the circle was rotated."""
 MIN_ROTATION_SIGMAS = 6.0
@@ -47,22 +47,23 @@ MIN_ROTATION_SIGMAS = 6.0
 rotated.
 """
 MAX_UNAPPLIED_CLOSURE_M = 0.2
-"""Median closure [m] without heights above which heights are applied (curvature of the earth over 1.3 km)."""
+"""Median misclosure [m] of lines measured in both directions, without heights, above which heights are applied
+(curvature of the earth over 1.3 km)."""
 MAX_CLOSURE_M = 0.02
-"""Median closure [m] of lines measured in both directions below which heads are on forced centring over the targets;
-lines over marks differ by decimetres.
+"""Median misclosure [m] of lines measured in both directions below which heads replace the targets on forced centring;
+above survey marks, the heights of heads and targets differ by decimetres.
 """
 _NAME_AFTER_STATION = re.compile(r"[\s._:/-]+(.+)")
 _NAME_BEFORE_STATION = re.compile(r"(.+?)[\s._:/-]+")
 OccupationKey = tuple[str, ...]
-"""Station, occupation, and round or orientation if the circle was rotated."""
+"""Key of a set-up: station, occupation, and also round or number of the orientation if the circle was rotated."""
 
 
 def common_target_names(pointings: UnconvertedPointings) -> tuple[list[str], list[str]]:
     """Name of the target of each pointing, common to all set-ups, and notes on changed names.
 
-    The name of the set-up in the names of all its targets is removed if set-ups then have common targets. Names that
-    differ only in case, blanks or leading zeros become one name if no set-up has both.
+    If the names of all targets contain the name of their set-up, it is removed if set-ups then have common targets.
+    Names that differ only in case, blanks or leading zeros become one name if no set-up has both.
     """
     sightings, row = indices_by_value(zip(pointings.station, pointings.target, strict=True))
     stations, targets = (list(names) for names in zip(*sightings, strict=True))
@@ -71,8 +72,8 @@ def common_target_names(pointings: UnconvertedPointings) -> tuple[list[str], lis
     if (
         all(plain_names)
         and len({*stations}) > 1
-        and not _have_shared_names(stations, targets)
-        and _have_shared_names(stations, plain_names)
+        and not _stations_share_targets(stations, targets)
+        and _stations_share_targets(stations, plain_names)
     ):
         notes.append(
             f"the name of the set-up is removed from the names of its targets: '{targets[0]}' is '{plain_names[0]}'"
@@ -114,7 +115,7 @@ def _without_station_name(station: str, target: str) -> str:
     return match[1] if match else ""
 
 
-def _have_shared_names(stations: Sequence[str], targets: Sequence[str]) -> bool:
+def _stations_share_targets(stations: Sequence[str], targets: Sequence[str]) -> bool:
     return len({*zip(stations, targets, strict=True)}) > len({*targets})
 
 
@@ -125,9 +126,10 @@ def normalised_name(name: str) -> str:
 
 
 def marks_with_other_spelling(stations: Sequence[str], targets: Sequence[str]) -> dict[str, str]:
-    """Target over which a set-up stands if their names differ only in case, blanks or leading zeros, by set-up.
+    """Name of the target over which a set-up stands, by set-up, if both names differ only in spelling.
 
-    `stations` and `targets` are those of the pointings. A set-up does not stand over a target that it sees.
+    Spelling means case, blanks and leading zeros. `stations` and `targets` are those of the n pointings. A set-up does
+    not stand over a target that it measured.
     """
     sights = {*zip(stations, targets, strict=True)}
     names = dict.fromkeys(targets)
@@ -141,7 +143,7 @@ def marks_with_other_spelling(stations: Sequence[str], targets: Sequence[str]) -
 
 
 def spelling_notes(mark_by_setup: Mapping[str, str]) -> list[str]:
-    """Note on set-ups over targets with another spelling; none for an empty mapping."""
+    """Note on set-ups over targets whose names have another spelling, as a list; empty for an empty mapping."""
     examples = listing([f"'{name}' and '{mark}'" for name, mark in mark_by_setup.items()], MAX_NAMES_IN_SETUP_NOTE)
     text = f"a set-up and a target whose names differ only in {SPELLING_DIFFERENCES_TEXT} are one mark: {examples}"
     return [text] if mark_by_setup else []
@@ -150,13 +152,14 @@ def spelling_notes(mark_by_setup: Mapping[str, str]) -> list[str]:
 def split_occupations(
     table: PointingTable, readings: Floats, sigma: Floats, *, has_circle: bool
 ) -> tuple[set[str], list[str]]:
-    """Division, in place, of the occupations of one mark, and of rounds with a rotated circle, into separate set-ups.
+    """Division, in place, of set-ups with several occupations, or with a rotated circle, into separate set-ups.
 
-    A column of set-ups, a column of dates or the heights of the instrument distinguish occupations. `sigma` (n,) [rad]
-    are standard deviations of the azimuths, NaN if not given. Without a column of rounds, the directions of an
-    instrument with a horizontal circle (`has_circle`) show rotations of the circle.
+    A column of set-ups, a column of dates or the heights of the instrument distinguish occupations. `readings` (n, 3)
+    are ranges, azimuths and elevations [m, rad, rad]; `sigma` (n,) [rad] are standard deviations of the azimuths, NaN
+    if not given. Without a column of rounds, the directions of an instrument with a horizontal circle (`has_circle`)
+    show rotations of the circle.
 
-    Returns the names of set-ups that are rounds of one occupation, at the same position, and notes.
+    The results are the names of the set-ups that share an occupation, and thus their position, with another, and notes.
     """
     pointings = table.pointings
     occupations: Sequence[OccupationKey]
@@ -195,14 +198,14 @@ def split_occupations(
             f"the circle was rotated between rounds: {len(names)} rounds{of} are separate set-ups over their marks"
         )
     if orientations is not None:
-        notes.append(zeroed_circle_note(len(names), len(occupations)))
+        notes.append(circle_rotation_note(len(names), len(occupations)))
     rounds = Counter(key[:2] for key in distinct)
     is_split = is_rotated or orientations is not None
     return {n for key, n in zip(distinct, names, strict=True) if rounds[key[:2]] > 1} if is_split else set(), notes
 
 
 def _occupation_numbers(table: PointingTable) -> list[str]:
-    """Text that distinguishes the occupation of the mark in which each pointing was measured."""
+    """Text, for each pointing, that distinguishes its occupation from other occupations of the same survey mark."""
     printed, column = table.pointings, table.column(("instrument_setup",))
     if column is not None:
         return printed.texts(column.title)
@@ -215,8 +218,8 @@ def _occupation_numbers(table: PointingTable) -> list[str]:
 def _occupation_numbers_by_height(table: PointingTable) -> list[str]:
     """Number, as text, of the occupation of each pointing, from the height of the instrument.
 
-    The height is constant within an occupation. If a height applies to few rows of a mark, or recurs, it may be wrong,
-    and the mark has one occupation.
+    The height is constant within an occupation. If a height applies to few rows of a survey mark, or recurs, it may be
+    wrong, and the mark counts as occupied once.
     """
     column = table.column(("instrument_height_mm",))
     setup_numbers = [""] * len(table.pointings)
@@ -237,10 +240,11 @@ def _occupation_numbers_by_height(table: PointingTable) -> list[str]:
 def _has_rotated_circle(
     table: PointingTable, occupation_index: Ints, round_index: Ints, azimuth: Floats, sigma: Floats
 ) -> bool:
-    """True if the directions of a round differ from earlier ones to the same targets in its occupation.
+    """True if the directions of any round differ from earlier ones to the same targets in its occupation.
 
-    The median difference is compared with `MIN_CIRCLE_ROTATION`, or with `MIN_ROTATION_SIGMAS` times the noise in the
-    table, so that a single gross error has no effect.
+    `occupation_index` and `round_index` (n,) number the occupation and the round of each pointing; `azimuth` (n,) and
+    its standard deviation `sigma` (n,) are in rad. The median difference, on which a single outlier has no effect, is
+    compared with `MIN_CIRCLE_ROTATION`, or with `MIN_ROTATION_SIGMAS` standard deviations if this is smaller.
     """
     pointings = table.pointings
     first_reading: dict[tuple[object, ...], tuple[int, float, float]] = {}
@@ -264,10 +268,11 @@ def _has_rotated_circle(
 def with_setups_over_marks(
     table: PointingTable, setup: Setup, readings: Floats, *, rounds: set[str], levelled: bool
 ) -> tuple[Setup, list[str]]:
-    """Set-up in which stations are over the targets with the same names, or levelled, and notes.
+    """Prior knowledge `setup`, completed with stations that are levelled or over targets with their names, and notes.
 
-    Stations with heights above their marks are levelled. Without heights, stations are over the targets with their
-    names if lines measured in both directions close. The set-ups `rounds`, of one occupation, have the same position.
+    Stations with heights above their survey marks are levelled. Without heights, `levelled` stations are over targets
+    with their names if lines measured in both directions close. The set-ups `rounds` (names) share a position with
+    others of the same occupation. `readings` (n, 3) are in m, rad, rad.
     """
     heights = table.column(("instrument_height_mm",)) is not None
     targets = {*table.pointings.target}
@@ -305,7 +310,7 @@ def with_setups_over_marks(
 def _reciprocal_lines_agree(table: PointingTable, readings: Floats) -> bool:
     """True if lines measured in both directions agree in length, and in height if elevations were measured.
 
-    The median closure decides, without heights above marks, and with the curvature of the earth.
+    The median misclosure decides; heights above survey marks are not applied, the curvature of the earth is.
     """
     lengths = readings[:, 0] * np.cos(np.nan_to_num(readings[:, 2]))
     rises = readings[:, 0] * np.sin(readings[:, 2]) + lengths**2 / (2.0 * EARTH_RADIUS)
@@ -323,14 +328,14 @@ def _reciprocal_lines_agree(table: PointingTable, readings: Floats) -> bool:
 
 
 def _marks_and_targets(table: PointingTable) -> Iterator[tuple[str, str]]:
-    """Mark under the station, and target, of each pointing."""
+    """Names of the survey mark under the station, and of the target, for each pointing."""
     return zip(table.mark, table.pointings.target, strict=True)
 
 
 def connecting_occupations(table: PointingTable) -> dict[str, list[str]]:
-    """Occupation of the mark by the instrument, and by the reflector, of each pointing, by name of the column.
+    """Columns that name the occupation of a survey mark by the instrument, and by the reflector, for each pointing.
 
-    Marks and days distinguish them, for a table without such columns.
+    They are for a table without such columns: the names of the mark and of the day distinguish occupations.
     """
     pointings = table.pointings
     days = pointings.date_and_time if table.column(("time",)) is None else [""] * len(pointings)
@@ -340,10 +345,10 @@ def connecting_occupations(table: PointingTable) -> dict[str, list[str]]:
 
 
 def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) -> list[str]:
-    """Note that the heights in a table are not applied, because its readings refer to heads; empty if they are applied.
+    """Note that heights above survey marks in a table are not applied, as its readings refer to heads; else empty.
 
-    Lines measured in both directions decide: their height differences cancel either with the heights (n, 2) [m] of
-    instrument and target, or without them.
+    Lines measured in both directions decide: their height differences cancel either with the heights `height` (n, 2)
+    [m] of instrument and target, or without them. `readings` (n, 3) are in m, rad, rad.
     """
     heights = np.nan_to_num(height)
     if not heights.any():

@@ -1,4 +1,4 @@
-"""Rows of a text file or a workbook: encoding, separator, quotes, comments, sheets."""
+"""Reading of the rows of a text file or a workbook: encoding, separator, quotes, comments, sheets."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ class SheetRow(NamedTuple):
 
     @property
     def n_values(self) -> int:
-        """Number of fields with a number or an angle."""
+        """Number of fields that contain a number or an angle."""
         return sum(map(is_value, self.fields))
 
     def cell(self, position: int) -> str:
-        """Field at position `position`; '' if the row is shorter."""
+        """Text of the field at `position`, from 0; '' if the row is shorter."""
         return self.fields[position] if position < len(self.fields) else ""
 
     def check_width(self, width: int, file: object) -> None:
@@ -116,7 +116,8 @@ class TextRows(Sequence[SheetRow]):
 class TableSheet:
     """Rows of a text file or of one sheet of a workbook, without blank lines.
 
-    `has_incomplete_end` is True if the last line has no line break; `station` is the set-up of all rows, if known.
+    `has_incomplete_end` is True if the last line has no line break; `station` is the name of the sheet or file, which
+    names the set-up of its rows if there are several sheets.
     """
 
     file: Path
@@ -138,8 +139,8 @@ class TableSheet:
     def require_complete_end(self, width: int, *, requires_line_break: bool = False) -> None:
         """Check that the last line is complete; raises RecordError.
 
-        It is complete if it has a line break or, unless `requires_line_break`, has `width` fields and as many
-        decimals at its end as the line before it.
+        It is complete if it has a line break or, unless `requires_line_break`, if it has `width` fields and its last
+        number has at least as many decimals as in the line before.
         """
         if not self.has_incomplete_end:
             return
@@ -160,14 +161,14 @@ def is_table_folder(path: Path) -> bool:
 
 
 def table_files(path: Path) -> list[Path]:
-    """Path itself if it is a file, or the paths of the tables in a folder in the order of their names."""
+    """Paths of the tables in a folder, ordered by name; only `path` itself if it is no folder."""
     if not path.is_dir():
         return [path]
     return sorted(f for f in path.iterdir() if f.is_file() and f.suffix.lower() in TABLE_SUFFIXES and f.name[0] != ".")
 
 
 def read_sheets(path: Path) -> list[TableSheet]:
-    """Sheets of a file, or of all files in a folder; the name of each of several sheets is that of its set-up.
+    """Sheets of a file, or of all tables in a folder; if there are several, the name of a sheet is that of its set-up.
 
     Raises RecordError for a file that is neither text nor a workbook, and for a workbook if the library that reads it
     is missing.
@@ -198,7 +199,7 @@ def _non_blank_rows(lines: Sequence[str], file: Path) -> TextRows:
 
 
 def _require_few_fields(fields: Sequence[str], line: int, file: Path) -> None:
-    """Check of the number of columns in a row; raises RecordError for more than `MAX_ROW_FIELDS`."""
+    """Check that a row has at most `MAX_ROW_FIELDS` fields; raises RecordError, which names `file` and `line`."""
     if len(fields) > MAX_ROW_FIELDS:
         raise SourceLocation(file, line).error(f"{len(fields)} fields, expected at most {MAX_ROW_FIELDS}")
 
@@ -214,10 +215,10 @@ def head_rows(file_beginning: str) -> list[SheetRow]:
 
 
 def _detect_separator(lines: Sequence[str]) -> str:
-    """Separator with which lines of equal width contain most numbers.
+    """Separator of fields with which lines with equal numbers of fields contain most numbers.
 
-    Lines with three or more columns decide first, then those with two or more, and then the number of columns. In case
-    of a tie it is the first of `FIELD_SEPARATORS`.
+    Lines with three or more fields decide first, then those with two or more, and then the number of fields in the
+    first line. In case of a tie it is the first of `FIELD_SEPARATORS`.
     """
     lines_and_offsets = zip(
         lines[:N_SAMPLE_LINES], accumulate(map(len, lines[:N_SAMPLE_LINES]), initial=0), strict=False
@@ -236,7 +237,7 @@ def _detect_separator(lines: Sequence[str]) -> str:
 
 
 def _count_values(lines: Sequence[str], separator: str, min_columns: int) -> int:
-    """Largest number of cells with numbers in lines of one width, among lines with at least `min_columns` columns."""
+    """Largest count of numeric fields in lines of one width, among lines with at least `min_columns` fields."""
     wide_rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= min_columns]
     is_number_cell = is_number if separator == "," else is_value
     counts: Counter[int] = Counter()
@@ -289,7 +290,7 @@ def _read_workbook(file: Path) -> list[TableSheet]:
 
 
 def _workbook_row(line: int, fields: Sequence[str]) -> SheetRow:
-    """Row of a workbook; a cell with an error value, such as #N/A, does not make it a comment."""
+    """Row of a workbook; it is a comment if its first cell begins with #, except an error value such as #N/A."""
     is_comment = fields[0].startswith("#") and not fields[0].startswith(("#REF!", "#N/A", "#VALUE!", "#DIV/0!"))
     return SheetRow(line, (fields[0].lstrip("# ") if is_comment else fields[0], *fields[1:]), is_comment)
 
@@ -300,7 +301,7 @@ WorkbookRow = tuple[int, list[str]]
 
 
 def workbook_cells(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
-    """Name, and rows that are not empty, of each sheet of a workbook.
+    """Name of each sheet of a workbook, with its rows that are not empty.
 
     Raises RecordError for a file that is not a workbook, is damaged or exceeds a limit, and if the library that reads
     workbooks is missing.
@@ -347,7 +348,7 @@ def _check_workbook_parts(file: Path, workbook_archive: io.BytesIO) -> None:
 def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[WorkbookRow]]]:
     """Name and rows of each sheet of an open workbook; raises RecordError.
 
-    The limits apply to all sheets together.
+    The limits on rows, cells and characters apply to all sheets together.
     """
     sheets = [sheet for sheet in book.worksheets if hasattr(sheet, "reset_dimensions")]
     if len(sheets) > MAX_WORKBOOK_SHEETS:
@@ -377,7 +378,7 @@ def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[Workboo
 
 
 def _cell_text(cell: object) -> str:
-    """Text of a cell; a date and time at midnight is written as a date."""
+    """Text of the value of a cell; a date with the time 0:00 is written as a date."""
     if isinstance(cell, datetime) and cell.time() == time():
         cell = cell.date()
     return "" if cell is None else cell.isoformat() if isinstance(cell, _DATE_TYPES) else str(cell).strip()

@@ -1,4 +1,7 @@
-"""Names that a table lacks: those of its set-ups or of its points. Ranges and elevations under one name then differ."""
+"""Detection of tables whose set-ups, or points, have no names of their own, from differences of their readings.
+
+Without names of set-ups the ranges and elevations to the same target differ, because several set-ups measured them.
+"""
 
 import numpy as np
 
@@ -9,14 +12,14 @@ from ltsim.recordings.tables.header import title_words_and_unit
 from ltsim.recordings.tables.pointing_table import PointingTable, indices_by_value
 
 MAX_SPREADS_WITHIN_SETUP = (0.1, 0.02)
-"""Median differences of the ranges [m] and elevations [rad] to one target, above which a table without station names
-contains several set-ups. Reflectors, faces and drifts change readings by less, and set-ups at different positions by
+"""Median differences of the ranges [m] and of the elevations [rad] to one target, above which a table without station
+names has several set-ups. Reflectors, faces and drifts change readings by less, and set-ups at different positions by
 more (0.02 rad is 0.1 m at 5 m)."""
 MAX_SPREAD_RATIO = 0.01
-"""Largest ratio of two median differences of readings to one target, at which a column contains the names of the
-set-ups: among rows with equal value of the column, and among all rows."""
+"""Largest ratio at which a column counts as the column of set-up names: median difference of readings to one target
+among rows with the same text in the column, divided by the median difference among all rows."""
 MIN_ROWS_PER_SETUP = 3
-"""Mean number of rows with one value below which a column does not have the names of the set-ups."""
+"""Mean number of rows per distinct text below which a column does not count as the column of set-up names."""
 
 
 class UnnamedStationsError(RecordError):
@@ -26,8 +29,8 @@ class UnnamedStationsError(RecordError):
 def require_station_names(table: PointingTable, readings: Floats, file: object) -> None:
     """Check that a table without station names is from one set-up: ranges and elevations of each target agree.
 
-    Raises UnnamedStationsError, with the title of the column that has the names of the set-ups, if there is such a
-    column, otherwise RecordError.
+    `readings` (n, 3) are ranges, azimuths and elevations [m, rad, rad]. If several set-ups measured them, raises
+    UnnamedStationsError, which names the column with the names of the set-ups, or RecordError without such a column.
     """
     if not table.lacks_station_names:
         return
@@ -60,7 +63,10 @@ def require_station_names(table: PointingTable, readings: Floats, file: object) 
 
 
 def several_positions_notes(table: PointingTable, readings: Floats) -> list[str]:
-    """Note on names of targets that are not names of points: ranges from one set-up to most of them differ."""
+    """Note that names of targets stand for several points, if ranges from a set-up to most names differ; else empty.
+
+    `readings` (n, 3) are ranges, azimuths and elevations [m, rad, rad].
+    """
     sights, groups = indices_by_value(zip(table.pointings.station, table.pointings.target, strict=True))
     spread = _median_spread(readings[:, 0], groups)
     if spread <= MAX_SPREADS_WITHIN_SETUP[0]:
@@ -72,15 +78,16 @@ def several_positions_notes(table: PointingTable, readings: Floats) -> list[str]
     worst_station = int(np.argmax(high - low))
     station, target = (quoted_text(name) for name in sights[worst_station])
     return [
-        f"one name of a target has several positions: the distances from '{station}' to '{target}' differ by "
+        f"the name of a target stands for several positions: the distances from '{station}' to '{target}' differ by "
         f"{high[worst_station] - low[worst_station]:.3g} m; if it names a reflector that moved, name each point"
     ]
 
 
 def _median_spread(values: Floats, groups: Ints) -> float:
-    """Median over groups of the largest difference of the values (n,) in a group; 0 without a group of several values.
+    """Median, over groups, of the difference between the largest and the smallest value in a group.
 
-    `groups` (n,) is the index of the group of each value; values that are not finite are ignored.
+    `groups` (n,) is the index of the group of each of the `values` (n,); values that are not finite are ignored. The
+    result is 0 if no group has several values.
     """
     finite = np.isfinite(values)
     if not finite.any():

@@ -1,7 +1,7 @@
 """Known titles of columns, by role, in English, German and other languages.
 
-Titles have the form of `normalised_title`: lower case, without blanks, accents and signs. Letters such as `ł` and `ø`,
-which are not a letter with an accent, are left out in this form. East Asian titles are written as they are.
+Titles are in lower case, without blanks, accents and punctuation. Letters such as `ł` and `ø`, which are not a letter
+with an accent, are left out. East Asian titles are complete.
 """
 
 EAST_ASIAN_LETTERS = "\u3040-\u30ff\u3400-\u9fff\uac00-\ud7a3"
@@ -51,12 +51,12 @@ TITLE_WORDS = {
     "air_pressure_hpa": "airpressure pressure luftdruck",
     "relative_humidity_pct": "relativehumidity humidity luftfeuchte luftfeuchtigkeit",
 }
-"""English and German titles by the meaning of the column, separated by blanks."""
+"""English and German titles by the role of the column, separated by blanks."""
 SUMMARY_WORDS = (
     "sum total count mean average avg median min max minimum maximum std stddev rms summe gesamt anzahl mittel "
     "mittelwert somme moyenne nombre suma media promedio somma totale numero"
 )
-"""Words at the beginning of a row with sums or means of the rows above, separated by blanks."""
+"""Words, separated by blanks, with which a row of sums or means of the rows above begins."""
 FOREIGN_TITLE_WORDS = {
     "French": {
         "station": "stationne pointstation pointstationne numerodestation stationinstrument stationdelinstrument "
@@ -213,7 +213,7 @@ FOREIGN_TITLE_WORDS = {
         "relative_humidity_pct": "습도 상대습도",
     },
 }
-"""Titles in other languages: by language, and then by the meaning of the column."""
+"""Titles in other languages: by language, and then by the role of the column."""
 STATION_TITLE_PREFIXES = (
     "instrument",
     "instruments",
@@ -225,7 +225,7 @@ STATION_TITLE_PREFIXES = (
     "gerate",
     "geraete",
 )
-"""Words before a word for a place, which together name a station."""
+"""First words of titles of stations such as "instrument position"."""
 STATION_TITLE_PLACES = (
     "station",
     "stn",
@@ -238,6 +238,6 @@ STATION_TITLE_PLACES = (
     "point",
     "location",
 )
-"""Words for the place of an instrument."""
+"""Last words of titles of stations such as "instrument position"."""
 NUMBER_TITLE_ENDINGS = ("no", "nr", "num", "number", "nummer", "id", "name")
-"""Words after the title of a station or round, which do not change its meaning."""
+"""Words at the end of the title of a station or round, such as "station no", that do not change its role."""

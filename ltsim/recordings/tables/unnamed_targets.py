@@ -1,4 +1,4 @@
-"""Targets of a table without point names: positions of a target that moves (a robot, a T-MAC)."""
+"""Targets of a table without point names, such as the positions of a target that moves (on a robot, a T-MAC)."""
 
 from itertools import product
 from operator import add, sub
@@ -15,19 +15,19 @@ from ltsim.recordings.tables.cells import is_value
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, indices_by_value
 
 MAX_SAME_PLACE_RATIO = 3e-4
-"""Largest distance between rows at one position, relative to the largest range: 1 mm at 3 m, more than the
-repeatability of a robot.
+"""Largest distance between rows that count as the same position, divided by the largest range: 1 mm at 3 m, more than
+the repeatability of a robot.
 """
 MIN_ROWS_FOR_POSITIONS = 3
-"""Smallest number of rows, and of different positions, of one name that is a moving target."""
+"""Smallest number of rows, and of different positions, with one target name from which it counts as a moving target."""
 MAX_COINCIDENT_M = 1e-3
-"""Largest distance [m] of targets at one position: reflectors have diameters of 12.7 mm and more."""
+"""Largest distance [m] between targets that count as the same point: reflectors have diameters of 12.7 mm and more."""
 MIN_COINCIDENT_POSITIONS = 3
-"""Smallest number of positions with several targets that a note reports."""
+"""Number of positions with several targets from which a note reports them."""
 MAX_COINCIDENT_NAMES = 4
-"""Largest number of names that this note lists."""
+"""Largest number of names of targets at one position that a note lists."""
 UNNAMED_TARGET = "pose"
-"""Name of the targets of a table without names, until their positions are known."""
+"""Name of all targets of a table without point names, until their positions are computed and numbered."""
 
 
 class UnnamedTargetsError(RecordError):
@@ -35,10 +35,10 @@ class UnnamedTargetsError(RecordError):
 
 
 def name_unnamed_targets(table: PointingTable, hints: Hints, file: object) -> PointingTable:
-    """Table in which rows without any names have one common name.
+    """Table in which all rows have the target name `UNNAMED_TARGET`, in place, if no row names its target.
 
-    Raises UnnamedTargetsError if several set-ups have no names: nothing then tells which of their targets are the same.
-    Raises it also if a column may contain the names, unless the hints name the station.
+    Raises UnnamedTargetsError for a table of several set-ups without target names, because common targets of the
+    set-ups are then unknown. Raises it also if a column may contain the names, unless the hints name the station.
     """
     pointings = table.pointings
     if {*pointings.target} != {""}:
@@ -60,7 +60,7 @@ def name_unnamed_targets(table: PointingTable, hints: Hints, file: object) -> Po
 
 
 def _possible_name_titles(table: PointingTable) -> list[str]:
-    """Titles of the columns without a known meaning or unit whose cells are whole numbers or texts that occur again."""
+    """Titles of the columns that may name targets: no role or unit, and whole numbers or texts of which some repeat."""
     titles = []
     for column in table.columns:
         distinct = {*table.pointings.texts(column.title)} if column.is_additional and not column.role else set()
@@ -71,9 +71,9 @@ def _possible_name_titles(table: PointingTable) -> list[str]:
 
 
 def name_targets_by_position(table: PointingTable, readings: Floats) -> PointingTable:
-    """Table in which every position is a separate target, if rows have no names or one name has several positions.
+    """Table in which each position is a separate target, in place, if all rows have the same target name or none.
 
-    `readings` (n, 3) [m, rad] are raw ones of both faces.
+    `readings` (n, 3) are raw ranges, azimuths and elevations [m, rad, rad] of both faces.
     """
     names, stations = {*table.pointings.target}, {*table.pointings.station}
     if len(names) > 1:
@@ -98,7 +98,10 @@ def name_targets_by_position(table: PointingTable, readings: Floats) -> Pointing
 
 
 def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats) -> list[str]:
-    """Note on targets with separate names that one set-up sees at one position, as shots of one point are numbered."""
+    """Note on targets with different names at the same position, as in lists that number each shot; empty without them.
+
+    `readings` (n, 3) are raw ranges, azimuths and elevations [m, rad, rad].
+    """
     points = from_polar(readings)
     tolerance = min(MAX_COINCIDENT_M, MAX_SAME_PLACE_RATIO * float(np.nanmax(readings[:, 0], initial=0.0)))
     targets, target = indices_by_value(pointings.target)
@@ -115,13 +118,16 @@ def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats)
     examples = [targets[i] for i in sights[box == shared[0], 1].tolist()]
     names = listing([f"'{quoted_text(name)}'" for name in examples], MAX_COINCIDENT_NAMES)
     return [
-        f"separate targets have one position at one set-up {len(shared)} times, such as {names}: if these are shots of "
-        "one point, give them one name"
+        f"separate targets have the same position at one set-up {len(shared)} times, such as {names}: if these are "
+        "shots of one point, give them one name"
     ]
 
 
 def _position_numbers(readings: Floats) -> Ints:
-    """Number (n,) of the position that each pointing measured, in the order of first measurement, from both faces."""
+    """Number (n,) of the position that each pointing measured, from 0 in the order of their first measurement.
+
+    `readings` (n, 3) are raw ranges, azimuths and elevations [m, rad, rad] of both faces.
+    """
     ranges = readings[:, 0]
     longest = float(np.nanmax(ranges, initial=0.0)) or 1.0
     points = from_polar(np.stack([np.where(np.isnan(ranges), longest, ranges), *np.nan_to_num(readings[:, 1:]).T], 1))
