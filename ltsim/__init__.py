@@ -1,7 +1,7 @@
 """Simulation, calibration, planning and diagnosis of laser-tracker networks: ``import ltsim as lt``.
 
-Then use `lt.read`, `lt.simulate`, `lt.calibrate`, `lt.diagnose` and the other names of `__all__`. Each name is loaded
-from its package when it is first used. `lt.effects` is the package of the physical effects.
+The public names are in `__all__`, such as `lt.read`, `lt.simulate`, `lt.calibrate` and `lt.diagnose`. Each name is
+loaded from its package when it is first used. `lt.effects` is the package of the physical effects.
 """
 
 from importlib import import_module

@@ -30,13 +30,13 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     Returns
     -------
     Recording, or the result
-        `notes` of a recording report how ambiguous conventions were interpreted, and rows that were not used. For a
-        folder with a recording and results the recording is read; give the path of a result's file to read that.
+        `notes` of a recording report how ambiguous conventions were interpreted, and rows that were not used. From a
+        folder with a recording and results the recording is read; to read a result, give the path of its file.
 
     Raises
     ------
     RecordError
-        One sentence: what is wrong and where, or which hint is wanted.
+        If the file is invalid or ambiguous; the message states what is wrong and where, or the required hint.
 
     Examples
     --------
@@ -96,7 +96,7 @@ def write(
     format: str = "native",  # noqa: A002
     recording: Recording | None = None,
 ) -> None:
-    """Write a recording or a result as the command of its name does: a folder, for a truth a file.
+    """Write a recording or a result: the same files as the command that computes it, for true values a single file.
 
     Parameters
     ----------
@@ -106,14 +106,14 @@ def write(
     format : str
         Format of a recording: `native`, or another format that can be written.
     recording : Recording, optional
-        Recording of a diagnosis, written to the same folder for the report.
+        Recording from which a diagnosis was computed; it is written to the same folder for the report.
 
     Raises
     ------
     ModelError
-        When the object is none of these, or was read from a file and its tables need the arrays.
+        If the object is no recording and no result, or is a result from a file without the arrays for its tables.
     RecordError
-        When the place cannot be written; nothing half-written stays behind.
+        If the path cannot be written; no partial files remain.
 
     Examples
     --------
@@ -129,7 +129,7 @@ def write(
 
 
 def _write_result(result_file: ResultFile, path: Path, recording: Recording | None) -> None:
-    """Writing of a result other than a recording; the package of the result is loaded already."""
+    """Writing of a result that is not a recording."""
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import write_calibration
     from ltsim.diagnosis.diagnosis import Diagnosis
@@ -153,7 +153,9 @@ def _write_result(result_file: ResultFile, path: Path, recording: Recording | No
             tables = [result_file.table(name) for name in result_file._tables()]
             write_result(path, result_file, {table.file: table.csv_text() for table in tables if table.file in named})
         case _:
-            raise ModelError(f"a {type(result_file).__name__} has no files; a recording, truth, calibration, ... has")
+            raise ModelError(
+                f"a {type(result_file).__name__} has no files; a recording, a calibration or another result has"
+            )
 
 
 def convert(
@@ -176,8 +178,8 @@ def convert(
     format, hints
         Format and interpretation of the source, as of `read`.
     every : int
-        Thinning: one of so many pointings of each sight (of a station to a target on one face) is written. A long
-        monitoring has more pointings than a network needs.
+        N to write only every N-th pointing from a station to a target on one face. Long monitoring recordings contain
+        more pointings than a network needs.
 
     Returns
     -------

@@ -1,7 +1,7 @@
-"""What the documentation takes from the code when it is built: a directive a kind of page, and formulas as MathML.
+"""Sphinx directives that generate parts of the documentation from the code, and formulas as MathML.
 
-Each directive turns its arguments into Markdown: tables of keys from the models, verbs from the command line, cards
-from the catalogue, names from the front door, pictures from commands that are run.
+Each directive turns its arguments into Markdown: tables of keys from the models, commands with their help, entries of
+the catalogue, public names, and pictures from commands that are run.
 """
 
 from collections.abc import Callable
@@ -18,15 +18,16 @@ from ltsim.recordings.specification import data_sheet_names, data_sheet_values
 
 
 def formats() -> str:
-    """Markdown: what is read and what is written."""
-    lines = ["| `--format` | what it is | written by `--to` |", "|---|---|---|"]
+    """Markdown table of the formats that are read and written."""
+    lines = ["| `--format` | format | can be written with `--to` |", "|---|---|---|"]
     lines += [f"| `{f.name}` | {f.about} | {'yes' if f.write else ''} |" for f in FORMATS]
     return "\n".join(lines)
 
 
 def data_sheets() -> str:
-    """Markdown: the built-in data sheets, what they leave open as a question mark."""
-    lines = ["| name | across the beam | along it | zero of the ranges | source |", "|---|---|---|---|---|"]
+    """Markdown table of the built-in data sheets; a question mark is a value that a data sheet does not give."""
+    header = "| name | MPE across the beam | MPE along the beam | MPE of the range offset | source |"
+    lines = [header, "|---|---|---|---|---|"]
     for name in data_sheet_names():
         stated = data_sheet_values(name)
         across, along = (
@@ -53,11 +54,11 @@ MAKERS: dict[str, Maker] = {
     "python-names": python_names.names,
 }
 DRAWING_MAKERS: dict[str, Maker] = {"catalogue": catalogue.cards, "gallery": gallery.shown, "drawn": drawn.shown}
-"""Those that are also given a place for pictures, and the lines of the directive."""
+"""Makers that also get the folder for pictures and the lines of the directive."""
 
 
 def directive(maker: Maker, *, draws: bool) -> type[SphinxDirective]:
-    """A directive that puts in what `maker` says."""
+    """Sphinx directive that inserts the Markdown that `maker` returns."""
 
     class FromCode(SphinxDirective):
         optional_arguments = 4
@@ -71,7 +72,7 @@ def directive(maker: Maker, *, draws: bool) -> type[SphinxDirective]:
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """What Sphinx calls."""
+    """Registration of the extension; Sphinx calls this function."""
     for makers, draws in ((MAKERS, False), (DRAWING_MAKERS, True)):
         for name, maker in makers.items():
             app.add_directive(name, directive(maker, draws=draws))

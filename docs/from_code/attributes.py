@@ -1,4 +1,4 @@
-"""Attributes of `sightings`, of which a design of an effect is made: names, shapes and units from the class itself."""
+"""Table of the attributes of `sightings`, from which an effect computes its design: names, shapes and units."""
 
 import ast
 import inspect
@@ -6,13 +6,13 @@ import inspect
 from ltsim.scene.sightings import Sightings
 
 HIDDEN = ("station_ids", "target_ids")
-"""Attributes that serve the library alone."""
+"""Attributes that only ltsim uses; the table omits them."""
 
 
 def listed() -> dict[str, str]:
-    """Public fields and properties of `Sightings` with the first sentence of what is said of them.
+    """First sentence of the docstring of each public field and property of `Sightings`, by name.
 
-    Fields in a row share the text under the last of them.
+    Consecutive fields without a docstring have the docstring below the last of them.
     """
     (body,) = (node.body for node in ast.parse(inspect.getsource(Sightings)).body if isinstance(node, ast.ClassDef))
     found: dict[str, str] = {}
@@ -33,6 +33,6 @@ def _first(text: str) -> str:
 
 
 def table() -> str:
-    """Markdown: attribute, shape and unit."""
+    """Markdown table of attributes with shape, unit and meaning."""
     lines = ["| `sightings.` | shape, unit, meaning |", "|---|---|"]
     return "\n".join(lines + [f"| `{name}` | {about} |" for name, about in listed().items()])

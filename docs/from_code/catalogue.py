@@ -1,4 +1,4 @@
-"""The catalogue of effects: each card, its parameters, and what it does to the readings of the paper's workshop."""
+"""Catalogue of effects: each entry, its parameters, and its effect on the measured points of the paper's workshop."""
 
 from functools import cache
 
@@ -41,7 +41,7 @@ SCENARIO, SEED = "paper-workshop-two-face", 1
 
 
 def cards(pictures: Pictures, _lines: list[str]) -> str:
-    """Markdown: a section a group of effects, a section an effect."""
+    """Markdown with a section per group of effects and a subsection per effect."""
     lines: list[str] = []
     group = ""
     for entry in CATALOGUE.entries.values():
@@ -68,7 +68,7 @@ def _card(kind: type[Effect], pictures: Pictures) -> list[str]:
 
 
 def _law(law: str) -> str:
-    """Lines that are set in stay as they are; others are a text."""
+    """Markdown of a formula text: indented lines as a code block, other lines as a paragraph."""
     if any(line.startswith(" ") for line in law.splitlines()):
         return f"```text\n{law}\n```"
     return _text(law)
@@ -80,7 +80,7 @@ def _constant(shape: ShapeParameter) -> list[str]:
 
 
 def _text(text: str) -> str:
-    """A text of a card in which Markdown sees no markup."""
+    """Text of a catalogue entry with escaped Markdown characters."""
     for sign in "\\`*_[<|$":
         text = text.replace(sign, "\\" + sign)
     return text
@@ -88,7 +88,7 @@ def _text(text: str) -> str:
 
 @cache
 def _space() -> ResidualSpace:
-    """What poses and targets leave of a signature in the paper's workshop, both faces."""
+    """Residual space of the paper's workshop in both faces: projection of reading changes on the residuals."""
     recording, _ = simulate(load_scenario(SCENARIO), SEED)
     adjustment = lt.adjust(recording).adjustment
     assert isinstance(adjustment, Adjustment)
@@ -96,7 +96,7 @@ def _space() -> ResidualSpace:
 
 
 def _signature(kind: type[Effect], pictures: Pictures) -> list[str]:
-    """The picture of an effect's first parameter at its plausible size, and how much of it an adjustment leaves."""
+    """Picture of an effect with its first parameter at plausible size, and the fraction that a network absorbs."""
     space = _space()
     sightings = space.sightings
     effects = kind.candidates(sightings)
@@ -110,7 +110,7 @@ def _signature(kind: type[Effect], pictures: Pictures) -> list[str]:
     words = (
         f"{parameter.prior_sigma / parameter.si_per_display_unit:.3g} {parameter.unit} of `{parameter.name}`"
         f"{f' at {place}' if place else ''}, seen from one station of the paper's workshop. "
-        f"Poses and targets of the network absorb {100 * (1 - share):.0f} % of its squared size."
+        f"Poses and targets of the network absorb {100 * (1 - share):.0f} % of the squared changes of the readings."
     )
     address = svg_data_uri(svg_text(_figure(effect, sightings, moved)))
     picture = pictures.keep(f"effect-{kind.name}", address, f"signature of {kind.name}")
@@ -118,7 +118,7 @@ def _signature(kind: type[Effect], pictures: Pictures) -> list[str]:
 
 
 def _displacement(effect: Effect, sightings: Sightings) -> Floats:
-    """(n, 3) [um]: how the first parameter at its plausible size moves the measured point, seen from the station."""
+    """Displacement (n, 3) [um] of the measured points by the first parameter at plausible size: along, left, upward."""
     size = np.zeros(len(effect.parameters))
     size[0] = effect.parameters[0].prior_sigma
     change = np.nan_to_num(effect.design(sightings) @ size)
@@ -130,7 +130,7 @@ def _displacement(effect: Effect, sightings: Sightings) -> Floats:
 
 @with_figure_style
 def _figure(effect: Effect, sightings: Sightings, moved: Floats) -> Figure:
-    """Three panels over what the effect depends on; both faces of one station where it acts."""
+    """Figure with three panels over the covariate of the effect, for both faces of one station at which it acts."""
     name = next(
         (c for c in effect.covariates if c in AXES), "azimuth" if "azimuth" in effect.observables else "elevation"
     )

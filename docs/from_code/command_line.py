@@ -1,4 +1,4 @@
-"""The pages of the command line, from the commands themselves."""
+"""Reference of the command line, generated from the commands."""
 
 import re
 from typing import Any
@@ -9,7 +9,7 @@ from ltsim.cli.main import COMMANDS, app
 
 
 def verbs() -> str:
-    """Markdown: a section a verb, with its arguments and options."""
+    """Markdown with a section per command, with its arguments and options."""
     group: Any = typer.main.get_command(app)
     context = group.make_context("ltsim", ["--help"], resilient_parsing=True)
     lines: list[str] = []
@@ -38,5 +38,5 @@ def _cell(text: str) -> str:
 
 
 def _plain(text: str) -> str:
-    """A text in which Markdown sees no markup but code."""
+    """Text with escaped Markdown characters, except those of code."""
     return re.sub(r"([*_<\[])(?![^`]*`(?:[^`]*`[^`]*`)*[^`]*$)", r"\\\1", text)

@@ -1,4 +1,4 @@
-"""A picture from a few lines of Python, drawn while the documentation is built; nothing of it is committed."""
+"""Picture from a few lines of Python, drawn while the documentation is built and not committed."""
 
 import base64
 import contextlib
@@ -14,11 +14,11 @@ from ltsim.reports import scene3d
 from ltsim.reports.style import svg_data_uri, svg_text
 
 HOW_TO = Path(__file__).resolve().parents[1] / "how-to"
-"""Where the files lie that the how-tos have for download."""
+"""Folder of the files that the how-to guides offer for download."""
 
 
 def shown(pictures: Pictures, lines: list[str], name: str) -> str:
-    """Markdown: what the last line of the code gives (a figure or a view), with the first line as its caption."""
+    """Markdown of the figure or view that the last line of code returns; the first of `lines` is the caption."""
     caption, *code, last = lines
     names: dict[str, Any] = {"lt": lt, "how_to": HOW_TO}
     with TemporaryDirectory() as place, contextlib.chdir(place):

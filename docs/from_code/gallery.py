@@ -1,4 +1,4 @@
-"""The gallery: commands that are run while the page is built, and the pictures of the report they end in."""
+"""Gallery: commands that are run while the page is built, and the pictures of the resulting report."""
 
 import contextlib
 import re
@@ -13,12 +13,12 @@ from ltsim.reports.page import document_of_folder
 
 @cache
 def _workplace() -> TemporaryDirectory[str]:
-    """One folder for all commands of the page; gone when the build ends."""
+    """Temporary folder for all commands of the page; it is deleted at the end of the build."""
     return TemporaryDirectory()
 
 
 def shown(pictures: Pictures, lines: list[str], folder: str) -> str:
-    """Markdown: the commands in `lines`, run here, and the pictures of the page about `folder`."""
+    """Markdown with the commands in `lines`, which are run, and the pictures of the report about `folder`."""
     place = Path(_workplace().name)
     with contextlib.chdir(place):
         for command in commands("\n".join(lines)):

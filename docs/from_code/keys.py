@@ -9,26 +9,26 @@ from pydantic import BaseModel
 from ltsim.core.units import unit_of_key
 
 HUGE = 1e8
-"""Bounds beyond it only keep nonsense out."""
+"""Absolute value of a bound from which the table does not show it: it only rejects absurd numbers."""
 FIXED = ("`format`", "`title`")
-"""Keys that nothing varies."""
+"""Keys that a campaign cannot vary."""
 KINDS = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false", "null": "nothing"}
 
 
 def tables(model: str) -> str:
-    """Markdown: headings and tables of keys for a file in TOML and each table in it.
+    """Markdown with headings and tables of keys for a TOML file and each table in it.
 
     Parameters
     ----------
     model : str
-        As in ``ltsim.planning.spec:PlanFile``.
+        Module and class of the model, as in ``ltsim.planning.spec:PlanFile``.
     """
     module, _, name = model.partition(":")
     return sections(getattr(import_module(module), name), _toml, "##", defaults=True)
 
 
 def dotted(model: str) -> str:
-    """Markdown: one table of every dotted key of a file, as what varies it takes them; lists of tables by number N."""
+    """Markdown table of every dotted key of a file, as a campaign uses it; N is the position in a list of tables."""
     module, _, name = model.partition(":")
     schema = getattr(import_module(module), name).model_json_schema()
     rows: list[list[str]] = []
@@ -57,7 +57,7 @@ def dotted(model: str) -> str:
 def sections(
     model: type[BaseModel], place: Callable[[str, str, str], str], heading: str, *, defaults: bool = False
 ) -> str:
-    """Markdown for a file and the tables in it; `place` names a table by that around it, how many, and its key."""
+    """Markdown for a file and its tables; `place` makes the path of a table from parent, multiplicity and key."""
     schema = model.model_json_schema()
     lines: list[str] = []
     todo = [("", schema)]
@@ -76,13 +76,13 @@ def _toml(path: str, how: str, key: str) -> str:
 
 
 def json_place(path: str, how: str, key: str) -> str:
-    """The place of a table in a JSON file."""
+    """Path of a table in a JSON file."""
     name = ".".join(filter(None, (path, key)))
     return {"one": name, "named": f"{name}.NAME", "several": f"{name}[]"}[how]
 
 
 def _table(table: dict[str, Any], schema: dict[str, Any], *, defaults: bool) -> list[str]:
-    """The keys of one table that hold values; columns that say nothing are left out."""
+    """Markdown table of the keys of one table that have values, without empty columns."""
     own = {key: entry for key, entry in table["properties"].items() if _inner(key, entry, schema) is None}
     rows = [
         [f"`{key}`", values(entry, schema), unit(key), default(key, entry, table) if defaults else "", meaning(entry)]
@@ -92,7 +92,7 @@ def _table(table: dict[str, Any], schema: dict[str, Any], *, defaults: bool) -> 
 
 
 def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A table in Markdown, without the columns that are empty."""
+    """Markdown table without empty columns."""
     kept = [i for i in range(len(header)) if any(row[i] for row in rows)]
     lines = [[header[i] for i in kept], ["---"] * len(kept), *([row[i] for i in kept] for row in rows)]
     cells = [[cell.replace("|", "\\|").replace("\n", " ") for cell in line] for line in lines]
@@ -100,7 +100,7 @@ def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _inner(key: str, entry: dict[str, Any], schema: dict[str, Any]) -> tuple[str, str, dict[str, Any]] | None:
-    """Key, how many, and schema of the table that an entry holds; None where it holds a value."""
+    """Key, multiplicity and schema of the table that an entry contains; None for an entry with a value."""
     for choice in entry.get("anyOf", [entry]):
         further, items = choice.get("additionalProperties"), choice.get("items")
         for how, found in (("one", choice), ("named", further), ("several", items)):
@@ -110,22 +110,22 @@ def _inner(key: str, entry: dict[str, Any], schema: dict[str, Any]) -> tuple[str
 
 
 def about(docstring: str) -> str:
-    """A class docstring as Markdown: double back-quotes become single ones."""
+    """Class docstring as Markdown: double back-quotes become single ones."""
     return docstring.replace("``", "`")
 
 
 def meaning(entry: dict[str, Any]) -> str:
-    """What the key means."""
+    """Meaning of a key."""
     return about(entry.get("description", ""))
 
 
 def unit(key: str) -> str:
-    """The unit that a key carries in its name."""
+    """Unit in the name of a key."""
     return unit_of_key(key).replace("um", "µm")
 
 
 def default(key: str, entry: dict[str, Any], table: dict[str, Any]) -> str:
-    """What holds where the key is left out."""
+    """Default of a key, as text."""
     if key in table.get("required", ()):
         return "required"
     value = entry.get("default")
@@ -143,7 +143,7 @@ def _shown(value: Any) -> str:
 
 
 def values(entry: dict[str, Any], schema: dict[str, Any]) -> str:
-    """Which values are right, in words."""
+    """Text on the permitted values of an entry."""
     if "$ref" in entry:
         return "table"
     if "anyOf" in entry:

@@ -1,4 +1,4 @@
-"""Pictures drawn while the documentation is built: they go straight into the built pages' folder."""
+"""Pictures drawn while the documentation is built, written to the folder of the built pages."""
 
 from dataclasses import dataclass
 from html import escape
@@ -13,13 +13,13 @@ FOLDER = "_images"
 
 @dataclass(frozen=True)
 class Pictures:
-    """Where the pictures of a page go.
+    """Folder for the pictures of a page.
 
     Attributes
     ----------
     folder : Path
     address : str
-        Of that folder, seen from the page.
+        Address of the folder relative to the page.
     """
 
     folder: Path
@@ -27,13 +27,13 @@ class Pictures:
 
     @classmethod
     def of(cls, env: BuildEnvironment) -> Self:
-        """The place for the page that is being read."""
+        """Folder for the pictures of the page that Sphinx reads."""
         folder = Path(env.app.outdir) / FOLDER
         folder.mkdir(parents=True, exist_ok=True)
         return cls(folder, "../" * env.docname.count("/") + FOLDER)
 
     def keep(self, name: str, data_address: str, alt: str) -> str:
-        """Keep a picture given as a `data:` address; the HTML that shows it."""
+        """HTML that shows a picture, which is written to the folder from its `data:` address."""
         with urlopen(data_address) as picture:
             file = f"{name}.{'png' if picture.headers.get_content_subtype() == 'png' else 'svg'}"
             (self.folder / file).write_bytes(picture.read())

@@ -1,4 +1,4 @@
-"""The page of the Python interface: every name of the front door and every class of results, by Sphinx's autodoc."""
+"""Page of the Python interface: every public name of `ltsim` and every class of results, by autodoc of Sphinx."""
 
 import inspect
 from collections.abc import Iterator
@@ -10,12 +10,17 @@ from ltsim.core.results import Column, Result, Table
 
 
 def names() -> str:
-    """Markdown: a directive of autodoc a name that can be called, in the order of `ltsim.__all__`, then the results."""
+    """Markdown with an autodoc directive per function of `ltsim.__all__`, followed by the classes of results."""
     lines: list[str] = []
     for name in ltsim.__all__:
         if inspect.isfunction(getattr(ltsim, name)):
             lines += [f"## ltsim.{name}", "", "```{eval-rst}", f".. autofunction:: ltsim.{name}", "```", ""]
-    lines += ["## Results", "", "What the functions give. All of them have what `Result` has.", ""]
+    lines += [
+        "## Results",
+        "",
+        "Result classes of the functions. They all inherit the methods of `Result`.",
+        "",
+    ]
     for module in walk_packages(ltsim.__path__, "ltsim."):
         import_module(module.name)
     kinds = sorted(set(_below(Result)), key=lambda kind: kind.__name__)
@@ -27,7 +32,7 @@ def names() -> str:
 
 
 def _below(kind: type) -> Iterator[type]:
-    """All classes below one that belong to ltsim."""
+    """All subclasses of `kind` that belong to ltsim."""
     for own in kind.__subclasses__():
         if own.__module__.startswith("ltsim."):
             yield own
@@ -35,7 +40,7 @@ def _below(kind: type) -> Iterator[type]:
 
 
 def _told(kind: type) -> list[str]:
-    """Public methods and properties that a class itself declares and describes."""
+    """Public methods and properties that a class defines with a docstring."""
     declared = {name: thing for name, thing in vars(kind).items() if not name.startswith("_")}
     methods = {name for name, thing in declared.items() if inspect.isfunction(thing) or isinstance(thing, property)}
     return [name for name in declared if name in methods and inspect.getdoc(declared[name])]

@@ -1,4 +1,4 @@
-"""The files that commands write: keys and columns from the models and tables in the code, and their JSON Schemas."""
+"""Reference of the files that commands write: keys and columns from the models and tables, and JSON Schemas."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from ltsim.reports import schemas
 
 
 def files() -> str:
-    """Markdown: a section a file, with the tables that lie beside it."""
+    """Markdown with a section per file and the CSV tables in the same folder."""
     models = {model.FILE: model for model in schemas.RESULT_MODELS}
     lines: list[str] = []
     for file, model in models.items():
@@ -28,6 +28,6 @@ def _columns(table: Table) -> list[str]:
 
 
 def write_schemas(app: Sphinx, problem: Exception | None) -> None:
-    """The JSON Schema of every file, below `schemas` of the built pages."""
+    """Write the JSON Schema of every file to the folder `schemas` of the built pages."""
     if problem is None:
         schemas.write_schemas(Path(app.outdir) / "schemas")

@@ -1,7 +1,7 @@
-"""A small shell for the commands in the documentation: `ltsim` is called as a function, which saves seconds each time.
+"""Small shell for the commands in the documentation; it calls `ltsim` as a function, which saves seconds per command.
 
-Everything else goes to bash. Understood beside `ltsim` itself: ``&&``, a backslash at the end of a line, ``> FILE``,
-and the comment ``# exit status N`` where it is not 0.
+For `ltsim` commands it interprets ``&&``, a backslash at the end of a line, ``> FILE``, and the comment ``# exit status
+N`` for an expected status other than 0. All other commands are run by bash.
 """
 
 import contextlib
@@ -22,7 +22,7 @@ HERE = re.compile(r"<<'(\w+)'\s*$")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command printed, what it said on standard error, and whether its exit status is the one it should be."""
+    """Standard output and standard error of a command; `right` is True if its exit status is as expected."""
 
     printed: str
     said: str
@@ -30,7 +30,7 @@ class Outcome:
 
 
 def commands(text: str) -> list[str]:
-    """The commands of a block, each with the lines of the file that it is given, if any."""
+    """Commands of a code block, each with the lines of its here-document, if there is one."""
     found: list[str] = []
     waiting = text.replace("\\\n", " ").splitlines()
     while waiting:

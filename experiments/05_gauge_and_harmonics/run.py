@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_pairs
-from ltsim.reports.figures.campaign import NOISE_FLOOR_LABEL, factor_panels_figure, setting_rows_figure, sweep_points
+from ltsim.reports.figures.campaign import NOISE_FLOOR_LABEL, cell_rows_figure, factor_panels_figure, sweep_points
 
 
 def run(given: Options) -> Made:
     gauges, orders = campaign("gauge.toml", given), campaign("config.toml", given, "harmonics")
-    figure = setting_rows_figure(sweep_points(gauges, ERROR, ("title", "range_scale_ppm")), label=NEW_POINTS)
+    figure = cell_rows_figure(sweep_points(gauges, ERROR, ("title", "range_scale_ppm")), label=NEW_POINTS)
     figure.axes[0].set_ylabel("reflectors of the gauge, true error of the range scale")
     write_figure(given.out / "gauge.svg", figure)
     rows = sweep_points(orders, ERROR, "beyond_second_urad")

@@ -10,7 +10,7 @@ from experiments.common import ERROR, NEW_POINTS, Made, Options, Row, campaign, 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.model.construction import misalignment_construction
-from ltsim.reports.figures.campaign import setting_rows_figure, sweep_points
+from ltsim.reports.figures.campaign import cell_rows_figure, sweep_points
 from ltsim.reports.style import COLOUR_CYCLE, new_figure, set_grid, with_figure_style
 from ltsim.simulation.scenario import Scenario, load_scenario
 
@@ -83,7 +83,7 @@ def run(given: Options) -> Made:
         moved = {f"targets.{name}.position_mm": [*own.position_mm[:2], height] for (name, own), height in dealt}
         cells.append({"title": title if len(heights) <= 3 else f"{len(heights)} heights"} | moved)
     results = campaign("config.toml", given, cells=cells)
-    figure = setting_rows_figure(sweep_points(results, ERROR, "title"), label=NEW_POINTS)
+    figure = cell_rows_figure(sweep_points(results, ERROR, "title"), label=NEW_POINTS)
     figure.axes[0].set_ylabel("heights of the reflectors")
     write_figure(given.out / "designs.svg", figure)
     # The same instruments, mesh by mesh: the difference from the paper's is known better than either mean.

@@ -114,7 +114,7 @@ def arrays_from_file_rows(
     Raises
     ------
     RecordError
-        One sentence: key, value, expected value.
+        If the file is invalid; the message names the key, its value and the expected value.
     """
     try:
         built = construction_for_parameters(construction_name, [row.name for row in parameter_entries])

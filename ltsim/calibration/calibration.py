@@ -61,11 +61,11 @@ FIELDS_NOT_COPIED = frozenset(
     ("format", "files", "construction_name", "parameters", "parameter_covariance", "harmonics", "determined",
      "noise_estimated")
 )  # fmt: skip
-"""Fields that a copy of a calibration does not take over: derived from its arrays, or set when it is written."""
+"""Fields that are not copied to a changed calibration: they are derived from its arrays, or set when it is written."""
 
 
 def _none_if_empty(value: Any) -> Any:
-    """Value of a field, with None in place of an empty table of the file."""
+    """Value of a field of the file; None if the file contains an empty object."""
     return value or None
 
 
@@ -95,7 +95,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     undetermined: tuple[UndeterminedEntry, ...] = ()
     """Combinations of parameters that the recording does not determine."""
     determined: tuple[DeterminedEntry, ...] = ()
-    """Combinations of parameters that the recording determines far better than their members."""
+    """Combinations of parameters that the recording determines far better than each of these parameters."""
     stations: tuple[StationPose, ...] = ()
     """Poses of the stations."""
     criteria: Annotated[CriteriaEntry | None, BeforeValidator(_none_if_empty)] = None
@@ -109,7 +109,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     noise: tuple[NoiseRow, ...] = ()
     """Noise estimated from the readings, one entry per group of readings."""
     with_constants: FitEntry | None = None
-    """Fit with the instrument's constants estimated too; only if `adjust` rejects the fit without them."""
+    """Fit in which the instrument constants are estimated too; null unless `adjust` rejects the fit without them."""
     noise_estimated: bool = False
     """True if the adjustment used noise that was estimated from the readings."""
     verdict: VerdictEntry = VerdictEntry()
@@ -178,7 +178,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         return type(self).from_arrays(arrays, **{**fields, **changes})
 
     def with_arrays(self, arrays: CalibrationArrays, warnings: tuple[str, ...] = ()) -> Self:
-        """Copy of the calibration with the given arrays, and with warnings for the user of these parameters."""
+        """Copy of the calibration with the given arrays, and with warnings for a user who applies these parameters."""
         result = self.model_copy()
         result._arrays, result._warnings = arrays, warnings
         return result
@@ -327,7 +327,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         }
 
     def for_instrument(self, instrument: int, parameter_indices: Ints) -> Self:
-        """Calibration of one instrument and of its parameters with the given indices, without `correction`."""
+        """Calibration of the instrument with index `instrument` and of the given parameters, without `correction`."""
         return self._with_arrays_and_fields(self.arrays.for_instrument(instrument, parameter_indices), correction=None)
 
     def applied_values_for(self, recording: Recording) -> Floats:

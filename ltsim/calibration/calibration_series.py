@@ -116,8 +116,9 @@ class CalibrationSeries(ValueEquality):
 
         Raises
         ------
-            RecordError When there are fewer than two, the geometric error models differ, the instrument is not clear, a
-            parameter has no uncertainty, or the dates are none or out of order.
+        RecordError
+            If there are fewer than two calibrations, their instrument models differ, the instrument is not unique, a
+            parameter has no uncertainty, or the dates are invalid or not in chronological order.
         """
         if len(labelled_calibrations) < 2:
             raise RecordError(
@@ -237,7 +238,7 @@ class CalibrationSeries(ValueEquality):
 
     @cached_property
     def _mean_variance_reduction(self) -> Floats:
-        """Fraction (parameters,) of the prior variance that the readings remove, mean over the calibrations."""
+        """Fraction (parameters,) by which the readings reduce the prior variance, as the mean over the calibrations."""
         return 1.0 - np.mean([np.diag(e.posterior_covariance) for e in self._likelihood_information], axis=0)
 
     def changes(self) -> list[ChangeEntry]:
@@ -247,7 +248,7 @@ class CalibrationSeries(ValueEquality):
     def constancy_test(self, parameter_index: int | None = None) -> ChiSquareEntry:
         """Chi-square test that the parameters are equal in all calibrations.
 
-        It concerns the parameter with the index `parameter_index`, or all parameters for None.
+        The test is of the parameter with the index `parameter_index`, or of all parameters together if it is None.
         """
         contrast = np.diff(np.eye(len(self)), axis=0)
         if parameter_index is None:
@@ -307,8 +308,9 @@ class CalibrationSeries(ValueEquality):
     def with_population_prior(self, calibration: Calibration) -> Calibration:
         """Copy of a calibration in which the distribution of this series replaces the prior from the specification.
 
-        The calibration must not be part of the series. A parameter that hardly varies between calibrations follows the
-        series, and a parameter that varies much follows its own calibration.
+        The calibration must not be part of the series. The estimate of a parameter that hardly varies between
+        calibrations moves to the mean of the series, and the estimate of a parameter that varies much stays near the
+        value from its own readings.
         """
         population, unit = self.population, self.prior_sigma
         input_calibration = single_instrument(calibration, None, "the calibration")
@@ -335,7 +337,7 @@ def single_instrument(calibration: Calibration, instrument: str | None, label: s
     Raises
     ------
     RecordError
-        When it holds several and none of them is named `instrument`.
+        If the calibration contains several instruments and none of them is named `instrument`.
     """
     names = calibration.instruments
     if len(names) == 1:

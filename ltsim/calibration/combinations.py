@@ -1,6 +1,6 @@
 """Entries of result files for combinations of parameters.
 
-A combination is undetermined, or the recording determines it far better than its members.
+The recording either does not determine a reported combination, or determines it far better than its parameters.
 """
 
 from pydantic import Field
@@ -25,7 +25,7 @@ class UndeterminedEntry(CombinationTerms):
     """Combination of parameters, in prior standard deviations, that the recording does not determine."""
 
     gain: OptionalFloat = None
-    """Fraction of the prior variance that the readings removed."""
+    """Fraction by which the readings reduce the prior variance of the combination."""
     cure: str = ""
     """Measurement that would determine the combination, and its benefit."""
     measurement: str = ""
@@ -36,7 +36,7 @@ class DeterminedEntry(CombinationTerms):
     """Combination of parameters that the recording determines far better than each of them."""
 
     combination: dict[str, NonZero] = Field(min_length=1)
-    """Coefficient of each parameter; the first one names the combination and gives its scale."""
+    """Coefficient of each parameter; the first parameter has the coefficient 1 and gives the combination its name."""
     value: Finite
     """Estimate of the combination."""
     sigma: OptionalFloat = None
@@ -54,6 +54,6 @@ UNDETERMINED_TABLE = Table(
         *text_columns(
             combination="coefficients, in units of the prior sigma", determined_by="measurement that determines it"
         ),
-        Column("information_percent", "fraction of the prior variance that the readings removed", display_format=".1f"),
+        Column("information_percent", "fraction by which the readings reduce the prior variance", display_format=".1f"),
     ),
 )

@@ -25,7 +25,8 @@ def correct(
     """Recording that an ideal tracker would have made, computed with a calibration of the instrument.
 
     Each reading stays on its face. The set-up of the result declares its instruments corrected. A row without a range
-    or without an angle is corrected at the adjusted position of its target, which need be known to a millimetre only.
+    or without an angle is corrected at the adjusted position of its target; an accuracy of one millimetre of this
+    position is sufficient.
 
     Parameters
     ----------
@@ -40,10 +41,10 @@ def correct(
     Raises
     ------
     RecordError
-        When the calibration does not know the recording's instrument, its readings contradict its model, the readings
-        are corrected already, or a file is malformed.
+        If the calibration does not contain the instrument of the recording, the readings of the calibration contradict
+        its model, the readings of the recording are corrected already, or a file is malformed.
     NetworkError
-        When rows lack a range or an angle and the network cannot be solved.
+        If rows lack a range or an angle and the network cannot be solved.
 
     Examples
     --------
@@ -55,7 +56,7 @@ def correct(
     """
     source, corrections = load_recording(recording), load_calibration(calibration)
     if not allow_repeated and any(source.instrument_of(name).corrected for name in source.stations):
-        raise RecordError("the set-up declares the readings corrected (corrected = true); correct it only once")
+        raise RecordError("the set-up declares the readings corrected (corrected = true); correct readings only once")
     if corrections.is_rejected and corrections.instrument_parameter_names and not allow_rejected:
         raise RecordError(
             f"the readings of the calibration contradict its model (sigma0 = {corrections.uncertainty_factor:.3g}), "
@@ -74,7 +75,7 @@ def correct(
 def incidence_reading_changes(recording: Recording, calibration: Calibration) -> Floats:
     """Change of the readings by the estimated incidence errors of the reflectors, shape (pointings, 3).
 
-    It needs the directions of the nests and an approximate network. It is zero if one of them is missing.
+    The change is zero if the set-up declares no directions of the nests, or if no approximate network can be computed.
     """
     reflectors = calibration.applied_reflectors
     model = MeasurementModel(recording, ideal_construction())

@@ -111,7 +111,7 @@ def calibrate_distance(
         undetermined=_undetermined_entries(adjustment, model, estimate, recommend_measurements=advise),
         frame=result.frame_text(adjustment),
         stations=result.station_poses(adjustment, pose),
-        criteria=result.criteria_table(recording, adjustment, model, parameter_values, corrects_reflectors=False),
+        criteria=result.criteria_entry(recording, adjustment, model, parameter_values, corrects_reflectors=False),
         outliers=result.outlier_rows(adjustment),
         undetermined_targets=tuple(
             recording.targets[i] for i in np.flatnonzero(adjustment.problem.undetermined_unknowns.is_unmeasured_target)

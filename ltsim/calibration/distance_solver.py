@@ -36,9 +36,9 @@ ObjectiveNorm = Literal["squares", "absolute"]
 
 @dataclass(frozen=True)
 class ComparedDistances:
-    """Comparisons of distances between sets, linearised in the unknowns and the noise.
+    """Comparisons of distances between sets (one station and face each), linearised in the unknowns and the noise.
 
-    R is the number of comparisons, D that of the distances, q that of the unknowns.
+    The unknowns are the instrument parameters. A comparison is zero if the compared distances agree.
     """
 
     comparison_matrix: sp.csr_array
@@ -164,12 +164,12 @@ def solve_equation_9(
     """Minimum of eq. 9 over all combinations of unknowns.
 
     Each unknown stays within `bound_in_prior_sigmas` prior standard deviations of zero, if given. The other arguments
-    and the errors are those of `solve_distances`.
+    and the errors are as in `solve_distances`.
 
     Raises
     ------
     ModelError
-        When the box is not positive.
+        If `bound_in_prior_sigmas` is not positive.
     """
     if bound_in_prior_sigmas is not None and not bound_in_prior_sigmas > 0:
         raise ModelError(
@@ -249,8 +249,8 @@ def determined_combinations(
 ) -> tuple[Floats, tuple[ParameterCombination, ...]]:
     """Combinations of unknowns to estimate, and combinations to fix at zero.
 
-    The former have the shape (unknowns, combinations). The latter have a gain below `MIN_DETERMINED_GAIN`; they are
-    listed in the order of their gains. Only unknowns in the mask `is_free_unknown` take part.
+    The estimated combinations are an array (unknowns, combinations). The combinations fixed at zero have a gain below
+    `MIN_DETERMINED_GAIN`, in the order of their gains. Only unknowns in the mask `is_free_unknown` take part.
     """
     strength, eigenvectors = np.linalg.eigh(
         compared_distances.unknown_derivatives[:, is_free_unknown].T

@@ -17,14 +17,15 @@ from ltsim.core.units import DEGREE
 from ltsim.physics.effects.linear_effect import Parameter
 
 MAX_SIGMA_RATIO_COMBINATION = 0.25
-"""Standard deviation of a combination, divided by the one it would have with independent members, up to which it is
-reported: the recording then determines the combination four times better than its members."""
+"""Largest ratio of the standard deviation of a reported combination to the standard deviation that it would have for
+uncorrelated estimates of its parameters: the recording determines it at least four times better than these."""
 MAX_TRUNCATION_SIGMA_RATIO = 1.2
-"""Largest permitted increase of the standard deviation of a combination when its smallest members are omitted, as a
-ratio."""
+"""Largest permitted ratio by which the standard deviation of a combination increases when its parameters with the
+smallest coefficients are omitted."""
 MIN_REFERENCE_COEFFICIENT = 0.5
-"""Coefficient, relative to the largest of a combination, above which a member can be the reference with coefficient 1.
-The first such member is used: the vertical index before the harmonics of the circle, in the order of the model."""
+"""Coefficient, relative to the largest coefficient of a combination, above which a parameter can be the reference
+parameter with coefficient 1. The first such parameter in the order of the model is used: the vertical index before the
+harmonics of the circle."""
 RELATIVE_EFFECT_SIZES = np.array(list(probability.SIZE_PRIOR))
 """Sizes of an effect over which the evidence is averaged, relative to its plausible size."""
 LOG_SIZE_PRIOR = np.log(np.array(list(probability.SIZE_PRIOR.values())))
@@ -99,8 +100,8 @@ def forward_select(score_function: Callable[[Collection[int]], Floats], min_scor
     """Scores at the selection of each selected change, by its index, from forward selection with exchange.
 
     `score_function` returns the score of each of h candidate changes, given the indices of the changes selected so far.
-    The best change is added while its score exceeds `min_score`. After each addition, every earlier change is exchanged
-    for the best change given the others.
+    The change with the largest score is added while this score exceeds `min_score`. After each addition, every earlier
+    change is exchanged for the change with the largest score given the other selected changes.
     """
     odds_by_index: dict[int, Floats] = {}
     while (values := score_function(odds_by_index)).max(initial=-np.inf) > min_score:
@@ -139,11 +140,11 @@ def estimates_with_plausible_priors(
 def determined_combinations(
     parameters: Sequence[Parameter], estimates: Floats, covariance: Floats
 ) -> list[DeterminedEntry]:
-    """Combinations of parameters that the readings determine far better than each of their members.
+    """Combinations of parameters that the readings determine far better than each of these parameters.
 
     In a single face, for example, the vertical index and two eccentricities of the circle are determined to 12 urad
     each, and their sum to 0.3 urad. A combination is an eigenvector of the covariance of parameters with the same unit.
-    Its first member has the coefficient 1. `estimates` (p,) and `covariance` (p, p) are in SI units.
+    Its reference parameter has the coefficient 1. `estimates` (p,) and `covariance` (p, p) are in SI units.
     """
     combination_entries = []
     for unit in dict.fromkeys(p.unit for p in parameters):
@@ -174,7 +175,8 @@ def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float
 
     The order is amplitude, its standard deviation, phase, its standard deviation: a cos x + b sin x = A cos(x - phase).
     Standard deviations are propagated to first order from the covariance (2, 2). If the amplitude is not significant,
-    the phase is None, and the standard deviation is the mean over all directions: the square root of half the trace.
+    the phase and its standard deviation are None, and the standard deviation of the amplitude is the rms over all
+    phases: the square root of half the trace of `covariance`.
     """
     amplitude = float(np.hypot(*coefficients))
     if amplitude > 0:
@@ -198,7 +200,7 @@ def cosine_sine_pairs(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
 
 
 def harmonic_entries(parameters: Sequence[Parameter], estimates: Floats, covariance: Floats) -> list[HarmonicEntry]:
-    """Amplitude and phase of each pair of a cosine and a sine parameter; estimates and covariance [SI]."""
+    """Amplitude and phase of each pair of a cosine and a sine parameter; the arrays (p,) and (p, p) are in SI units."""
     harmonic_list = []
     for name, *at in cosine_sine_pairs([p.name for p in parameters]):
         parameter = parameters[at[0]]

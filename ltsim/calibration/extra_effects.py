@@ -1,7 +1,8 @@
 """Estimation of effects and empirical laws that the user requests, together with the calibration.
 
-Places and constants that the user does not fix are chosen so that chi-square decreases most. The constants are then
-adjusted with all other unknowns. The p-value of the decrease is corrected for the number of candidates.
+Stations, targets and shape constants that the user does not fix are selected so that chi-square decreases most. The
+shape constants are then adjusted with all other unknowns. The p-value of the decrease is corrected for the number of
+tested combinations of stations, targets and shape constants.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,7 +27,7 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
 
-PLACE_FIELDS = ("stations", "targets")
+LOCATION_FIELDS = ("stations", "targets")
 """Fields of an effect that contain the stations and targets where it acts."""
 
 
@@ -35,7 +36,7 @@ class RequestedEffect:
     """Effect or empirical law that the user requests; the readings determine the fields outside `fixed_fields`."""
 
     effect: CandidateEffect
-    """Effect with the requested places and constants."""
+    """Effect with the requested stations, targets and shape constants."""
     fixed_fields: frozenset[str] = frozenset()
     """Names of the fields whose values the user gave."""
 
@@ -52,13 +53,13 @@ class RequestedEffect:
             raise ModelError(
                 f"{name} is always estimated in a calibration; restrict it to a station, as in {name}:NAME"
             )
-        for kind, names in zip(PLACE_FIELDS, (recording.stations, recording.targets), strict=True):
+        for kind, names in zip(LOCATION_FIELDS, (recording.stations, recording.targets), strict=True):
             lost = sorted(set(getattr(effect, kind)) - set(names))
             if lost:
                 raise ModelError(f"{name}: the recording has no {kind[:-1]} '{lost[0]}'")
 
     def candidates(self, adjustment: Adjustment) -> Sequence[CandidateEffect]:
-        """All variants of the effect (places and constants) that agree with the fields fixed by the user."""
+        """Variants of the effect (stations, targets, shape constants) that agree with the fields fixed by the user."""
         if not isinstance(self.effect, Effect):
             return [self.effect]
         matching = [
@@ -80,7 +81,8 @@ def fit_with_extra_effects(
 ) -> tuple[Adjustment, tuple[FittedEffectEntry, ...]]:
     """Adjustment with the requested effects, and the entry of each effect for the result.
 
-    Each effect is selected given the previous ones. `unreported_effects` are estimated first and have no entry.
+    The stations, targets and shape constants of each effect are selected with all previous effects in the model.
+    `unreported_effects` are estimated first and have no entry.
     """
     adjustment, fits = adjust_with(unreported_effects), list[FittedEffectEntry]()
     fit, fixed = Refit(adjustment, tuple(unreported_effects), ()), [frozenset[str]()] * len(unreported_effects)
@@ -122,7 +124,7 @@ def _refit_with_best_constants(
     effects: Sequence[CandidateEffect],
     fixed_fields: Sequence[frozenset[str]],
 ) -> tuple[Adjustment, Refit]:
-    """Adjustment with effects at their best constants, and the last refit of these constants."""
+    """Adjustment with effects at the shape constants of smallest chi-square, and the last refit of these."""
     for _ in range(MAX_ALTERNATIONS):
         adjustment = adjust_with(effects)
         near = adjustment.with_effects
@@ -158,7 +160,7 @@ def _law_size_entries(law: EmpiricalLaw, adjustment: Adjustment) -> tuple[Fitted
 def _effect_entries(
     effect: CandidateEffect, estimates: Sequence[ParameterEstimate], fixed_fields: frozenset[str]
 ) -> tuple[FittedParameterEntry, ...]:
-    """Entries of an effect for the result: sizes, constants with names as values, fixed and estimated constants."""
+    """Entries of an effect for the result: sizes, then shape constants (names, fixed numbers, estimated numbers)."""
     parameter_entries = [_parameter_entry(*estimate) for estimate in estimates]
     words = [
         FittedParameterEntry(name=key, value=value if isinstance(value, str) else float(value), unit="")
@@ -173,7 +175,7 @@ def _effect_entries(
 
 
 def _parameter_entry(parameter: Parameter | ShapeParameter, estimate: float, sigma: float) -> FittedParameterEntry:
-    """Entry of one estimated number in its display unit."""
+    """Entry of one estimated parameter or shape constant in display units, from its estimate and sigma in SI units."""
     unit = SI_PER_UNIT[parameter.unit]
     spread = float(sigma / unit) if np.isfinite(sigma) else None
     return FittedParameterEntry(name=parameter.name, value=float(estimate / unit), sigma=spread, unit=parameter.unit)

@@ -5,7 +5,7 @@ from pathlib import Path
 from ltsim.adjustment.coordinate_uncertainty import COVARIANCE_FILE_NAME
 from ltsim.calibration.arrays import arrays_from_file_rows
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.reported_uncertainty import joint_covariance_csv_text
+from ltsim.calibration.reported_uncertainty import target_covariance_csv_text
 from ltsim.calibration.schema import RESIDUALS_TABLE, TARGETS_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError, unknown_name_error
@@ -32,7 +32,7 @@ def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
     texts = {TARGETS_TABLE.file: calibration.table("targets").csv_text()}
     if calibration.adjustment is not None:
         texts[RESIDUALS_TABLE.file] = calibration.table("residuals").csv_text()
-        covariance = joint_covariance_csv_text(calibration)
+        covariance = target_covariance_csv_text(calibration)
         texts |= {} if covariance is None else {COVARIANCE_FILE_NAME: covariance}
     return write_result(folder, calibration, texts)
 
@@ -64,7 +64,7 @@ def read_calibration(path: Path) -> Calibration:
     Raises
     ------
     RecordError
-        One sentence: key, value, expected value.
+        If the file is invalid; the message names the key, its value and the expected value.
     """
     file = path / Calibration.FILE if path.is_dir() else path
     calibration = read_result(file, Calibration)

@@ -154,7 +154,7 @@ class History(ResultFile):
 
     @property
     def determined_parameters(self) -> list[ParameterHistory]:
-        """Parameters that at least two calibrations determine, so that their constancy can be tested."""
+        """Parameters that at least two calibrations determine; only their constancy can be tested."""
         return [course for course in self.parameters if course.constancy_test.dof]
 
     def _lines(self) -> list[str]:

@@ -129,7 +129,7 @@ def calibrate_network(
     }
     if choose_correction:
         wider = NO_PRIOR_SIGMA_FACTOR if chosen.has_no_prior else None
-        factor = uncertainty_factor(calibration.fit, is_noise_estimated=calibration.verdict.scale_by_sigma0)
+        factor = uncertainty_factor(calibration.fit, is_sigma0_credible=calibration.verdict.scale_by_sigma0)
         worth, applied_values = recommend_correction(
             adjustment,
             calibration.instrument_parameter_names,
@@ -137,7 +137,7 @@ def calibrate_network(
             prior_widening_factor=wider,
             noise_factor=factor,
         )
-        criteria = result.criteria_table(adjustment.recording, adjustment, model, applied_values)
+        criteria = result.criteria_entry(adjustment.recording, adjustment, model, applied_values)
         new_fields |= {"correction": worth, "applied_values": applied_values, "criteria": criteria}
     calibration = calibration.with_changes(**new_fields)
     sentence = f"the readings scatter {quiet_by} times as much as declared: the noise was estimated instead"
@@ -158,7 +158,7 @@ def adjust(
     ----------
     recording : Recording, str or Path
     robust : bool
-        True to exclude outlying readings; each is tested again at the end.
+        True to exclude outlying readings; each excluded reading is tested again at the end.
     noise_from_data : bool
         True to estimate the noise of each observable and instrument from the residuals.
     datum : str or sequence of str, optional
@@ -172,7 +172,7 @@ def adjust(
     Raises
     ------
     NetworkError
-        When the network cannot be solved; the message names stations or targets.
+        If the network cannot be solved; the message names the stations or targets that cannot be determined.
 
     Examples
     --------
@@ -195,9 +195,9 @@ def adjust(
 
 
 def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
-    """Fit of the readings in use with the instrument's constants estimated, if they reject the fit without these.
+    """Fit of the used readings that also estimates the instrument constants, if the fit without these is rejected.
 
-    It is None if they do not, and for corrected instruments.
+    It is None if the fit without instrument constants is accepted, and for corrected instruments.
     """
     recording = adjustment.recording
     if recording.is_corrected or _uncertainty_factor_of(adjustment) == 1.0:
@@ -219,7 +219,7 @@ def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
 def _uncertainty_factor_of(adjustment: Adjustment) -> float:
     """Factor on the standard deviations of a network: sigma0 if the readings contradict the model, otherwise 1."""
     return uncertainty_factor(
-        result.fit_entry(adjustment), is_noise_estimated=result.verdict_entry(adjustment).uses_estimated_noise
+        result.fit_entry(adjustment), is_sigma0_credible=result.verdict_entry(adjustment).uses_estimated_noise
     )
 
 
@@ -319,7 +319,7 @@ def _make_calibration(
         ),
         frame=result.frame_text(adjustment),
         stations=result.station_poses(adjustment),
-        criteria=result.criteria_table(recording, adjustment, construction, values),
+        criteria=result.criteria_entry(recording, adjustment, construction, values),
         reflectors=result.reflector_entries(adjustment),
         outliers=result.outlier_rows(adjustment),
         verdict=VerdictEntry.from_verdict(result.verdict_entry(adjustment, fields.get("with_constants"))),

@@ -18,7 +18,7 @@ from ltsim.core.probability import P_WRONG_CONSTANT
 MAX_NOISE_FREE_SIGMA0 = 0.1
 """Value of sigma0 below which readings count as free of noise, as in a simulation without noise."""
 MAX_SIGMA0_FOR_WIDENING = 2.0
-"""Value of sigma0 from which no prior is widened, because the readings contradict each other and not only the prior."""
+"""Value of sigma0 from which no prior is widened: the readings contradict each other, not only the prior."""
 MAX_WIDENED_FRACTION = 0.25
 """Fraction of an instrument's parameters up to which contradicted priors are widened one by one. If more parameters
 contradict their prior, the scale of all priors is wrong, and `shrinkage` estimates this scale."""
@@ -48,9 +48,9 @@ def is_noise_overstated(adjustment: Adjustment) -> bool:
 def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bools:
     """Mask (instruments, parameters) of the parameters whose prior the readings contradict.
 
-    Contradictions are of one instrument, or common to all instruments. They are selected by `forward_select`; a
-    selected parameter has a wide prior while the others are tested. The prior of the adjustment may already be wider
-    than `prior`.
+    A contradiction concerns one instrument, or all instruments in the same way. The parameters are selected by
+    `forward_select`; a selected parameter has a wide prior while the other parameters are tested. The prior of the
+    adjustment may already be wider than `prior`.
     """
     rejected, scale = np.zeros(prior.mean.shape, dtype=bool), max(1.0, adjustment.sigma0)
     if prior.has_correlations or not np.isfinite(prior.sigma).all() or not scale < MAX_SIGMA0_FOR_WIDENING:
@@ -63,9 +63,9 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
     directions = np.concatenate([np.eye(rejected.size)[free], common_changes])[:, free]
 
     def log_odds_given(selected_changes: Collection[int]) -> Floats:
-        """Log odds of each candidate contradiction given the selected ones, rounded to 0.1.
+        """Log odds of each candidate contradiction given the selected contradictions, rounded to 0.1.
 
-        Of candidates that the readings do not distinguish, the first is then selected.
+        Because of the rounding, the first of several candidates that the readings do not distinguish is selected.
         """
         given_changes = WIDENED_SIGMA_FACTOR * directions[list(selected_changes)]
         score, weight = score_test(
@@ -83,7 +83,7 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
 
 
 def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
-    """Sentences on the parameters that contradict their prior most, or else on a contradicting combination.
+    """Sentences on the parameters that contradict their prior most; if there are none, on a contradicting combination.
 
     Parameters whose prior was widened are reported too. Parameters and combinations share one prior probability of a
     contradiction.
@@ -130,8 +130,9 @@ def log_odds_of_errors(normalised_changes: Floats, information: Floats, n_consta
     """Log posterior odds that each constant is wrong, shape (h,) for h possible errors.
 
     `normalised_changes` (h,) are the changes of the constants divided by their standard deviations, `information` (h,)
-    is the information on each, in prior variances. One error is expected among `n_constants` constants with a fixed
-    probability. The evidence is averaged over sizes, so that a constant with little information needs a larger change.
+    is the information on each constant, in inverse prior variances. One error is expected among `n_constants` constants
+    with a fixed probability. The evidence is averaged over sizes, so that a constant with little information needs a
+    larger change.
     """
     information = np.maximum(information, 0.0)
     return log_evidence((normalised_changes**2 * information)[:, None], information[:, None]) + np.log(

@@ -36,22 +36,22 @@ MIN_RELATIVE_HIDDEN_DISPLACEMENT = 0.2
 readings is reported."""
 
 
-def uncertainty_factor(fit: FitEntry, *, is_noise_estimated: bool | None = None) -> float:
+def uncertainty_factor(fit: FitEntry, *, is_sigma0_credible: bool | None = None) -> float:
     """Factor on the standard deviations: sigma0 if it is significantly above 1 and not due to single readings, else 1.
 
-    `is_noise_estimated` is the decision of the tests on sigma0. Without it the global test decides, at the level
-    `AGREEMENT_LEVEL`.
+    `is_sigma0_credible` states whether the verdict on the tests prefers sigma0 to the declared noise. If it is None,
+    the global test decides, at the level `AGREEMENT_LEVEL`.
     """
     if fit.sigma0 is None or fit.sigma0 <= 1.0:
         return 1.0
     is_rejected = fit.p_value is not None and fit.p_value < AGREEMENT_LEVEL / 2
-    return fit.sigma0 if (is_rejected if is_noise_estimated is None else is_noise_estimated) else 1.0
+    return fit.sigma0 if (is_rejected if is_sigma0_credible is None else is_sigma0_credible) else 1.0
 
 
 def with_reported_uncertainty(calibration: Calibration) -> Calibration:
     """Copy of a calibration with the reported standard deviations of targets, stations and parameters."""
     verdict, adjustment = calibration.verdict, calibration.adjustment
-    factor = uncertainty_factor(calibration.fit, is_noise_estimated=verdict.scale_by_sigma0 if verdict.case else None)
+    factor = uncertainty_factor(calibration.fit, is_sigma0_credible=verdict.scale_by_sigma0 if verdict.case else None)
     if adjustment is None:
         return calibration
     unknowns = adjustment.problem.unknowns
@@ -73,8 +73,8 @@ def with_reported_uncertainty(calibration: Calibration) -> Calibration:
     )
 
 
-def joint_covariance_csv_text(calibration: Calibration) -> str | None:
-    """Text of `targets.covariance.csv`; None if there are too many targets or no network."""
+def target_covariance_csv_text(calibration: Calibration) -> str | None:
+    """Text of `targets.covariance.csv`, the joint covariance of the targets; None without a network or for too many."""
     adjustment = calibration.adjustment
     if adjustment is None or len(calibration.target_names) > MAX_TARGETS_IN_FILE:
         return None

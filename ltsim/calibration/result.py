@@ -141,7 +141,7 @@ def _has_estimated_error(adjustment: Adjustment, whitened_residuals: Floats) -> 
 
 
 def verdict_entry(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:
-    """Verdict on which test to trust, at the level `AGREEMENT_LEVEL`; `fit` is the fit with the constants estimated."""
+    """Verdict on which test to trust, at the level `AGREEMENT_LEVEL`; `fit` estimates the instrument constants too."""
     return verdict_on(adjustment, AGREEMENT_LEVEL, None if fit is None else (fit.chi2, fit.dof))
 
 
@@ -333,7 +333,7 @@ def undetermined_by_instrument(covariance: Floats, prior_sigma: Floats) -> list[
     return [undetermined_combinations(blocks[i, :, i], prior_sigma[i]) for i in range(n_instruments)]
 
 
-def criteria_table(
+def criteria_entry(
     recording: Recording,
     adjustment: Adjustment,
     construction: GeometricErrorModel,

@@ -36,14 +36,14 @@ RESIDUALS_TABLE = Table(
     "residuals.csv",
     "one row per observation in use",
     (
-        *number_columns(row="of the recording's table, from 1"),
+        *number_columns(row="row number in `observations.csv`, from 1"),
         *text_columns(station="name", target="name"),
-        *number_columns(face="1 or 2", repeat="round, from 1"),
+        *number_columns(face="1 or 2", repeat="repetition, from 1"),
         *text_columns(observable="distance, azimuth or elevation"),
         *number_columns(".6g", residual="observed minus adjusted, in `unit`"),
         *text_columns(unit="of the residual"),
         *number_columns(
-            ".4f", redundancy="fraction of the observation that others check, 0 to 1", w="normalised residual"
+            ".4f", redundancy="fraction of an error that appears in its residual, 0 to 1", w="normalised residual"
         ),
     ),
 )
@@ -77,7 +77,7 @@ class ParameterEntry(Entry):
     name: str
     """Name of the parameter in the geometric error model, as in `ltsim effects`."""
     value: Finite
-    """Estimate, with the sign of a correction: truth minus reading."""
+    """Estimate, with the sign of a correction: true value minus reading."""
     sigma: Sigma = None
     """Standard deviation of the estimate."""
     unit: str
@@ -95,7 +95,7 @@ class ParameterEntry(Entry):
 
     @property
     def information(self) -> float:
-        """Part of the prior variance that the recording removes; 1 without a prior."""
+        """Fraction by which the readings reduce the prior variance; 1 without a prior."""
         return 1.0 if not self.prior_sigma or self.sigma is None else 1.0 - (self.sigma / self.prior_sigma) ** 2
 
 
@@ -111,7 +111,7 @@ class HarmonicEntry(Entry):
     unit: str
     """Unit of the amplitude and of its standard deviation."""
     phase_deg: OptionalFloat = None
-    """Phase of the harmonic [deg]: argument at which it has its maximum."""
+    """Phase of the harmonic [deg]: angle at which the harmonic has its maximum."""
     sigma_phase_deg: OptionalFloat = None
     """Standard deviation of the phase [deg]."""
     instrument: str = ""
@@ -128,9 +128,9 @@ class StationPose(Entry):
     rotation_quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
     """Rotation from instrument to network, as a quaternion x y z w."""
     sigma_position_mm: tuple[OptionalFloat, OptionalFloat, OptionalFloat] | None = None
-    """Standard deviation of each coordinate [mm]; 0 for one that defines the frame."""
+    """Standard deviation of each coordinate [mm]; 0 for a coordinate that defines the frame."""
     sigma_rotation_arcsec: tuple[OptionalFloat, OptionalFloat, OptionalFloat] | None = None
-    """Standard deviation of the rotation about each axis [arcsec]; 0 for one that defines the frame."""
+    """Standard deviation of the rotation about each axis [arcsec]; 0 for a rotation that defines the frame."""
 
     @property
     def position(self) -> Floats:
@@ -154,21 +154,21 @@ class StationPose(Entry):
 
 
 class AxesEntry(Entry):
-    """Standard deviations of the coordinate axes that declared coordinates define, from their misfit to the network."""
+    """Standard deviations of a frame that declared target coordinates define, from the residuals of these."""
 
     target_names: tuple[str, ...]
     """Names of the targets whose coordinates define the axes."""
     sigma_position_mm: Vector
-    """Standard deviation of the position of the axes [mm], at the centroid of these targets."""
+    """Standard deviation of the translation of the frame along x, y and z [mm], at the centroid of these targets."""
     sigma_rotation_arcsec: Vector
-    """Standard deviation of the rotation about x, y and z [arcsec]; 0 for rotations fixed by levels."""
+    """Standard deviation of the rotation of the frame about x, y and z [arcsec]; 0 for rotations fixed by levels."""
 
 
 class OutlierRow(Entry):
     """Outlying reading; if `gross` is true, the largest residual of a pointing that was excluded as a whole."""
 
     row: int
-    """Row of the recording's table, from 1."""
+    """Row number of the pointing in `observations.csv`, from 1."""
     station: str
     """Name of the station."""
     target: str
@@ -200,7 +200,7 @@ class ReferenceValueEntry(Entry):
     kind: Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
     """Kind of reference value."""
     name: str
-    """Target, both ends of a length or difference, station, or the observations whose scale is tested."""
+    """Name of the target or station, both ends of a length or difference, or observations whose scale is tested."""
     component: str = ""
     """Component x, y or z of a point or difference; x and y for the two tilts of a level."""
     residual: Finite
@@ -214,7 +214,7 @@ class ReferenceValueEntry(Entry):
     unit: str
     """Unit of `residual`, `error`, `sigma_error` and `minimal_detectable`."""
     redundancy: Finite
-    """Redundancy number: derivative of the residual with respect to the error."""
+    """Redundancy number: fraction of an error of the declared value that appears in its residual."""
     w: Finite
     """Test statistic: square root of the decrease of chi-square if the whole reference value is left out."""
     excluded: bool = False
@@ -292,14 +292,14 @@ class RecommendedCorrection(Entry):
 
 
 class FittedParameterEntry(Entry):
-    """Number or text that describes an estimated effect: parameter, constant, or size of an empirical law."""
+    """Number or text that describes an estimated effect: parameter, shape constant, or size of an empirical law."""
 
     name: str
     """Name as in `ltsim effects`; for an empirical law `amplitude`, `phase` or another name as in a diagnosis."""
     value: Finite | str
-    """Value in `unit`; a text for a constant that has names as values."""
+    """Value in `unit`; a text for a shape constant whose values are names."""
     sigma: Sigma = None
-    """Standard deviation of the value; null for a fixed constant."""
+    """Standard deviation of the value; null for a fixed shape constant."""
     unit: str
     """Unit of value and sigma."""
 
@@ -312,17 +312,17 @@ class FittedEffectEntry(Entry):
     place_text: str = ""
     """Stations and targets at which the effect acts; empty for all."""
     parameters: tuple[FittedParameterEntry, ...] = ()
-    """Parameters and constants of the effect."""
+    """Parameters and shape constants of the effect."""
     chi2_drop: NotNegative
     """Decrease of chi-square by the effect."""
     n_distinguishable_parameters: int
     """Number of the effect's parameters that the recording distinguishes from all other unknowns."""
     n_candidates: int
-    """Number of tested combinations of places and constants."""
+    """Number of tested combinations of stations, targets and shape constants, from which this one was selected."""
 
     @property
     def p_value(self) -> float:
-        """Probability of such a decrease of chi-square without the effect, corrected for the number of candidates."""
+        """Probability of a decrease by at least `chi2_drop` without the effect, corrected for `n_candidates`."""
         return (
             min(1.0, self.n_candidates * float(special.chdtrc(self.n_distinguishable_parameters, self.chi2_drop)))
             if self.n_distinguishable_parameters
@@ -339,7 +339,7 @@ class FittedEffectEntry(Entry):
             f"{p.name} {p.value}" if isinstance(p.value, str) else f"{p.name} {with_sigma(p.value, p.sigma, p.unit)}"
             for p in self.parameters
         )
-        candidates_text = f", the best of {self.n_candidates}" if self.n_candidates > 1 else ""
+        candidates_text = f", selected from {self.n_candidates} candidates" if self.n_candidates > 1 else ""
         p_text = p_relation_text(self.p_value)
         return f"{name}: {phrase}; chi-square falls by {self.chi2_drop:.1f} ({p_text}{candidates_text})"
 
@@ -388,7 +388,7 @@ REFLECTOR_INCIDENCE_TABLE = Table(
 )
 STATION_COORDINATES_TABLE = Table(
     "places.csv",
-    "coordinates as a page shows them",
+    "coordinates and expanded uncertainties",
     (
         *text_columns(name="of the target or station"),
         *number_columns(display_format=".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),

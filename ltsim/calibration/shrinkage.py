@@ -39,10 +39,10 @@ from ltsim.solve.design import to_dense
 PRIOR_SCALES = np.geomspace(1e-4, 1e4, 161)
 """Tested scales of the prior (factors on the declared standard deviations), in steps of 12 %."""
 MIN_LOG_LIKELIHOOD_EXCESS_REJECTED = 0.5 * float(special.chdtri(1, FAMILY_WISE_LEVEL))
-"""Log-likelihood of the most likely scale of the prior minus that of the declared scale, 1, from which 1 is rejected
-(likelihood ratio test)."""
+"""Log-likelihood of the most likely scale of the prior minus the log-likelihood of the declared scale, 1, from which
+the declared scale is rejected (likelihood ratio test)."""
 MAX_LOG_LIKELIHOOD_DEFICIT_PLAUSIBLE = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_TEST_LEVEL))
-"""Log-likelihood of the most likely scale minus that of another one, up to which this is plausible (one-sided test)."""
+"""Log-likelihood of the most likely scale minus that of another scale, up to which the other scale is plausible."""
 MAX_PRIOR_SCALE = 30.0
 """Largest plausible scale of the prior: no instrument exceeds its whole specification by more; a larger misfit has
 another cause."""
@@ -55,7 +55,7 @@ MAX_DENSE_UNKNOWNS = 500
 time): for held-out targets, and for Gram matrices of simulated recordings.
 """
 MIN_PREDICTED_TARGETS = 5
-"""Smallest number of targets that other targets predict, for a test with held-out targets."""
+"""Smallest number of held-out targets with predicted readings for a test whether a parameter is applied."""
 
 
 def recommend_correction(
@@ -68,10 +68,9 @@ def recommend_correction(
 ) -> tuple[RecommendedCorrection, Floats]:
     """Recommended correction for the result, and the parameters to apply, shape (instruments, parameters) [SI].
 
-    A prior widened by `prior_widening_factor` represents no prior, and its scale is always estimated. With a prior from
-    earlier calibrations (`history_prior`) all parameters are applied, because more than this recording supports them,
-    and the scale is at least 1. `noise_factor` multiplies the noise: after a rejected fit, readings support a
-    correction only as far as their scatter permits.
+    `prior_widening_factor` is the factor by which the declared prior was widened to represent no prior; the scale of
+    the prior is then always estimated. With a prior from earlier calibrations (`history_prior`) all parameters are
+    applied, and the scale is at least 1. `noise_factor` multiplies the noise; it is above 1 after a rejected fit.
     """
     prior = adjustment.problem.prior
     held, mean = prior.is_fixed.ravel(), prior.mean.ravel()
@@ -240,7 +239,7 @@ class ScaledPrior:
     def point_errors(
         self, point_error_matrix: Floats, applied_values: Floats, prior_mean: Floats | float = 0.0
     ) -> tuple[float, float]:
-        """Expected rms error [m] of a new point from the constants, uncorrected and with the applied parameters."""
+        """Expected rms error [m] of a new point by instrument errors, uncorrected and with the applied parameters."""
         scale = self.scale_of_applied_values
         posterior_mean = prior_mean + self.estimate(scale)
         spread = (self._basis / (self._strength + scale**-2)) @ self._basis.T
@@ -252,7 +251,7 @@ class ScaledPrior:
 
 
 def point_noise_rms(recording: Recording, sigma: Floats) -> float:
-    """Rms displacement [m] of a complete pointing's point by noise with standard deviations `sigma` (pointings, 3)."""
+    """Rms error [m] of measured points by noise with standard deviations `sigma` (pointings, 3) [m, rad, rad]."""
     is_complete = recording.is_measured.all(axis=1)
     if not is_complete.any():
         return 0.0
@@ -321,8 +320,8 @@ class HeldOutTarget:
 def parameters_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Ints:
     """Indices of the parameters without which held-out targets are predicted better, in the vector of all instruments.
 
-    Parameters are eliminated one after the other, the worst first. None is eliminated in a large network or one with
-    few targets. `noise_factor` multiplies the noise of the readings.
+    Parameters are dropped one after the other, beginning with the one that degrades the predictions most. None is
+    dropped in a large network, or in a network with few targets. `noise_factor` multiplies the noise of the readings.
     """
     none = np.zeros(0, dtype=np.int64)
     unknowns = adjustment.problem.unknowns

@@ -21,7 +21,7 @@ class UncertaintyEntry(Entry):
     noise_text: str = ""
     """Text on the standard deviations of the readings in the fit and where they are from."""
     constants_included: bool = True
-    """True if the instrument's constants were estimated, or the set-up declares the instrument corrected."""
+    """True if the instrument constants were estimated, or the set-up declares the instrument corrected."""
     uncertainty_factor: Positive = 1.0
     """Factor in all standard deviations and in the square root of all covariances: sigma0 if the readings contradict
     the model, otherwise 1."""

@@ -59,9 +59,9 @@ def calibrate(
     ----------
     recording : Recording, str or Path
     method : {`network`, `distance`, `distance-l1`, `equation-9`, `equation-9-l1`}
-        Rigorous network adjustment (`network`); the paper's distance objective over determined combinations, by least
-        squares (`distance`) or least absolute deviations (`distance-l1`); or the minimum of that objective over all
-        parameters, which fits undetermined combinations to the noise (`equation-9`, `equation-9-l1`).
+        Rigorous network adjustment (`network`); minimum of the paper's distance objective over the determined
+        combinations of parameters, by least squares (`distance`) or least absolute deviations (`distance-l1`); or its
+        minimum over all parameters, which fits undetermined combinations to the noise (`equation-9`, `equation-9-l1`).
     construction : {`misalignment`, `dh`, `steering-mirror`} or GeometricErrorModel, optional
         Misalignments with the source in the head (`misalignment`, 16 parameters) or with a steering mirror
         (`steering-mirror`, 21), or the paper's Denavit-Hartenberg chain (`dh`, 78); default: the model
@@ -94,7 +94,7 @@ def calibrate(
     Raises
     ------
     ModelError
-        When a method or construction does not exist, or an option does not go with the method.
+        If a method or construction does not exist, or an option cannot be combined with the method.
     NetworkError
         When the network cannot be solved.
     ConvergenceError
@@ -158,7 +158,7 @@ def calibrate(
 def parse_requested_effect(effect_or_text: str | Effect | SizedEffect, recording: Recording) -> RequestedEffect:
     """Requested effect from an effect or its text; ModelError for an effect with a size.
 
-    Fields of the effect with default values are determined by the readings.
+    The readings determine all fields of the effect that have their default values.
     """
     if isinstance(effect_or_text, SizedEffect):
         name = effect_or_text.effect.name
@@ -247,7 +247,7 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
     ----------
     recording : Recording, str or Path
     nominal : str or Path
-        Table ``target,x_mm,y_mm,z_mm`` of points from a measuring machine.
+        Table ``target,x_mm,y_mm,z_mm`` of nominal points from a coordinate measuring machine.
     calibration : Calibration, str or Path
 
     Examples
@@ -277,7 +277,7 @@ def history(
     dates: str | Sequence[str] | None = None,
     **options: Any,
 ) -> History:
-    """History of one instrument over several calibrations: parameters in the order of time, and their changes.
+    """History of one instrument over several calibrations: parameters in chronological order, and their changes.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Commands that estimate networks and instruments: `adjust`, `calibrate`, `correct`, `evaluate`, `verify`, ..."""
+"""Commands `adjust`, `calibrate`, `correct`, `evaluate`, `verify`, `diagnose` and `history`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 MIN_REPORTED_READING_CHANGE = 0.005
 """Threshold of the largest change of a reading [um for distances, arcsec for angles].
 
-Below it `correct` says that no correction was applied. It is half of the last digit that is printed for an angle.
+If all changes are below it, `correct` reports that no correction was applied. It is half of the last digit that is
+printed for an angle.
 """
 CorrectedRecordingOption = Annotated[
     Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING_OUTPUT
@@ -39,7 +40,7 @@ AllowRejectedOption = Annotated[
     bool, typer.Option("--allow-rejected", help="Also use a calibration whose readings contradict its model.")
 ]
 NominalPointsOption = Annotated[
-    Path, typer.Option("--nominal", metavar="FILE", help="Points of the targets: target,x_mm,y_mm,z_mm.")
+    Path, typer.Option("--nominal", metavar="FILE", help="Nominal points of the targets: table target,x_mm,y_mm,z_mm.")
 ]
 
 
@@ -87,8 +88,8 @@ def correct(
 ) -> None:
     """Remove the instrument's errors from a recording, by a calibration.
 
-    Readings stay in the axes of each set-up; --frame sets the axes of later results. A calibration whose readings
-    contradict its model is refused.
+    Readings stay in the frame of each set-up; --frame sets the coordinate frame of later results. A calibration whose
+    readings contradict its model is rejected.
 
     Example: ltsim correct my-recording --calibration my-calibration --out corrected
     """
@@ -136,9 +137,9 @@ def evaluate(
     reading_options: ReadingOptions,
     terminal: ResultFolderTerminal,
 ) -> None:
-    """Disagreement of the stations in distances and coordinates, before and after a calibration.
+    """Evaluate the disagreement of the stations in distances and coordinates, before and after a calibration.
 
-    Writes criteria.json to --out. Without a calibration there is no "after".
+    Writes criteria.json to --out. Without a calibration, only the values before calibration are given.
 
     Example: ltsim evaluate my-recording --calibration my-calibration
     """
@@ -248,7 +249,7 @@ def diagnose(
     terminal: ResultFolderTerminal,
     **options: Any,
 ) -> int:
-    """Test whether recording and model agree; if not, report place, cause, probability, and the next measurement.
+    """Test whether recording and model agree; if not, report cause, location, probability, and the next measurement.
 
     Writes diagnosis.json, targets.csv (adjusted with the findings in the model), targets.covariance.csv (joint),
     residuals and the recording to --out.
@@ -271,7 +272,7 @@ HistorySourcesArgument = Annotated[
     list[Path],
     typer.Argument(
         metavar="REC_OR_CALIBRATION...",
-        help="Recordings, calibration.json files, or folders of either, in the order of time.",
+        help="Recordings, calibration.json files, or folders of either, in chronological order.",
     ),
 ]
 EachSetUpOption = Annotated[
@@ -296,7 +297,7 @@ def history(
     terminal: ResultFolderTerminal,
     **options: Annotated[Any, "history", "adjust robust noise_from_data"],
 ) -> int:
-    """Report an instrument's parameters over several calibrations: course, uncertainty, and changes.
+    """Report an instrument's parameters over several calibrations: estimates, uncertainties, and changes.
 
     Writes history.json and history.svg to --out.
 

@@ -1,4 +1,4 @@
-"""Commands `campaign` and `recover`: trials over a grid of settings; a check that injected errors are recovered."""
+"""Commands `campaign` and `recover`: trials for combinations of factor levels; check that errors are recovered."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ def campaign(
 ) -> int:
     """Simulate, calibrate and evaluate many trials; after an interruption --resume continues.
 
-    The rows are the same bytes for any number of jobs, any interruption and either backend, on processors of one type
-    (named in the manifest). A cluster needs two commands: `dask scheduler --scheduler-file cluster.json` on one
-    machine, `dask worker --scheduler-file cluster.json` on each that works; then --backend dask
+    The files of rows are identical for any number of jobs, any interruption and either backend, on processors of one
+    type (named in the manifest). For a cluster, run `dask scheduler --scheduler-file cluster.json` on one machine,
+    `dask worker --scheduler-file cluster.json` on each machine that computes, and this command with --backend dask
     --scheduler cluster.json.
 
     If levels, trials or statistics were added to the file, --resume computes only what is missing.
@@ -116,7 +116,7 @@ def campaign(
 
 
 def solver_difference_sentence(comparison: SolverComparison, results: CampaignResults) -> str:
-    """Sentence on a combination of settings for which the batch solver differs too much from the full solver."""
+    """Sentence on a cell (combination of factor levels) in which batch solver and full solver differ too much."""
     cell = results.manifest.cells[comparison.cell].label
     return (
         f"cell {comparison.cell + 1} ({cell}), {comparison.method}: the batch solver differs from the full solver by "
@@ -144,7 +144,7 @@ JunitFileOption = Annotated[
     FILE_OUTPUT,
 ]
 ERROR_ORIGIN_TEXTS = {"drawn": "drawn from the prior", "stated": "given by the scenario"}
-"""Origin of the injected errors in words, by `errors` of a recovery."""
+"""Text on the origin of the injected instrument errors, by the field `errors` of a recovery."""
 MIN_PARALLEL_TRIALS = 100
 """Number of trials below which one process is used by default, since it is faster than several."""
 
@@ -157,13 +157,13 @@ def recover(
     terminal: ResultFolderTerminal,
     **options: Any,
 ) -> None:
-    """Check that injected instrument errors are recovered: simulate, calibrate and compare with the truth, many times.
+    """Check in many trials that injected instrument errors are recovered: simulate, calibrate, compare.
 
     The instrument errors are those of the scenario; if the scenario gives none, they are drawn from the prior. The
     checks test the z-scores of every parameter, chi-square, targets and stations. For drawn errors the z-scores must be
-    standard normal; for given errors they must not be wider and must have the nominal coverage. Exit status 1
-    if a check fails, or if a parameter of your calibrator has neither sigma nor tolerance and cannot be checked. Writes
-    recovery.json and trials.csv to --out.
+    standard normal. For given errors their standard deviation must not exceed 1, and the intervals must have the
+    nominal coverage. Exit status 1 if a check fails, or if a parameter of your calibrator has neither sigma nor
+    tolerance and cannot be checked. Writes recovery.json and trials.csv to --out.
 
     Example: ltsim recover paper-workshop --trials 1000 --jobs 2
     """

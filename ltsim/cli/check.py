@@ -43,7 +43,7 @@ AcceptanceFileArgument = Annotated[
 ShowTemplateOption = Annotated[bool, typer.Option("--show", help="Print a commented template, and stop.")]
 BenchTableArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A table of angle_deg,length_um,probe_um.")]
 POLL_INTERVAL_S = 1.0
-"""Time [s] between two looks at the files of a growing recording."""
+"""Time [s] between two checks whether the files of a growing recording have changed."""
 
 
 def check(
@@ -57,8 +57,8 @@ def check(
 ) -> int:
     """Go or no-go: two-face differences, gross errors, bumps, drift, level and scatter; status 1 for no-go.
 
-    One set-up is enough. Repeated and two-face measurements of a target are compared, with the instrument's errors
-    fitted. Writes check.json, two_face.csv and the picture check.svg to --out.
+    One set-up is enough. Repeated and two-face measurements of a target are compared, after a fit of the instrument
+    errors. Writes check.json, two_face.csv and the picture check.svg to --out.
 
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
@@ -86,7 +86,7 @@ def check(
 
 
 def parse_mpe(text: str | None) -> tuple[float, float] | None:
-    """Limit of two-face differences, numbers A [um] and B [um/m], from the text `A,B`; None if not given.
+    """Limit of two-face differences, A [um] plus B [um/m] times the range, from the text `A,B`; None without a text.
 
     Raises RecordError unless A > 0 and B >= 0.
     """
@@ -127,7 +127,7 @@ def _file_states(source: Path) -> tuple[tuple[str, int, int], ...]:
 
 
 def watch_recording(terminal: Terminal, run_check: Callable[[], Check], changes: Iterator[None]) -> None:
-    """Repeated check of a growing recording, with reports of changes: new failures, and the return to go.
+    """Repeated check of a growing recording; new failed tests are printed, and the change from no-go to go.
 
     A recording that cannot be read or checked yet is tried again after the next change of its files. Each reason is
     printed once.
@@ -158,7 +158,7 @@ def watch_recording(terminal: Terminal, run_check: Callable[[], Check], changes:
 
 
 def _test_key(item: CheckItem) -> tuple[str, str, tuple[str, ...]]:
-    """Station, kind and targets of a test, by which repeated failures are recognised."""
+    """Station, kind and targets of a test; a failed test with the same key is not printed again."""
     return item.station, item.kind, item.targets
 
 
@@ -217,7 +217,7 @@ ComparedResultsOption = Annotated[
     typer.Option("--against", metavar="FILE", help="Results of another recording or instrument, compared by E_n."),
 ]
 NO_COMMON_RESULT_TEXT = "no result of the other file has the same task, name and unit"
-"""Sentence for two results of `uncertainty` without a common task, name and unit."""
+"""Error message if two result files of `uncertainty` contain no result with the same task, name and unit."""
 
 
 def compare(
@@ -254,7 +254,7 @@ def compare(
 
 
 def _coordinates_or_path(path: Path, terminal: Terminal) -> EpochCoordinates | Path:
-    """List of coordinates from a path, with its notes and size printed; the path of any other file."""
+    """List of coordinates read from a path, with its notes and size printed; the path itself for any other file."""
     from ltsim.recordings.coordinates import is_coordinate_file, read_coordinates
 
     if not is_coordinate_file(path):
@@ -274,7 +274,7 @@ def uncertainty(
     terminal: ResultFolderTerminal,
     **options: Any,
 ) -> int:
-    """Evaluate the uncertainty of the tasks of a file: GUM and Monte Carlo, budget, conformity.
+    """Evaluate the uncertainty of measured features: GUM and Monte Carlo, budget, conformity with tolerances.
 
     Writes uncertainty.json, uncertainty.csv and budget.csv to --out. Exit status 0 if all results with a tolerance are
     accepted, 1 if one is rejected or undecided.
@@ -325,7 +325,7 @@ def uncertainty(
 def _recording_of_tasks(
     terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, source_is_in_file: bool
 ) -> Recording | EpochCoordinates | Path:
-    """Data that the tasks evaluate: a recording, a simulated recording of a scenario, or a list of coordinates.
+    """Data that the tasks evaluate: recording, simulated recording of a scenario, list of coordinates, or its path.
 
     `source_is_in_file` is True if the task file names the source; its path is then relative to that file.
     """

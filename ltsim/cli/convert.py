@@ -39,10 +39,10 @@ def convert(
 ) -> None:
     """Read a recording in one format and write it in another.
 
-    Tables of any dialect are read: roles and units of the columns come from the header or from --columns. Ambiguous
-    conventions are decided from the data and reported; if the data do not decide, a message asks for --hint. A
-    setup.toml in the same folder gives noise, gauge and places. The output ends with a summary: set-ups, rounds, faces,
-    readings, heights, time span, noise, reference values.
+    CSV tables with any column names are read: meaning and unit of each column come from the header or from --columns.
+    Ambiguous conventions are decided from the data and reported; if the data are not sufficient, an error message asks
+    for --hint. A setup.toml in the same folder gives noise, gauge and approximate positions. The output ends with a
+    summary: set-ups, rounds, faces, readings, heights, time span, noise, reference values.
 
     Example: ltsim convert survey.csv my-recording --columns "target=Name,azimuth=Hz[gon]" --hint azimuth=clockwise
     """

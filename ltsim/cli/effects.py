@@ -22,7 +22,7 @@ TEXT_WIDTH = 110
 LABEL_WIDTH = 13
 """Width of the column of labels of a catalogue entry [characters]."""
 CONVENTIONS_TEXT = (
-    "Delta is truth - reading. az counts counter-clockwise, el from the horizontal plane, d is the range; f is +1 on\n"
+    "Delta is the true value - the reading. az is positive counter-clockwise, el upward; d is the range; f is +1 on\n"
     "face 1 and -1 on face 2; D_r, D_t, D_v are lengths along the beam, to its left and upward. The correlations are\n"
     "between the residuals that two effects cause in the reference workshop. Two numbers are for measurements in one\n"
     "face and in two faces, as in (0.46, 0.95)."
@@ -31,7 +31,7 @@ CONVENTIONS_TEXT = (
 
 
 def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
-    """List the physical effects that can be simulated, calibrated and diagnosed, or print the entry of one.
+    """List the physical effects that can be simulated, calibrated and diagnosed, or print the catalogue entry of NAME.
 
     Effects of other installed packages are listed last, with the name of the package.
 
@@ -102,7 +102,7 @@ def catalogue_entry_json(effect: type[Effect]) -> dict[str, Any]:
 
 
 def _to_display_unit(si_value: float, shape_parameter: ShapeParameter) -> float:
-    """Value of a shape parameter in the unit in which it is displayed."""
+    """Value [SI] of a shape constant, converted to its display unit."""
     return si_value / SI_PER_UNIT[shape_parameter.unit]
 
 

@@ -30,7 +30,7 @@ EXAMPLE_COMMANDS = {
     "hall.ipynb": "jupyter lab hall.ipynb",
     "sweep.ipynb": "jupyter lab sweep.ipynb",
 }
-"""Example files, each with a command to try; a file without a command is an input of the previous one."""
+"""Example files, each with a command to try; a file without a command is an input of the previous command."""
 
 
 def example_text(name: str) -> str:

@@ -46,7 +46,7 @@ COMMANDS = {
     "evaluate": ("adjustment", "disagreement of the stations, before and after a calibration"),
     "verify": ("adjustment", "apply a calibration to another recording"),
     "recover": ("campaign", "check that injected errors are recovered, for CI"),
-    "campaign": ("campaign", "many simulated trials over a grid of settings"),
+    "campaign": ("campaign", "many simulated trials for combinations of factor levels"),
     "compare": ("check", "points that moved between two recordings"),
     "convert": ("convert", "convert a recording between formats"),
     "effects": ("effects", "the catalogue of physical effects"),
@@ -76,7 +76,7 @@ def command_function(name: str) -> Callable[..., Any]:
 
 
 class SingleValueCommand(TyperCommand):
-    """Command that refuses a second value of an option that takes one: the last would replace it without a word."""
+    """Command that rejects a repeated option with a single value; Click would silently use the last value."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Arguments that remain after the options; raises UsageError."""
@@ -175,7 +175,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _report_interruption(remark: str = "no partial file remains") -> int:
-    """Exit status after an interruption; prints a remark."""
+    """Exit status after an interruption; prints `remark`."""
     write_line(f"interrupted; {remark}", sys.stderr)
     return INTERRUPTED_STATUS
 

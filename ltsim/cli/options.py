@@ -120,14 +120,14 @@ class ReadingOptions:
     columns: ColumnsOption = None
 
     def read(self, path: Path, *, is_growing: bool = False) -> Recording:
-        """The recording at `path`, which may still be growing; raises RecordError."""
+        """Recording at `path`, whose files may still grow; raises RecordError."""
         from ltsim.recordings import read
 
         hints = hints_from_texts(self.hint, self.columns, is_growing=is_growing)
         return read(path, format=self.format_name, hints=hints)
 
     def read_and_report(self, path: Path, terminal: Terminal) -> Recording:
-        """The recording at `path`; its notes and its size are printed; raises RecordError."""
+        """Recording at `path`, after its notes and its size were printed; raises RecordError."""
         recording = self.read(path)
         terminal.print_notes(recording.notes)
         terminal.print_text(recording.headline)
@@ -141,7 +141,7 @@ class ReadingOptionsWithControl(ReadingOptions):
     control: ControlFileOption = None
 
     def read(self, path: Path, *, is_growing: bool = False) -> Recording:
-        """The recording, with the points of `control` if given; raises RecordError."""
+        """Recording at `path`, with the control points of the file `control` if it is given; raises RecordError."""
         recording = super().read(path, is_growing=is_growing)
         if self.control is None:
             return recording
@@ -152,18 +152,18 @@ class ReadingOptionsWithControl(ReadingOptions):
 
 @dataclass(frozen=True)
 class ReadingOptionsWithFrame(ReadingOptionsWithControl):
-    """Options for reading a recording with control points and the axes of the results."""
+    """Options for reading a recording, with control points and the coordinate frame of the results."""
 
     frame: FrameFileOption = None
 
     def read(self, path: Path, *, is_growing: bool = False) -> Recording:
-        """The recording, in the axes of `frame` if given; raises RecordError."""
+        """Recording at `path`, with its datum in the frame of the file `frame` if it is given; raises RecordError."""
         recording = super().read(path, is_growing=is_growing)
         return recording if self.frame is None else with_axes_of_frame(recording, self.frame)
 
 
 def typer_command(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    """Function with the parameters that Typer turns into options: one per field of a dataclass of options.
+    """Function for Typer with one parameter per option, in place of parameters that are dataclasses of options.
 
     `**options` becomes the keyword parameters of `lt.NAME`. Texts in its annotation name other public functions, each
     with the parameters to use (default all). Parameters that the command declares itself are not repeated.
@@ -263,7 +263,7 @@ class FunctionOption:
 
     @property
     def choices(self) -> list[str]:
-        """Allowed values, if the docstring lists them: {`mm`, `m`}."""
+        """Permitted values, if the docstring lists them, as in {`mm`, `m`}; otherwise empty."""
         return re.findall(r"`([^`]+)`", self.docstring_type) if self.docstring_type.startswith("{") else []
 
     @property
@@ -283,7 +283,7 @@ class FunctionOption:
 
     @property
     def typer_parameter(self) -> inspect.Parameter:
-        """The option as a parameter for Typer."""
+        """Parameter of the command function from which Typer makes the option."""
         flags = [self.flag, *([SHORT_FLAGS[self.name]] if self.name in SHORT_FLAGS else [])]
         kind: Any = float if "float" in self.annotation else int if "int" in self.annotation else str
         metavar = MAPPING_OPTIONS[self.name][0] if self.name in MAPPING_OPTIONS else METAVARIABLES.get(self.name)
@@ -359,7 +359,7 @@ def _module_syntax_tree(module: str) -> ast.Module:
 
 
 def _constant_value(tree: ast.Module, name: str) -> ast.expr | None:
-    """Syntax tree of the value of a constant that a module of ltsim defines or imports; None if it is missing."""
+    """Syntax tree of the value of a constant that a module of ltsim defines or imports; None without the constant."""
     for node in tree.body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name:
             return node.value
@@ -380,7 +380,7 @@ def _documented_parameters(docstring: str) -> Iterator[tuple[str, tuple[str, str
 
 
 def with_axes_of_frame(recording: Recording, frame: Path) -> Recording:
-    """Recording with its datum in the axes of a file or of a built-in scenario; raises RecordError, SetupError."""
+    """Recording with its datum in the frame of a file or of a built-in scenario; raises RecordError, SetupError."""
     from ltsim.adjustment.axes import with_axes_from_points, with_axes_from_three_targets
     from ltsim.recordings.coordinates import read_points
     from ltsim.recordings.settings import read_toml

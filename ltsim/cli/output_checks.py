@@ -1,7 +1,7 @@
 """Output files and folders, checked before a command begins: write permission, and files that would be replaced.
 
 Without --force a command writes only to a folder that is new, empty or written by ltsim, and replaces only unmodified
-files of the same command. An existing recording, or a file without a mark of ltsim, is never replaced by other
+files of the same command. An existing recording, or a file that ltsim did not write, is never replaced by other
 content; it stays unchanged if it already has the content to be written (`write_outputs`).
 
 An option or argument for an output has an `OutputKind` in its annotation; `typer_command` calls the check of the
@@ -68,7 +68,7 @@ def check_outputs(outputs: Iterable[tuple[str, Path, OutputKind]], *, force: boo
 
 
 def _result_file_names() -> set[str]:
-    """Fixed names of result files; the name of a truth file is an option."""
+    """Fixed names of result files; the name of a file of true values is an option."""
     from ltsim.recordings.native import OBSERVATIONS_FILE
     from ltsim.reports.schemas import COMPANION_TABLES, FILE_MODELS
 
@@ -142,10 +142,10 @@ def check_recording_folder(folder: Path, force: bool) -> None:
 
 
 def write_outputs(outputs: Mapping[Path, Callable[[Path], Any]], *, force: bool) -> list[Any]:
-    """Values that the functions in `outputs` return, each of which writes a recording or file to its path, in order.
+    """Return values of the functions in `outputs`; each function writes a recording or file to its path.
 
-    An existing recording or file stays if it has the same content, and is replaced only with `force`. If one of them
-    has another content, nothing is written: raises RecordError.
+    An existing recording or file stays if it has the same content, and is replaced only with `force`. If an existing
+    one has another content, nothing is written and RecordError is raised.
     """
     same_contents = {} if force else {path: _compare_content(path, write) for path, write in outputs.items()}
     return [
@@ -155,16 +155,16 @@ def write_outputs(outputs: Mapping[Path, Callable[[Path], Any]], *, force: bool)
 
 
 class _SameContent(NamedTuple):
-    """Mark of an output that exists already with the content to be written."""
+    """Result for an output that exists already with the content to be written."""
 
     returned_value: Any
     """Value that the writing function returned."""
 
 
 def _compare_content(path: Path, write: Callable[[Path], Any]) -> _SameContent | None:
-    """Mark with the value of `write` if the output exists with the same content; None if the output does not exist.
+    """Return value of `write` if the output exists with the same content; None if the output does not exist.
 
-    Raises RecordError for another content.
+    RecordError is raised if the output exists with another content.
     """
     if not os.path.lexists(path) or is_device(path):
         return None

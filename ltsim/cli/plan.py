@@ -52,7 +52,7 @@ SiteOption = Annotated[
 WithoutOption = Annotated[
     str | None,
     typer.Option(
-        "--without", metavar="STATION", help="List other places for a station, with the other stations fixed."
+        "--without", metavar="STATION", help="List other positions for a station, with the other stations fixed."
     ),
 ]
 BEST_LAYOUT_FILE = "best-so-far.toml"
@@ -60,7 +60,7 @@ BEST_LAYOUT_FILE = "best-so-far.toml"
 FLOOR_PLAN_FILE = "floor.png"
 """Name of the picture of the floor plan."""
 TRADE_OFF_FILE = "tradeoff.png"
-"""Name of the picture of quality over time."""
+"""Name of the picture of quality over duration."""
 WORK_ORDER_FILE = "work-order.html"
 """Name of the page of the work order."""
 
@@ -82,11 +82,11 @@ def plan(
 ) -> None:
     """Find a layout of stations and reflectors, with reasons; or, with --after, the next measurement.
 
-    Writes plan.json, stations.csv (places of the tripod), reflectors.csv, tradeoff.csv, scenario.toml for
-    `ltsim simulate`, work-order.html for the shop floor, nominals.csv and work-order.csv for the tracker's software,
-    and the pictures floor.png and tradeoff.png. Ctrl-C ends the search with the best layout so far; during the search
-    that layout is in best-so-far.toml. FILE may be the folder of a plan: --without and --move evaluate its layout with
-    one station elsewhere.
+    Writes plan.json, stations.csv (positions of the tripod), reflectors.csv, tradeoff.csv, scenario.toml for `ltsim
+    simulate`, work-order.html for the shop floor, nominals.csv and work-order.csv for the tracker's software, and the
+    pictures floor.png and tradeoff.png. Ctrl-C ends the search with the best layout so far; during the search that
+    layout is in best-so-far.toml. FILE may be the folder of a plan: --without and --move evaluate its layout with one
+    station at another position.
 
     Example: ltsim plan paper-workshop --out my-plan
     """
@@ -112,7 +112,7 @@ def plan(
     moved_stations = options.pop("move")
     if without is not None and (moved_stations or out is not None):
         raise SetupError(
-            "--without lists places for a station and takes neither --move nor --out; use --move to evaluate a place"
+            "--without lists positions for a station and cannot be used with --move or --out; evaluate one with --move"
         )
     if without is not None:
         return _print_station_alternatives(terminal, source, lt.station_alternatives(source, without))
@@ -133,7 +133,7 @@ def plan(
 
 
 def _print_station_alternatives(terminal: Terminal, source: str, alternatives: Sequence[StationAlternative]) -> None:
-    """Output of other places for a station, and of the command that takes the best one."""
+    """Output of other positions for a station, and of the command that uses the best of them."""
     terminal.print_json(
         [
             {
@@ -150,12 +150,12 @@ def _print_station_alternatives(terminal: Terminal, source: str, alternatives: S
     places = [alternative for alternative in alternatives if alternative.move_option]
     if not places:
         terminal.print_text(
-            "No other place is allowed for this station; enlarge the floor area, or search with one station less."
+            "No other position is permitted for this station; enlarge the floor area, or search with one station less."
         )
         return
     out = Path(f"{Path(source).stem}-moved")
     command = shlex.join(["ltsim", "plan", source, "--move", places[0].move_option, "--out", str(out)])
-    terminal.print_text(f"To take the best of these places: {command}")
+    terminal.print_text(f"To take the best of these positions: {command}")
 
 
 def _search_plan(terminal: Terminal, source: str, folder: Path | None, search_options: dict[str, Any]) -> Plan:
@@ -206,7 +206,7 @@ def _write_and_print_plan(terminal: Terminal, plan_result: Plan, folder: Path | 
 
 
 def _picture_files(plan_result: Plan) -> dict[str, bytes]:
-    """Contents of the files with pictures: work order, floor plan, trade-off of time and quality."""
+    """Contents of the files with pictures, by name: work order, floor plan, trade-off of duration and quality."""
     from ltsim.reports.figures.parameters import trade_off_figure
     from ltsim.reports.page import work_order_page
     from ltsim.reports.style import png_bytes

@@ -1,4 +1,4 @@
-"""Commands `simulate`, `inject` and `demo`: a simulated recording, an injected effect, the main job end to end."""
+"""Commands `simulate`, `inject` and `demo`: a simulated recording, an injected effect, and a demonstration."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ RecordingFolderOption = Annotated[
 ]
 TruthFileOption = Annotated[
     Path | None,
-    typer.Option("--truth", metavar="FILE", help="File for the truth, which no calibrator reads."),
+    typer.Option("--truth", metavar="FILE", help="File for the true values, which no calibrator reads."),
     COMPARED_FILE_OUTPUT,
 ]
 NominalFileOption = Annotated[
@@ -51,7 +51,10 @@ NominalFileOption = Annotated[
     COMPARED_FILE_OUTPUT,
 ]
 PerTrialOption = Annotated[
-    bool, typer.Option("--per-trial", help="Draw new stations and targets, as in a campaign with geometry per trial.")
+    bool,
+    typer.Option(
+        "--per-trial", help="Draw new positions of stations and targets, as in a campaign with geometry per trial."
+    ),
 ]
 ShowScenarioOption = Annotated[bool, typer.Option("--show", help="Print the scenario as a file to edit, and stop.")]
 InjectedEffectsArgument = Annotated[
@@ -119,7 +122,7 @@ def simulate(
 
 
 def _complete_scenario_text(scenario: str) -> str:
-    """Text of a scenario with all keys: a built-in commented file unchanged, any other with its defaults added."""
+    """Text of a scenario with all keys: a built-in commented file unchanged, other files with added defaults."""
     text = builtin_text(scenario) if scenario in builtin_names() else ""
     if text and "\nbase = " not in text:
         return text
@@ -140,7 +143,7 @@ def inject(
     terminal: Terminal,
     **options: Annotated[Any, "inject", "injection_curve injections"],
 ) -> None:
-    """Add the effects of faults to the readings of a recording, by the exact model; nothing else changes.
+    """Add the changes that faults cause to the readings of a recording, by the exact model; nothing else changes.
 
     Example: ltsim inject my-recording range-step:S3 --noncentrality 100 --out injected --truth injected.json
     """
@@ -202,7 +205,7 @@ DEMO_EFFECTS: tuple[dict[str, Any], ...] = tuple(
     {"name": "smr-offset", "stations": [station], "values": {"radius-difference": size}}
     for station, size in (("S2", 0.2), ("S3", -0.25), ("S4", 0.25), ("S5", -0.2))
 )
-"""Effects of which the demonstration injects one, drawn by the seed: at one station the radius of the SMR differs."""
+"""Effects of which the demonstration injects a random one: the SMR at one station has another radius."""
 
 DEMO_TITLE = "Demonstration: a fault is injected into a simulated hall, and diagnosed"
 """Title of the page of the demonstration."""
@@ -219,7 +222,7 @@ name = "network"
 name = "distance"
 method = "distance"
 """
-"""Campaign file of the demonstration, with a place for the seed."""
+"""Campaign file of the demonstration, with a format field for the seed."""
 
 
 def demo(
@@ -229,7 +232,7 @@ def demo(
     terminal: Terminal,
     **options: Annotated[Any, "simulate seed"],
 ) -> None:
-    """Simulate, calibrate, repeat on many instruments, inject a fault, diagnose it, and write one page.
+    """Simulate, calibrate, repeat with many simulated instruments, inject a fault, diagnose it, and write one report.
 
     Example: ltsim demo --out ltsim-demo
     """
@@ -249,7 +252,7 @@ def demo(
 
 
 def simulate_workshop(demo_folder: Path, seed: int) -> str:
-    """Simulate a recording of the paper's workshop, write it with its truth, and return its size in words."""
+    """Simulate a recording of the paper's workshop, write it with its true values, and return a text on its size."""
     recording, truth = lt.simulate("paper-workshop", seed=seed)
     lt.write(recording, demo_folder / "workshop" / "recording")
     lt.write(truth, demo_folder / "workshop" / "truth.json")
@@ -270,7 +273,7 @@ def calibrate_workshop(demo_folder: Path, seed: int) -> str:
 
 
 def diagnose_injected_effect(demo_folder: Path, seed: int) -> str:
-    """Inject an effect into a second recording, diagnose the recording, and return effect and diagnosis in words."""
+    """Inject an effect into a second recording, diagnose this recording, and return a text on effect and diagnosis."""
     from ltsim.core.randomness import random_stream
     from ltsim.physics.effects import effect_title
 
@@ -297,7 +300,7 @@ def run_demo_campaign(demo_folder: Path, seed: int) -> str:
 
 
 def write_demo_page(demo_folder: Path, seed: int) -> str:
-    """Write one report page about all results of the demonstration, and return its address in words."""
+    """Write one report page about all results of the demonstration, and return a text with its path."""
     return f"open {lt.report(demo_folder, title=DEMO_TITLE, about={'instrument': 'simulated'})}"
 
 
@@ -308,7 +311,7 @@ DEMO_STEPS: dict[str, Callable[[Path, int], str]] = {
     "inject a fault into another recording, and diagnose this recording": diagnose_injected_effect,
     "write one page about all results": write_demo_page,
 }
-"""Steps of the demonstration in order: title and function, which returns the outcome in words."""
+"""Steps of the demonstration in order: title, and function (folder, seed) that returns a text on the outcome."""
 DEMO_OUTPUTS = {
     "workshop/recording": RECORDING_OUTPUT,
     "workshop/truth.json": FILE_OUTPUT,

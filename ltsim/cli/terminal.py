@@ -32,7 +32,7 @@ def prepare_streams() -> None:
     """Preparation of the standard streams of this process for output.
 
     A closed stream is replaced by the null device, so that no other file takes its number. Characters that the encoding
-    lacks are printed as escapes. Warnings are shown only with `-W` or PYTHONWARNINGS.
+    of a stream lacks are printed as escapes. Python warnings are shown only with `-W` or PYTHONWARNINGS.
     """
     for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
@@ -73,9 +73,9 @@ def flush_streams() -> None:
 
 @contextmanager
 def _discard_if_unwritable(stream: IO[str]) -> Iterator[None]:
-    """Context after which a stream discards its output, if its reader is gone or standard error cannot be written.
+    """Context that redirects a stream to the null device if its reader is gone or standard error is unwritable.
 
-    Raises OSError if standard output cannot be written for another reason.
+    OSError is raised if standard output cannot be written for another reason.
     """
     try:
         yield
@@ -101,10 +101,10 @@ QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only err
 
 @dataclass(frozen=True)
 class Terminal:
-    """Output of one command on the terminal: text or JSON, remarks, progress."""
+    """Output of one command on the terminal: text or JSON on standard output, notes and progress on standard error."""
 
     quiet: QuietOption = False
-    as_json: Annotated[bool, typer.Option("--json", help="Print only the answer, as JSON.")] = False
+    as_json: Annotated[bool, typer.Option("--json", help="Print only the result, as JSON.")] = False
 
     @property
     def is_silent(self) -> bool:
@@ -128,12 +128,12 @@ class Terminal:
         flush_streams()
 
     def print_note(self, text: str) -> None:
-        """Output of a remark on standard error."""
+        """Output of a note on standard error."""
         if not self.quiet:
             write_line(text, sys.stderr)
 
     def print_note_on_compilation(self) -> None:
-        """Output of a remark on the compilation time of the campaign solver, if the solver is not compiled yet."""
+        """Output of a note on the compilation time of the campaign solver, if the solver is not compiled yet."""
         from ltsim.campaigns.kernels import is_compiled  # slow to import
 
         if not is_compiled():
@@ -185,7 +185,7 @@ class Terminal:
 
     @contextmanager
     def _print_progress_lines(self, get_progress_text: Callable[[], str]) -> Iterator[None]:
-        """Lines of progress on standard error, after `PROGRESS_DELAY_S` seconds and whenever the time has doubled."""
+        """Lines of progress on standard error, first after `PROGRESS_DELAY_S`, then in doubling intervals."""
         if self.quiet:
             yield
             return
@@ -234,7 +234,7 @@ class ResultFolderTerminal(Terminal):
     def write_result(
         self, content: ResultFileType, companion_contents: Callable[[], Mapping[str, str | bytes]] = dict
     ) -> ResultFileType:
-        """Result with the digests of its companion files, after all were written; unchanged if no folder was given."""
+        """Result with the digests of its companion files, which were written; unchanged if no folder was given."""
         from ltsim.recordings.result_file import write_result
 
         return content if self.out is None else write_result(self.out, content, companion_contents())

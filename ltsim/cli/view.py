@@ -76,10 +76,10 @@ def view(
 ) -> None:
     """Show the hall in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
 
-    With --plan, stations are moved by hand on a page in the browser, which shows the accuracy of every point; its
-    server answers only this machine, until Ctrl-C.
+    With --plan, you move the stations on a page in the browser, which shows the accuracy of every point; the page is
+    available only on this computer, until Ctrl-C.
 
-    Opens a window, unless --png or --html name a file. A recording is adjusted first; the picture gives the
+    Opens a window, unless --png or --html names a file. A recording is adjusted first; the legend gives the
     magnification of ellipsoids and arrows.
 
     Example: ltsim view paper-workshop --html workshop.html
@@ -146,11 +146,11 @@ def report(
 ) -> None:
     """Write report.html into DIR: one page that works offline, with the verdict, tables, figures and the 3D view.
 
-    DIR may hold a recording, a calibration, a diagnosis, a campaign, a plan, or folders of them. The header has
-    instrument, date, operator and customer from the options or the table [report] of setup.toml; the default instrument
-    is model and serial number.
+    DIR may hold a recording, a calibration, a diagnosis, a campaign, a plan, or folders of them. The header of the page
+    contains instrument, date, operator and customer, from the options or from the table [report] of setup.toml; the
+    default text for the instrument is its model and serial number.
 
-    Coordinates are in the axes in which they were computed; --frame of adjust, calibrate and diagnose sets them.
+    Coordinates are in the frame in which they were computed; --frame of adjust, calibrate and diagnose sets this frame.
 
     Example: ltsim report my-calibration --customer "Hall 3" --instrument "AT960, 751234"
     """

@@ -29,15 +29,15 @@ CONTENT_SECURITY_POLICY = (
 )
 """Content Security Policy of a page: no external resources."""
 Assessment = Literal["good", "caution", "bad", "plain"]
-"""Assessment of a result, which determines its colour."""
+"""Assessment of a result; it determines the colour of the result on a page."""
 WorkshopDetail = Literal["turn", "plan", "none"]
 """View of the hall in a section: `turn` for interactive 3D, `plan` for a floor plan, `none` for no view."""
 MAX_UNFOLDED_ROWS = 30
 """Number of rows above which a table on a page starts folded."""
 MAX_PRINTED_ROWS = 120
-"""Number of rows above which a table is not printed on paper (three pages)."""
+"""Number of rows (three pages) above which a table is not printed on paper."""
 MAX_TERMINAL_ROWS = 8
-"""Number of rows that a terminal prints of a table which is folded on a page."""
+"""Number of rows that a terminal prints of a table that starts folded on a page."""
 MAX_RECOMMENDED_ACTIONS = 3
 """Largest number of next actions at the head of a page and on a terminal."""
 MAX_TERMINAL_WIDTH = 160
@@ -46,9 +46,9 @@ MAX_TERMINAL_WIDTH = 160
 
 @dataclass(frozen=True)
 class ReportContext:
-    """Folder and recording of a result, and the level of detail of its section.
+    """Folder and recording of a result, and the view of the hall (`detail`) in its section.
 
-    `is_brief` is True if another section shows the residuals.
+    `is_brief` is True if another section of the page shows the residuals of the same recording.
     """
 
     folder: Path | None = None
@@ -214,7 +214,7 @@ class Section:
 
     @property
     def most_urgent_actions(self) -> list[str]:
-        """The first `MAX_RECOMMENDED_ACTIONS` different next actions, which page and terminal show."""
+        """First `MAX_RECOMMENDED_ACTIONS` different next actions, which the page and the terminal show."""
         return list(dict.fromkeys(self.next_actions))[:MAX_RECOMMENDED_ACTIONS]
 
     def terminal_text(self) -> str:

@@ -92,7 +92,7 @@ def global_test_verdict(chi2: float, dof: int, p_value: float | None) -> tuple[b
 
 
 def distinct_labels(labels: Sequence[str]) -> tuple[str, ...]:
-    """Labels without the words with which all of them begin; unchanged if a label would then be empty."""
+    """Labels without the words with which all labels begin; unchanged if a label would then be empty."""
     if len(set(labels)) < 2:
         return tuple(labels)
     common_letters = takewhile(lambda letters: len(set(letters)) == 1, zip(*labels, strict=False))

@@ -75,7 +75,7 @@ UNREADABLE_KIND = "Not readable"
 
 @dataclass(frozen=True)
 class PagePart:
-    """Result for one section of a page: its folder, its file, and the recording that it was computed from.
+    """Result for one section of a page: its folder, its file, and the recording from which it was computed.
 
     `is_brief` is True if another section shows the residuals of the same recording.
     """
@@ -143,14 +143,14 @@ def document_of_folder(
 
 
 def _recommended_actions(sections: list[Section]) -> list[str]:
-    """Next actions of the first section; if it has none, of the next one with actions and the same assessment."""
+    """Next actions of the first section; if it has none, of the next section with actions and the same assessment."""
     first_section = sections[0]
     chosen = next((s for s in sections if s.next_actions and s.assessment == first_section.assessment), first_section)
     return first_section.most_urgent_actions or chosen.most_urgent_actions
 
 
 def _header_lines(page_parts: list[PagePart], sections: list[Section], about: ReportHeader) -> list[tuple[str, str]]:
-    """Header lines (name, text): instrument, date, operator, customer, axes; unknown ones are omitted."""
+    """Header lines (name, text): instrument, date, operator, customer, axes; lines without a text are omitted."""
     folders = dict.fromkeys(part.recording for part in page_parts if part.recording)
     setups = [
         read_setup(recording_folder / SETUP_FILE)
@@ -228,7 +228,7 @@ def _part_sections(page_parts: list[PagePart], page_folder: Path) -> Iterator[tu
 
 
 def _recording_digest(page_part: PagePart) -> str:
-    """Digest of the recording of a part; empty if the result does not contain a digest."""
+    """Digest of the recording of a page part; empty if the result does not contain a digest."""
     try:
         if page_part.result_file == OBSERVATIONS_FILE:
             return recording_digest(read(page_part.folder))
@@ -306,12 +306,13 @@ def _work_order_blocks(plan: Plan) -> list[Block]:
         for s in stations
     )
     note = (
-        "Distances are on the floor, from the mark under the tracker head to the floor under the point; straight ones "
-        "are from the centre of the head to the reflector. Two distances define the place, the third checks it."
+        "Distances are on the floor, from the mark under the tracker head to the floor under the point; straight "
+        "distances are from the centre of the head to the reflector. Two distances define the position of the tripod, "
+        "the third one checks it."
     )
     note = " ".join([note, *(f"{s.name}: {s.deficiency_sentence}" for s in stations if s.deficiency_sentence)])
     blocks: list[Block] = [
-        *table_blocks("Places of the tripods", places, note=note),
+        *table_blocks("Positions of the tripods", places, note=note),
         PictureBlock(
             "Floor plan",
             plan.plot,
@@ -330,8 +331,8 @@ def _work_order_blocks(plan: Plan) -> list[Block]:
         blocks.append(NoteBlock(f"{s.name}: order of work", text))
     blocks += _reflector_proposals_block(plan)
     text = (
-        "nominals.csv has the points for the tracker's software, work-order.csv every pointing with its expected "
-        "readings, scenario.toml the same work for a simulation. "
+        "nominals.csv contains the points for the tracker's software, work-order.csv every pointing with its expected "
+        "readings, and scenario.toml the same measurement for a simulation. "
     )
     blocks.append(
         NoteBlock("Files", f"{text}A move of the tripod is assumed to take {duration_text(survey.seconds_per_move)}.")

@@ -1,4 +1,4 @@
-"""Figure of each kind of result, which the method `plot` of the result returns."""
+"""Figure of each kind of result; the method `plot` of the result returns this figure."""
 
 from functools import singledispatch
 from typing import Any, cast
@@ -181,5 +181,5 @@ def _(result: PairedDifferences) -> Figure:
     first = result.entries[0]
     unit = f" [{first.unit}]" if first.unit else ""
     return values_figure(
-        rows, f"{first.first} less {first.second}{unit}, 95 % interval", reference_values={"no difference": [0.0]}
+        rows, f"{first.first} minus {first.second}{unit}, 95 % interval", reference_values={"no difference": [0.0]}
     )

@@ -43,7 +43,7 @@ class Residuals:
     residual: Floats
     """Residual, (n,), in um for a distance and in arcsec for an angle."""
     normalised_residual: Floats
-    """Normalised residual, standard normal where the model holds, (n,)."""
+    """Normalised residual, (n,); standard normal if the model is correct."""
     redundancy: Floats
     """Redundancy of each reading, (n,), from 0 (not checked by other readings) to 1."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
@@ -68,7 +68,7 @@ class Residuals:
 
     @property
     def sigma(self) -> Floats:
-        """Standard deviations (n,) of the readings, from which the residuals were normalised."""
+        """Standard deviations (n,) of the readings, as implied by residual, normalised residual and redundancy."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.abs(self.residual / self.normalised_residual) / np.sqrt(self.redundancy))
 
@@ -127,7 +127,7 @@ class Residuals:
         return cls.from_table(RESIDUALS_TABLE.parse_csv(read_text(file), file), file)
 
     def with_covariates(self, source: Residuals | None) -> Residuals:
-        """The residuals with the covariates of the same readings in `source`; unchanged if `source` is None."""
+        """Residuals with the covariates of the same readings in `source`; unchanged if `source` is None."""
         if source is None:
             return self
         source_rows = self._indices_in(source)
@@ -135,13 +135,13 @@ class Residuals:
         return replace(self, covariates=covariates)
 
     def normalised_by_noise_of(self, reference: Residuals) -> Residuals:
-        """The residuals, normalised by the standard deviations that the same readings have in `reference`."""
+        """Residuals, normalised by the standard deviations that the same readings have in `reference`."""
         sigma = np.append(reference.sigma, np.nan)[self._indices_in(reference)]
         with np.errstate(divide="ignore", invalid="ignore"):
             return replace(self, normalised_residual=self.residual / (sigma * np.sqrt(self.redundancy)))
 
     def _indices_in(self, reference: Residuals) -> Ints:
-        """Row (n,) of each reading in `reference`, which is identified by data row and observable; -1 if missing."""
+        """Index (n,) in `reference` of the same reading (same data row and observable); -1 if it is missing there."""
         row_by_key = {
             key: i for i, key in enumerate(zip(reference.data_row.tolist(), reference.observable.tolist(), strict=True))
         }

@@ -21,7 +21,7 @@ WALL_COLOUR = "#D5DBE0"
 FLOOR_COLOUR = "#E3E7EA"
 TRIPOD_LEG_COLOUR = "#5C6166"
 MAX_DRAWN_ARROWS = 300
-"""Largest number of arrows of a scene; of more, only the longest are drawn."""
+"""Largest number of arrows in a scene; if there are more, the longest ones are drawn."""
 MAX_METRE_LINES = 200
 """Largest number of lines at full metres on the floor; a larger hall is drawn without them."""
 MAX_OMITTED_NAMES = 4
@@ -65,7 +65,7 @@ def magnification_text(magnification: float) -> str:
 
 
 Camera = Sequence[Sequence[float]]
-"""Camera: position and focal point [m], and up direction."""
+"""Camera of a scene: position (3,) [m], focal point (3,) [m] and up direction (3,)."""
 
 
 def build_scene(
@@ -192,7 +192,7 @@ def _draw_sights(plotter: pv.Plotter, workshop: WorkshopScene) -> tuple[str, flo
 
 
 def _draw_shadow_cones(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list[str]) -> None:
-    """Draw the cone below each station that its elevation limit hides, and the rim of the cone on the floor."""
+    """Draw the shadow cone below each station, which its elevation limit hides, and its circle on the floor."""
     z = workshop.floor_height
     for k, opening in enumerate(workshop.cone_openings):
         radius = workshop.shadow_radius(opening)

@@ -1,4 +1,4 @@
-"""Models and tables of all files of ltsim, from which the reference of the files is generated.
+"""Data models and tables of all files of ltsim; the reference page of the files is generated from them.
 
 ``python -m ltsim.reports.schemas DIR`` writes one JSON Schema (draft 2020-12) per file, and tables.json for the tables.
 """

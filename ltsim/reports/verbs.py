@@ -44,7 +44,7 @@ class View(Result):
         return f'<iframe srcdoc="{escape(scene_page(self.workshop))}" width="100%" height="600"></iframe>'
 
     def write_png(self, path: str | Path) -> None:
-        """Write a picture."""
+        """Write the view as a PNG picture."""
         from ltsim.reports import scene3d
 
         check_writable(Path(path), is_folder=False)
@@ -72,7 +72,7 @@ def view(
     cad_up: str | None = None,
     colour: str = "incidence",
 ) -> View:
-    """The hall in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
+    """3D view of a hall: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def view(
     Raises
     ------
     RecordError, SetupError, NetworkError
-        When the source is neither, is malformed, or cannot be adjusted.
+        If the source is neither a recording nor a scenario, is malformed, or cannot be adjusted.
 
     Examples
     --------
@@ -137,7 +137,7 @@ def report(
     folder : str or Path
         Folder of a recording, a calibration, a diagnosis, a campaign or a plan, or folder of such folders.
     recording : str or Path, optional
-        Recording of a calibration or diagnosis, if it is not in the folder.
+        Recording from which a calibration or diagnosis was computed, if it is not in the folder.
     title : str, optional
         Title of the page.
     about : mapping of str to str, optional
@@ -153,7 +153,7 @@ def report(
     Raises
     ------
     RecordError
-        When there is nothing to report, or a file is malformed; nothing is written then.
+        If the folder contains no result, or a file is malformed. No page is written.
 
     Examples
     --------

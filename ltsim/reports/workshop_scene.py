@@ -29,7 +29,8 @@ ALTERNATIVE_CONE_OPENING = 110.0 * DEGREE
 MAX_TRACKER_HEIGHT = 3.0
 """Largest height [m] of the lowest target or tracker above z = 0 of a plan at which the floor is drawn at z = 0.
 
-If all are higher, the floor is drawn at the lowest target. The value is above the height of a tracker on its tripod.
+If all of them are higher, the floor is drawn at the lowest target. The limit is above the height of a tracker on its
+tripod.
 """
 MIN_WALL_NORMAL_COMPONENT = 0.25
 """Threshold of the component of a nest's unit normal perpendicular to a wall, above which the nest belongs to the wall.
@@ -96,12 +97,12 @@ class WorkshopScene(ValueEquality):
 
     @property
     def cone_openings(self) -> tuple[float, ...]:
-        """Full angles [rad] of the shadow cones to draw: from the elevation limit, and the alternative of the paper."""
+        """Full angles [rad] of the shadow cones to draw: from the elevation limit, and one of the paper."""
         limit = shadow_cone_opening(self.elevation_min)
         return (limit,) if abs(limit - ALTERNATIVE_CONE_OPENING) < 1e-9 else (limit, ALTERNATIVE_CONE_OPENING)
 
     def shadow_radius(self, opening: float) -> Floats:
-        """Radius on the floor of the cone with a full angle `opening`, (S,) [m]."""
+        """Radius (S,) [m] of the shadow cone of each station on the floor, for its full angle `opening` [rad]."""
         return shadow_radii(self.station_positions, self.floor_height, opening)
 
     @property
@@ -222,7 +223,7 @@ def _normals_of_nests(setup: Setup, targets: tuple[str, ...]) -> Floats:
 
 
 def _is_reaimed(setup: Setup, targets: tuple[str, ...]) -> Bools:
-    """Flags (T,), True for a reflector that is turned towards the station before each pointing, with incidence zero."""
+    """Mask (T,) of reflectors that are turned towards the station before each pointing (incidence angle zero)."""
     return np.array([t not in setup.targets or setup.targets[t].reaimed for t in targets], dtype=bool)
 
 
@@ -273,7 +274,7 @@ def workshop_from_scenario(scenario: Scenario) -> WorkshopScene:
     Raises
     ------
     SetupError
-        When the scenario's gauge or one of its CAD files is impossible.
+        If the gauge or a CAD file of the scenario is invalid.
     """
     layout = planned_layout(scenario)
     visibility = make_visibility(scenario, layout)

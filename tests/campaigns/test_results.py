@@ -218,11 +218,12 @@ def test_the_page_tells_which_method_is_better_by_paired_differences(sweep: Any)
     names = cell_descriptions(sweep)
     for row, cell, entry in zip(table.rows, names, paired, strict=True):
         decided = f"{best} is better" if entry.low > 0 else f"{other} is better" if entry.high < 0 else "not decided"
-        assert row[:2] == [names[cell], f"{other} less {best}"] and row[-2:] == [decided, "24"]
+        assert row[:2] == [names[cell], f"{other} minus {best}"] and row[-2:] == [decided, "24"]
         assert float(row[2]) == pytest.approx(entry.difference, rel=0.01)
     n_decided = sum(entry.low > 0 for entry in paired)
     assert f"the error of a new point with {best} is " in section.summary
-    assert (f" in {n_decided} of 4 settings" if n_decided else "is not significantly different from") in section.summary
+    text = f" in {n_decided} of 4 combinations" if n_decided else "is not significantly different from"
+    assert text in section.summary
     assert "true point" in table.note
 
 

@@ -297,7 +297,7 @@ def test_the_work_order_places_tripods_by_tape_and_lists_the_work(hall: Path, tm
     nominals = (tmp_path / "out" / "nominals.csv").read_text(encoding="utf-8").splitlines()
     assert nominals[:2] == ["name,x_mm,y_mm,z_mm", "M00,4710.123,3210,500"]
     page = (tmp_path / "out" / "work-order.html").read_text(encoding="utf-8")
-    assert "Places of the tripods" in page
+    assert "Positions of the tripods" in page
     assert "Checks" in page
     again, _ = lt.simulate(tmp_path / "out" / "scenario.toml", seed=1)
     assert len(again) == made.layout.survey.n_pointings

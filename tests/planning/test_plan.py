@@ -262,7 +262,7 @@ def test_the_command_leaves_coordinates_and_a_picture(tmp_path: Path, capsys: py
     path = small("[stations]\ncount = 3\n", tmp_path)
     assert run(["plan", str(path), "--out", str(tmp_path / "out"), "--jobs", "1", "--seed", "3"]) == 0
     said = capsys.readouterr().out
-    assert "Places of the tripod" in said
+    assert "Positions of the tripod" in said
     written = {file.name for file in (tmp_path / "out").iterdir()}
     assert {"floor.png", "tradeoff.png", "stations.csv", "plan.json", "scenario.toml"} <= written
     assert (tmp_path / "out" / "floor.png").read_bytes().startswith(b"\x89PNG")

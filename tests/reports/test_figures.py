@@ -78,13 +78,13 @@ def correlation_figure() -> Figure:
     return estimates.correlation_figure(parameters(), samples.after().instrument_covariance)
 
 
-def setting_rows_figure() -> Figure:
+def cell_rows_figure() -> Figure:
     rows = [
         sweeps.SweepPoint(f"noise {s} {MARKUP}", method, "", 40.0 + s, 39.0 + s, 41.0 + s, 20.0 + s, 60.0 + s)
         for s in range(3)
         for method in ("network", "distance")
     ]
-    return sweeps.setting_rows_figure(rows, label="improvement [%]", published_value=40.1)
+    return sweeps.cell_rows_figure(rows, label="improvement [%]", published_value=40.1)
 
 
 def factor_panels_figure() -> Figure:
@@ -259,7 +259,7 @@ def marked_floor_plan() -> Figure:
 DRAWINGS = {
     f.__name__: f
     for f in (
-        error_to_limit_figure, budget_figure, factor_panels_figure, setting_rows_figure, check_figure,
+        error_to_limit_figure, budget_figure, factor_panels_figure, cell_rows_figure, check_figure,
         correlation_figure, coverage_figure, criteria_figure, displacement_figure, distributions_figure,
         response_curve_figure, floor_plan, injected_and_estimated_figure, history_figure, lines_figure,
         parameter_figure, reflector_changes_figure, residuals_by_covariate_figure, residuals_by_station_figure,

@@ -216,7 +216,7 @@ def test_nothing_to_report_is_said(tmp_path: Path) -> None:
 def test_campaign_tells_improvement_and_coverage(tmp_path: Path) -> None:
     content = document_of_folder(samples.campaign_folder(tmp_path / "campaign"))
     assert content.summary.startswith(
-        "Over 60 trials in each of 2 settings of noise factor, calibration improves the distance"
+        "Over 60 trials for each of 2 combinations of factor levels (noise factor), calibration improves the distance"
     )
     titles = [block.title for block in content.sections[0].blocks]
     assert {"Distance criterion, improvement", "Convergence of the trials", "z-scores of the parameters"} <= set(titles)
@@ -229,7 +229,7 @@ def test_campaign_tells_improvement_and_coverage(tmp_path: Path) -> None:
 def test_a_sweep_reads_without_its_maker(tmp_path: Path) -> None:
     """Short names with units, lines over a factor, where it is best, and the paper's figures in sentences."""
     section = document_of_folder(samples.sweep_folder(tmp_path / "sweep")).sections[0]
-    assert "in each of 27 settings of targets, angle noise and repeats," in section.summary
+    assert "for each of 27 combinations of factor levels (targets, angle noise and repeats)," in section.summary
     assert (
         "The error of the targets is smallest with" in section.summary
         and "(targets 24, angle noise 0.2 arcsec, repeats 4)" in section.summary
@@ -259,7 +259,7 @@ def test_damaged_campaign_is_refused(tmp_path: Path) -> None:
 def test_plan_shows_where_the_tripod_goes(tmp_path: Path) -> None:
     content = document_of_folder(samples.plan_folder(tmp_path / "plan"))
     blocks = {block.title: block for block in content.sections[0].blocks}
-    table = blocks["Places of the tripod"]
+    table = blocks["Positions of the tripod"]
     assert table.kind == "table"
     assert [row[0] for row in table.rows] == ["S1", "S2", "S3", "S4", "S5"]
     wanted = {"Floor plan", "The hall in 3D", "Time against quality: instrument", "Reasons for this plan"}
@@ -294,7 +294,7 @@ def test_coordinates_of_a_moved_target_are_said_to_be_from_before_its_motion(tmp
     told["findings"] = [told["findings"][0] | {"effect": "target-moved", "where": where, "separate_by": ""}]
     (target / "diagnosis.json").write_text(json.dumps(told))
     *_, use = document_of_folder(target).next_actions
-    assert use.endswith("; those of T05 are from before the motion.")
+    assert use.endswith(" The coordinates of T05 are from before the motion.")
 
 
 def test_next_measurement_stands_first(tmp_path: Path) -> None:

@@ -81,11 +81,12 @@ def difference(size: float) -> PairedDifference:
     [
         ((5.0,), "smaller than with plain by 5.00 um"),
         ((1.0,), "not significantly different from that with plain"),
-        ((5.0, 9.0), "smaller than with plain in all 2 settings (by 5.00 to 9.00 um)"),
+        ((5.0, 9.0), "smaller than with plain in all 2 combinations of factor levels (by 5.00 to 9.00 um)"),
         (
             (5.0, 9.0, -3.0, 1.0),
-            "smaller than with plain in 2 of 4 settings (by 5.00 to 9.00 um), larger than with plain in 1 of 4 "
-            "settings (by 3.00 um), not significantly different from that with plain in 1 of 4",
+            "smaller than with plain in 2 of 4 combinations of factor levels (by 5.00 to 9.00 um), larger than with "
+            "plain in 1 of 4 combinations of factor levels (by 3.00 um), not significantly different from that with "
+            "plain in 1 of 4",
         ),
     ],
 )
@@ -94,14 +95,14 @@ def test_the_comparison_of_methods_counts_and_sizes_each_sign(sizes: tuple[float
     entries = [difference(size) for size in sizes]
     comparison = MethodComparison("target_error_um", "network", ("",) * len(sizes), {"plain": entries})
     assert comparison.sentence().startswith(
-        f"On the same draws, the error of the targets with network is {text} (paired"
+        f"With the same random draws, the error of the targets with network is {text} (paired"
     )
 
 
 def test_coverage_is_separate_where_the_noise_is_not_the_declared_one(tmp_path: Path) -> None:
     section = campaign_section(samples.campaign_folder(tmp_path / "campaign"))
     tiles = [fact.name for fact in section.key_figures if fact.name.startswith("coverage")]
-    assert tiles == ["coverage of 95 % intervals", "coverage of 95 % intervals with noise factor 2, not declared"]
+    assert tiles == ["coverage of 95 % intervals", "coverage of 95 % intervals with noise factor 2 (not declared)"]
 
 
 def test_the_three_most_urgent_actions_are_shown() -> None:

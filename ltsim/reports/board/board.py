@@ -1,4 +1,4 @@
-"""Layout of a hall whose stations the user moves in the browser: accuracy, tolerances, files."""
+"""Layout whose stations the user moves in the browser: accuracy of the points, tolerances, and saved files."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
 MAX_DRAWN_TRIANGLES = 20_000
-"""Largest number of triangles of obstacles in the view from above; of more, only the largest are drawn."""
+"""Largest number of triangles of obstacles in the view from above; if there are more, the largest ones are drawn."""
 MIN_LAYOUT_STATIONS = 2
 """Smallest number of stations of a layout, the same as for a plan file."""
 MAX_LAYOUT_STATIONS = 40
 """Largest number of stations of a layout."""
 STATION_NAME_PATTERN = r"\w[\w.\-]{0,39}"
 """Pattern of the name of a station."""
-MAX_OFFERED_PLACES = 200
-"""Largest number of places of a grid that the page offers for an additional station."""
+MAX_OFFERED_POSITIONS = 200
+"""Largest number of grid positions that the page offers for an additional station."""
 MAX_COORDINATE_MM = 1e6
 """Largest magnitude of a coordinate [mm] of a station."""
 
@@ -64,7 +64,7 @@ class MovableLayout:
     scenario: Scenario
     """Scenario with the initial stations."""
     search_space: SearchSpace
-    """Allowed places and lines of sight; the `survey` in it has the faces and rounds of the scenario."""
+    """Permitted positions of stations, and lines of sight; its `survey` has the faces and rounds of the scenario."""
     construction: GeometricErrorModel
     tolerances: PointTolerances
     """Tolerances of the points in the plan file."""
@@ -109,17 +109,17 @@ class MovableLayout:
                  "yaw": round(float(yaw) / DEGREE % 360, 2)}
                 for name, place, yaw in stations
             ],
-            "places": np.round(self._offered_places / MILLIMETRE, 1).tolist(),
+            "places": np.round(self._offered_positions / MILLIMETRE, 1).tolist(),
         }  # fmt: skip
 
     @cached_property
-    def _offered_places(self) -> Floats:
-        """Places (P, 3) [m] for an additional station with enough visible targets, at most `MAX_OFFERED_PLACES`."""
+    def _offered_positions(self) -> Floats:
+        """Positions (P, 3) [m] for another station with enough visible targets, at most `MAX_OFFERED_POSITIONS`."""
         search = self.plan_file.search
         places = self.search_space.grid_places(
             grid_step(self.search_space.allowed_areas, search.grid_mm), search.heights
         )
-        places = places[:: max(1, -(-len(places) // MAX_OFFERED_PLACES))]
+        places = places[:: max(1, -(-len(places) // MAX_OFFERED_POSITIONS))]
         return (
             places[self.search_space.is_visible(places).sum(axis=1) >= MIN_VISIBLE_TARGETS] if len(places) else places
         )
@@ -198,7 +198,7 @@ class MovableLayout:
         return evaluation | {"points": points, "rms_um": information.target_rms / MICROMETRE}
 
     def verdict_json(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
-        """Verdict on rules and tolerances, also after a loss of stations or sights; None without tolerances."""
+        """Verdict on rules and tolerances, also after the loss of a station or a sight; None without tolerances."""
         survey = self.survey(stations)
         if not self.tolerances or _station_coincides_with_target(survey):
             return None
@@ -218,7 +218,7 @@ class MovableLayout:
         return scene_page(workshop_from_scenario(self.scenario_with_stations(stations)), camera)
 
     def save(self, stations: Sequence[Mapping[str, Any]], folder: Path) -> list[Path]:
-        """Paths of the written files: scenario.toml, and a plan.toml whose stations are fixed at their places."""
+        """Paths of the written files: scenario.toml, and a plan.toml whose stations are fixed at their positions."""
         scenario = self.scenario_with_stations(stations)
         plan = self.plan_file.model_dump(mode="json", exclude_defaults=True)
         for key in ("workshop", "instrument", "smr", "work"):

@@ -1,6 +1,6 @@
 """Local HTTP server of the interactive planner: loopback only, protected by a token in the URL.
 
-Other web pages in the same browser can reach this machine too, but do not know the token. A request is refused if its
+Other web pages in the same browser can reach this machine too, but do not know the token. A request is rejected if its
 Host is another name of this machine (DNS rebinding) or its Origin is another page.
 
 Each connection has a thread, since browsers keep connections open; the work is done by the serving thread, since the 3D
@@ -47,12 +47,12 @@ RESPONSE_HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-"""HTTP headers of every answer: no caching, no referrer, no display in frames of other pages."""
+"""HTTP headers of every response: no caching, no referrer, no display in frames of other pages."""
 FiniteTriple = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 
 
-class StationPlace(BaseModel):
-    """Station with the place that the user gave it on the page: coordinates [mm] and yaw [deg]."""
+class StationPosition(BaseModel):
+    """Station at the position that the user chose on the page: coordinates [mm] and yaw [deg]."""
 
     model_config = ConfigDict(strict=True)
 
@@ -66,7 +66,7 @@ class LayoutRequest(BaseModel):
 
     model_config = ConfigDict(strict=True)
 
-    stations: list[StationPlace] = Field(max_length=1000)
+    stations: list[StationPosition] = Field(max_length=1000)
     camera: Annotated[list[FiniteTriple], Field(min_length=3, max_length=3)] | None = None
 
 
@@ -84,7 +84,7 @@ MISSING_PAGE_RESPONSE = HttpResponse(HTTPStatus.NOT_FOUND)
 
 
 class PlannerRequests:
-    """Requests that the page may send, and their answers; every path begins with the token."""
+    """Requests that the page may send, and their responses; every path begins with the secret token."""
 
     def __init__(self, layout: MovableLayout, folder: Path) -> None:
         self.layout, self.folder = layout, folder
@@ -109,7 +109,7 @@ class PlannerRequests:
         return secrets.compare_digest(path.removeprefix("/").partition("/")[0].encode(), self.token.encode())
 
     def respond(self, method: str, path: str, request_body: bytes) -> HttpResponse:
-        """Answer to a request; status 404 without the token."""
+        """Response to a request; its status is 404 if the path does not begin with the token."""
         name = path.removeprefix("/").partition("/")[2]
         if not self.has_token(path) or (name and name not in self._handlers):
             return MISSING_PAGE_RESPONSE
@@ -131,7 +131,7 @@ class PlannerRequests:
 
 
 class _RequestHandler(BaseHTTPRequestHandler):
-    """Handler of one connection: it checks a request, passes it to the serving thread, and sends the answer."""
+    """Handler of one connection: it checks a request, passes it to the serving thread, and sends the response."""
 
     work_queue: SimpleQueue[tuple[Future[HttpResponse], str, str, bytes]]
     requests: PlannerRequests
@@ -178,7 +178,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
         return None if self.requests.has_token(self.path) else MISSING_PAGE_RESPONSE
 
     def _read_body(self) -> bytes | HttpResponse:
-        """Body of a request, or the answer to an invalid length or a timeout."""
+        """Body of a request, or the response to an invalid length or a timeout."""
         lengths = self.headers.get_all("Content-Length", [])
         if "Transfer-Encoding" in self.headers or len(lengths) != 1:
             return HttpResponse(HTTPStatus.LENGTH_REQUIRED)

@@ -55,9 +55,9 @@ PUBLISHED_CRITERIA = MappingProxyType(
 
 @dataclass(frozen=True)
 class SweepPoint:
-    """Mean of a statistic at one level, with its 95 % interval and the central 90 % of the trials.
+    """Mean of a result column in one cell, with its 95 % interval and the central 90 % of the trials.
 
-    `level` is the position on the x axis, a number or a text; `line_label` and `panel_label` are labels.
+    `level` is the factor level on the x axis, a number or a text; `line_label` and `panel_label` name line and panel.
     """
 
     level: float | str
@@ -93,18 +93,18 @@ def factor_level_text(factor: Factor, level: Any) -> str:
 def sweep_points(
     results: CampaignResults, statistic: str, along: str | Sequence[str], *, panel: str = "", **levels: Any
 ) -> list[SweepPoint]:
-    """Points of a statistic of a campaign for `factor_panels_figure` or `setting_rows_figure`: one per cell and method.
+    """Points for `factor_panels_figure` or `cell_rows_figure`: means of a result column, one per cell and method.
 
     Parameters
     ----------
     results : Results
     statistic : str
-        A column of the rows, or a share. Calibrated errors have a further line, the noise floor: the error that remains
-        with the true parameters.
+        Name of a result column of the campaign. Columns of calibrated errors have a further line, the noise floor: the
+        error that remains with the true parameters.
     along : str or sequence of str
-        A factor whose levels are the places; several factors give texts.
+        Factor whose levels are the positions on the x axis; with several factors the positions are texts.
     panel : str
-        A factor with one panel per level.
+        Factor with one panel per level.
     **levels
         Restriction to cells with these levels, such as ``faces=1``, or to one ``method``.
     """
@@ -136,7 +136,7 @@ def sweep_points(
 
 
 def sweep_figure(results: CampaignResults, statistic: str, along: str, *, panel: str = "", **levels: Any) -> Figure:
-    """Figure of the means of a statistic along a factor, one line per method, as of `Results.plot`."""
+    """Figure of the means of a result column along a factor, with one line per method, as from `Results.plot`."""
     if not along:
         names = " or ".join(f.name for f in results.factors) or "none, because no setting varies"
         raise ModelError(f"along is empty; give a factor of the campaign: {names}")
@@ -160,7 +160,7 @@ def factor_panels_figure(
     published_value: float | None = None,
     joins_points: bool = True,
 ) -> Figure:
-    """Panels with common axes: means with 95 % intervals; the central 90 % of the trials shaded.
+    """Panels with common axes: means with 95 % intervals, and the central 90 % of the trials as shaded bands.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def factor_panels_figure(
 
 
 def _axis_positions(line_points: Sequence[SweepPoint], level_texts: Sequence[str], offset_fraction: float) -> Floats:
-    """Positions (n,) of points on the x axis; with levels that are texts, line by line shifted by `offset_fraction`."""
+    """Positions (n,) of points on the x axis; if the levels are texts, each line is shifted by `offset_fraction`."""
     place = [level_texts.index(row.level) if isinstance(row.level, str) else row.level for row in line_points]
     return np.array(place, dtype=np.float64) + (0.3 * (offset_fraction - 0.5) if level_texts else 0.0)
 
@@ -260,24 +260,24 @@ def _set_axis_ticks(ax: Axes, values: Sequence[float | str], tick_labels: Sequen
     ax.set_xticks(ticks, [f"{tick:.4g}" for tick in ticks])
 
 
-MAX_SETTING_ROWS = 40
-"""Largest number of settings in a figure with one row per setting; the first ones are drawn."""
+MAX_DRAWN_CELLS = 40
+"""Largest number of cells in a figure with one row per cell; only the first cells are drawn."""
 
 
 @style.with_figure_style
-def setting_rows_figure(points: Sequence[SweepPoint], *, label: str, published_value: float | None = None) -> Figure:
-    """Figure with a row per setting: means with 95 % intervals, thin lines for the central 90 % of the trials.
+def cell_rows_figure(points: Sequence[SweepPoint], *, label: str, published_value: float | None = None) -> Figure:
+    """Figure with one row per cell: means with 95 % intervals, and thin lines for the central 90 % of the trials.
 
     Parameters
     ----------
     points : sequence of SweepPoint
-        `level` is the setting, `line` the method.
+        `level` is the description of the cell, `line_label` the method.
     label : str
         The statistic with its unit.
     published_value : float, optional
         A published value to compare with.
     """
-    settings = list(dict.fromkeys(str(row.level) for row in points))[:MAX_SETTING_ROWS]
+    settings = list(dict.fromkeys(str(row.level) for row in points))[:MAX_DRAWN_CELLS]
     methods = list(dict.fromkeys(row.line_label for row in points))
     figure, ax = style.new_panel(0.75 + len(settings) * (0.14 + 0.14 * len(methods)))
     places = dict(zip(settings, style.set_category_rows(ax, settings), strict=True))
@@ -359,7 +359,7 @@ def _draw_distribution(ax: Axes, sample: TrialDistribution) -> None:
 
 
 ALLOWED_COVERAGE = (0.935, 0.965)
-"""Lowest and highest allowed coverage of 95 % intervals, by convention; a parameter outside is drawn red."""
+"""Lowest and highest allowed coverage of 95 % intervals, by convention; a parameter outside this band is drawn red."""
 
 
 def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
@@ -369,13 +369,13 @@ def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
 
 
 def outside_coverage_flags(summaries: Sequence[ZScoreSummary]) -> list[bool]:
-    """True for each parameter whose interval of coverage lies completely outside the allowed band."""
+    """Flags of the parameters: True if the 95 % interval of the observed coverage lies outside the allowed band."""
     return [high < ALLOWED_COVERAGE[0] or low > ALLOWED_COVERAGE[1] for low, high in map(coverage_interval, summaries)]
 
 
 @style.with_figure_style
 def coverage_figure(summaries: Sequence[ZScoreSummary]) -> Figure:
-    """Coverage of the 95 % intervals of each parameter with an interval of the coverage, and the allowed band."""
+    """Observed coverage of the 95 % intervals of each parameter, with its own 95 % interval and the allowed band."""
     figure, ax = style.new_panel(0.9 + 0.2 * max(len(summaries), 3))
     places = style.set_category_rows(ax, [row.parameter for row in summaries])
     coverage = np.array([row.coverage_95 for row in summaries])

@@ -1,4 +1,4 @@
-"""Figures of statistics over the factors of a campaign: which factors vary, and which are axis, lines or panels."""
+"""Figures of results over the factors of a campaign; selection of the factors for the x axis, lines and panels."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from ltsim.reports.figures.campaign import (
     MAX_FIGURE_PANELS,
     MAX_PANEL_LINES,
     SweepPoint,
+    cell_rows_figure,
     factor_axis_title,
     factor_level_text,
     factor_panels_figure,
-    setting_rows_figure,
 )
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def varying_factors(results: CampaignResults) -> list[Factor]:
-    """Factors that vary, without the factors whose levels are one to one with those of an earlier factor."""
+    """Factors with several levels, without those whose levels correspond one to one to those of an earlier factor."""
     independent: list[Factor] = []
     for factor in results.factors:
         values = levels_of_cells(results, factor)
@@ -37,10 +37,10 @@ def varying_factors(results: CampaignResults) -> list[Factor]:
 
 
 def cell_descriptions(results: CampaignResults) -> dict[int, str]:
-    """Short description of each combination of settings (cell), by the number of the cell."""
+    """Short description of each cell (combination of factor levels), by the number of the cell."""
     factors = varying_factors(results)
     texts = [", ".join(factor_level_text(f, level[f.name]) for f in factors) for level in results.levels]
-    default_text = "as the scenario" if len(texts) == 1 else ""
+    default_text = "as in the scenario" if len(texts) == 1 else ""
     return {
         entry.cell: text or default_text or entry.label
         for entry, text in zip(results.manifest.cells, texts, strict=True)
@@ -48,7 +48,7 @@ def cell_descriptions(results: CampaignResults) -> dict[int, str]:
 
 
 def levels_of_cells(results: CampaignResults, factor: Factor) -> list[Any]:
-    """Level of a factor in each cell (combination of settings) of a campaign."""
+    """Level of a factor in each cell (combination of factor levels) of a campaign."""
     return [level[factor.name] for level in results.levels]
 
 
@@ -61,12 +61,13 @@ def _is_bijection(first_column: Sequence[Any], second_column: Sequence[Any]) -> 
 def statistic_figures(
     results: CampaignResults, summaries: Sequence[StatisticSummary], label: str, published_value: float | None
 ) -> Iterator[tuple[str, Callable[[], Figure]]]:
-    """Captions of the figures of a statistic, each with the function that draws the figure.
+    """Captions of the figures of a result column, each with the function that draws the figure.
 
-    A figure has lines over a factor if the settings form a grid, dots over each factor if they form a design, and
-    otherwise one row per setting.
+    A figure has lines over a factor if the cells form a grid, dots over each factor if they form a design, and
+    otherwise one row per cell.
     """
-    factors, trials_sentence = varying_factors(results), f"{results.manifest.trials} trials per setting."
+    factors = varying_factors(results)
+    trials_sentence = f"{results.manifest.trials} trials for each combination of factor levels."
     figure_options: dict[str, Any] = {"label": label, "published_value": published_value}
     n_cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
     is_grid = n_cells == len(results.levels) == math.prod(len(set(levels_of_cells(results, f))) for f in factors)
@@ -74,7 +75,8 @@ def statistic_figures(
         points = [(f, _axis_position(f, results.levels[s.cell]), s) for f in factors for s in summaries]
         rows = [_sweep_point(s, place, s.method, factor_axis_title(factor)) for factor, place, s in points]
         figure = partial(factor_panels_figure, rows, x_title="", joins_points=False, **figure_options)
-        yield f"Each mark is one setting, against each factor. {trials_sentence}", figure
+        markers_sentence = "Each marker is the mean of one combination of factor levels; each panel shows one factor."
+        yield f"{markers_sentence} {trials_sentence}", figure
     elif factors and is_grid and n_cells > 2:
         axis, rows = _factor_lines(results, factors, summaries)
         names = list(dict.fromkeys(row.panel_label for row in rows))
@@ -95,12 +97,12 @@ def statistic_figures(
                 ),
             )
     else:
-        setting_texts = cell_descriptions(results)
+        cell_texts = cell_descriptions(results)
         yield (
             trials_sentence,
             partial(
-                setting_rows_figure,
-                [_sweep_point(s, setting_texts[s.cell], s.method, "") for s in summaries],
+                cell_rows_figure,
+                [_sweep_point(s, cell_texts[s.cell], s.method, "") for s in summaries],
                 **figure_options,
             ),
         )

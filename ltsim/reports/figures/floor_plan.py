@@ -19,13 +19,14 @@ from ltsim.reports.workshop_scene import WorkshopScene
 from ltsim.scene.floor import Floor, FloorArea, distance_to_outline
 
 LABEL_DIRECTIONS = np.radians([0, 180, 90, 270])
-"""Directions [rad] from a marker in which its label is tried, relative to the preferred direction of the label."""
+"""Directions [rad] from a marker in which its label is placed if there is space, relative to the preferred
+direction."""
 LABEL_DISTANCE_PT = 6.0
 """Distance [pt] from a marker to its label."""
 LETTER_SIZE_RATIOS = (0.62, 1.25)
 """Width and height of a letter, as fractions of the font size."""
 MIN_SIDE_RATIO_OF_VERTICAL_LABEL = 2.0
-"""Height of an area, relative to its width, from which its label is vertical: a lane is narrower than its name."""
+"""Ratio of height to width of an area from which its label is vertical, because the label is wider than the area."""
 LABEL_BACKGROUND = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
 """Matplotlib settings of the box behind a label."""
 
@@ -48,7 +49,7 @@ class MapLabel:
 
 
 def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: Floats) -> None:
-    """Write labels where they cover neither the markers (n, 2) nor earlier labels; a label without space is omitted.
+    """Write labels that cover neither the markers (n, 2) nor earlier labels; a label without space is omitted.
 
     The limits of the axes must be set before.
     """
@@ -87,12 +88,12 @@ HEIGHT_CLASSES = ((0.9, "v", style.ORANGE, "low"), (3.2, "s", style.SKY, "middle
 """Classes of targets by height: upper limit [m] above the floor, marker, colour, name."""
 MAX_LABELLED_TARGETS = 60
 """Number of targets above which a floor plan does not show the names of the targets."""
-MAX_VECTOR_MARKS = 150
-"""Number of targets above which their marks are rasterised."""
+MAX_VECTOR_MARKERS = 150
+"""Number of targets above which their markers are rasterised."""
 MAX_LISTED_STATIONS = 16
 """Largest number of stations whose coordinates are listed below a floor plan."""
 MAX_NAMES_PER_LABEL = 4
-"""Number of targets above each other from which their label names only the first target."""
+"""Number of targets above each other from which their common label contains only the name of the first target."""
 MAX_LABEL_SHARING_DISTANCE = 0.05
 """Largest distance between targets that share a label, as a fraction of the size of the floor."""
 FLOOR_PLAN_WIDTH = 4.3
@@ -112,21 +113,21 @@ def floor_plan(
     reference: Floats | None = None,
     lists_coordinates: bool = False,
     floor: Floor | None = None,
-    draw_marks: Callable[[Axes], list[MapLabel]] = lambda ax: [],
+    draw_markers: Callable[[Axes], list[MapLabel]] = lambda ax: [],
 ) -> Figure:
-    """Floor plan in metres; circles are the shadow cones at the floor, the tick of a station points to azimuth zero.
+    """Floor plan in metres. Circles are shadow cones on the floor; the tick of a station points to azimuth zero.
 
     Parameters
     ----------
     workshop : WorkshopScene
     reference : (k, 3) float, optional, [m]
-        Stations of another layout, to compare with.
+        Positions of the stations of another layout, drawn for comparison.
     lists_coordinates : bool
-        True to list the places of the tripods below the figure.
+        True to list the positions of the tripods below the figure.
     floor : Floor, optional
         Areas for tripods, areas to keep free, and doors of a plan.
-    draw_marks : function, optional
-        Function that draws further marks, with labels for the legend, and returns their names.
+    draw_markers : function, optional
+        Function that draws further markers, with entries for the legend, and returns the labels of the markers.
     """
     low, high = _axis_limits(workshop)
     aspect_ratio = (high[1] - low[1]) / (high[0] - low[0])
@@ -160,7 +161,7 @@ def floor_plan(
     ax.set_ylabel("y [m]")
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])
-    mark_labels = draw_marks(ax)
+    mark_labels = draw_markers(ax)
     map_labels = [*mark_labels, *_station_labels(workshop), *area_labels]
     if len(workshop.targets) <= MAX_LABELLED_TARGETS:
         map_labels += _target_labels(workshop)
@@ -319,7 +320,7 @@ def _draw_targets(ax: Axes, workshop: WorkshopScene) -> None:
                 edgecolors="white",
                 linewidths=0.5,
                 label=legend_label,
-                rasterized=len(workshop.targets) > MAX_VECTOR_MARKS,
+                rasterized=len(workshop.targets) > MAX_VECTOR_MARKERS,
             )
         lower_limit = upper_limit
 
@@ -374,7 +375,7 @@ def _station_labels(workshop: WorkshopScene) -> list[MapLabel]:
 
 
 def _listed_stations_legend(workshop: WorkshopScene, n_other_entries: int) -> tuple[list[Line2D], list[str]]:
-    """Empty legend handles, and texts with the places of the stations, for the second column of a legend.
+    """Empty legend handles, and texts with the positions of the stations, for the second column of a legend.
 
     The first column has `n_other_entries` entries; the shorter column is filled with empty texts.
     """

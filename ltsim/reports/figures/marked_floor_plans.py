@@ -1,4 +1,4 @@
-"""Floor plans with marks: places of findings, and changes of reflectors."""
+"""Floor plans with markers: stations and targets of findings, and changes of reflectors."""
 
 from collections.abc import Mapping, Sequence
 from math import hypot
@@ -17,8 +17,8 @@ from ltsim.scene.floor import Floor
 
 MIN_DRAWN_HALF_WIDTH = 0.015
 """Smallest half-width with which a marked area of the hall is drawn, as a fraction of the size of the hall."""
-MAX_MARK_SHARING_DISTANCE = 0.04
-"""Distance below which two changes of reflectors share a mark, as a fraction of the size of the hall."""
+MAX_MARKER_SHARING_DISTANCE = 0.04
+"""Distance below which two changes of reflectors share a marker, as a fraction of the size of the hall."""
 
 
 @style.with_figure_style
@@ -30,8 +30,8 @@ def marked_floor_plan(
 ) -> Figure:
     """Floor plan with red rings around marked stations and targets, and an arrow between the targets of each pair.
 
-    `area` is a shaded part of the hall: centre and half-width [m] for the axes `x` and `y`. With one axis it is a strip
-    across the hall.
+    `area` is a shaded part of the hall: centre and half-width [m] for the axes `x` and `y`. If only one axis is given,
+    the part is a strip across the hall.
     """
     figure = floor_plan(workshop)
     ax = figure.axes[0]
@@ -74,7 +74,7 @@ def reflector_changes_figure(
     """Floor plan with numbered changes of reflectors: moves as arrows, reflectors that can be omitted as crosses."""
     position_by_target = dict(zip(workshop.targets, workshop.target_points[:, :2].tolist(), strict=True))
 
-    def draw_marks(ax: Axes) -> list[MapLabel]:
+    def draw_markers(ax: Axes) -> list[MapLabel]:
         labels = []
         kinds = (True, "D", style.PURPLE, "new place, by number"), (False, "x", style.RED, "can go, by number")
         for has_new_place, marker, colour, word in kinds:
@@ -92,7 +92,7 @@ def reflector_changes_figure(
                     (
                         p
                         for p in numbers_by_position
-                        if hypot(p[0] - x, p[1] - y) < MAX_MARK_SHARING_DISTANCE * workshop.largest_extent
+                        if hypot(p[0] - x, p[1] - y) < MAX_MARKER_SHARING_DISTANCE * workshop.largest_extent
                     ),
                     (x, y),
                 )
@@ -111,4 +111,4 @@ def reflector_changes_figure(
             ]
         return labels
 
-    return floor_plan(workshop, floor=floor, draw_marks=draw_marks)
+    return floor_plan(workshop, floor=floor, draw_markers=draw_markers)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def parameter_labels(parameters: Sequence[ParameterEntry]) -> list[str]:
-    """Names of parameters, with their instrument if there are several."""
+    """Names of parameters, each with its instrument if there are several instruments."""
     return [f"{row.name} ({row.instrument})" if row.instrument else row.name for row in parameters]
 
 
@@ -75,7 +75,7 @@ def parameter_figure(parameters: Sequence[ParameterEntry], true_values: Sequence
 def sigma_figure(parameters: Sequence[PlannedParameterEntry], reference_sigmas: Mapping[str, float]) -> Figure:
     """Predicted sigma of each parameter divided by its prior sigma, on a logarithmic axis; sigmas at the right.
 
-    `reference_sigmas` has the sigmas that another layout would give, by parameter.
+    `reference_sigmas` are the predicted sigmas of another layout, by parameter.
     """
     figure, ax = style.new_panel(0.55 + 0.21 * max(len(parameters), 3))
     places = style.set_category_rows(ax, [row.name for row in parameters])
@@ -114,7 +114,7 @@ MAX_CORRELATED_PARAMETERS = 24
 def correlation_figure(parameters: Sequence[ParameterEntry], covariance: Floats) -> Figure:
     """Correlations of p parameters with a covariance matrix (p, p), as colours; above 0.3 also as numbers [%].
 
-    Of more than 24 parameters the 24 with the largest correlations are shown, with a note.
+    If there are more than 24 parameters, the 24 with the largest correlations are shown, with a note.
     """
     names, sigma = parameter_labels(parameters), np.sqrt(np.maximum(np.diag(covariance), 0.0))
     scale = np.where(sigma > 0, sigma, 1.0)
@@ -274,7 +274,7 @@ def values_figure(
 def lines_figure(
     positions: Sequence[float], lines: Mapping[str, Sequence[ValueWithInterval]], x_title: str, y_title: str
 ) -> Figure:
-    """Lines through values with intervals over n `positions`, with titles of the x and y axes."""
+    """Lines through values with intervals at n `positions` on the x axis."""
     figure, ax = style.new_panel(2.7)
     for name, rows, colour, marker in zip(lines, lines.values(), style.COLOUR_CYCLE, style.MARKERS, strict=False):
         value, low, high = np.array(rows).T
@@ -290,7 +290,7 @@ def lines_figure(
 MAX_NAMED_LAYOUTS = 14
 """Largest number of layouts with a label in a figure; the first ones are labelled."""
 LAYOUT_COLOURS = {"tried": style.GREY, "best": style.BLUE, "chosen": style.RED, "reference": style.GREEN}
-"""Colour of a layout in the figure of time and quality, by its role."""
+"""Colour of a layout in the figure of quality over duration, by its role."""
 LAYOUT_MARKERS = {"tried": ".", "best": "o", "chosen": "*", "reference": "D"}
 """Marker of a layout, by its role."""
 LAYOUT_MARKER_SIZES = {"tried": 34, "best": 30, "chosen": 150, "reference": 46}
@@ -301,7 +301,7 @@ LAYOUT_LABELS = {"tried": "tried", "best": "best in its time", "chosen": "the pl
 
 @style.with_figure_style
 def trade_off_figure(plan: Plan, quality_name: str) -> Figure:
-    """Quality of each layout of a plan over its time, by one measure; a line joins the best layouts for their time."""
+    """Quality of each layout over its duration, by one measure; a line joins layouts that no faster one surpasses."""
     label, factor = QUALITY_MEASURES.get(quality_name, (quality_name, 1.0))
     points_by_role: dict[str, list[tuple[float, float, str]]] = {"tried": [], "best": [], "reference": [], "chosen": []}
     for option in plan.tradeoff:

@@ -53,7 +53,7 @@ def displacement_figure(comparison: Comparison) -> Figure:
     return figure
 
 
-JUDGEMENT_MARKS = (
+JUDGEMENT_MARKERS = (
     ("accepted", "o", 2.6, style.BLUE, style.BLUE),
     ("undecided", "o", 3.6, style.INK_COLOUR, "none"),
     ("rejected", "x", 5.0, style.RED, style.RED),
@@ -94,7 +94,7 @@ def error_to_limit_figure(content: AcceptanceFile) -> Figure:
             lw=0.6,
             alpha=0.6,
         )
-        for judgement, marker, size, edge_colour, face_colour in JUDGEMENT_MARKS:
+        for judgement, marker, size, edge_colour, face_colour in JUDGEMENT_MARKERS:
             has_judgement = judgements == judgement
             edge_width = 1.4 if marker == "x" else 0.7
             ax.plot(
@@ -113,12 +113,16 @@ def error_to_limit_figure(content: AcceptanceFile) -> Figure:
     return figure
 
 
-OBSERVABLE_MARKS = (("range", style.BLUE, "o"), ("across the beam", style.ORANGE, "s"), ("elevation", style.GREEN, "^"))
+OBSERVABLE_MARKERS = (
+    ("range", style.BLUE, "o"),
+    ("across the beam", style.ORANGE, "s"),
+    ("elevation", style.GREEN, "^"),
+)
 """Name, colour and marker of each component of a two-face difference."""
 MAX_NAMED_TARGETS = 40
-"""Number of targets above which their names are not on the axis."""
+"""Number of targets above which their names are not written on the axis."""
 MAX_LEGEND_STATIONS = 8
-"""Largest number of stations in a legend; the first ones are listed."""
+"""Largest number of stations in a legend; only the first stations are listed."""
 MAX_LEGEND_NAME_LENGTH = 20
 """Largest length of the name of a station in a legend [characters]."""
 AXES_FRACTION_BELOW_LEGEND = 0.86
@@ -127,7 +131,7 @@ AXES_FRACTION_BELOW_LEGEND = 0.86
 
 @style.with_figure_style
 def check_figure(check: Check) -> Figure:
-    """Two panels on a field check: half two-face differences divided by their limits, and misfit over time."""
+    """Two panels on a field check: half two-face differences divided by their limits, and rms residuals over time."""
     figure = style.new_figure(5.2)
     above, below = figure.subplots(2, 1)
     _draw_two_face_differences(above, check)
@@ -150,7 +154,7 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
             / setup.two_face_differences.max_half_differences
         )
         places = n_drawn + np.arange(len(ratios))
-        for column, (component, colour, marker) in enumerate(OBSERVABLE_MARKS):
+        for column, (component, colour, marker) in enumerate(OBSERVABLE_MARKERS):
             label = component if n_drawn == 0 else None
             ax.plot(places, ratios[:, column], marker, ms=3.2, color=colour, label=label, alpha=0.85)
         rows = setup.rows[setup.two_face_differences.uncorrected_pairs.rows[:, 0]] - 1

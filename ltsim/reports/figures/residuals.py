@@ -15,7 +15,7 @@ from ltsim.reports import style
 from ltsim.reports.residuals import COVARIATE_UNITS, DEFAULT_COVARIATES, OBSERVABLE_UNITS, Residuals
 
 MAX_STATION_PANELS = 30
-"""Largest number of stations in the figure of residuals by station; the first ones are drawn."""
+"""Largest number of stations in the figure of residuals by station; only the first stations are drawn."""
 MAX_VECTOR_DOTS = 40
 """Largest number of dots that a series of a figure draws as vectors; more dots are rasterised."""
 BAND_HALF_WIDTH_SIGMAS = 1.96
@@ -88,8 +88,8 @@ def finding_comparison_figure(
 ) -> Figure:
     """Residuals over a covariate, from the model without a finding (left) and with the finding (right).
 
-    A row of panels shows one observable of the finding; `scope` has its stations, targets and observables. Dots at
-    other stations and targets are pale.
+    Each row of panels shows one observable. `scope` contains the stations, targets and observables of the finding.
+    Residuals at other stations and targets are pale dots.
     """
     observables = [
         n
@@ -113,7 +113,13 @@ def finding_comparison_figure(
                     ax, residuals, rows & ~is_at_finding, covariate, color=style.GREY, label="elsewhere", ms=2.0
                 )
             _draw_residuals(
-                ax, residuals, is_at_finding, covariate, color=style.COLOUR_AFTER, label="place of the finding", ms=4.0
+                ax,
+                residuals,
+                is_at_finding,
+                covariate,
+                color=style.COLOUR_AFTER,
+                label="readings of the finding",
+                ms=4.0,
             )
             _draw_running_mean(
                 ax,
@@ -133,7 +139,7 @@ def finding_comparison_figure(
 
 @style.with_figure_style
 def response_curve_figure(curve: ResponseCurve, response: str, residuals: Residuals | None = None) -> Figure:
-    """Estimated curve of an observable or a constant of the instrument over its covariate, with the 95 % band.
+    """Estimated curve of an observable or an instrument constant over its covariate, with the 95 % band.
 
     For an observable, the residuals of the model without the finding are drawn as dots behind the curve,
     and the curve has the sign of a residual.
@@ -210,7 +216,7 @@ def injected_and_estimated_figure(
 ) -> Figure:
     """Injected changes of n readings as rings and estimated changes as dots, over a covariate (n,).
 
-    `axis` is the label of the covariate, `label` that of the changes.
+    `axis` is the axis label of the covariate, `label` the axis label of the changes.
     """
     figure, ax = style.new_panel(2.7)
     order = np.argsort(covariate, kind="stable")

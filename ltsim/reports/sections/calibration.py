@@ -179,12 +179,12 @@ def _summary_sentence(content: Calibration, agreement_text: str, targets: Path |
 
 
 def _corrected_faults(content: Calibration) -> list[CauseTest]:
-    """Causes other than outliers that the model of the result corrects."""
+    """Causes of a misfit, other than outliers, that the adjusted model of the result contains."""
     return [test for test in content.tests if test.is_fault and test.kind != "outlier"]
 
 
 def _corrections_sentence(content: Calibration) -> str:
-    """Sentence on the causes in the model of the result, with a leading blank; empty without one."""
+    """Sentence on the causes of a misfit in the adjusted model, with a leading blank; empty without such causes."""
     faults = [test for test in _corrected_faults(content) if test.kind != "noise-level"]
     excluded_names = {entry.name for entry in content.reference_values if entry.excluded}
     for test in faults:
@@ -205,7 +205,7 @@ def _has_explaining_noise(content: Calibration) -> bool:
 
 
 def _larger_noise_sentence(content: Calibration) -> str:
-    """Sentences on noise larger than declared as the only cause of the misfit, with a leading blank; empty without."""
+    """Sentences for a misfit whose only cause is noise larger than declared, with a leading blank; empty otherwise."""
     if not _has_explaining_noise(content):
         return ""
     return "".join(f" {test.sentence}" for test in content.tests if test.kind == "noise-level" and test.is_fault)
@@ -247,9 +247,9 @@ def _key_figures(content: Calibration, *, has_agreement: bool) -> list[KeyFigure
 
 
 def _warning_blocks(content: Calibration, *, has_converged: bool, agrees: bool) -> list[Block]:
-    """Blocks on what limits a calibration: convergence, verdict, uncertainty, outliers, estimated noise.
+    """Blocks on the limitations of a calibration: convergence, verdict, uncertainty, outliers, estimated noise.
 
-    `agrees` is the result of the global test; the benefit is shown only if it is True.
+    `agrees` is the result of the global test; the expected benefit of the calibration is shown only if it is True.
     """
     blocks: list[Block] = []
     if not has_converged:
@@ -315,10 +315,10 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
     true_in_display_units = [
         true_values[n] / SI_PER_UNIT[truth.units[n]] if truth and n in true_values else None for n in names
     ]
-    text = "Corrections (truth minus reading) with 95 % intervals, relative to the specified standard deviation."
-    note = "Corrections, truth minus reading, +- one sigma."
+    text = "Corrections (true value minus reading) with 95 % intervals, in units of the prior standard deviation."
+    note = "Corrections, true value minus reading, +- one sigma."
     if any(p.applied is not None for p in rows):
-        note += " Applied: estimates without the terms that are not applied, with the prior scaled to the readings."
+        note += " Applied: correction with the prior scaled to the readings, and 0 for parameters that are not applied."
     undetermined = [
         n for n, p in zip(names, rows, strict=True) if not p.held and p.information < MAX_UNINFORMATIVE_GAIN
     ]
@@ -354,7 +354,7 @@ def _station_blocks(content: Calibration) -> list[TableBlock]:
 def calibrated_workshop(
     content: Calibration, recording: Recording | None, targets: Path, residuals: Residuals | None
 ) -> WorkshopScene:
-    """Calibrated network for drawing, with residuals as colours of the lines of sight if they are given."""
+    """Calibrated network to draw; residuals, if given, determine the colours of the lines of sight."""
     from scipy.spatial.transform import Rotation
 
     from ltsim.reports.workshop_scene import WorkshopScene, workshop_with_surroundings

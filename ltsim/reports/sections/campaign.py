@@ -61,9 +61,9 @@ MAX_LISTED_LEVELS = 8
 MAX_OPEN_BLOCKS = 4
 """Largest number of blocks that are open on the page."""
 MAX_CELL_ROWS = 48
-"""Number of combinations of settings (cells) above which means are tabulated by level and not by cell."""
+"""Number of cells (combinations of factor levels) above which means are tabulated by level and not by cell."""
 IMPROVEMENT_COLUMN = "distance_improvement_percent"
-"""Column of the statistic that the summary of a campaign reports."""
+"""Column of the improvement that the summary of a campaign reports."""
 
 STATISTIC_TITLES = MappingProxyType(
     {
@@ -73,7 +73,7 @@ STATISTIC_TITLES = MappingProxyType(
         "target_error_um": ("error of the targets", " [µm]"),
     }
 )
-"""Title of a statistic and its unit on an axis, by its column."""
+"""Title of a result column, and its unit on an axis, by the name of the column."""
 
 
 def campaign_section(folder: Path) -> Section:
@@ -82,7 +82,7 @@ def campaign_section(folder: Path) -> Section:
     Raises
     ------
     SetupError
-        When the folder holds no finished shard, or a damaged one.
+        If the folder contains no finished shard (file of rows), or a damaged one.
     """
     results = CampaignResults(folder)
     manifest = results.manifest
@@ -100,9 +100,9 @@ def campaign_section(folder: Path) -> Section:
     open_blocks[:0] = comparison.blocks() if comparison else []
     blocks: list[Block] = [*open_blocks, *(b for b in distribution_blocks if b not in open_blocks)]
     blocks += [*coverage_blocks(results, z_scores), *_statistic_tables(results, summaries, comparisons)]
-    blocks.append(CodeBlock("Settings of the campaign", json.dumps(manifest.settings, indent=1)))
+    blocks.append(CodeBlock("Campaign file as JSON", json.dumps(manifest.settings, indent=1)))
     scenarios = [scenario.model_dump(mode="json") for scenario in manifest.scenarios]
-    blocks.append(CodeBlock("Scenarios of its cells", json.dumps(scenarios, indent=1)))
+    blocks.append(CodeBlock("Scenarios of the cells", json.dumps(scenarios, indent=1)))
     versions = [*manifest.versions.items(), *([("commit", manifest.commit[:12])] if manifest.commit else [])]
     return Section(
         title=f"Campaign: {manifest.title}" if manifest.title else "Campaign of simulated calibrations",
@@ -125,14 +125,14 @@ def campaign_section(folder: Path) -> Section:
 
 
 def _mean_text(summary: StatisticSummary, level: str = "95 %: ") -> str:
-    """Mean of a statistic with its 95 % interval as text."""
+    """Mean of a result over the trials with its 95 % interval, as text."""
     return f"{number_text(summary.mean)} ({level}{number_text(summary.low)} to {number_text(summary.high)})"
 
 
 def _summary_sentence(
     results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]], comparisons: Sequence[SolverComparison]
 ) -> str:
-    """Summary: number of trials, varied factors, improvement by calibration, settings with the extreme errors."""
+    """Summary: number of trials, varied factors, improvement by calibration, cells with the extreme errors."""
     manifest, factors = results.manifest, varying_factors(results)
     fewest, most = (
         min(comparison.trials for comparison in comparisons),
@@ -140,8 +140,8 @@ def _summary_sentence(
     )
     trials_text = f"Over {fewest} trials" if fewest == most else f"Over {fewest} to {most} trials"
     if len(manifest.cells) > 1:
-        trials_text += f" in each of {len(manifest.cells)} settings"
-        trials_text += f" of {_list_text([factor_title(f) for f in factors])}" if factors else ""
+        trials_text += f" for each of {len(manifest.cells)} combinations of factor levels"
+        trials_text += f" ({_list_text([factor_title(f) for f in factors])})" if factors else ""
     mean_texts = []
     for method in manifest.methods:
         means = [s for s in summaries.get(IMPROVEMENT_COLUMN, []) if s.method == method]
@@ -160,10 +160,10 @@ def _extreme_cells_sentence(results: CampaignResults, summaries: Mapping[str, li
     means = summaries.get("target_error_um", [])
     if len(results.manifest.cells) < 2 or not means:
         return ""
-    setting_texts, has_several_methods = cell_descriptions(results), len(results.manifest.methods) > 1
+    cell_texts, has_several_methods = cell_descriptions(results), len(results.manifest.methods) > 1
     least, most = min(means, key=lambda s: s.mean), max(means, key=lambda s: s.mean)
     lowest_text, highest_text = (
-        f"{number_text(s.mean)} um ({f'{s.method}, ' if has_several_methods else ''}{setting_texts[s.cell]})"
+        f"{number_text(s.mean)} um ({f'{s.method}, ' if has_several_methods else ''}{cell_texts[s.cell]})"
         for s in (least, most)
     )
     return f" The error of the targets is smallest with {lowest_text} and largest with {highest_text}."
@@ -184,7 +184,7 @@ def _key_figures(
     ]
     facts = [
         KeyFigure("trials", str(sum(comparison.trials for comparison in comparisons))),
-        KeyFigure("settings", str(len(manifest.cells))),
+        KeyFigure("combinations of factor levels", str(len(manifest.cells))),
         KeyFigure("methods", ", ".join(manifest.methods)),
         KeyFigure("failed", str(failed), assessment_of(not failed)),
     ]
@@ -212,7 +212,7 @@ def _varying_factors_tables(results: CampaignResults) -> list[Block]:
 def _means_by_level_tables(
     results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]
 ) -> list[TableBlock]:
-    """Means over the settings with the same level of a factor, if there are more than `MAX_CELL_ROWS` settings."""
+    """Means over the cells with the same level of a factor, if there are more than `MAX_CELL_ROWS` cells."""
     if len(results.levels) <= MAX_CELL_ROWS:
         return []
     means_by_level: dict[tuple[str, ...], list[float]] = {}
@@ -222,13 +222,15 @@ def _means_by_level_tables(
                 key = factor_axis_title(factor), factor.level_text(results.levels[s.cell][factor.name]), s.method, name
                 means_by_level.setdefault(key, []).append(s.mean)
     table_rows = [[*key, sum(m) / len(m), min(m), max(m)] for key, m in means_by_level.items()]
-    return table_blocks("Means over the settings of a level", MEANS_BY_LEVEL_TABLE.with_rows(table_rows))
+    return table_blocks(
+        "Means over all combinations with the same level of a factor", MEANS_BY_LEVEL_TABLE.with_rows(table_rows)
+    )
 
 
 def _improvement_figures(
     results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]], published_values: Mapping[str, float]
 ) -> list[Block]:
-    """Figures of the mean of each main statistic over the settings, with intervals and published values."""
+    """Figures of the mean of each main result over the factors, with intervals and published values."""
     blocks: list[Block] = []
     if len(results.levels) == 1:  # shown by the distributions
         return blocks
@@ -241,7 +243,9 @@ def _improvement_figures(
                 if published_value is not None and not s.quantiles[1] <= published_value <= s.quantiles[5]
             ]
             side, which = (
-                ("outside", f"{len(outside)} of {len(rows)} settings") if outside else ("inside", "every setting")
+                ("outside", f"{len(outside)} of {len(rows)} combinations of factor levels")
+                if outside
+                else ("inside", "every combination of factor levels")
             )
             comparison = (
                 f" The published value {number_text(published_value)} is dashed; it lies {side} the central 90 % of "
@@ -253,7 +257,7 @@ def _improvement_figures(
 
 
 def campaign_figure(results: CampaignResults) -> Figure:
-    """Figure of the first main statistic over the factors; distributions over the trials if no setting varies."""
+    """Figure of the first main result over the factors; distributions over the trials if no factor varies."""
     if len(results.levels) > 1:
         for column, (title, unit) in STATISTIC_TITLES.items():
             if column in results.columns:
@@ -262,7 +266,7 @@ def campaign_figure(results: CampaignResults) -> Figure:
 
 
 def _trial_distributions(results: CampaignResults, published_values: Mapping[str, float]) -> list[TrialDistribution]:
-    """Distributions over the trials of the first setting and method: of the criteria, otherwise of other errors."""
+    """Distributions over the trials of the first cell and method: of the criteria, otherwise of other errors."""
     cell = results.manifest.cells[0].cell
     error_columns = [c for c in results.columns if c.endswith(("_um", "_percent"))]
     columns_used = [c for c in error_columns if c.startswith(("distance", "coordinate"))] or error_columns
@@ -281,7 +285,7 @@ def _trial_distributions(results: CampaignResults, published_values: Mapping[str
 
 
 def _distribution_figures(results: CampaignResults, published_values: Mapping[str, float]) -> list[Block]:
-    """Histograms of the criteria of the first method, if there is one setting."""
+    """Histograms of the criteria of the first method, if there is only one cell."""
     distributions = [] if len(results.levels) > 1 else _trial_distributions(results, published_values)
     caption = "Dashed: published values, with the share of trials below them." if published_values else ""
     title = f"Distributions over trials: {results.manifest.methods[0]}"
@@ -308,7 +312,7 @@ def _error_tables(results: CampaignResults, summaries: Mapping[str, list[Statist
         ]
         point_kind = "new point" if share.startswith("new_point") else "point"
         note = f"Raw: {_column_meaning(ratio_columns(share)[0])}. Share removed: {_column_meaning(share)}. "
-        note += "Noise floor: error with the true parameters. In brackets: 95 % interval."
+        note += "Noise floor: error after correction with the true parameters. In brackets: 95 % interval."
         blocks += table_blocks(f"Error of a {point_kind}", ERRORS_TABLE.with_rows(rows), note=note)
     return blocks
 
@@ -322,7 +326,7 @@ def _column_meaning(column: str) -> str:
 def _statistic_tables(
     results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]], comparisons: Sequence[SolverComparison]
 ) -> list[Block]:
-    """Tables of all statistics, their definitions, and the convergence of the trials."""
+    """Tables of all results with their definitions, and table of the convergence of the trials."""
     cells = results.table("summary")
     extra_fields = {
         "cell",
@@ -331,14 +335,14 @@ def _statistic_tables(
         "largest",
         *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5")),
     }
-    shown_table = _settings_table(
+    shown_table = _table_with_written_levels(
         results, cells.with_columns(" ".join(name for name in cells.header if name not in extra_fields))
     )
     definitions = [f"{_column_label(c)} [{results.units.get(c, '')}]: {_column_meaning(c)}" for c in summaries]
     note = "Verified: trials repeated with the full solver; difference of the estimates."
     failed = frozenset(i for i, comparison in enumerate(comparisons) if comparison.failed)
     convergence_table = results.table("solver_comparisons")
-    convergence_table = _settings_table(
+    convergence_table = _table_with_written_levels(
         results, convergence_table.with_columns(" ".join(name for name in convergence_table.header if name != "cell"))
     )
     return [
@@ -348,8 +352,8 @@ def _statistic_tables(
     ]
 
 
-def _settings_table(results: CampaignResults, table: TableOf) -> TableOf:
-    """Table of settings with the numbers of the factors as in the campaign file: 0.5 and not 0.5000."""
+def _table_with_written_levels(results: CampaignResults, table: TableOf) -> TableOf:
+    """Table whose factor levels are written as in the campaign file: 0.5 and not 0.5000."""
     factor_names = {f.name for f in results.factors}
     columns = (
         replace(c, display_format=".6g") if c.name in factor_names and c.kind == "number" else c for c in table.columns

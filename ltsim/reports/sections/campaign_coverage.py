@@ -19,9 +19,9 @@ ERROR_SIZE_FACTOR_KEYS = ("noise_factor", "error_factor", "prior_factor")
 
 
 def coverage_key_figures(manifest: ManifestFile, z_scores: Sequence[ZScoreSummary]) -> list[KeyFigure]:
-    """Coverage of the intervals, one key figure for each combination of `ERROR_SIZE_FACTOR_KEYS` in the settings.
+    """Coverage of the 95 % intervals, with one key figure for each combination of values of `ERROR_SIZE_FACTOR_KEYS`.
 
-    The intervals are expected to hold only where all of these factors are 1.
+    The coverage is expected to be 95 % only where all of these factors are 1.
     """
     trackers = {entry.cell: s.instrument for entry, s in zip(manifest.cells, manifest.scenarios, strict=False)}
     scores_by_kind: dict[str, list[ZScoreSummary]] = {}
@@ -33,33 +33,31 @@ def coverage_key_figures(manifest: ManifestFile, z_scores: Sequence[ZScoreSummar
     for text, summaries in sorted(scores_by_kind.items(), key=lambda group: group[0]):
         shares, n_intervals = [s.coverage_95 for s in summaries], sum(s.trials for s in summaries)
         mean_share = sum(s.coverage_95 * s.trials for s in summaries) / n_intervals
-        range_text = f"; by parameter and setting {100 * min(shares):.1f} to {100 * max(shares):.1f} %"
+        range_text = f"; for single parameters and cells {100 * min(shares):.1f} to {100 * max(shares):.1f} %"
         value = f"{100 * mean_share:.1f} % of {n_intervals} intervals" + (range_text if len(summaries) > 1 else "")
-        facts.append(KeyFigure("coverage of 95 % intervals" + (f" with {text}, not declared" if text else ""), value))
+        facts.append(KeyFigure("coverage of 95 % intervals" + (f" with {text} (not declared)" if text else ""), value))
     return facts
 
 
 def coverage_blocks(results: CampaignResults, z_scores: Sequence[ZScoreSummary]) -> list[Block]:
-    """Figure of the coverage of intervals in the first setting of each method, and table of all z-scores."""
+    """Figure of the coverage of intervals in the first cell of each method, and table of all z-scores."""
     blocks: list[Block] = []
     for method in dict.fromkeys(s.method for s in z_scores):
         method_scores = [s for s in z_scores if s.method == method]
         rows = [s for s in method_scores if s.cell == method_scores[0].cell and s.trials > 1]
         if rows and len(blocks) < MAX_COVERAGE_FIGURES:
-            setting_text = f", {cell_descriptions(results)[method_scores[0].cell]}" if len(results.levels) > 1 else ""
+            cell_text = f", {cell_descriptions(results)[method_scores[0].cell]}" if len(results.levels) > 1 else ""
             blocks.append(
-                PictureBlock(
-                    f"Coverage: {method}{setting_text}", partial(coverage_figure, rows), coverage_sentence(rows)
-                )
+                PictureBlock(f"Coverage: {method}{cell_text}", partial(coverage_figure, rows), coverage_sentence(rows))
             )
-    text = "z: (estimate - truth) / declared sigma; correct sigmas give mean 0 and standard deviation 1."
+    text = "z: (estimate - true value) / declared sigma; correct sigmas give mean 0 and standard deviation 1."
     return (
         [*blocks, *table_blocks("z-scores of the parameters", results.table("z_scores"), note=text)] if z_scores else []
     )
 
 
 def coverage_sentence(z_scores: Sequence[ZScoreSummary]) -> str:
-    """Sentence on the parameters whose interval of coverage lies outside the allowed band."""
+    """Sentence on the parameters whose observed coverage, with its interval, lies outside the allowed band."""
     low, high = (f"{100 * bound:.1f}" for bound in ALLOWED_COVERAGE)
     outside = [row.parameter for row, out in zip(z_scores, outside_coverage_flags(z_scores), strict=True) if out]
     band = f"the allowed band of {low} to {high} %"

@@ -1,4 +1,4 @@
-"""Section of a diagnosis: verdict, findings, evidence, and a comparison with the truth of a simulation."""
+"""Section of a diagnosis: verdict, findings, evidence, and a comparison with the true values of a simulation."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_MARKED_TARGETS = 12
-"""Number of targets above which the place of a finding is not drawn on the floor plan."""
+"""Number of targets of a finding above which they are not marked on the floor plan."""
 MIN_REPORTED_TARGET_ERROR_UM = 0.1
 """Smallest error of targets [um] for which an undetectable effect is listed; smaller errors are negligible."""
 MIN_ADVISED_ALTERNATIVE_PROBABILITY = 0.05
@@ -66,11 +66,11 @@ MIN_ADVISED_ALTERNATIVE_PROBABILITY = 0.05
 MAX_INSPECTION_ACTIONS = 2
 """Largest number of next actions in addition to the use of the coordinates."""
 MIN_CURVE_POINTS = 3
-"""Smallest number of points of a finding that is drawn as a curve over its covariate."""
+"""Smallest number of points of an estimated curve that is drawn over its covariate."""
 
 
 def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
-    """Section of a diagnosis; with a `truth.json` in the folder it begins with a comparison of truth and findings.
+    """Section of a diagnosis; with a `truth.json` in the folder it compares true values and findings first.
 
     Residuals of the model without the findings are read from `residuals_before.csv`, of the model with the findings
     from `residuals.csv`.
@@ -125,9 +125,8 @@ def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
         injected = listing(
             [f"{effect_title(a.effect.name)} ({effect_place_text(a.effect)})" for a in truth.applied_effects]
         )
-        simulation_notice = (
-            f"This recording is simulated, with {injected} injected on purpose; the diagnosis does not read the truth."
-        )
+        simulation_notice = f"This recording is simulated, with {injected} injected. "
+        simulation_notice += "The diagnosis does not read the injected values."
     return Section(
         f"Diagnosis: {recording_title}" if recording_title else "Diagnosis of a tracker network", "Diagnosis", answer,
         assessment_of(content.verdict == "consistent"), _key_figures(content), blocks,
@@ -137,7 +136,7 @@ def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
 
 
 def _next_actions(content: Diagnosis) -> list[str]:
-    """Next actions: a measurement that separates alternative causes, places to inspect, coordinates to use."""
+    """Next actions: a measurement that separates alternative causes, parts to inspect, coordinates to use."""
     if not content.findings:
         return []
     separating_measurements = [
@@ -146,11 +145,11 @@ def _next_actions(content: Diagnosis) -> list[str]:
         if finding.separate_by and _has_probable_alternative(finding)
     ]
     inspections = [_inspection_action(finding) for finding in content.findings]
-    use_sentence = "Use the coordinates in targets.csv, which account for the findings"
+    use_sentence = "Use the coordinates in targets.csv, which account for the findings."
     moved_targets = [
         name for finding in content.findings if finding.effect == "target-moved" for name in finding.where.targets
     ]
-    use_sentence += f"; those of {listing(moved_targets)} are from before the motion." if moved_targets else "."
+    use_sentence += f" The coordinates of {listing(moved_targets)} are from before the motion." if moved_targets else ""
     return [
         *separating_measurements[:1],
         *dict.fromkeys(inspections[: MAX_INSPECTION_ACTIONS - len(separating_measurements[:1])]),
@@ -166,7 +165,7 @@ def _has_probable_alternative(finding: Finding) -> bool:
 
 
 def _inspection_action(finding: Finding) -> str:
-    """Sentence that says what to inspect or correct because of a finding, and where."""
+    """Sentence on the part of the set-up to inspect or to correct because of a finding."""
     scope = finding.where
     trackers = [f"instrument {name}" for name in scope.instruments]
     place = listing([*trackers, *scope.stations, *scope.targets])
@@ -189,7 +188,7 @@ def _inspection_action(finding: Finding) -> str:
 def _confirmation_text(finding: Finding) -> str:
     """Measurement that confirms the effect of a finding, after a semicolon.
 
-    Empty for a law outside the catalogue, and if no measurement is needed.
+    The text is empty for a law outside the catalogue, and if no measurement is needed.
     """
     if not finding.is_catalogued:
         return ""
@@ -293,7 +292,7 @@ def finding_figure(
 ) -> Callable[[], Figure] | None:
     """Function that draws a finding: the estimated curve over its covariate, or residuals without and with the finding.
 
-    None for blunders such as gross errors and exchanged names, which are removed from both residuals.
+    It is None for blunders such as gross errors and exchanged names, which neither set of residuals contains.
     """
     curve = finding.curve
     if curve is not None and len(curve.at) >= MIN_CURVE_POINTS:
@@ -326,7 +325,7 @@ def finding_figure(
 def _finding_place_blocks(finding: Finding, finding_number: int, adjustments: AdjustmentPair | None) -> list[Block]:
     """List with a floor plan that marks the stations, targets or area of a finding, or its two exchanged targets.
 
-    Empty for a finding without a place in the hall, or with more than `MAX_MARKED_TARGETS` targets.
+    The list is empty if the finding acts everywhere, or at more than `MAX_MARKED_TARGETS` targets.
     """
     from ltsim.reports.workshop_scene import workshop_from_adjustment
 
@@ -339,8 +338,8 @@ def _finding_place_blocks(finding: Finding, finding_number: int, adjustments: Ad
     is_name_exchange = _is_name_exchange(finding)
     marked_names, pairs = (*stations, *targets), [(targets[0], targets[1])] if is_name_exchange else []
     text = "The names of the marked targets were exchanged: each reading belongs to the other end of the arrow."
-    caption = text if is_name_exchange else "Seen from above; the place is marked."
-    caption += " The shaded area is the place in the hall, two standard deviations wide." if centre_parameters else ""
+    caption = text if is_name_exchange else "Seen from above; stations and targets of the finding are marked."
+    caption += " Shaded: region of the finding in the hall, +- two standard deviations." if centre_parameters else ""
     workshop = workshop_from_adjustment(adjustments[1])
     area = {axis: (p.value, 2.0 * p.sigma) for axis, p in centre_parameters.items()}
     figure = partial(figures.marked_floor_plans.marked_floor_plan, workshop, marked_names, pairs, area)
@@ -393,7 +392,7 @@ def _detectable_size_tables(content: Diagnosis) -> list[TableBlock]:
     """Table of the smallest detectable sizes of effects."""
     note = (
         "Size at which a diagnosis reports a mismatch in about 80 % of the recordings of this network, for the median "
-        "place. To name the effect, a larger size may be necessary."
+        "of the stations or targets where the effect can act. The identification of the effect may need a larger size."
     )
     return entries_table_blocks(
         "Smallest detectable size", content.detectable, "effect", "parameter", "size", "unit", note=note

@@ -1,4 +1,4 @@
-"""Comparison of the methods of a campaign on the same draws: sentence and table of paired differences."""
+"""Comparison of the methods of a campaign on the same random draws: sentence and table of paired differences."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ COMPARED_STATISTICS = {
     "target_error_um": "error of the targets",
     "error_calibrated_um": "error of a point",
 }
-"""Names of the statistics by which methods are compared, in the order of choice; smaller values are better."""
+"""Texts for the errors by which methods are compared, by column; the first column that a campaign has is used."""
 MAX_COMPARED_CELLS = 48
-"""Number of settings above which methods are not compared, since each setting takes two queries per method."""
+"""Number of cells above which methods are not compared, since each cell takes two queries per method."""
 
 
 @dataclass(frozen=True)
 class MethodComparison:
-    """Paired differences of each method minus the best method, which has the smallest mean error."""
+    """Paired differences of errors: each other method minus the best method, which has the smallest mean error."""
 
     statistic: str
     """Column of the error by which methods are compared."""
     best_method: str
-    """Method with the smallest mean over all settings."""
-    settings: tuple[str, ...]
-    """Descriptions of the settings."""
+    """Method with the smallest mean error over all cells (combinations of factor levels)."""
+    cell_texts: tuple[str, ...]
+    """Description of each cell."""
     differences: Mapping[str, Sequence[PairedDifference]]
-    """Differences in each setting, by the method that is compared with the best method."""
+    """Differences in each cell, by the method that is compared with the best method."""
 
     @classmethod
     def from_results(
         cls, results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]
     ) -> MethodComparison | None:
-        """Comparison of the methods of a campaign; None for one method or too many settings, or without an error."""
+        """Comparison of the methods of a campaign; None for one method, too many cells, or results without an error."""
         statistic = next((name for name in COMPARED_STATISTICS if summaries.get(name)), "")
         means: dict[str, list[float]] = {}
         for summary in summaries.get(statistic, []):
@@ -61,37 +61,40 @@ class MethodComparison:
 
     @property
     def label(self) -> str:
-        """Compared error in words."""
+        """Text for the compared error, such as `error of a new point`."""
         return COMPARED_STATISTICS[self.statistic]
 
     def sentence(self) -> str:
-        """Sentence on the settings with a significantly smaller or larger error than with each other method."""
+        """Sentence on the cells in which the best method has a significantly smaller or larger error than others."""
         clauses = [_difference_text(method, entries) for method, entries in self.differences.items()]
         return (
-            f"On the same draws, the {self.label} with {self.best_method} is {'; '.join(clauses)} "
+            f"With the same random draws, the {self.label} with {self.best_method} is {'; '.join(clauses)} "
             "(paired differences that are significant at 95 %)."
         )
 
     def blocks(self) -> list[TableBlock]:
         """List with the table of the differences and the definition of the compared error."""
         table_rows = [
-            [setting, f"{method} less {self.best_method}", entry.difference, entry.low, entry.high, _verdict(entry),
+            [cell_text, f"{method} minus {self.best_method}", entry.difference, entry.low, entry.high, _verdict(entry),
              entry.trials]
             for method, entries in self.differences.items()
-            for setting, entry in zip(self.settings, entries, strict=True)
+            for cell_text, entry in zip(self.cell_texts, entries, strict=True)
         ]  # fmt: skip
         declared = find_column(self.statistic)
         meaning = "" if declared is None else declared.meaning.replace("`", "")
         label = f"{self.label[0].upper()}{self.label[1:]}"
-        note = f"{label}: {meaning}. The errors of each trial with both methods are subtracted."
+        note = (
+            f"{label}: {meaning}. Each difference is the mean, over trials with the same random draws, of the error "
+            "with the first method minus the error with the second method."
+        )
         table = METHOD_DIFFERENCES_TABLE.with_rows(table_rows)
         return table_blocks(f"Which method is better: {self.label}", table, note=note)
 
 
 def _difference_text(method: str, differences: Sequence[PairedDifference]) -> str:
-    """Text of the settings in which the error with the best method is smaller or larger than that with another method.
+    """Text on the cells in which the best method has a significantly smaller or larger error than another method.
 
-    It gives the range of the significant differences of each sign, and the number of settings without one.
+    It gives the range of the significant differences of each sign, and the number of cells without a significant one.
     """
     smaller = [entry.difference for entry in differences if entry.low > 0]
     larger = [-entry.difference for entry in differences if entry.high < 0]
@@ -100,7 +103,7 @@ def _difference_text(method: str, differences: Sequence[PairedDifference]) -> st
     for comparison, sizes in (("smaller than with", smaller), ("larger than with", larger)):
         ends = list(dict.fromkeys(number_text(limit(sizes)) for limit in (min, max))) if sizes else []
         size = f"by {' to '.join(ends)} um"
-        count = f"all {total} settings" if len(sizes) == total else f"{len(sizes)} of {total} settings"
+        count = f"{'all' if len(sizes) == total else f'{len(sizes)} of'} {total} combinations of factor levels"
         if sizes:
             texts.append(
                 f"{comparison} {method} {size}" if total == 1 else f"{comparison} {method} in {count} ({size})"
@@ -113,6 +116,6 @@ def _difference_text(method: str, differences: Sequence[PairedDifference]) -> st
 
 
 def _verdict(difference: PairedDifference) -> str:
-    """Text that names the method with the smaller error if the interval of the difference excludes 0."""
+    """Text with the method of smaller error if the interval of the difference excludes 0; otherwise `not decided`."""
     better = difference.second if difference.low > 0 else difference.first if difference.high < 0 else ""
     return f"{better} is better" if better else "not decided"

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from ltsim.reports.workshop_scene import WorkshopScene
 
 TRUTH_FILE = "truth.json"
-"""Name of the file of a truth."""
+"""Name of the file with the true values of a simulation."""
 STATION_WORK_TABLE = Table(
     "work.csv",
     "work of each station",
@@ -77,7 +77,7 @@ def adjustment_pair_if_possible(recording: Recording | None) -> AdjustmentPair |
 
 
 def truth_in_folder(context: ReportContext) -> Truth | None:
-    """Truth of a simulation in the folder of a result; None without a file `truth.json`."""
+    """True values of a simulation, from the folder of a result; None without a file `truth.json`."""
     file = context.folder / TRUTH_FILE if context.folder else None
     return read_truth(file) if file is not None and file.is_file() else None
 
@@ -128,8 +128,8 @@ def workshop_blocks(make_scene: Callable[[], WorkshopScene], detail: WorkshopDet
 def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
     """3D view of a hall with its interactive page.
 
-    A note instead, if the packages for 3D views are missing or there are more than `MAX_NETWORK_SETUPS` stations, which
-    are drawn one by one.
+    It is a note if the packages for 3D views are missing, or if there are more than `MAX_NETWORK_SETUPS` stations,
+    because stations are drawn one by one.
     """
     if len(workshop.stations) > MAX_NETWORK_SETUPS:
         n_stations = len(workshop.stations)
@@ -201,7 +201,8 @@ def coordinates_tables(
 def target_uncertainty_sentence(sigma: Floats) -> str:
     """Sentence on the typical and the largest uncertainty of T targets with sigmas (T, 3) [m].
 
-    It is the uncertainty in plan if the height of a target is undetermined (NaN). Empty without determined targets.
+    For a target without a determined height (NaN) it is the horizontal uncertainty. Without determined targets the
+    sentence is empty.
     """
     determined = sigma[np.isfinite(sigma[:, :2]).all(axis=1)]
     is_in_plan = bool(np.isnan(determined).any())
@@ -214,7 +215,7 @@ def target_uncertainty_sentence(sigma: Floats) -> str:
 
 
 def recording_section(folder: Path, *, detail: WorkshopDetail = "turn", is_brief: bool = False) -> Section:
-    """Section of a recording; with `is_brief` the residuals are left to the section of its calibration.
+    """Section of a recording; with `is_brief` without residuals, because the section of its calibration shows them.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Section of a plan: places of the tripods, quality, time, and undetectable effects."""
+"""Section of a plan: positions of the tripods, quality, duration, and undetectable effects."""
 
 from functools import partial
 
@@ -36,7 +36,7 @@ def plan_section(content: Plan, context: ReportContext) -> Section:
         When a file is malformed.
     """
     frame = f"{content.frame[:1].upper()}{content.frame[1:]}." if content.frame else ""
-    blocks: list[Block] = [*table_blocks("Places of the tripod", content.table("stations"), note=frame)]
+    blocks: list[Block] = [*table_blocks("Positions of the tripod", content.table("stations"), note=frame)]
     scenario_file = context.companion_file("scenario.toml", content)
     scenario = None if scenario_file is None else load_scenario(scenario_file)
     layout_pictures, change_pictures = _layout_pictures(content, scenario, has_3d_view=context.detail == "turn")
@@ -107,7 +107,7 @@ def _key_figures(content: Plan) -> list[KeyFigure]:
 
 
 def _quality_measures(layout: LayoutEntry) -> dict[str, float]:
-    """Quality of a layout in displayed units, by label: rms sigma of all points, then the measures of the goal."""
+    """Quality of a layout in display units, by label: rms sigma of all points, then the measures of the goal."""
     measures = {name: value for name, value in layout.quality.items() if value is not None}
     labels = {name: QUALITY_MEASURES.get(name, (name, 1.0)) for name in measures}
     rms = {} if layout.rms_sigma_um is None else {"all points: rms sigma [um]": layout.rms_sigma_um}
@@ -115,7 +115,7 @@ def _quality_measures(layout: LayoutEntry) -> dict[str, float]:
 
 
 def _layout_pictures(content: Plan, scenario: Scenario | None, *, has_3d_view: bool) -> tuple[list[Block], list[Block]]:
-    """Two lists: floor plan with 3D view of a plan, and floor plan with its changes of reflectors.
+    """Two lists of blocks: floor plan and 3D view of a plan, and floor plan with the proposed changes of reflectors.
 
     Both are empty without a scenario.
     """
@@ -141,17 +141,17 @@ def _layout_pictures(content: Plan, scenario: Scenario | None, *, has_3d_view: b
         )
     ]
     pictures += [scene_block(workshop)] if has_3d_view else []
-    text = "Numbers are those of the table; an arrow starts at the present place of a reflector."
+    text = "The numbers refer to the table; an arrow starts at the present position of a reflector."
     changes = partial(
         figures.marked_floor_plans.reflector_changes_figure, workshop, content.reflector_changes, floor_areas
     )
     n_changes = len(content.reflector_changes)
-    return pictures, [picture_or_note("Places of these reflectors", changes, text, n_changes)] if n_changes else []
+    return pictures, [picture_or_note("Positions of these reflectors", changes, text, n_changes)] if n_changes else []
 
 
 def _trade_off_picture(content: Plan) -> list[Block]:
-    """Figures of quality over time, and the table of the alternatives that the search compared."""
-    text = "Each dot is the best layout for one number of stations, faces and rounds."
+    """Figures of quality over duration, and table of the alternative layouts that the search compared."""
+    text = "Each dot is the best layout for one combination of the numbers of stations, faces and rounds."
     blocks: list[Block] = [
         PictureBlock(f"Time against quality: {name}", partial(figures.parameters.trade_off_figure, content, name), text)
         for name, value in content.quality.items()
@@ -179,7 +179,7 @@ def _parameter_picture(content: Plan) -> list[Block]:
 
 def _effect_tables(content: Plan) -> list[Block]:
     """Blocks on effects: smallest detectable sizes, pairs that are hard to separate, undetectable effects."""
-    note = "Size that is detected in 80 % of the recordings of this layout, at the best and at the worst place."
+    note = "Size that is detected in 80 % of the recordings of this layout: most and least favourable location."
     blocks: list[Block] = [*table_blocks("Smallest detectable effects", content.table("effects"), note=note)]
     note = "Fraction of the residuals from the first effect that the second effect explains."
     blocks += table_blocks("Effects that are hard to separate", content.table("confusable"), note=note)

@@ -52,7 +52,7 @@ MIN_PASS_PROBABILITY = 0.5
 ASSESSMENT_BY_JUDGEMENT: dict[Judgement, Assessment] = {"accepted": "good", "rejected": "bad", "undecided": "caution"}
 """Assessment of measured errors by their judgement."""
 MAX_ZERO_CONSTANT = 1e-6
-"""Largest absolute value of an instrument constant, in the unit of the constant, that is not printed."""
+"""Largest absolute value of an instrument constant, in its display unit, that counts as zero and is not printed."""
 UNCERTAINTY_NOTE = (
     "U: expanded uncertainty; mc: limits of the Monte Carlo interval; they replace U if the two do not agree "
     "(JCGM 101, clause 8)."
@@ -64,7 +64,7 @@ UNDETECTABLE_NOTE = (
 )
 """Note below a table of undetectable errors."""
 MAX_BUDGET_BARS = 40
-"""Largest number of results in a figure of uncertainty budgets; the first ones are drawn."""
+"""Largest number of results in a figure of uncertainty budgets; only the first results are drawn."""
 MAX_LISTED_TESTS = 200
 """Largest number of acceptance tests in a table, the least likely to pass first."""
 ACTIONS_BY_FAILED_TEST = {
@@ -261,7 +261,7 @@ def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
 
 
 def uncertainty_budget_figure(content: Uncertainty) -> Figure:
-    """Figure of the budgets of the first results."""
+    """Figure of the uncertainty budgets of the first `MAX_BUDGET_BARS` results."""
     listed_results = content.results[:MAX_BUDGET_BARS]
     sources = dict.fromkeys(part.source for r in listed_results for part in r.budget)
     shares = {
@@ -271,7 +271,7 @@ def uncertainty_budget_figure(content: Uncertainty) -> Figure:
 
 
 def _site_sentence(content: NextMeasurement) -> str:
-    """Sentence on the plan of the hall that new stations comply with; a warning if no plan was given."""
+    """Sentence on the plan of the hall whose rules the proposed stations meet; a warning if no plan was given."""
     has_station = any(proposal.kind == "station" for proposal in content.proposals)
     if content.site:
         result = "New stations meet" if has_station else "No new station meets"
@@ -361,7 +361,7 @@ def history_section(content: History, _: ReportContext) -> Section:
 
 
 def _with_short_labels(content: History) -> History:
-    """The history with shortened labels of its calibrations, which are still distinct."""
+    """History whose calibrations have shortened, but still distinct labels."""
     short = dict(zip(content.labels, distinct_labels(content.labels), strict=True))
 
     def with_short_label(entry: NamedEntryT) -> NamedEntryT:

@@ -35,7 +35,7 @@ INJECTED_TABLE = Table(
 
 
 def effect_place_text(effect: Any) -> str:
-    """Stations and targets of an effect as text."""
+    """Text with the stations and targets at which an effect acts."""
     return listing([*effect.stations, *effect.targets]) or "everywhere"
 
 
@@ -57,7 +57,7 @@ def truth_blocks(content: Diagnosis, truth: Truth, adjustments: AdjustmentPair |
 
 
 def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[list[str]]:
-    """Rows of an injected effect and its finding: effect, place, values, shape constants."""
+    """Table rows of an injected effect and its finding: effect, stations and targets, sizes, shape constants."""
     true_values: dict[str, tuple[float | None, str]] = {}
     if injected is not None:
         sizes = zip(injected.effect.parameters, injected.parameter_values, strict=True)
