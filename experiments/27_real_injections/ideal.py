@@ -80,7 +80,7 @@ class Observer:
         """Projected signatures (m, k) along the eigenvectors of their Gram matrix, and its eigenvalues (k,)."""
         found = []
         for instance in self.instances:
-            rows = self.space.whitened_design(instance.cause) * instance.cause.size_scales
+            rows = self.space.whitened_design(instance.cause) * instance.cause.plausible_sizes
             projected = self.space.project(rows)
             values, vectors = np.linalg.eigh(projected.T @ projected)
             visible = values > MAX_SOLUTION_ROUNDING_ERROR * float(np.max(np.sum(rows**2, axis=0), initial=0.0))

@@ -40,7 +40,7 @@ def joint_covariance(adjustment: Adjustment) -> Floats:
     return 0.5 * (covariance + covariance.T)
 
 
-def covariance_csv_text(
+def coordinate_covariance_csv_text(
     adjustment: Adjustment,
     shared_displacements: Floats | None = None,
     *,

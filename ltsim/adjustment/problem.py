@@ -84,8 +84,8 @@ class NetworkProblem(NetworkRows):
         )
         mark_control, yaws = ControlRows.from_stations(recording, marks), YawRows.from_recording(recording, is_used)
         differences = DifferenceRows.from_marks(recording, marks)
-        effect_sigmas = [effect_prior_sigma * size for effect in model.effects for size in effect.size_scales]
-        effect_sigmas += [size for errors in model.nuisance_errors for size in errors.size_scales]
+        effect_sigmas = [effect_prior_sigma * size for effect in model.effects for size in effect.plausible_sizes]
+        effect_sigmas += [size for errors in model.nuisance_errors for size in errors.plausible_sizes]
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,

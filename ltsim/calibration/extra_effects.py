@@ -96,7 +96,9 @@ def fit_with_extra_effects(
             fixed.append(wanted.fixed_fields)
             adjustment, fit = _refit_with_best_constants(adjust_with, [*fit.effects, best], fixed)
         estimated = best if freedom else wanted.effect
-        place = "" if isinstance(estimated, EmpiricalLaw) and estimated.is_per_setup else estimated.place_text
+        place = (
+            "" if isinstance(estimated, EmpiricalLaw) and estimated.has_coefficients_per_setup else estimated.place_text
+        )
         drop = max(before - adjustment.chi2, 0.0)
         name, tried = effect_display_name(best, adjustment), len(candidates)
         fits.append(

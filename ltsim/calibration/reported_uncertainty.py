@@ -11,7 +11,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.coordinate_uncertainty import (
     MAX_TARGETS_IN_FILE,
     air_covariance,
-    covariance_csv_text,
+    coordinate_covariance_csv_text,
     joint_covariance_due_to_air,
     longest_range,
     relevant_air_uncertainty,
@@ -79,7 +79,9 @@ def target_covariance_csv_text(calibration: Calibration) -> str | None:
     if adjustment is None or len(calibration.target_names) > MAX_TARGETS_IN_FILE:
         return None
     added = joint_covariance_due_to_air(adjustment)
-    return covariance_csv_text(adjustment, sigma_factor=calibration.uncertainty_factor, added_covariance=added)
+    return coordinate_covariance_csv_text(
+        adjustment, sigma_factor=calibration.uncertainty_factor, added_covariance=added
+    )
 
 
 def _scaled_parameter_covariance(calibration: Calibration, factor: float) -> Floats:

@@ -187,7 +187,7 @@ class CatalogueDesigns:
             is_sparse = len(row_indices) < MAX_SPARSE_FRACTION * space.n_rows
             stored = row_indices if is_sparse else np.flatnonzero(touched[kind])
             design_columns = design_columns[stored]
-            design_columns *= effect.size_scales
+            design_columns *= effect.plausible_sizes
             effect, coarser = _with_size_raised_to_noise(effect, design_columns, pointing[stored])
             transposed_designs = np.ascontiguousarray(design_columns.T * coarser, dtype=np.float32)
             if is_sparse:
@@ -236,7 +236,7 @@ class CatalogueDesigns:
         for group in self.groups:
             for part in group.member_ranges(null_ensemble.probe_vectors.shape[1]):
                 scores = group.weighted_products(part, null_ensemble.probe_vectors)
-                if null_ensemble.has_empty_model:
+                if null_ensemble.computes_gram_matrices:
                     group.projected_gram[part] = null_ensemble.projected_gram(scores, group.unprojected_gram[part])
                 score, trials, _ = null_ensemble.split_products(scores)
                 gram = group.projected_gram[part]

@@ -40,7 +40,7 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.solve.design import to_dense
 
 
-def index_of_best(log_evidences: Floats) -> int:
+def index_of_largest(log_evidences: Floats) -> int:
     """Index of the largest log evidence; if several values are equal, as on a plateau, their middle index."""
     ties = np.flatnonzero(log_evidences >= np.max(log_evidences) - MAX_SOLUTION_ROUNDING_ERROR)
     return int(ties[(len(ties) - 1) // 2])
@@ -145,7 +145,7 @@ def log_evidence_of_wrong_readings(
     log_prior : float
         Log prior probability that any reading is wrong. It is divided equally among all readings.
     """
-    plausible_sizes = np.concatenate([Outlier(observable=name).size_scales for name in OBSERVABLE_COLUMN])
+    plausible_sizes = np.concatenate([Outlier(observable=name).plausible_sizes for name in OBSERVABLE_COLUMN])
     scale = (plausible_sizes / space.sigma)[space.is_used_reading]
     score, eigenvalues = residual[: len(scale)] * scale, np.maximum(redundancy[: len(scale)], 0.0) * scale**2
     log_evidences = log_evidence((score**2)[:, None], eigenvalues[:, None]) + log_prior - np.log(len(scale))
@@ -255,7 +255,7 @@ def log_positivity_factor(posterior_mean: float, sigma: float) -> float:
 
 def log_evidence_of_effect(effect: CandidateEffect, gram: Floats, score: Floats) -> float:
     """Log marginal likelihood ratio of an effect, averaged over sizes, from its Gram matrix (k, k) and score (k,)."""
-    plausible_sizes = effect.size_scales
+    plausible_sizes = effect.plausible_sizes
     if not any(p.is_positive for p in effect.parameters):
         return float(log_evidence_of_coefficients(gram, score, plausible_sizes))
     mean, covariance, total = coefficient_posterior(gram, score, plausible_sizes)

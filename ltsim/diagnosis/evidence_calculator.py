@@ -13,7 +13,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.diagnosis.evidence import index_of_best, log_evidence_of_coefficients, log_evidence_of_effect
+from ltsim.diagnosis.evidence import index_of_largest, log_evidence_of_coefficients, log_evidence_of_effect
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -76,7 +76,7 @@ class EvidenceCalculator:
             else:
                 by_size.setdefault(len(score), []).append(i)
         for members in by_size.values():
-            spreads = np.stack([effects[i].size_scales for i in members])
+            spreads = np.stack([effects[i].plausible_sizes for i in members])
             grams, scores = (np.stack([moments[i][j] for i in members]) for j in (0, 1))
             log_evidences[members] = log_evidence_of_coefficients(grams, scores, spreads)
         return log_evidences
@@ -105,7 +105,7 @@ class EvidenceCalculator:
             moving_indices = []
             for (i, neighbours), parts in zip(candidates.items(), np.split(logs, first_indices), strict=True):
                 means[i] = log_sum_exp(np.append(parts, values[i])) - np.log(len(parts) + 1)
-                top = index_of_best(parts)
+                top = index_of_largest(parts)
                 if parts[top] > values[i] + MAX_SOLUTION_ROUNDING_ERROR * max(1.0, abs(values[i])):
                     best[i], values[i] = neighbours[top], parts[top]
                     moving_indices.append(i)

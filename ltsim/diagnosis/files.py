@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ltsim.adjustment.coordinate_uncertainty import (
     COVARIANCE_FILE_NAME,
-    covariance_csv_text,
+    coordinate_covariance_csv_text,
     joint_covariance_due_to_air,
 )
 from ltsim.calibration.schema import RESIDUALS_TABLE
@@ -44,7 +44,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
         RESIDUALS_BEFORE_TABLE.file: diagnosis.table("residuals_before").csv_text(),
     }
     air_covariance = joint_covariance_due_to_air(diagnosis.final_adjustment)
-    covariance = covariance_csv_text(
+    covariance = coordinate_covariance_csv_text(
         diagnosis.final_adjustment, diagnosis.targets.explanation_deviations, added_covariance=air_covariance
     )
     texts |= {} if covariance is None else {COVARIANCE_FILE_NAME: covariance}

@@ -339,7 +339,7 @@ def law_text(law: EmpiricalLaw, regressor_phrase: str) -> str:
 
 def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> bool:
     """True if any size is much larger than plausible, or negative for a parameter that must be positive."""
-    parameter_scales = zip(effect.parameters, effect.size_scales.tolist(), strict=True)
+    parameter_scales = zip(effect.parameters, effect.plausible_sizes.tolist(), strict=True)
     matches = [(e, p, size) for p, size in parameter_scales for e in estimates if e.name == p.name]
     is_large = any(
         abs(e.value) - 2 * e.sigma > MAX_DETECTABLE_SIZE_RATIO * size / p.si_per_display_unit for e, p, size in matches

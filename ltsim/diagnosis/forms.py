@@ -13,7 +13,7 @@ from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.component_ratios import best_component_ratio
-from ltsim.diagnosis.evidence import index_of_best, log_evidence_of_coefficients
+from ltsim.diagnosis.evidence import index_of_largest, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.law_products import may_have_a_second_factor, product_forms
@@ -106,7 +106,7 @@ def evaluate_forms(
 
 def _index_of_best(forms: Sequence[Hypothesis]) -> int:
     """Index of the form with the largest log evidence."""
-    return index_of_best(np.array([form.log_evidence for form in forms]))
+    return index_of_largest(np.array([form.log_evidence for form in forms]))
 
 
 def _functional_forms(
@@ -126,9 +126,9 @@ def _functional_forms(
     candidates = [(share, *best) for (share, _), best in zip(single, refined, strict=True)]
     moments = calculator.grams_and_scores([scales[0] for _, scales in several], conditioning_model)
     for (share, scales), (gram, score) in zip(several, moments, strict=True):
-        spreads = np.stack([scaled.size_scales for scaled in scales])
+        spreads = np.stack([scaled.plausible_sizes for scaled in scales])
         logs = log_evidence_of_coefficients(gram, score[None], spreads)
-        candidates.append((share, scales[index_of_best(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
+        candidates.append((share, scales[index_of_largest(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
     return [Hypothesis(best, share, value + share, catalogue_name(best)) for share, best, value in candidates]
 
 
@@ -139,8 +139,8 @@ def _forms_with_ratio(calculator: EvidenceCalculator, form: Hypothesis, conditio
     if law.n_components == 1 or law.regressor.n_columns == 1 or law.direction:
         return [form]
     gram, score = calculator.grams_and_scores([law], conditioning_model)[0]
-    ratio, evidence, log_share = best_component_ratio(gram, score, law.size_scales, law.n_components)
-    gain = evidence - float(log_evidence_of_coefficients(gram, score, law.size_scales))
+    ratio, evidence, log_share = best_component_ratio(gram, score, law.plausible_sizes, law.n_components)
+    gain = evidence - float(log_evidence_of_coefficients(gram, score, law.plausible_sizes))
     share, other = np.log(P_EVEN_ODDS) + log_share, np.log(1.0 - P_EVEN_ODDS)
     return [
         replace(form, log_prior=form.log_prior + other, log_evidence=form.log_evidence + other),
@@ -211,12 +211,12 @@ def _piecewise_forms(
 
     The list is empty for a law without a curve, and for a law of a single target.
     """
-    atoms = law.candidate_pieces(calculator.space.sightings)
+    atoms = law.candidate_steps_and_ramps(calculator.space.sightings)
     if not atoms or len(law.targets) == 1:  # the catalogue has effects for it
         return []
-    full_law = law.with_pieces(atoms)
+    full_law = law.with_steps_and_ramps(atoms)
     gram, score = calculator.grams_and_scores([full_law], conditioning_model)[0]
-    spread = full_law.size_scales
+    spread = full_law.plausible_sizes
     places = np.arange(len(score)).reshape(len(full_law.response.component_names), len(atoms), -1)
     atom_indices: list[int] = []
     n_selected, best, log_price = (
@@ -231,12 +231,12 @@ def _piecewise_forms(
         values[remaining] = log_evidence_of_coefficients(
             gram[columns[:, :, None], columns[:, None, :]], score[columns], spread[columns]
         )
-        atom_indices.append(index_of_best(values))
+        atom_indices.append(index_of_largest(values))
         value = float(log_sum_exp(values)) - len(atom_indices) * log_price
         if value > best + MAX_SOLUTION_ROUNDING_ERROR:
             best, n_selected = value, len(atom_indices)
     refined, value = calculator.refine_locally(
-        [law.with_pieces([atoms[i] for i in sorted(atom_indices[:n_selected])])], conditioning_model
+        [law.with_steps_and_ramps([atoms[i] for i in sorted(atom_indices[:n_selected])])], conditioning_model
     )[0]
     log_prior -= n_selected * log_price
     return [

@@ -14,7 +14,7 @@ from ltsim.adjustment.significance import MIN_LOG_EVIDENCE_CERTAIN, MIN_REPORTED
 from ltsim.calibration.evidence import LOG_SIZE_PRIOR, RELATIVE_EFFECT_SIZES, log_sum_exp
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.diagnosis.evidence import index_of_best
+from ltsim.diagnosis.evidence import index_of_largest
 from ltsim.diagnosis.prior import LOG_PRIOR_ODDS_OF_REPETITION, P_UNMODELLED
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.physics.effects import find_effect
@@ -44,7 +44,7 @@ class Hypothesis:
     @property
     def plausible_sizes(self) -> Floats:
         """Plausible sizes (k,) of the k coefficients of the effect [SI]."""
-        return self.effect.size_scales
+        return self.effect.plausible_sizes
 
     @property
     def is_catalogued(self) -> bool:
@@ -153,7 +153,7 @@ class Ranking:
     """Log evidence that neither a hypothesis of the ranking nor an unmodelled cause like these is the cause. It is 0,
     or larger if held-out readings contradict the model."""
 
-    def best_of_each_kind(self) -> list[Hypothesis]:
+    def most_probable_of_each_kind(self) -> list[Hypothesis]:
         """Hypothesis with the largest evidence of each catalogue effect, and of the laws of each response.
 
         They are in the order of the ranking.
@@ -294,7 +294,7 @@ def _size_averaged_log_evidence(model: Model) -> float:
             tried = np.tile(best, (len(RELATIVE_EFFECT_SIZES), 1))
             tried[:, i] = every
             values = log_evidence_at_sizes(tried)
-            best[i] = index_of_best(values)
+            best[i] = index_of_largest(values)
             neighbours[i] = every[values > values.max() - MIN_LOG_EVIDENCE_CERTAIN]
     return float(log_sum_exp(log_evidence_at_sizes(np.array(list(product(*neighbours))))))
 

@@ -204,7 +204,7 @@ class LawBatch:
         scores = self._products_with_ensemble_vectors(null_ensemble, columns)
         score, trials, _ = null_ensemble.split_products(scores)
         null = np.full((1, null_ensemble.n_trials), -np.inf)
-        if null_ensemble.has_empty_model:
+        if null_ensemble.computes_gram_matrices:
             grams = null_ensemble.projected_gram(scores, self._unprojected_gram_matrices(columns))
             eigen_decompositions = self._scaled_eigen_decompositions(grams, regressor_range)
             self._cached_eigen_decompositions[regressor_range.start] = eigen_decompositions
@@ -247,7 +247,7 @@ class LawBatch:
         )
         for part, rows, cells in self.partition.pointing_batches(count * n_components * vectors):
             whitened_response_designs = self.whitened_response_designs[rows].reshape(len(rows), 3, -1)
-            moved = (np.swapaxes(whitened_response_designs, 1, 2) @ null_ensemble.vectors_at(rows)).reshape(
+            moved = (np.swapaxes(whitened_response_designs, 1, 2) @ null_ensemble.vectors_of_pointings(rows)).reshape(
                 len(rows), -1
             )
             transposed_columns = columns[part].T

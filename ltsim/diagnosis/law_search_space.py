@@ -35,8 +35,8 @@ from ltsim.physics.laws.regressor_library import (
     ODDS_PER_OPERATOR,
     candidate_regressors,
     is_admissible,
+    per_setup_regressors,
     target_group_regressors,
-    visit_regressors,
     wave_regressors,
 )
 from ltsim.physics.laws.regressors import CLOCK_COVARIATES, Regressor
@@ -138,7 +138,7 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
             {
                 "constant": general_regressors["constant"],
                 "clock": general_regressors["clock"],
-                "amounts": visit_regressors(s, 2),
+                "amounts": per_setup_regressors(s, 2),
             },
         ),
         ("group", place_groups, target_group_regressors(s) if place_groups else {}),

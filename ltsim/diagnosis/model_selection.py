@@ -99,7 +99,7 @@ def _select_effects_given_noise(
     """
     alone, searcher = copy(state), state.searcher
     model = searcher.select_model(min_evidence_gain, requires_member=True, start_hypotheses=start_hypotheses)
-    leading = searcher.ranking(searcher.empty_model).best_of_each_kind()[:N_EXACTLY_EVALUATED]
+    leading = searcher.ranking(searcher.empty_model).most_probable_of_each_kind()[:N_EXACTLY_EVALUATED]
     candidates = [model.members, *((h,) for h in leading)]
     best = max(candidates[:1] if searcher.is_large_network else candidates, key=state.log_evidence_with_effects)
     state.prune_variance_components([h.effect for h in best])

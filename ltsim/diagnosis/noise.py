@@ -295,7 +295,7 @@ class NoiseHypothesisSet:
             x
             for change, value in ranked_hypotheses
             if value > least
-            for x in change.limited_to_best_place(residual, redundancy)
+            for x in change.limited_to_most_probable_place(residual, redundancy)
         ]
         return ranked_hypotheses + [
             (place, self._group_noise_log_evidence_of_residuals(place, residual, redundancy)) for place in places

@@ -44,7 +44,7 @@ def reml_gain_function(
     Each reading depends on at most one parameter. The effect changes the standard deviations `sigma` (n, 3), while the
     residuals (m,) are whitened by the standard deviations of the residual space.
     """
-    faces, used, scale = getattr(effect, "repetition", ""), space.is_used_reading, effect.size_scales
+    faces, used, scale = getattr(effect, "repetition", ""), space.is_used_reading, effect.plausible_sizes
     means = normalised_sum_matrix_of_repeats(space, faces) if faces else None
     share = redundancy[: int(used.sum())] if means is None else redundancy_of_means(means, redundancy)
     squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2
@@ -120,7 +120,7 @@ def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis
     The posteriors of several sizes are independent (`reml_gain_function`). A size on which no reading depends is 0 with
     an infinite standard deviation.
     """
-    effect, scale = hypothesis.effect, hypothesis.effect.size_scales
+    effect, scale = hypothesis.effect, hypothesis.effect.plausible_sizes
     if isinstance(effect, CentringVariance):
         return with_estimated_centring(space, hypothesis)
     reml_gain = reml_gain_function(space, nominal_sigma, effect, space.residuals, space.redundancy)

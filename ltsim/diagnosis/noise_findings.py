@@ -67,14 +67,15 @@ def noise_finding(
 
 def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
     """Observables whose noise is significantly larger than declared, or smaller if the largest change is a decrease."""
-    size_scales = hypothesis.effect.size_scales
-    sizes_in_units = np.array(hypothesis.sizes) / size_scales
+    plausible_sizes = hypothesis.effect.plausible_sizes
+    sizes_in_units = np.array(hypothesis.sizes) / plausible_sizes
     signed_sizes = (
         sizes_in_units * np.sign(sizes_in_units[np.argmax(np.abs(sizes_in_units))])
-        > MIN_SIGNIFICANT_SIGMAS * np.array(hypothesis.size_sigmas) / size_scales
+        > MIN_SIGNIFICANT_SIGMAS * np.array(hypothesis.size_sigmas) / plausible_sizes
     )
     unit_variance = np.ones((len(sightings), len(OBSERVABLES)))
     is_changed = (
-        hypothesis.effect.variance(sightings, unit_variance, np.where(signed_sizes, size_scales, 0.0)) != unit_variance
+        hypothesis.effect.variance(sightings, unit_variance, np.where(signed_sizes, plausible_sizes, 0.0))
+        != unit_variance
     ).any(axis=0)
     return tuple(name for name, act in zip(OBSERVABLES, is_changed, strict=True) if act)

@@ -73,7 +73,7 @@ class GroupNoiseChange:
         """Log evidence (trials,) of the change, for residuals (m, trials) with redundancy numbers (m,)."""
         raise NotImplementedError
 
-    def limited_to_best_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoiseChange, ...]:
+    def limited_to_most_probable_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoiseChange, ...]:
         """Change of the noise limited to the targets, station or region with the largest evidence.
 
         The result is empty for a change that cannot be limited in this way.

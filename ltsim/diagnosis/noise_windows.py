@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
-from ltsim.diagnosis.evidence import index_of_best, log_restricted_likelihood_ratio, normalised_probabilities
+from ltsim.diagnosis.evidence import index_of_largest, log_restricted_likelihood_ratio, normalised_probabilities
 from ltsim.diagnosis.noise_groups import MIN_TAIL_READINGS, NOISY_OBSERVABLE_SETS, GroupNoiseChange
 from ltsim.physics.laws.places import target_clusters
 from ltsim.physics.laws.variance import VarianceFunction
@@ -167,7 +167,7 @@ class NoiseWindows(GroupNoiseChange):
         assert isinstance(self.effect, VarianceFunction)
         return replace(self.effect, observables=acts, covariate_band=self._window_edge_times(states))
 
-    def limited_to_best_place(self, residual: Floats, redundancy: Floats) -> tuple[NoiseWindows, ...]:
+    def limited_to_most_probable_place(self, residual: Floats, redundancy: Floats) -> tuple[NoiseWindows, ...]:
         """Time windows of larger noise limited to the group of targets, set-up or region with the largest evidence."""
         s, windows = self.space.sightings, self.most_likely_effect(residual, redundancy)
         places = [
@@ -181,7 +181,9 @@ class NoiseWindows(GroupNoiseChange):
         if not places:
             return ()
         place = places[
-            index_of_best(np.array([self._log_evidence_of_effect(effect, residual, redundancy) for effect in places]))
+            index_of_largest(
+                np.array([self._log_evidence_of_effect(effect, residual, redundancy) for effect in places])
+            )
         ]
         whole = replace(
             place, observables=OBSERVABLES, covariate_band=(self.step_edge_times[0], self.step_edge_times[-1])

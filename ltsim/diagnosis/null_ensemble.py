@@ -46,8 +46,8 @@ class NullEnsemble:
     """Number t of simulated recordings that give the p-value of a search; 0 for a search without p-value."""
     model_basis: Floats
     """Orthonormal basis (m, e) of the projected design columns of the model's effects."""
-    has_empty_model: bool
-    """True while the model is empty."""
+    computes_gram_matrices: bool
+    """True for the first screening of a space, whose Gram matrices later screenings with a model use again."""
     uses_monte_carlo_gram: bool
     """True if the Gram matrices of the effects are estimated as means over simulated residuals.
 
@@ -67,7 +67,9 @@ class NullEnsemble:
         else:
             vectors[:, 1 + n_trials :] = basis
         empty_basis = np.zeros((space.n_rows, 0))
-        return cls(space, vectors, n_trials, empty_basis, has_empty_model=True, uses_monte_carlo_gram=basis is None)
+        return cls(
+            space, vectors, n_trials, empty_basis, computes_gram_matrices=True, uses_monte_carlo_gram=basis is None
+        )
 
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
         """Ensemble for a model with the residuals `residual` (m,) and the orthonormal basis `model_basis` (m, e).
@@ -75,7 +77,7 @@ class NullEnsemble:
         It has no simulated recordings, because Gram matrices and null values of the empty model are used again.
         """
         vectors = residual[:, None].astype(np.float32)
-        return replace(self, probe_vectors=vectors, n_trials=0, model_basis=model_basis, has_empty_model=False)
+        return replace(self, probe_vectors=vectors, n_trials=0, model_basis=model_basis, computes_gram_matrices=False)
 
     @property
     def simulated_residuals(self) -> Singles:
@@ -90,7 +92,7 @@ class NullEnsemble:
         row_of_reading[use] = np.arange(int(use.sum()))
         return row_of_reading
 
-    def vectors_at(self, pointings: Ints) -> Singles:
+    def vectors_of_pointings(self, pointings: Ints) -> Singles:
         """Elements (p, 3, v) of the v vectors for the readings of p pointings; undefined for readings not in use."""
         return self.probe_vectors[self._row_of_reading[pointings]]
 

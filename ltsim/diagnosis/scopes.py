@@ -16,7 +16,7 @@ def effect_scope(effect: CandidateEffect, default_observables: tuple[str, ...] =
         observables = default_observables or observables
     instruments = effect.instruments if isinstance(effect, EmpiricalLaw | VarianceFunction) else ()
     if isinstance(effect, EmpiricalLaw):
-        stations = () if effect.is_per_setup else stations
+        stations = () if effect.has_coefficients_per_setup else stations
         observables = effect.response.observables or default_observables or observables
     return confined_scope(
         observables=() if set(observables) == set(OBSERVABLES) else observables,

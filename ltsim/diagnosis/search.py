@@ -273,7 +273,7 @@ class Searcher:
     def law_coefficients(self, law: EmpiricalLaw, reduced_model: Model) -> tuple[Floats, Floats]:
         """Posterior mean (k,) and covariance (k, k) of the k coefficients of a law, given the effects of a model."""
         gram, score = self.evidence_calculator.grams_and_scores([law], reduced_model)[0]
-        return coefficient_posterior(gram, score, law.size_scales)[:2]
+        return coefficient_posterior(gram, score, law.plausible_sizes)[:2]
 
     def model_of(self, members: Sequence[Hypothesis]) -> Model:
         """Model with the given hypotheses."""

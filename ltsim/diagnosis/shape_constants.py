@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.diagnosis.evidence import index_of_best, normalised_probabilities, wide_prior_posterior
+from ltsim.diagnosis.evidence import index_of_largest, normalised_probabilities, wide_prior_posterior
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.schema import ParameterEstimate
@@ -104,13 +104,13 @@ def _integrate_over_shape(
 
     logs = log_evidence_at(u)
     for _ in range(N_GRID_REFINEMENTS):
-        top = index_of_best(logs)
+        top = index_of_largest(logs)
         near = u[max(top - 1, 0) : top + 2]
         more = np.setdiff1d(np.linspace(near[0], near[-1], N_REFINEMENT_GRID_POINTS), u)
         order = np.argsort(np.concatenate([u, more]))
         u, logs = np.concatenate([u, more])[order], np.concatenate([logs, log_evidence_at(more)])[order]
     best_effect = effect.with_constants(
-        **{shape.name: interpolate_shape_constant(shape, low, high, float(u[index_of_best(logs)]))}
+        **{shape.name: interpolate_shape_constant(shape, low, high, float(u[index_of_largest(logs)]))}
     )
     height = np.exp(logs - logs.max())
     return best_effect, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
@@ -193,7 +193,7 @@ def shape_constants_nodes(
         _dense_grid(s, float(vars(effect)[s.name]), shape_constant_sigmas.get(s.name, 0.0), n_grid_values)
         for s in shape_parameters
     ]
-    size_scales = effect.size_scales
+    plausible_sizes = effect.plausible_sizes
     sightings = calculator.space.sightings
     points = [
         (
@@ -207,7 +207,7 @@ def shape_constants_nodes(
     ]
     grid_effects = [instance.with_constants(**constants) for instance, constants, _ in points]
     posteriors = [
-        wide_prior_posterior(*moments, size_scales)
+        wide_prior_posterior(*moments, plausible_sizes)
         for moments in calculator.grams_and_scores(grid_effects, conditioning_model)
     ]
     log_evidences = (

@@ -14,7 +14,7 @@ import numpy as np
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.diagnosis.evidence import index_of_best, log_evidence_of_coefficients
+from ltsim.diagnosis.evidence import index_of_largest, log_evidence_of_coefficients
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.physics.laws.catalogue_names import catalogue_name
@@ -84,7 +84,7 @@ def switched_forms(
         law = calculator.refine_locally([law], conditioning_model)[0][0]
     always_on = scalar_regressor(edges[0].covariates[0], "step", -np.inf)
     spans = _span_gram_and_score(calculator, law, [always_on, *edges], conditioning_model)
-    plausible_sizes = law.with_switch([always_on]).size_scales
+    plausible_sizes = law.with_switch([always_on]).plausible_sizes
     on, value, toggled = _best_span_states(spans, plausible_sizes)
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
     starts_on = bool(on[0]) and law.depends_on_fixed_region  # otherwise on and off are equivalent
@@ -111,7 +111,7 @@ def _forms_with_formula_as_second_factor(
     )
     if not formulas:
         return []
-    best_formula = formulas[index_of_best(calculator.log_evidence(formulas, conditioning_model))]
+    best_formula = formulas[index_of_largest(calculator.log_evidence(formulas, conditioning_model))]
     refined, value = calculator.refine_locally([best_formula], conditioning_model)[0]
     log_prior = form.log_prior - float(np.log(len(formulas)))
     return [Hypothesis(refined, log_prior, value + log_prior, catalogue_name(refined))]
@@ -175,7 +175,7 @@ def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple
         intervals = (np.arange(count) >= first[:, None]) & (np.arange(count) < last[:, None])
         states = state ^ intervals
         values[square < MIN_SWITCHED_MEAN_SQUARE] = -np.inf
-        state = states[index_of_best(values)]
+        state = states[index_of_largest(values)]
         total = float(log_sum_exp(values)) - turn * price
         if total > value + MAX_SOLUTION_ROUNDING_ERROR:
             best, value, taken = state, total, turn

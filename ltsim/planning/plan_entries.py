@@ -115,7 +115,7 @@ class ReflectorEntry(Entry):
             return {}
         within, used = check.error_by_point_m[name] / MILLIMETRE, check.tolerance_ratio(name)
         return {
-            "within_mm": within, "tolerance_mm": check.tolerance_by_point[name] / MILLIMETRE,
+            "within_mm": within, "tolerance_mm": check.tolerance_by_point_m[name] / MILLIMETRE,
             "tolerance_ratio": used, "met": is_tolerance_met(used),
         }  # fmt: skip
 

@@ -57,7 +57,7 @@ def percent_text(ratio: float) -> str:
 class PointTolerances:
     """Tolerances of points, their confidence level, and the kind of loss after which they must still be met."""
 
-    tolerance_by_point: Mapping[str, float]
+    tolerance_by_point_m: Mapping[str, float]
     """Tolerance of each point [m], by name."""
     confidence_level: float = 0.95
     """Confidence level: fraction of cases in which a point must be within its tolerance."""
@@ -80,7 +80,7 @@ class PointTolerances:
         return cls(limits, file.goal.level_pct / 100.0, file.goal.robust)
 
     def __bool__(self) -> bool:
-        return bool(self.tolerance_by_point)
+        return bool(self.tolerance_by_point_m)
 
 
 def point_weights(file: PlanFile) -> dict[str, float]:
@@ -93,11 +93,11 @@ def point_weights(file: PlanFile) -> dict[str, float]:
     if not demands:
         return {p.name: max(p.weight, MIN_POINT_WEIGHT) for p in file.listed_points if p.weight != 1.0}
     tight, wide = (
-        min(demands.tolerance_by_point.values()),
-        DEFAULT_TOLERANCE_FACTOR * max(demands.tolerance_by_point.values()),
+        min(demands.tolerance_by_point_m.values()),
+        DEFAULT_TOLERANCE_FACTOR * max(demands.tolerance_by_point_m.values()),
     )
     return {
-        p.name: max(p.weight * (tight / demands.tolerance_by_point.get(p.name, wide)) ** 2, MIN_POINT_WEIGHT)
+        p.name: max(p.weight * (tight / demands.tolerance_by_point_m.get(p.name, wide)) ** 2, MIN_POINT_WEIGHT)
         for p in file.listed_points
     }
 
@@ -122,7 +122,7 @@ class ToleranceCheck:
 
     lost_text: str
     """Description of the lost station or sight; empty for the complete layout."""
-    tolerance_by_point: Mapping[str, float]
+    tolerance_by_point_m: Mapping[str, float]
     """Tolerance of each point [m], by name."""
     error_by_point_m: Mapping[str, float]
     """Error [m] of each determined point with a tolerance, by name, that is not exceeded at the confidence level."""
@@ -150,7 +150,7 @@ class ToleranceCheck:
 
     def tolerance_ratio(self, name: str) -> float:
         """Ratio of the error of the point `name` to its tolerance."""
-        return self.error_by_point_m[name] / self.tolerance_by_point[name]
+        return self.error_by_point_m[name] / self.tolerance_by_point_m[name]
 
     @property
     def worst_point_values_text(self) -> str:
@@ -195,7 +195,7 @@ class ToleranceCheck:
 
     def point_text(self, name: str) -> str:
         """Text of the point `name` with its error and its tolerance."""
-        error, tolerance = self.error_by_point_m[name] / MILLIMETRE, self.tolerance_by_point[name] / MILLIMETRE
+        error, tolerance = self.error_by_point_m[name] / MILLIMETRE, self.tolerance_by_point_m[name] / MILLIMETRE
         return f"{name}: {text_distinct_from_limit(error, tolerance)} mm, limit {tolerance:.6g} mm"
 
 
@@ -209,24 +209,24 @@ def check_tolerances(
     """
     visible: Bools = np.asarray(survey.is_visible.any(axis=0))
     unseen = tuple(
-        n for n, s in zip(survey.target_names, visible, strict=True) if not s and n in tolerances.tolerance_by_point
+        n for n, s in zip(survey.target_names, visible, strict=True) if not s and n in tolerances.tolerance_by_point_m
     )
     try:
         if not visible.any():
             raise NetworkError("no station sees a target")
         information = LayoutInformation.from_survey(survey.with_targets_only(visible), construction)
     except NetworkError:
-        return ToleranceCheck(lost_text, tolerances.tolerance_by_point, {}, np.inf, "", unseen)
+        return ToleranceCheck(lost_text, tolerances.tolerance_by_point_m, {}, np.inf, "", unseen)
     names = information.survey.target_names
     radius_by_name = dict(
         zip(names, error_radius(information.target_covariance, tolerances.confidence_level).tolist(), strict=True)
     )
-    radii = {name: radius_by_name[name] for name in tolerances.tolerance_by_point if name in radius_by_name}
-    ratios = {name: value / tolerances.tolerance_by_point[name] for name, value in radii.items()}
+    radii = {name: radius_by_name[name] for name in tolerances.tolerance_by_point_m if name in radius_by_name}
+    ratios = {name: value / tolerances.tolerance_by_point_m[name] for name, value in radii.items()}
     worst_point = unseen[0] if unseen else max(ratios, key=lambda name: ratios[name], default="")
     return ToleranceCheck(
         lost_text,
-        tolerances.tolerance_by_point,
+        tolerances.tolerance_by_point_m,
         radii,
         np.inf if unseen or not ratios else ratios[worst_point],
         worst_point,
@@ -247,7 +247,7 @@ def checks_after_losses(
         return
     for s, t in np.argwhere(survey.is_visible).tolist():
         # A sight of a point without a tolerance is one of many that hold the network.
-        if survey.target_names[t] in tolerances.tolerance_by_point:
+        if survey.target_names[t] in tolerances.tolerance_by_point_m:
             visible = survey.is_visible.copy()
             visible[s, t] = False
             name = f"{LOST_SIGHT_PREFIX} from {survey.station_names[s]} to {survey.target_names[t]}"
@@ -311,7 +311,7 @@ def plan_verdict(
         loss for loss in loss_checks if tolerances.withstood_loss == ("sight" if loss.is_sight_loss else "station")
     ]
     reached = not broken_rules and tolerance_check.meets_all and all(loss.meets_all for loss in asked)
-    n_points = len(tolerances.tolerance_by_point)
+    n_points = len(tolerances.tolerance_by_point_m)
     count_text = (
         f"all {n_points}"
         if tolerance_check.meets_all

@@ -214,7 +214,7 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
         _horizontal_distances(table.setup_positions, survey.station_positions[station_index]) < MIN_ALTERNATIVE_DISTANCE
     ] = np.inf
     # Sights of points with a tolerance that would be missing decide first.
-    demanded = PointTolerances.from_plan_file(file).tolerance_by_point or survey.target_names
+    demanded = PointTolerances.from_plan_file(file).tolerance_by_point_m or survey.target_names
     asked = np.array([name in demanded for name in survey.target_names])
     lacking = np.maximum(site.min_sights - survey.is_visible[other_stations].sum(axis=0) - table.is_visible, 0)[
         :, asked

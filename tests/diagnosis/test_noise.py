@@ -84,7 +84,7 @@ def test_noise_in_a_band_of_a_covariate_is_found_in_that_band(repeated, covariat
     change[: int(space.is_used_reading.sum()), 0] = more[space.is_used_reading]
     residual = space.residuals + space.project(change)[:, 0]
     best = bank.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1].effect
-    at = best.variance(space.sightings, space.sigma, best.size_scales) > space.sigma**2
+    at = best.variance(space.sightings, space.sigma, best.plausible_sizes) > space.sigma**2
     assert np.mean(at[:, 2] == inside) > 0.8 and best.observables == ("azimuth", "elevation")
 
 

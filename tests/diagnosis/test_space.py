@@ -184,7 +184,7 @@ def test_a_local_search_ends_at_the_rounding_error_of_the_evidence(space):
     exact, steps = EvidenceCalculator(space), []
     law = EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], scalar_regressor("time", "saturated", 1e3))
     linear = replace(law, regressor=replace(law.regressor, function="power", constant=1.0))
-    readings = 1e5 * space.whitened_design(linear) @ linear.size_scales
+    readings = 1e5 * space.whitened_design(linear) @ linear.plausible_sizes
     base = Model((), (), (), space.project(readings[:, None])[:, 0])
     inner = exact.log_evidence
     exact.log_evidence = lambda effects, model: steps.append(len(effects)) or inner(effects, model)

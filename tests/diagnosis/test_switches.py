@@ -70,13 +70,13 @@ def test_moments_of_toggled_spans_are_those_of_the_switched_law(space: ResidualS
     exact, edges = EvidenceCalculator(space), law.candidate_switch_steps(space.sightings)
     first = scalar_regressor("time", "step", -np.inf)
     spans = _span_gram_and_score(exact, law, [first, *edges], base)
-    on, _, toggled = _best_span_states(spans, law.with_switch([first]).size_scales)
+    on, _, toggled = _best_span_states(spans, law.with_switch([first]).plausible_sizes)
     assert toggled >= 1
     chosen = [edges[i] for i in np.flatnonzero(np.diff(on.astype(int)))]
     state, size = on.astype(float), np.sqrt(on @ spans.mean_square_contributions)
     gram = np.einsum("s,swtv,t->wv", state, spans.gram, state) / size**2
     switched = law.with_switch([first, *chosen] if on[0] else chosen)
-    value = log_evidence_of_coefficients(gram, state @ spans.score / size, switched.size_scales)
+    value = log_evidence_of_coefficients(gram, state @ spans.score / size, switched.plausible_sizes)
     assert float(value) == pytest.approx(float(exact.log_evidence([switched], base)[0]), rel=1e-6)
 
 

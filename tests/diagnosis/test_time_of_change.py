@@ -33,7 +33,7 @@ def posterior_of_time(
 ) -> ParameterEstimate:
     """Estimate of the time of a change of `size` plausible sizes, from drawn readings."""
     space, draw = calculator.space, random_stream(seed, "time of change")
-    values = size * effect.size_scales * draw.standard_normal(len(effect.size_scales))
+    values = size * effect.plausible_sizes * draw.standard_normal(len(effect.plausible_sizes))
     noise = draw.standard_normal(len(space.residuals))
     residuals = space.project((noise + space.whitened_design(effect) @ values)[:, None])[:, 0]
     base = Model((), (), (), residuals)

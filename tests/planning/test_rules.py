@@ -163,11 +163,11 @@ def test_without_works_for_two_stations_and_prints_the_command_that_follows(
 
 def test_a_tolerance_that_is_missed_by_a_little_is_not_kept_and_looks_so() -> None:
     demands = PointTolerances({"A": 1e-4})
-    missed = ToleranceCheck("", demands.tolerance_by_point, {"A": 1.004e-4}, 1.004, "A")
+    missed = ToleranceCheck("", demands.tolerance_by_point_m, {"A": 1.004e-4}, 1.004, "A")
     said = plan_verdict(demands, missed, [])
     assert not said.is_goal_reached and not missed.meets_all and missed.exceeding_points == ["A"]
     assert said.sentences.endswith("worst point A: 0.1004 mm, limit 0.1 mm (0.4 % too large)")
-    far = ToleranceCheck("", demands.tolerance_by_point, {"A": 1.236e-4}, 1.236, "A")
+    far = ToleranceCheck("", demands.tolerance_by_point_m, {"A": 1.236e-4}, 1.236, "A")
     assert "(24 % too large)" in far.worst_point_text
     assert (
         percent_text(1.004) == "100.4 %"

@@ -282,7 +282,7 @@ class NetworkFit:
         """Effects of the shifts in the model, each with a plausible size that is at least as large as its estimate."""
         effects = list[LinearEffect]()
         for _, shift, at in self.shifts_with_slices:
-            times = float(np.max(np.abs(self.state.extra_parameters[at]) / shift.effect.size_scales))
+            times = float(np.max(np.abs(self.state.extra_parameters[at]) / shift.effect.plausible_sizes))
             effects.append(replace(shift.effect, size_factor=max(1.0, times)))  # type: ignore[type-var]
         return tuple(effects)
 

@@ -55,9 +55,9 @@ class ReadingShift(LinearEffect):
         return (Parameter("offset", "urad", "offset of the readings", 10 * MICRORADIAN),)
 
     @property
-    def size_scales(self) -> Floats:
+    def plausible_sizes(self) -> Floats:
         """Plausible size (1,) of the parameter [SI]."""
-        return self.size_factor * super().size_scales
+        return self.size_factor * super().plausible_sizes
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit [SI] of the parameter."""

@@ -96,9 +96,9 @@ class Effect(CandidateEffect):
     likewise among the noise effects."""
 
     @property
-    def size_scales(self) -> Floats:
+    def plausible_sizes(self) -> Floats:
         """Plausible sizes (p,) of the parameters [SI], times `size_factor`."""
-        return self.size_factor * super().size_scales
+        return self.size_factor * super().plausible_sizes
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

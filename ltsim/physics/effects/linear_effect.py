@@ -150,7 +150,7 @@ class LinearEffect(Protocol):
         """Change (n, 3, p) of the raw readings (range [m], azimuth, elevation [rad]) per unit of each parameter."""
 
     @property
-    def size_scales(self) -> Floats:
+    def plausible_sizes(self) -> Floats:
         """Plausible sizes (p,) of the parameters [SI]."""
         return np.array([p.prior_sigma for p in self.parameters], dtype=np.float64)
 
@@ -272,7 +272,9 @@ class CandidateNoiseEffect(CandidateEffect, Protocol):
         n_parameters = len(self.parameters)
         subsets = [*np.eye(n_parameters), *([np.ones(n_parameters)] if n_parameters > 1 else [])]
         return [
-            tuple(size * subset * self.size_scales) for subset in subsets for size in (0.05, 0.15, 0.4, 1.0, 3.0, 10.0)
+            tuple(size * subset * self.plausible_sizes)
+            for subset in subsets
+            for size in (0.05, 0.15, 0.4, 1.0, 3.0, 10.0)
         ]
 
     def design(self, sightings: Sightings) -> Floats:

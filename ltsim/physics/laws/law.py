@@ -78,7 +78,7 @@ class EmpiricalLaw(CandidateEffect):
     """Names of the instruments at which the law acts; empty for all."""
     length_scale_index: int = 0
     """Index of the prior of the coefficients in `Regressor.coefficient_sigmas`, which has one per length scale."""
-    is_per_setup: bool = False
+    has_coefficients_per_setup: bool = False
     """True if each set-up has separate coefficients."""
     direction: tuple[float, ...] = ()
     """Fixed ratio of the c components of the response, as a unit vector (c,); empty for separate coefficients.
@@ -101,7 +101,7 @@ class EmpiricalLaw(CandidateEffect):
     @property
     def n_components(self) -> int:
         """Number of components of the response, times the number of set-ups if they have separate coefficients."""
-        return len(self.response.component_names) * (len(self.stations) if self.is_per_setup else 1)
+        return len(self.response.component_names) * (len(self.stations) if self.has_coefficients_per_setup else 1)
 
     @property
     def observables(self) -> tuple[str, ...]:
@@ -131,7 +131,7 @@ class EmpiricalLaw(CandidateEffect):
         if not self.direction:
             return component_changes
         ratios = np.reshape(self.direction, (len(self.response.component_names), -1)).T
-        if self.is_per_setup:
+        if self.has_coefficients_per_setup:
             position = np.full(len(sightings.station_names), -1)
             position[[sightings.station_names.index(name) for name in self.stations]] = np.arange(len(self.stations))
             which = position[sightings.station if rows is None else sightings.station[rows]]
@@ -148,7 +148,7 @@ class EmpiricalLaw(CandidateEffect):
         """
         columns = self.regressor.columns(sightings, acts_on_targets=self.response.kind == "target")
         columns = columns * self.row_weights(sightings)[:, None]
-        if not self.is_per_setup or self.direction:
+        if not self.has_coefficients_per_setup or self.direction:
             return columns
         setup_indices = [sightings.station_names.index(name) for name in self.stations]
         is_at_setup = indicator_columns(sightings.station, setup_indices)
@@ -280,7 +280,7 @@ class EmpiricalLaw(CandidateEffect):
 
         return {kind: [with_length_scales(law) for law in laws] for kind, laws in forms.items() if laws}
 
-    def candidate_pieces(self, sightings: Sightings) -> list[Regressor]:
+    def candidate_steps_and_ramps(self, sightings: Sightings) -> list[Regressor]:
         """Steps and ramps at gaps between values of the covariate, for a sum that may replace the law's curve."""
         curved = [f for f in (self.regressor, *self.regressor.factors) if f.kind == "smooth"]
         if len(curved) != 1:
@@ -291,7 +291,7 @@ class EmpiricalLaw(CandidateEffect):
         edges = 0.5 * (x[1:] + x[:-1])
         return [scalar_regressor(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
 
-    def with_pieces(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
+    def with_steps_and_ramps(self, steps: Sequence[Regressor]) -> EmpiricalLaw:
         """Copy of the law with the sum of the steps and ramps `steps` in place of its smooth regressor."""
         pieces, regressor = piecewise_regressor(steps), self.regressor
         if regressor.kind == "product":
@@ -356,9 +356,9 @@ class EmpiricalLaw(CandidateEffect):
         is_unsuitable = (
             self.regressor.kind in ("product", "amounts") or self.response.kind not in PER_SETUP_RESPONSE_KINDS
         )
-        if is_restricted or is_unsuitable or len(stations) < 2:
+        if is_restricted or is_unsuitable or not 2 <= len(stations) <= MAX_SEPARATE_PARTS:
             return None
-        return replace(self, stations=stations, is_per_setup=True) if len(stations) <= MAX_SEPARATE_PARTS else None
+        return replace(self, stations=stations, has_coefficients_per_setup=True)
 
     def law_at_largest_effect(
         self, coefficient_mean: Floats, coefficient_covariance: Floats, sightings: Sightings
@@ -377,13 +377,13 @@ class EmpiricalLaw(CandidateEffect):
         shape = (n_components, len(coefficient_mean) // (n_components * k), k)
         means, spread = coefficient_mean.reshape(shape), coefficient_covariance.reshape(*shape, *shape)
         columns = self.regressor.columns(sightings)
-        if self.is_per_setup:
+        if self.has_coefficients_per_setup:
             rows = [sightings.station == sightings.station_names.index(name) for name in self.stations]
             size = [float(np.sum((columns[r] @ means[:, i].T) ** 2)) for i, r in enumerate(rows)]
-        largest = int(np.argmax(size)) if self.is_per_setup else 0
+        largest = int(np.argmax(size)) if self.has_coefficients_per_setup else 0
         law = self
-        if self.is_per_setup:
-            law = replace(self, stations=(self.stations[largest],), is_per_setup=False, direction=())
+        if self.has_coefficients_per_setup:
+            law = replace(self, stations=(self.stations[largest],), has_coefficients_per_setup=False, direction=())
         moved = columns[law.row_weights(sightings) > 0] @ means[:, largest].T
         moved = moved - moved.mean(axis=0) if self.regressor.kind != "constant" else moved
         main_direction = np.linalg.svd(moved, full_matrices=False)[2][0]

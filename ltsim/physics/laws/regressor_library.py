@@ -196,7 +196,7 @@ def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -
             *(scalar_regressor(name, "abs") for name in before if name.startswith("move-")),
         ],
         "lag": lag_regressors(s, (*columns, "elevation", "distance", "move-azimuth", "move-elevation")),
-        "amounts": [*visit_regressors(s, MIN_GROUP_SIZE + 1), *_per_previous_target_regressors(s)],
+        "amounts": [*per_setup_regressors(s, MIN_GROUP_SIZE + 1), *_per_previous_target_regressors(s)],
         "wave": list(wave_regressors(s)),
         "room": [
             *with_position_dependence(_slow_wave_regressors(s), 1),
@@ -274,7 +274,7 @@ def single_target_regressors(sightings: Sightings) -> list[Regressor]:
 def target_group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
     """Regressors for motions of a group of targets, by kind, such as `step`, `curve`, or `amounts` per set-up."""
     local, steps = single_target_regressors(sightings), _step_regressors(sightings)
-    each = visit_regressors(sightings, 2)
+    each = per_setup_regressors(sightings, 2)
     return {
         "constant": [CONSTANT_REGRESSOR],
         "sign": [scalar_regressor(name, "power") for name in _varying_covariates(sightings, _SIGN_COVARIATES[3:])],
@@ -307,7 +307,7 @@ def _seating_parity_differs(sightings: Sightings) -> bool:
     return abs(float(parity @ seating)) < len(parity)
 
 
-def visit_regressors(sightings: Sightings, min_setups: int) -> list[Regressor]:
+def per_setup_regressors(sightings: Sightings, min_setups: int) -> list[Regressor]:
     """List with one regressor, which has a separate value for each set-up.
 
     The list is empty for fewer set-ups than `min_setups`, or more than `MAX_SEPARATE_PARTS`.

@@ -187,7 +187,7 @@ def _switch_text(regressor: Regressor, *, has_clock: bool) -> str:
 def law_suffix(law: EmpiricalLaw) -> str:
     """Text that follows a law's regressor: separate coefficients for each set-up, fixed ratio of its components."""
     ratio = RATIO_SUFFIX.format(values=" / ".join(f"{value:.4g}" for value in law.direction)) if law.direction else ""
-    return (PER_SETUP_SUFFIX if law.is_per_setup else "") + ratio
+    return (PER_SETUP_SUFFIX if law.has_coefficients_per_setup else "") + ratio
 
 
 def region_text(region: HallRegion) -> str:
@@ -251,8 +251,8 @@ def parse_law(
     direction = tuple(map(float, ratio["values"].split(" / "))) if ratio else ()
     regressor_text = ratio["words"] if ratio else regressor_text
     regressor = parse_regressor(regressor_text.removesuffix(PER_SETUP_SUFFIX), recording)
-    is_per_setup = regressor_text.endswith(PER_SETUP_SUFFIX)
-    if is_per_setup and (stations or targets):
+    has_coefficients_per_setup = regressor_text.endswith(PER_SETUP_SUFFIX)
+    if has_coefficients_per_setup and (stations or targets):
         raise ModelError(f"'{regressor_text}' applies to all set-ups, not to {', '.join((*stations, *targets))}")
     target_factors = [f for f in (regressor, *regressor.factors) if f.covariates == ("target",)]
     regressor = Regressor("product", factors=(regressor,)) if target_factors == [regressor] else regressor
@@ -269,11 +269,11 @@ def parse_law(
         )
         regressor = replace(regressor, factors=tuple(factors))
     law = EmpiricalLaw(
-        recording.stations if is_per_setup else stations,
+        recording.stations if has_coefficients_per_setup else stations,
         targets,
         RESPONSE_AND_DESIGN_BY_NAME[response_name][0],
         regressor,
-        is_per_setup=is_per_setup,
+        has_coefficients_per_setup=has_coefficients_per_setup,
     )
     if direction and len(direction) != law.n_components:
         raise ModelError(

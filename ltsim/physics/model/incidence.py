@@ -122,7 +122,7 @@ def incidence_prior_from_bench_test(bench_test: BenchTest | None) -> tuple[Float
 
     The covariance is R R'. Without a bench test (None) the mean is zero and the covariance is the effect's prior.
     """
-    mean, root = np.zeros(len(INCIDENCE_EFFECT.parameters)), np.diag(INCIDENCE_EFFECT.size_scales)
+    mean, root = np.zeros(len(INCIDENCE_EFFECT.parameters)), np.diag(INCIDENCE_EFFECT.plausible_sizes)
     if bench_test is None:
         return mean, root
     angle, error, sigma = (

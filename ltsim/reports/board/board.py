@@ -84,7 +84,7 @@ class MovableLayout:
         names = [area.name for area in floor.areas] or [""]
         free = [*(place.name for place in floor.keep_outs), *(door.name for door in floor.doors)]
         group_by_point = {point.name: point.group for point in self.plan_file.listed_points}
-        tolerances = self.tolerances.tolerance_by_point
+        tolerances = self.tolerances.tolerance_by_point_m
         stations = zip(survey.station_names, survey.station_positions, survey.station_yaws, strict=True)
         return {
             "title": self.plan_file.title or self.scenario.title,
@@ -193,7 +193,7 @@ class MovableLayout:
         sigmas, error_radii = information.target_sigmas, error_radius(covariance, self.tolerances.confidence_level)
         for k, t in enumerate(np.flatnonzero(visible)):
             accuracy = {"sigma_um": float(sigmas[k]) / MICROMETRE, "within_um": float(error_radii[k]) / MICROMETRE}
-            tolerance = self.tolerances.tolerance_by_point.get(survey.target_names[t])
+            tolerance = self.tolerances.tolerance_by_point_m.get(survey.target_names[t])
             points[t] = accuracy | (_tolerance_entries(float(error_radii[k]) / tolerance) if tolerance else {})
         return evaluation | {"points": points, "rms_um": information.target_rms / MICROMETRE}
 

@@ -73,9 +73,9 @@ def test_every_table_is_a_set_of_parameters() -> None:
 def test_the_paper_table_is_a_typical_draw_of_the_prior() -> None:
     """Standard deviation at the edge 8.8 um where the table has 10.1 and 5.3 um; no parameter beyond 2 of its own."""
     edge = SmrIncidence.range_correction_design(np.full(2, MAX_INCIDENCE), np.array([0.0, np.pi]))[:, :12]
-    spread = np.sqrt((edge**2) @ SmrIncidence().size_scales[:12] ** 2)
+    spread = np.sqrt((edge**2) @ SmrIncidence().plausible_sizes[:12] ** 2)
     np.testing.assert_allclose(spread, 8.85e-6, rtol=0.01)
-    ratio = np.abs(SmrIncidence(table=PAPER_RANGE_ERRORS).parameters_from_table) / SmrIncidence().size_scales
+    ratio = np.abs(SmrIncidence(table=PAPER_RANGE_ERRORS).parameters_from_table) / SmrIncidence().plausible_sizes
     assert ratio.max() < 2.0
 
 

@@ -180,9 +180,9 @@ def test_another_amount_for_each_target_goes_with_targets(recording: Recording) 
 
 def test_each_set_up_may_follow_in_its_own_way(recording: Recording) -> None:
     law = parse_law("elevation", "exp(-station-time / 8 min), separately at each set-up", recording)
-    assert law.is_per_setup and law.stations == recording.stations
+    assert law.has_coefficients_per_setup and law.stations == recording.stations
     assert len(law.parameters) == len(recording.stations)
-    assert not parse_law("elevation", "exp(-station-time / 8 min)", recording).is_per_setup
+    assert not parse_law("elevation", "exp(-station-time / 8 min)", recording).has_coefficients_per_setup
     with pytest.raises(ModelError, match="applies to all set-ups, not to S2"):
         parse_law("elevation", "time, separately at each set-up", recording, stations=("S2",))
 

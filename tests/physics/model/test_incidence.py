@@ -76,7 +76,7 @@ def test_a_bench_test_from_any_zero_conditions_the_prior_exactly() -> None:
     mean, root = incidence_prior_from_bench_test(test.model_copy(update={"error_um": tuple((TABLE + 40.0).tolist())}))
     terms = -SmrIncidence.range_correction_design(np.abs(TABLE_ANGLES), np.where(TABLE_ANGLES < 0, np.pi, 0.0))
     rows, gap = np.delete(terms - terms[4], 4, axis=0), np.delete(TABLE - TABLE[4], 4) * MICROMETRE
-    prior = np.diag(SmrIncidence().size_scales ** 2)
+    prior = np.diag(SmrIncidence().plausible_sizes ** 2)
     gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + np.eye(8) * (1.5 * MICROMETRE) ** 2)
     np.testing.assert_allclose(mean, gain @ gap, atol=1e-12)
     np.testing.assert_allclose(root @ root.T, prior - gain @ rows @ prior, atol=1e-18)
