@@ -73,13 +73,13 @@ def peers(trials: int) -> None:
     """The table of solvers."""
     truth = workshop()
     engine, judge = BatchCalibrator(truth, misalignment_construction()), TrialEvaluator(truth)
-    block = truth.draw_block(SEED, 0)
+    block = truth.draw_batch(SEED, 0)
     found = engine.calibrate(block)
     judge.common_columns(block)
     judge.method_columns(block, found, engine.construction)
 
     def everything() -> None:
-        drawn = truth.draw_block(SEED, 1)
+        drawn = truth.draw_batch(SEED, 1)
         fitted = engine.calibrate(drawn)
         judge.common_columns(drawn)
         judge.method_columns(drawn, fitted, engine.construction)
@@ -94,7 +94,7 @@ def peers(trials: int) -> None:
         for k in range(trials)
     )
     whole = seconds(everything, 20) / TRIALS_PER_STREAM
-    drawn = seconds(lambda: (truth.draw_block(SEED, 1), engine.calibrate(block)), 20) / TRIALS_PER_STREAM
+    drawn = seconds(lambda: (truth.draw_batch(SEED, 1), engine.calibrate(block)), 20) / TRIALS_PER_STREAM
     rows = [
         _row("ltsim batch: calibration", batch, batch, agreement),
         _row("ltsim batch: simulation and calibration", drawn, batch, agreement),
@@ -147,7 +147,7 @@ def parts() -> None:
     """Where the time of a trial goes."""
     truth = workshop()
     engine, judge = BatchCalibrator(truth, misalignment_construction()), TrialEvaluator(truth)
-    network, block = engine.batch_network, truth.draw_block(SEED, 0)
+    network, block = engine.batch_network, truth.draw_batch(SEED, 0)
     found = engine.calibrate(block)
     x, predicted = network._first_step(block.reading_deviations, block.length_errors)
     gradient, cost = np.empty_like(x), np.empty(TRIALS_PER_STREAM)
@@ -156,7 +156,7 @@ def parts() -> None:
     steps: dict[str, Callable[[], object]] = {
         "draw: normal numbers": lambda: rng.standard_normal(block.reading_deviations.shape),
         "draw: exact readings, two Newton steps": lambda: truth._exact_deviations(block.instrument_values),
-        "draw: everything": lambda: truth.draw_block(SEED, 0),
+        "draw: everything": lambda: truth.draw_batch(SEED, 0),
         "calibrate: linear start": lambda: network._first_step(block.reading_deviations, block.length_errors),
         "calibrate: residuals and gradient": lambda: network._gradient(
             x, block.reading_deviations, block.length_errors, predicted, gradient, cost
@@ -176,7 +176,7 @@ def parts() -> None:
 def other_paths() -> None:
     """The distance objective in batch, and campaigns whose geometry varies from trial to trial."""
     truth, every = workshop(), np.arange(TRIALS_PER_STREAM)
-    batch, block = BatchDistance(truth, misalignment_construction()), truth.draw_block(SEED, 0)
+    batch, block = BatchDistance(truth, misalignment_construction()), truth.draw_batch(SEED, 0)
     found = batch.calibrate(block, every)
     worst = max(batch.largest_solver_difference(block, k, found) for k in range(3))
     each = seconds(lambda: batch.calibrate(block, every), 5) / TRIALS_PER_STREAM
@@ -211,7 +211,7 @@ def scaling(short: bool) -> None:
         truth = room(stations, targets)
         engine = BatchCalibrator(truth, misalignment_construction())
         start = time.process_time()
-        block = truth.draw_block(SEED, 0)
+        block = truth.draw_batch(SEED, 0)
         engine.calibrate(block)
         prepared = time.process_time() - start
         each = seconds(lambda t=truth, e=engine: e.calibrate(t.draw(SEED, 1)), 3) / TRIALS_PER_STREAM  # type: ignore[misc]

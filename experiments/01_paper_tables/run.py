@@ -68,12 +68,12 @@ def figures_of(campaign: CampaignFile, cell: CampaignCell) -> dict[tuple[str, st
     """Trials of a cell by table and method: the workshop's criteria, the laboratory's by its measuring machine."""
     ready = CellContext(campaign, cell.scenario, cell.validation_scenario)
     trials: dict[tuple[str, str], list[dict[str, float]]] = {}
-    for here, calibrators, block in ready.trial_blocks(0, campaign.trials):
+    for here, calibrators, block in ready.trial_batches(0, campaign.trials):
         wanted = np.flatnonzero(block.trials < campaign.trials)
         work = TrialBatchRows(campaign, here, block, ready.validation_evaluator, wanted, wanted[:0])
-        assert work.validation_block is not None
+        assert work.validation_batch is not None
         assert cell.validation_scenario is not None
-        there, elsewhere, _ = work.validation_block
+        there, elsewhere, _ = work.validation_batch
         room, names = there.truth, here.truth.recording.stations
         true = (
             room.state.target_points,

@@ -10,7 +10,7 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.campaigns.rows import CellContext, TrialBatchRows
 from ltsim.campaigns.spec import CampaignCell, CampaignFile
-from ltsim.campaigns.trial_calibrators import CalibratedBlock, recording_of_trial
+from ltsim.campaigns.trial_calibrators import CalibratedBatch, recording_of_trial
 from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Ints
 from ltsim.core.parallel import run_parallel
@@ -35,7 +35,7 @@ class WithoutOutliers:
         self.construction: GeometricErrorModel = misalignment_construction()
         self.effects: tuple[Effect, ...] = ()
 
-    def calibrate(self, block: TrialBatch, wanted: Ints) -> CalibratedBlock:
+    def calibrate(self, block: TrialBatch, wanted: Ints) -> CalibratedBatch:
         """Calibrate a block trial by trial."""
         count, true = block.reading_deviations.shape[2], self.truth.state.target_points
         values, points = np.zeros((1, self.construction.n_parameters, count)), np.zeros((*true.shape, count))
@@ -45,7 +45,7 @@ class WithoutOutliers:
             values[0, :, i] = adjustment.state.instrument_parameters[0]
             points[:, :, i] = align_to_points(adjustment.state.target_points, true) - true
             chi2[i] = adjustment.chi2
-        return CalibratedBlock(values, np.full(values.shape[:2], np.nan), points, chi2, np.zeros(count, dtype=np.int64))
+        return CalibratedBatch(values, np.full(values.shape[:2], np.nan), points, chi2, np.zeros(count, dtype=np.int64))
 
     def cleaned(self, recording: Recording) -> Adjustment:
         """The adjustment that no reading contradicts any more."""
@@ -59,7 +59,7 @@ class WithoutOutliers:
             adjustment = adjust(recording, self.construction, reading_mask=use, start_state=adjustment.state)
         return adjustment
 
-    def difference(self, block: TrialBatch, trial: int, found: CalibratedBlock) -> float:
+    def difference(self, block: TrialBatch, trial: int, found: CalibratedBatch) -> float:
         """It is the full solver."""
         return float("nan")
 
@@ -81,7 +81,7 @@ def errors_of(campaign: CampaignFile, cell: CampaignCell, percent: float) -> dic
     """Columns by method, with a share of outliers."""
     ready = CellContext(campaign, cell.scenario, cell.validation_scenario)
     parts: dict[str, list[pd.DataFrame]] = {}
-    for here, calibrators, clean in ready.trial_blocks(0, campaign.trials):
+    for here, calibrators, clean in ready.trial_batches(0, campaign.trials):
         block = with_outliers(here.truth, clean, percent, campaign.seed)
         wanted = np.flatnonzero(block.trials < campaign.trials)
         work = TrialBatchRows(campaign, here, block, ready.validation_evaluator, wanted, wanted[:0])

@@ -133,7 +133,7 @@ def check(scenario: Scenario, folder: Path, trials: int, given: Options) -> tupl
     predicted, found = information.instrument_sigmas, results.z_score_summaries()
     rows: list[Row] = [
         {"parameter": p.name, "unit": p.unit, "predicted": sigma / p.si_per_display_unit,
-         "ratio": np.hypot(z.mean, z.deviation), "z_mean": z.mean}
+         "ratio": np.hypot(z.mean, z.standard_deviation), "z_mean": z.mean}
         for p, sigma, z in zip(information.construction.parameters, predicted, found, strict=True)
     ]  # fmt: skip
     ratio = np.array([row["ratio"] for row in rows])

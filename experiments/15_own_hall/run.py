@@ -33,7 +33,7 @@ def changed(scenario: Scenario, change: PlanChange) -> Scenario:
 def squares(scenario: Scenario, weights: dict[str, float], number: int, width: int) -> Floats:
     """Weighted mean squared error (B,) [um^2] of the named targets, fitted rigidly to where they truly are."""
     truth = make_cell_truth(scenario, SEED, "campaign")
-    block = truth.draw_block(SEED, number, width)
+    block = truth.draw_batch(SEED, number, width)
     found = make_calibrator(Method(), truth).calibrate(block, np.arange(width))
     weight = np.array([weights.get(name, 0.0) for name in truth.recording.targets])
     true = np.ascontiguousarray(np.broadcast_to(truth.state.target_points[:, :, None], found.target_errors.shape))

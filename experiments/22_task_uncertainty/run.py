@@ -11,7 +11,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
 from ltsim.measurands.inputs import TaskInputs
 from ltsim.measurands.measurands import Measurand, align_with_scale
-from ltsim.measurands.propagation import LinearUncertainty, expansion_of_part, propagate
+from ltsim.measurands.propagation import LinearUncertainty, propagate, thermal_expansion_of_part
 from ltsim.measurands.spec import Tasks, load_tasks
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.simulation.scenario import Scenario, load_scenario
@@ -35,7 +35,7 @@ def errors_of(truth: CellTruth, tasks: Tasks, placed: Floats, seed: int, number:
     frame of inner constraints, which the prediction is told in.
     """
     engine = BatchCalibrator(truth, misalignment_construction())
-    found = engine.calibrate(truth.draw_block(seed, number))
+    found = engine.calibrate(truth.draw_batch(seed, number))
     drawn = truth.state.target_points + np.moveaxis(found.target_errors, 2, 0)
     rotation, shift, _ = align_with_scale(placed, drawn)
     drawn = np.einsum("bji,btj->bti", rotation, drawn - shift[:, None])
@@ -55,7 +55,8 @@ def predicted(truth: CellTruth, tasks: Tasks, dropped: str = "") -> tuple[Linear
     inputs = TaskInputs.from_recording(truth.recording, told)
     measurands = [Measurand.from_task(task, inputs.target_names, inputs.points) for task in told.task]
     names = [(m.task.name, o.name, o.unit, o.si_per_unit) for m in measurands for o in m.outputs]
-    return propagate(inputs, measurands, expansion_of_part(None)), names, inputs.point_source.state.target_points
+    points = inputs.point_source.state.target_points
+    return propagate(inputs, measurands, thermal_expansion_of_part(None)), names, points
 
 
 def table_of(case: str, errors: Floats, linear: LinearUncertainty, names: Names) -> list[Any]:

@@ -1,1 +1,1 @@
-"""Acceptance tests of trackers, predicted or evaluated: tests of a standard, of a user, or by a network."""
+"""Acceptance tests of trackers, predicted or evaluated: tests of a standard, of the user, or in an adjusted network."""

@@ -12,52 +12,53 @@ from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, Positive,
 from ltsim.recordings.specification import Specification
 
 Judgement = Literal["accepted", "rejected", "undecided"]
-"""Judgement of a measured error by ISO 14253-1: accepted or rejected by more than its expanded uncertainty.
-
-An error without an uncertainty is compared with the limit alone.
+"""Judgement of a measured error by ISO 14253-1: `accepted` if it is below its limit by at least its expanded
+uncertainty, `rejected` if it is above its limit by more than that, else `undecided`. An error without an uncertainty is
+compared with its limit directly.
 """
 
 
 JUDGEMENT_ORDER: tuple[Judgement, ...] = ("rejected", "undecided", "accepted")
-"""Judgements, the worst first."""
+"""Judgements in the order from the worst to the best."""
 
 
 def joint_judgement(judgements: Collection[Judgement]) -> Judgement:
-    """Judgement of several errors: rejected if one is, accepted if all are."""
+    """Joint judgement of several errors: rejected if one is rejected, accepted if all are accepted, else undecided."""
     return "rejected" if "rejected" in judgements else "accepted" if {*judgements} <= {"accepted"} else "undecided"
 
 
 class TestEntry(Entry):
-    """An acceptance test, measured or predicted."""
+    """Acceptance test with its error, measured or predicted, and its limit."""
 
     __test__ = False
 
     name: str
     """Name of the test."""
     group: str
-    """Group of the test: lengths of one position, two-face tests, ..."""
+    """Group of the test, such as the two-face tests, or the lengths in one orientation."""
     limit_um: Positive
     """Maximum permissible error of the manufacturer's specification [um]."""
     error_um: Finite
-    """Expected or measured error [um]; for a two-face test the distance perpendicular to the beam."""
+    """Expected or measured error [um]; in a two-face test the distance between the points of both faces, perpendicular
+    to the beam."""
     expanded_um: OptionalFloat = None
     """Expanded uncertainty (95 %) of the error [um]; null if it was not reported."""
     pass_probability: OptionalFloat = None
     """Predicted probability that the error is within the limit; null for a measured error."""
     judgement: Judgement | None = None
-    """Judgement of a measured error; null for a predicted one."""
+    """Judgement of a measured error; null for a predicted error."""
 
     @property
     def guarded_limit_ratio(self) -> float:
-        """Ratio of the error, reduced by its expanded uncertainty, to the limit; above 1 the error is rejected."""
+        """Ratio (absolute error minus expanded uncertainty) / limit; an error with a ratio above 1 is rejected."""
         return (abs(self.error_um) - (self.expanded_um or 0.0)) / self.limit_um
 
     @property
     def hardest_first_key(self) -> tuple[float, int, float]:
-        """Sort key that puts the test closest to failure first.
+        """Sort key of the tests; the test with the largest excess, or closest to failure, is first.
 
-        It contains the probability to pass, the judgement, and a ratio of error to limit: for a rejected error with the
-        error reduced by its uncertainty, otherwise with the error increased by it.
+        The key consists of the probability to pass, the judgement, and the ratio of error to limit. The error is
+        reduced by its expanded uncertainty if it is rejected, and increased by it otherwise.
         """
         share = self.guarded_limit_ratio
         if self.judgement != "rejected":
@@ -73,16 +74,17 @@ class GroupEntry(Entry):
     tests: int
     """Number of tests in the group."""
     pass_probability: OptionalFloat = None
-    """Predicted probability that all tests are within their limits; null for measured errors."""
+    """Predicted probability that the errors of all tests in the group are within their limits; null for measured
+    errors."""
     judgement: Judgement | None = None
-    """Judgement of all measured errors; null for predicted ones."""
+    """Joint judgement of the measured errors in the group; null for predicted errors."""
     largest_limit_ratio: Finite
-    """Largest ratio of error to limit; for a prediction the error includes its uncertainty."""
+    """Largest ratio of error to limit in the group; a predicted error is increased by its expanded uncertainty."""
 
 
 TESTS_TABLE = Table(
     "accept.csv",
-    "errors and limits of the tests",
+    "errors and limits of the acceptance tests",
     columns_of(
         TestEntry,
         name={"name": "test"},
@@ -97,7 +99,7 @@ TESTS_TABLE = Table(
 
 GROUPS_TABLE = Table(
     "groups.csv",
-    "tests by group",
+    "summary of the tests of each group",
     columns_of(
         GroupEntry,
         name={"name": "group"},
@@ -109,69 +111,70 @@ GROUPS_TABLE = Table(
 
 
 class SensitivityEntry(Entry):
-    """Sensitivity of the tests to one constant of the instrument, with all others zero."""
+    """Sensitivity of the tests to one instrument constant, while all other constants are zero."""
 
     name: str
-    """Name of the constant."""
+    """Name of the instrument constant."""
     unit: str
     """Unit of `prior_sigma` and `smallest_failing`."""
     prior_sigma: Finite
-    """Prior standard deviation of the constant by the specification, in `unit`."""
+    """Prior standard deviation of the instrument constant from the specification, in `unit`."""
     smallest_failing: OptionalFloat
-    """Smallest size of the constant at which a test fails; null if no test depends on it."""
+    """Smallest absolute value of the instrument constant at which a test fails, in `unit`; null if no test depends on
+    the constant."""
     test: str
-    """Test that fails first."""
+    """Name of the test that fails at `smallest_failing`."""
 
 
 class WorstPassingInstrumentEntry(Entry):
-    """Instrument with the largest point errors that still passes every test."""
+    """Instrument that passes every test although its point errors are the largest possible."""
 
     constants: dict[str, Finite]
-    """Constants of the instrument, in the units of the sensitivities."""
+    """Instrument constants by name, in the units of the sensitivities."""
     rms_um: Finite
-    """Root mean square error of points around it, 1.5 to 9 m away, after a best fit."""
+    """Root mean square error of points 1.5 to 9 m around the instrument, after a rigid best fit of all points."""
     largest_um: Finite
-    """Largest error of these points."""
+    """Largest error of one of these points."""
 
 
 class AcceptanceFile(ResultFile):
-    """`accept.json`: the result of `accept`."""
+    """Result of `accept`, with the content of `accept.json`."""
 
     FILE: ClassVar[str] = "accept.json"
     format: Literal["ltsim-accept/1"] = "ltsim-accept/1"
     """Format and version of this file."""
     title: str = ""
-    """Free text."""
+    """Title of the acceptance tests, free text."""
     kind: Literal["predicted", "measured", "network"]
     """Origin of the test errors: predicted, measured, or taken from a network."""
     plan: str
-    """Standard, or file of tests."""
+    """Name of the standard, or of the file with the tests."""
     specification: Specification
-    """Limits of the manufacturer."""
+    """Manufacturer's specification with the limits of the tests."""
     assumption: str = ""
-    """Assumption by which limits were converted to standard deviations."""
+    """Sentence on the assumption by which limits of the specification were converted to standard deviations."""
     pass_probability: OptionalFloat = None
     """Predicted probability that all tests pass; null for measured errors."""
     judgement: Judgement | None = None
-    """Judgement of all measured errors by ISO 14253-1: rejected if one is, accepted if all are and no test of the plan
-    is missing; null for a prediction.
+    """Joint judgement of all measured errors by ISO 14253-1: `rejected` if one error is rejected, `accepted` if all are
+    accepted and no test of the plan is missing, else `undecided`; null for a prediction.
     """
     decision_rule: str = ""
     """Rule by which measured errors are judged, and the content of their uncertainties; empty for a prediction."""
     unmeasured: tuple[str, ...] = ()
-    """Tests of the plan without a measured error."""
+    """Names of the planned tests without a measured error."""
     sentence: str
-    """Sentence with the result."""
+    """Result of all tests in one sentence."""
     next_actions: tuple[str, ...] = ()
-    """Next actions, the most urgent first."""
+    """Recommended actions, the most urgent first."""
     groups: tuple[GroupEntry, ...] = Field(min_length=1)
-    """Tests by group."""
+    """Summary of the tests of each group."""
     tests: tuple[TestEntry, ...] = Field(min_length=1)
-    """All tests."""
+    """All tests with their errors and limits."""
     sensitivities: tuple[SensitivityEntry, ...] = ()
-    """Sensitivity of the tests to each constant of the instrument."""
+    """Sensitivity of the tests to each instrument constant."""
     worst_passing: WorstPassingInstrumentEntry | None = None
-    """Instrument with the largest point errors that passes every test; null if it was not searched."""
+    """Instrument that passes every test with the largest point errors; null if it was not searched for."""
 
     def _lines(self) -> list[str]:
         return [f"Acceptance ({self.kind}, {self.plan}): {self.sentence}"]
@@ -186,10 +189,10 @@ class AcceptanceFile(ResultFile):
 def group_entries(
     test_entries: Sequence[TestEntry], pass_probability_by_group: Mapping[str, float] | None = None
 ) -> tuple[GroupEntry, ...]:
-    """Summaries of `test_entries` by group; in a prediction the uncertainty of an error is included in it.
+    """Summary of the test entries of each group.
 
-    `pass_probability_by_group` holds the predicted probability that all tests of a group pass; None for measured
-    errors.
+    `pass_probability_by_group` holds the predicted probability that all tests of a group pass, by name of the group; it
+    is None for measured errors.
     """
     predicted = pass_probability_by_group or {}
 
@@ -215,9 +218,9 @@ def group_entries(
 def make_test_entry(
     test_name: str, test_group: str, error: float, limit: float, expanded_uncertainty: float = float("nan")
 ) -> TestEntry:
-    """Entry of a test with its name and group, from its error and limit [m]; the error is judged by ISO 14253-1.
+    """Entry of a measured test, from its name, group, error [m] and limit [m]; the error is judged by ISO 14253-1.
 
-    `expanded_uncertainty` (95 %) is that of the error [m], NaN if not given.
+    `expanded_uncertainty` (95 %) [m] belongs to the error; NaN if it is unknown.
     """
     sizes_um = {
         "error_um": error / MICROMETRE,

@@ -1,7 +1,8 @@
-"""Errors of lengths and two-face differences in a network, whose adjusted targets replace calibrated lengths.
+"""Acceptance test in a network: errors of lengths between its adjusted targets, and differences between the faces.
 
-Errors that `calibrate` identifies in the recording and that are not the tracker's, such as a moved target, are removed
-from the tested readings. Possible errors of the tracker remain in them.
+The adjusted targets replace calibrated reference lengths. Errors that `calibrate` identifies in the recording, and that
+are no errors of the tracker, such as a moved target, are removed from the tested readings. Possible errors of the
+tracker remain in the readings.
 
 References
 ----------
@@ -27,7 +28,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.specification import Specification
 
 MAX_OUTLIER_ROUNDS = 3
-"""Largest number of adjustments in which outliers are identified."""
+"""Largest number of repeated adjustments, each without the outliers identified before."""
 TRACKER_CAUSE_KINDS: tuple[CauseKind, ...] = ("constant-drift", "noise-level", CENTRING_KIND)
 """Kinds of causes that may be errors of the tracker. Random displacements at each set-up (`centring`) have the same
 effect as errors of the tracker that repeat in all rounds.
@@ -37,8 +38,9 @@ effect as errors of the tracker that repeat in all rounds.
 def may_be_tracker_error(cause: CauseTest) -> bool:
     """True for an identified cause that may be an error of the tracker itself.
 
-    Elevations change with the tracker's vertical index. A constant of the distances that differs at one set-up is that
-    of a reflector, and a scale that differs there is that of the air. An error at one target is none of the tracker.
+    A change of the elevations may come from the tracker's vertical index. An additive constant of the distances that
+    differs at one set-up belongs to a reflector, a scale that differs there belongs to the air. An error at one target
+    is not an error of the tracker.
     """
     is_shift = cause.kind in ("constant-offset", "constant-step")
     is_possible = cause.kind in TRACKER_CAUSE_KINDS or (is_shift and cause.acts_on == "elevation")
@@ -46,7 +48,7 @@ def may_be_tracker_error(cause: CauseTest) -> bool:
 
 
 def _treatment_text(cause: CauseTest, treatment_text: str) -> str:
-    """Text on the treatment of a cause; for centring errors it states that the uncertainties contain them."""
+    """Phrase on the treatment of a cause: `treatment_text`, adapted for centring errors (part of the uncertainties)."""
     if cause.kind != CENTRING_KIND:
         return treatment_text
     return treatment_text.partition(",")[0] + ", and the uncertainties of the lengths contain it"
@@ -54,31 +56,32 @@ def _treatment_text(cause: CauseTest, treatment_text: str) -> str:
 
 @dataclass(frozen=True)
 class NetworkTests:
-    """Tests of a tracker by a network, with the errors that were identified in the recording."""
+    """Acceptance tests of a tracker in a network, and the errors that were identified in the recording."""
 
     entries: tuple[TestEntry, ...]
-    """Errors of lengths and two-face differences, with their limits."""
+    """Tests of lengths and two-face differences, with their errors and limits."""
     corrected_causes: tuple[CauseTest, ...]
-    """Errors of the recording that are no errors of the tracker. They are removed from the tested readings; centring
-    errors are in the uncertainties instead.
+    """Errors in the recording that are no errors of the tracker. They are removed from the tested readings; centring
+    errors are not removed, but included in the uncertainties.
     """
     tracker_causes: tuple[CauseTest, ...]
     """Possible errors of the tracker, which remain in the tested readings."""
     uncorrected_causes: tuple[CauseTest, ...]
-    """Errors of the recording that are not removed; the tests are not valid with them."""
+    """Errors in the recording that are no errors of the tracker and are not removed; they make the tests invalid."""
     outliers: tuple[CauseTest, ...]
-    """Outlying readings, whose pointings are neither adjusted nor tested."""
+    """Outliers among the readings; their pointings are neither adjusted nor tested."""
     unexplained_noise_ratio: float
-    """Ratio of the scatter of the readings to the declared noise if no cause of it is identified; otherwise 1."""
-    n_rejected_without_constants: int = 0
-    """Number of errors beyond their limits after the correction of the readings by the estimated constants."""
+    """Ratio of the scatter of the readings to their declared noise if no cause of the scatter is identified; otherwise
+    1."""
+    n_rejected_after_correction: int = 0
+    """Number of errors that are rejected if the readings are corrected by the estimated instrument constants."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences on the errors in the recording, and on their treatment."""
+        """Sentences on the errors identified in the recording, and on their treatment in the tests."""
         cause_groups = (
-            (self.uncorrected_causes, "no error of the tracker, but it remains in the tests, which are not valid"),
-            (self.corrected_causes, "no error of the tracker, and it is removed before the tests"),
+            (self.uncorrected_causes, "not an error of the tracker, but it remains in the tests, which are invalid"),
+            (self.corrected_causes, "not an error of the tracker, and it is removed before the tests"),
             (self.tracker_causes, "possibly an error of the tracker, and it remains in the tests"),
         )
         lines = [
@@ -87,7 +90,7 @@ class NetworkTests:
             for c in causes
         ]
         if self.outliers:
-            lines.append(f"Pointings with outlying readings are not tested: {self._outlier_names}.")
+            lines.append(f"Pointings with outliers are not tested: {self._outlier_names}.")
         if self.unexplained_noise_ratio > 1.0:
             lines.append(
                 f"The readings scatter {self.unexplained_noise_ratio:.2f} times as much as declared, and the cause "
@@ -98,21 +101,21 @@ class NetworkTests:
 
     @property
     def _outlier_names(self) -> str:
-        """Stations, targets and rows of the pointings with outlying readings, the first three by name."""
+        """List of the pointings with outliers: station, target and row; pointings after the third are only counted."""
         names = (f"{t.where.stations[0]} to {t.where.targets[0]} (row {t.rows[0]})" for t in self.outliers)
         return listing(list(dict.fromkeys(names)), 3)
 
     @property
     def urgent_actions(self) -> tuple[str, ...]:
-        """Actions without which the tests are not valid, or which separate the tracker from its surroundings."""
+        """Actions that make the tests valid, or that separate errors of the tracker from errors of its surroundings."""
         unexplained = ["Run ltsim diagnose to find the cause of the scatter before you judge the tracker."]
         actions = recommendations_for_causes((*self.uncorrected_causes, *self.tracker_causes))
         return (*actions, *(unexplained if self.unexplained_noise_ratio > 1.0 else []))
 
     @property
-    def constants_action(self) -> str:
-        """Action after a rejection, by the number of errors beyond their limits without the instrument's constants."""
-        count, total = self.n_rejected_without_constants, len(self.entries)
+    def action_after_rejection(self) -> str:
+        """Action after a rejection: adjustment by the maker, or correction by instrument constants if it suffices."""
+        count, total = self.n_rejected_after_correction, len(self.entries)
         maker = "Have the maker adjust the tracker"
         if not count:
             correction = "correct all readings by ltsim calibrate and ltsim correct"
@@ -122,18 +125,18 @@ class NetworkTests:
         )
 
     def further_actions(self, *, is_rejected: bool) -> tuple[str, ...]:
-        """Actions after errors that do not impair the tests; outliers are measured again unless others are rejected."""
+        """Actions for errors that leave the tests valid; outliers are to be measured again unless `is_rejected`."""
         again = [f"Measure again: {self._outlier_names}."] if self.outliers and not is_rejected else []
         return (*recommendations_for_causes(self.corrected_causes), *again)
 
 
 def evaluate_network(recording: Recording, instrument_specification: Specification) -> NetworkTests:
-    """Errors of lengths measured by each station, relative to the adjusted network, and differences between faces.
+    """Tests of a tracker in a network: errors of the lengths that each station measures, and differences between faces.
 
-    The network is adjusted together with the instrument's constants and with the errors identified in the recording, so
-    that its lengths contain neither. The lengths of each station in one face are compared with them. They contain the
-    errors of the instrument. Raises NetworkError for a network with one station, which has no independent lengths, for
-    several instruments, and for a network that cannot be adjusted.
+    The reference lengths come from the network adjusted with the instrument constants and with the errors identified in
+    the recording, so that they contain neither. The lengths that a station measures in one face contain the errors of
+    the instrument. NetworkError is raised for a network with one station, which has no independent reference lengths,
+    for several instruments, and for a network that cannot be adjusted.
     """
     if len(recording.stations) < 2:
         raise NetworkError("the recording has one station; the network method needs at least two")
@@ -146,7 +149,7 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
     network = TestedNetwork(adjustment, calibration.uncertainty_factor)
     test_entries = network.test_entries(instrument_specification)
     if not test_entries:
-        raise NetworkError("no station measured the distance and both angles of two targets; a length needs both ends")
+        raise NetworkError("no station measured distance and both angles of two targets; a length needs both ends")
     n_rejected = 0
     if any(entry.judgement == "rejected" for entry in test_entries):
         without_constants = replace(network, is_corrected_for_constants=True).test_entries(instrument_specification)
@@ -160,9 +163,9 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
 
 
 def _calibrate_without_outliers(recording: Recording) -> tuple[Calibration, tuple[CauseTest, ...]]:
-    """Calibration without the pointings in which outliers are identified, and the tests of the outliers.
+    """Calibration without the pointings that contain outliers, and the tests of these outliers.
 
-    Outliers are identified again without the first ones, at most `MAX_OUTLIER_ROUNDS` times.
+    After each adjustment further outliers are searched for, at most `MAX_OUTLIER_ROUNDS` times.
     """
     outliers: list[CauseTest] = []
     for _ in range(MAX_OUTLIER_ROUNDS):

@@ -1,4 +1,4 @@
-"""Prediction of acceptance tests: errors, sensitivities, probabilities to pass, and errors that no test detects."""
+"""Prediction of acceptance tests: errors, sensitivities, probabilities to pass, and undetected point errors."""
 
 from __future__ import annotations
 
@@ -26,31 +26,34 @@ from ltsim.recordings.setup import Noise
 from ltsim.recordings.specification import Specification
 
 MAX_ROUNDING_FRACTION = 1e-6
-"""Largest fraction of a limit that counts as rounding. If a constant of one prior sigma changes no test by more, no
-test depends on it."""
+"""Change of a test's error, as a fraction of its limit, that counts as rounding. If an instrument constant with the
+size of its prior standard deviation changes no test by more, no test depends on it."""
 MAX_PRIOR_SIGMAS = 3.0
-"""Largest size of a constant, in prior standard deviations, in the search for an instrument that passes all tests in
-spite of large errors.
+"""Largest size of an instrument constant, in prior standard deviations, in the search for the instrument with the
+largest point errors that passes all tests.
 """
 
 
 @dataclass(frozen=True)
 class AcceptancePlan:
-    """Acceptance tests, k with their limits, for instruments with a geometric error model of p constants."""
+    """Plan of k acceptance tests with their limits, for an instrument whose error model has p instrument constants."""
 
     tests: tuple[AcceptanceTest, ...]
     construction: GeometricErrorModel
+    """Error model of the instrument."""
     specification: Specification
+    """Manufacturer's specification with the limits of the tests."""
     declared_noise: Noise
+    """Standard deviations of the readings."""
 
     @cached_property
     def _test_end_points(self) -> tuple[Floats, Floats]:
-        """First and second points of all tests, (k, 3) [m] each."""
+        """First and second points of all tests, each of shape (k, 3) [m]."""
         return np.array([t.first_point for t in self.tests]), np.array([t.second_point for t in self.tests])
 
     @cached_property
     def is_length(self) -> Bools:
-        """Flags (k,): True for a length, False for a two-face test."""
+        """Mask (k,) of the tests of a length; the others are two-face tests."""
         return np.array([t.kind == "length" for t in self.tests])
 
     @cached_property
@@ -63,10 +66,10 @@ class AcceptancePlan:
         return limit
 
     def test_errors(self, constants: Floats) -> Floats:
-        """Errors (k, 2) [m] of the tests for an instrument with constants (p,) [SI], without noise.
+        """Exact errors (k, 2) [m] of the tests for an instrument with `constants` (p,) [SI], without noise.
 
-        They are exact. For a length, they are measured minus true length, and 0. For a two-face test, they are the
-        front-face point minus the back-face point, to the left and upwards as seen from the instrument.
+        The row of a length contains measured minus true length, and 0. The row of a two-face test contains front-face
+        minus back-face point, to the left and upwards as seen from the instrument.
         """
         first, second = self._test_end_points
         front = np.ones(len(first), dtype=np.int64)
@@ -79,14 +82,14 @@ class AcceptancePlan:
 
     @cached_property
     def sensitivities(self) -> Floats:
-        """Derivative of the errors with respect to the constants, by central differences, (k, 2, p) [m per SI unit]."""
+        """Derivative (k, 2, p) [m per SI unit] of the errors by the instrument constants, from central differences."""
         steps = np.diag([p.prior_sigma for p in self.construction.parameters])
         columns = [(self.test_errors(s) - self.test_errors(-s)) / (2 * s.sum()) for s in steps]
         return np.stack(columns, axis=2)
 
     @cached_property
     def error_sigmas(self) -> Floats:
-        """Standard deviations of the errors due to noise, (k, 2) [m]."""
+        """Standard deviations (k, 2) [m] of the test errors due to noise of the readings."""
         first, second = self._test_end_points
         squares = np.zeros((len(first), 2))
         near, far = (self._point_noise(points) for points in (first, second))
@@ -99,9 +102,9 @@ class AcceptancePlan:
         return np.sqrt(squares)
 
     def _point_noise(self, points: Floats) -> tuple[Floats, Floats]:
-        """Directions (k, 3, 3) of beam, left and up at k points (k, 3) [m], and standard deviations (k, 3) [m].
+        """Unit vectors (k, 3, 3) along beam, left and up at points (k, 3) [m], and noise of the points along them.
 
-        The standard deviations are those of the noise of a point along these directions.
+        The noise is given as standard deviations (k, 3) [m].
         """
         polar = to_polar(points)
         axes = np.stack(unit_vectors(polar[:, 1], polar[:, 2]), axis=1)
@@ -110,10 +113,10 @@ class AcceptancePlan:
         return axes, sigma * np.where([True, False, False], 1.0, polar[:, :1])
 
     def predict(self, mean_constants: Floats, covariance: Floats, *, n_trials: int, seed: int) -> AcceptancePrediction:
-        """Predicted errors of an instrument whose constants have a mean (p,) and a covariance (p, p) [SI].
+        """Predicted tests of an instrument whose constants have the mean (p,) [SI] and the covariance (p, p) [SI].
 
-        The probability to pass is estimated with `n_trials` draws of constants and noise, whose errors are linearised
-        about the mean.
+        The probability to pass is estimated with `n_trials` random draws of constants and noise; the errors are linear
+        in the difference of the constants from their mean.
         """
         rng = random_stream(seed, "accept")
         mean_errors = self.test_errors(mean_constants)
@@ -144,13 +147,13 @@ class AcceptancePlan:
         )
 
     def is_within_limits(self, errors: Floats) -> Bools:
-        """Flags (..., k) of the tests, of each instrument, whose errors (..., k, 2) [m] are within their limits."""
+        """Mask (..., k) of the tests whose errors (..., k, 2) [m] are within their limits."""
         return np.hypot(errors[..., 0], errors[..., 1]) <= self.permissible_errors
 
     def smallest_failing_constants(self) -> tuple[Floats, list[AcceptanceTest]]:
-        """Smallest size (p,) [SI] of each constant alone at which a test fails, and that test for each constant.
+        """Smallest size (p,) [SI] of each instrument constant at which a test fails, and the test that fails there.
 
-        The size is infinite if no test depends on the constant.
+        All other constants are zero. The size is infinite if no test depends on the constant.
         """
         per_unit = np.linalg.norm(self.sensitivities, axis=1) / self.permissible_errors[:, None]
         indices = np.argmax(per_unit, axis=0)
@@ -164,11 +167,11 @@ class AcceptancePlan:
         return failing_sizes, [self.tests[i] for i in indices]
 
     def worst_passing_constants(self, prior_sigmas: Floats, points: Floats) -> tuple[Floats, float, float]:
-        """Constants (p,) [SI] with the largest point errors that still meet every limit, and two sizes of the errors.
+        """Instrument constants that pass all tests with the largest errors of the points (n, 3) [m], and these errors.
 
-        These are the root mean square and the largest error [m] of points (n, 3) [m]. The search is along the
-        directions with the largest ratio of point errors to test errors, up to the limits and to `MAX_PRIOR_SIGMAS`
-        prior standard deviations (p,).
+        The result is the constants (p,) [SI], the root mean square point error [m] and the largest point error [m]. The
+        search is along the directions with the largest ratio of point errors to test errors, up to the limits of the
+        tests and to `MAX_PRIOR_SIGMAS` times `prior_sigmas` (p,) [SI].
         """
         harm = point_errors_by_constant(self.construction, points, prior_sigmas)
         directions = (self.sensitivities * prior_sigmas / self.permissible_errors[:, None, None]).reshape(
@@ -187,7 +190,10 @@ class AcceptancePlan:
         return tried[best_index], float(rms[best_index]), float(gaps[best_index].max())
 
     def _longest_passing_vector(self, unit_direction: Floats, prior_sigmas: Floats) -> Floats:
-        """Longest vector (p,) [SI] along a direction in prior units that meets every limit, to 0.1 %."""
+        """Longest vector of constants (p,) [SI] along a direction that passes every test, accurate to 0.1 %.
+
+        `unit_direction` (p,) is in units of `prior_sigmas` (p,) [SI].
+        """
         low, high = 0.0, MAX_PRIOR_SIGMAS
         while high - low > 1e-3 * MAX_PRIOR_SIGMAS:
             middle = (low + high) / 2
@@ -198,10 +204,10 @@ class AcceptancePlan:
 
 @dataclass(frozen=True)
 class AcceptancePrediction:
-    """Predicted results of k tests."""
+    """Predicted results of k acceptance tests."""
 
     expected_errors: Floats
-    """Expected errors, (k, 2) [m]."""
+    """Expected errors, (k, 2) [m]: of a length, and 0; of a two-face difference, to the left and upwards."""
     error_sigmas: Floats
     """Standard deviations of the errors including noise, (k, 2) [m]."""
     pass_probabilities: Floats
@@ -209,13 +215,13 @@ class AcceptancePrediction:
     p_all_pass: float
     """Probability that all tests pass."""
     pass_probability_by_group: dict[str, float]
-    """Probability that all tests of a group pass."""
+    """Probability that all tests of a group pass, by name of the group."""
 
 
 def point_errors_by_constant(construction: GeometricErrorModel, points: Floats, prior_sigma: Floats) -> Floats:
-    """Displacement (3 n, p) [m] of front-face points (n, 3) [m] by constants of size `prior_sigma`, after a best fit.
+    """Displacement (3 n, p) [m] of front-face points (n, 3) [m] by each instrument constant of the size `prior_sigma`.
 
-    A rigid motion of all points is not counted.
+    The rigid motion that fits the displacements best is subtracted. `prior_sigma` has the shape (p,) [SI].
     """
     front = np.ones(len(points), dtype=np.int64)
     columns = [
@@ -227,7 +233,7 @@ def point_errors_by_constant(construction: GeometricErrorModel, points: Floats, 
 
 
 def _covariance_root(covariance: Floats) -> Floats:
-    """Square root (p, r) of a covariance matrix (p, p) of rank r."""
+    """Matrix R (p, r) with R R' equal to a covariance matrix (p, p) of rank r."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
@@ -240,9 +246,9 @@ def predicted_result(
     *,
     instrument_description: str,
 ) -> AcceptanceFile:
-    """Content of `accept.json` for a prediction: probability that an instrument passes its tests, with expected errors.
+    """Content of `accept.json` for a prediction: probability that an instrument passes its tests, and expected errors.
 
-    `prior_sigmas` (p,) [SI] are the standard deviations of the constants of the instrument. The sentence of the result
+    `prior_sigmas` (p,) [SI] are the prior standard deviations of the instrument constants. The sentence of the result
     begins with `instrument_description`.
     """
     values, rms, largest = plan.worst_passing_constants(prior_sigmas, envelope_points())

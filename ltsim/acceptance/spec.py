@@ -1,4 +1,4 @@
-"""Acceptance file (ltsim-acceptance/1): tests, limits of the manufacturer, and information on the instrument.
+"""Acceptance file (ltsim-acceptance/1): tests, the manufacturer's limits, and information on the instrument.
 
 Tests are lengths and two-face targets in the instrument's frame, with z upwards and the origin at the head.
 """
@@ -24,41 +24,46 @@ TestKind = Literal["length", "two-face"]
 TEST_COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
 """Columns of a table of tests that a user writes."""
 MIN_REFERENCE_LENGTH = 2.3
-"""[m] Smallest reference length that ASME B89.4.19-2006 permits; used for the lengths in front of the instrument."""
+"""Smallest reference length [m] that ASME B89.4.19-2006 permits; used for the lengths in front of the instrument."""
 CLOSEST_POSITION_DISTANCE = 1.2
-"""[m] Distance of the instrument from the reference length in the test at the closest position."""
+"""Distance [m] of the instrument from the reference length in the test at the closest position."""
 StandardName = Literal["asme-b89.4.19-2006", "iso-10360-10", "iso-10360-10-two-face"]
 TWO_FACE_ONLY_STANDARD: StandardName = "iso-10360-10"
-"""Standard of which only the two-face tests are published openly; the user gives its lengths in a table."""
+"""Standard of which only the two-face tests are openly published; the user provides its length tests in a CSV table."""
 
 
 @dataclass(frozen=True)
 class AcceptanceTest:
-    """Test of a tracker: a length between two points, or a target measured in both faces (equal points)."""
+    """Acceptance test of a tracker: a length between two points, or one target measured in both faces."""
 
     __test__ = False  # a test of a tracker, not one of pytest's
 
     name: str
+    """Name of the test."""
     group: str
+    """Group of the test, such as the two-face tests or the lengths in one orientation."""
     kind: TestKind
+    """Kind of the test: `length` or `two-face`."""
     first_point: tuple[float, float, float]
-    """First point of a length, or target of a two-face test, (3,) [m] in the instrument's frame."""
+    """First end of a length, or target of a two-face test, (3,) [m] in the instrument's frame."""
     second_point: tuple[float, float, float]
-    """Second point of a length, or the same target, (3,) [m] in the instrument's frame."""
+    """Second end of a length, (3,) [m] in the instrument's frame; in a two-face test equal to `first_point`."""
 
 
 def asme_tests(height: float, ranges: Sequence[float]) -> list[AcceptanceTest]:
     """Tests of ASME B89.4.19-2006 for an instrument whose head is `height` [m] above the floor.
 
-    36 two-face tests (1, 3 and 6 m; on the floor, at the head's height, at twice that; every quarter turn), 33 lengths
-    (horizontal, vertical and both diagonals at 3 and 6 m, every quarter turn, and one horizontal at the closest
-    position) and lengths along the line of sight from the first to each of the other `ranges` [m]. Two more lengths may
-    be chosen freely by the user and are not included.
+    * 36 two-face tests: at 1, 3 and 6 m, on the floor, at the head's height and at twice this height, every 90 degrees.
+    * 33 lengths: horizontal, vertical and along both diagonals, at 3 and 6 m, every 90 degrees, and one horizontal
+      length at the closest position.
+    * Lengths along the line of sight from the first of the `ranges` [m] to each of the others.
+
+    Two more lengths, which the user may choose freely, are not included.
 
     References
     ----------
-    As the standard is described by Muralikrishnan, Sawyer, Blackburn, Phillips, Borchardt, Estler, J. Res. NIST 114
-    (2009) 21-35; the text of the standard prevails, and other tests can be read from a table.
+    Description of the standard in Muralikrishnan, Sawyer, Blackburn, Phillips, Borchardt, Estler, J. Res. NIST 114
+    (2009) 21-35. The text of the standard prevails; other tests can be read from a CSV table.
     """
     quarters = (0, 90, 180, 270)
     tests = list(_two_face_tests((1.0, 3.0, 6.0), height, quarters))
@@ -75,16 +80,16 @@ def asme_tests(height: float, ranges: Sequence[float]) -> list[AcceptanceTest]:
 
 
 def iso_two_face_tests(height: float) -> list[AcceptanceTest]:
-    """Two-face tests (18) of ISO 10360-10: 1.5 and 6 m, three heights, every third of a turn.
+    """18 two-face tests of ISO 10360-10: at 1.5 and 6 m, at three heights, every 120 degrees.
 
-    Distances and number are those of manufacturers (Leica AT500 user manual, 2.8.3: positions 1 to 9 at 1.5 m, 10 to 18
-    at 6 m); the lengths of that standard are read from a table.
+    The number of positions and their distances follow the Leica AT500 user manual, 2.8.3 (positions 1 to 9 at 1.5 m, 10
+    to 18 at 6 m). The length tests of this standard are read from a CSV table.
     """
     return list(_two_face_tests((1.5, 6.0), height, (0, 120, 240)))
 
 
 def _two_face_tests(distances: Sequence[float], height: float, azimuths_deg: Sequence[int]) -> Iterator[AcceptanceTest]:
-    """Two-face tests at horizontal distances [m]: on the floor, level with the head, and at twice its height."""
+    """Two-face tests at horizontal distances [m]: on the floor, at the head's height [m], and at twice this height."""
     for away in distances:
         for z, where in ((-height, "floor"), (0.0, "level"), (height, "high")):
             for turn in azimuths_deg:
@@ -93,10 +98,10 @@ def _two_face_tests(distances: Sequence[float], height: float, azimuths_deg: Seq
 
 
 def _length_test(test_group: str, tilt_deg: float, distance: float, azimuth_deg: int) -> AcceptanceTest:
-    """Test of a reference length in front of the head, centred at its height and tilted about the line of sight.
+    """Test of a reference length, centred at the head's height and perpendicular to the line of sight.
 
-    `distance` [m] is the horizontal distance of its centre, `azimuth_deg` the direction to it, `tilt_deg` the angle of
-    the length above the horizontal.
+    `distance` [m] and `azimuth_deg` are horizontal distance and azimuth of the centre of the length, `tilt_deg` is the
+    angle of the length above the horizontal.
     """
     half_vector = MIN_REFERENCE_LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))])
     midpoint = np.array([distance, 0.0, 0.0])
@@ -108,7 +113,7 @@ def _length_test(test_group: str, tilt_deg: float, distance: float, azimuth_deg:
 
 
 def _rotated_about_vertical(point: Floats, rotation_deg: float) -> tuple[float, float, float]:
-    """Point rotated about the vertical by an angle [deg]."""
+    """Point (3,) [m] after a rotation about the vertical by an angle [deg]."""
     angle = np.radians(rotation_deg)
     x, y, z = point
     return (
@@ -119,29 +124,29 @@ def _rotated_about_vertical(point: Floats, rotation_deg: float) -> tuple[float, 
 
 
 def builtin_tests(standard_name: StandardName, height: float, ranges: Sequence[float]) -> list[AcceptanceTest]:
-    """Tests of a standard, as far as they are published openly, for a head `height` [m] above the floor.
+    """Openly published tests of a standard, for an instrument whose head is `height` [m] above the floor.
 
-    `ranges` [m] are the distances of the points on the line of sight.
+    `ranges` [m] are the distances of the points on the line of sight between which lengths are tested.
     """
     return asme_tests(height, ranges) if standard_name == "asme-b89.4.19-2006" else iso_two_face_tests(height)
 
 
 @as_setup_error()
 def read_tests(file: Path) -> list[AcceptanceTest]:
-    """Tests of a user's table with the columns `TEST_COLUMNS`; in a two-face test the second point is empty.
+    """Tests from a user's CSV table with the columns `TEST_COLUMNS`; in a two-face test the second point is empty.
 
-    Raises SetupError with row, column, value and what is expected.
+    SetupError, with row, column, value and the expected value, is raised for an invalid table.
     """
     tests = [_test_from_row(row, line, file) for line, row in read_table_rows(file, TEST_COLUMNS)]
     if not tests:
-        raise SetupError(f"{file}: no test; expected one row per test")
+        raise SetupError(f"{file}: the table has no rows; expected one row for each test")
     return tests
 
 
 def read_table_rows(
     file: Path, required_columns: Sequence[str], optional_columns: Sequence[str] = ()
 ) -> list[tuple[int, dict[str, str]]]:
-    """Line number and cells by column of each row in a table that a user writes; raises RecordError or SetupError."""
+    """Line number, and cells by column name, of each row in a user's CSV table; raises RecordError or SetupError."""
     header, rows = table_rows(file)
     missing = [name for name in required_columns if name not in header]
     if missing:
@@ -169,13 +174,13 @@ def _point_from_row(row: dict[str, str], end_name: str, line_number: int, file: 
     if not np.isfinite(coordinates).all() or np.hypot(coordinates[0], coordinates[1]) < 1e-3:
         raise SetupError(
             f"{file}: row {line_number}: point {end_name} is on the vertical axis of the instrument, "
-            "where azimuth is undefined; give a point beside the axis"
+            "where the azimuth is undefined; give a point away from the axis"
         )
     return coordinates[0], coordinates[1], coordinates[2]
 
 
 def envelope_points() -> Floats:
-    """Points (180, 3) [m] around an instrument, for the largest point errors that acceptance tests overlook.
+    """Points (180, 3) [m] around an instrument, at which point errors that acceptance tests do not detect are computed.
 
     Distances are 1.5 to 9 m, elevations -50 to 50 degrees, with a point every 30 degrees of azimuth.
     """
@@ -186,55 +191,54 @@ def envelope_points() -> Floats:
 
 
 MAX_TRIALS = 10_000_000
-"""Largest permitted number of random draws."""
+"""Largest number of random draws that an acceptance file may request."""
 
 
 class AcceptanceSettings(TomlSection):
-    """Contents of an acceptance file. Paths of other files are relative to it.
+    """Content of an acceptance file; paths of other files are relative to it.
 
-    Without `recording` and `measured` the tests are predicted: for the instrument of a `calibration`, or for any
-    instrument that meets the specification. With `measured` the measured errors are evaluated. With `recording` the
-    targets of a network replace calibrated lengths.
+    With `measured`, measured errors are evaluated. With `recording`, lengths between the targets of a network replace
+    calibrated lengths. With neither, the tests are predicted, for the instrument of `calibration` or for any instrument
+    that meets the specification.
     """
 
     format: Literal["ltsim-acceptance/1"] = "ltsim-acceptance/1"
     """Format and version of this file."""
     title: str = ""
-    """Free text."""
+    """Title of the acceptance tests, free text."""
     standard: StandardName | None = None
-    """Built-in set of tests."""
+    """Standard whose built-in tests are used."""
     lengths: str | None = None
-    """Tests in addition to the built-in ones: a CSV file with one row per test; `iso-10360-10` needs one for its
-    lengths.
+    """CSV file of tests in addition to the built-in ones, one row for each test; required for the lengths of
+    `iso-10360-10`.
     """
     tests: str | None = None
-    """Tests in place of built-in ones: a CSV file with one row per test."""
+    """CSV file of tests in place of the built-in ones, one row for each test."""
     instrument: str | None = None
-    """Name of a built-in data sheet."""
+    """Name of the instrument's built-in data sheet."""
     specification: Specification | None = None
-    """Limits of the manufacturer in place of a data sheet; if `instrument` is given too, they complete or replace
-    values of its data sheet.
+    """Manufacturer's limits. If `instrument` is given too, they complete or replace the values of its data sheet.
     """
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
     """Design of the instrument: beam source in the head, or a steering mirror."""
     height_mm: Positive = 1500.0
-    """Height of the instrument's head above the floor [mm]; two-face tests are on the floor, at this height and at
-    twice it.
+    """Height of the instrument's head above the floor [mm]; the targets of two-face tests are on the floor, at this
+    height and at twice this height.
     """
     ranges_m: Annotated[tuple[Positive, ...], Field(min_length=2)] = (2.0, 6.0, 12.0, 18.0, 24.0, 30.0)
-    """Distances [m] of points on the line of sight; the lengths lead from the first point to each other one."""
+    """Distances [m] of points on the line of sight; lengths are tested from the first point to each of the others."""
     calibration: str | None = None
-    """Calibration of the instrument: a `calibration.json` or its folder."""
+    """Calibration of the instrument: path of a `calibration.json` or of its folder."""
     corrected: bool = False
-    """True if readings are corrected by the calibration before the tests; only its uncertainty then remains."""
+    """True if the readings are corrected by `calibration` before the tests, so that only its uncertainty remains."""
     recording: str | None = None
-    """Recording of a network measured by the instrument, whose targets provide reference lengths."""
+    """Path of the recording of a network that the instrument measured; its targets provide the reference lengths."""
     measured: str | None = None
-    """Measured errors: a CSV with the columns test, error_um and U_um (may be empty)."""
+    """CSV file of measured errors with the columns test, error_um and U_um (expanded uncertainty, may be empty)."""
     trials: Annotated[int, Field(ge=1000, le=MAX_TRIALS)] = 20_000
-    """Number of random draws for the probability to pass."""
+    """Number of random draws with which the probability to pass is estimated."""
     seed: Annotated[int, Field(ge=0)] = 0
-    """Root of the random draws."""
+    """Seed of the random draws."""
 
     @model_validator(mode="after")
     def _check_complete(self) -> Self:
@@ -243,7 +247,7 @@ class AcceptanceSettings(TomlSection):
         if self.recording is None and (self.standard is None) == (self.tests is None):
             raise ValueError("it should give either standard or tests")
         if self.standard == TWO_FACE_ONLY_STANDARD and self.lengths is None:
-            raise ValueError("it should give lengths = FILE: ltsim has no positions for the lengths of iso-10360-10")
+            raise ValueError("it should give lengths = FILE, because the length tests of iso-10360-10 are not built in")
         if self.lengths is not None and self.standard is None:
             raise ValueError(
                 "it should give lengths only with a standard; the file in tests already contains all tests"
@@ -254,7 +258,7 @@ class AcceptanceSettings(TomlSection):
 
     @property
     def limits(self) -> Specification:
-        """Limits of the manufacturer; raises SetupError for an unknown data sheet or a missing limit."""
+        """Manufacturer's specification; raises SetupError for an unknown data sheet or a missing limit."""
         if self.specification is not None:
             return self.specification
         try:
@@ -264,11 +268,11 @@ class AcceptanceSettings(TomlSection):
 
     @property
     def plan_name(self) -> str:
-        """Name of the set of tests: the standard, or the file."""
+        """Name of the plan of tests: the standard, or the file with the tests."""
         return self.tests or self.standard or ""
 
     def make_tests(self, folder: Path) -> tuple[AcceptanceTest, ...]:
-        """Tests of the standard, or of files relative to `folder`; raises SetupError."""
+        """Tests of the standard, of the files `lengths` or `tests` in `folder`, or of both; raises SetupError."""
         if self.standard is None:
             return tuple(read_tests(folder / (self.tests or "")))
         user_tests = [] if self.lengths is None else read_tests(folder / self.lengths)
@@ -277,13 +281,13 @@ class AcceptanceSettings(TomlSection):
 
 @as_setup_error()
 def load_acceptance(path: Path) -> AcceptanceSettings:
-    """Content of an acceptance file; raises SetupError."""
+    """Content of the acceptance file at a path; raises SetupError."""
     return validate_acceptance(read_toml(path, "acceptance file"), path)
 
 
 @as_setup_error()
 def validate_acceptance(tables: Mapping[str, Any], file: object) -> AcceptanceSettings:
-    """Validated tables of an acceptance file; `file` is named in errors. Raises SetupError."""
+    """Validated content of an acceptance file from its TOML tables; raises SetupError, which names `file`."""
     name, specification = tables.get("instrument"), tables.get("specification", {})
     if isinstance(name, str) and isinstance(specification, Mapping):
         try:

@@ -1,4 +1,4 @@
-"""Adjusted network whose targets are reference values, and the readings of each station that are compared with them."""
+"""Adjusted network whose targets are reference values, and tests of the readings of each station against them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ltsim.physics.effects.motions import StationMotion, TargetMotion
 from ltsim.recordings.specification import Specification
 
 CENTRING_KIND: CauseKind = "centring"
-"""Kind of a cause that is not removed from the readings: the uncertainties contain it."""
+"""Kind of the cause `centring error`, which is included in the uncertainties and not removed from the readings."""
 RECORDING_CAUSE_KINDS: tuple[CauseKind, ...] = (
     "constant-offset",
     "constant-step",
@@ -32,11 +32,12 @@ RECORDING_CAUSE_KINDS: tuple[CauseKind, ...] = (
     "orientation",
     "reflector-radius",
 )
-"""Kinds of causes that are no errors of the tracker and that an adjustment estimates: wrong constants, motions, air."""
+"""Kinds of causes that an adjustment estimates and that are no errors of the tracker: wrong additive constants,
+motions, air."""
 
 
 def is_recording_error(effect: LinearEffect) -> bool:
-    """True for an estimated effect that is no error of the tracker: a motion, or a shift with another cause."""
+    """True for an estimated effect that is no error of the tracker: a motion, or a shift of distances or azimuths."""
     if isinstance(effect, ReadingShift):
         return not (effect.is_drift or effect.observable == "elevation")
     return isinstance(effect, StationMotion | TargetMotion)
@@ -44,16 +45,19 @@ def is_recording_error(effect: LinearEffect) -> bool:
 
 @dataclass(frozen=True)
 class TestedNetwork:
-    """Adjusted network with reference lengths, and the readings of each station that are compared with them."""
+    """Adjusted network with n pointings, whose targets provide reference lengths for the readings of each station.
+
+    The adjustment has q additional parameters, of effects and nuisance errors.
+    """
 
     __test__ = False
 
     adjustment: Adjustment
-    """Adjustment with the instrument's constants and the errors of the recording."""
+    """Adjustment that also estimates the instrument constants and the errors identified in the recording."""
     uncertainty_factor: float
-    """Factor on the standard deviations of the adjustment."""
+    """Factor by which the standard deviations of the adjustment are multiplied, for unexplained scatter."""
     is_corrected_for_constants: bool = False
-    """True to test the readings after their correction by the estimated constants of the instrument."""
+    """True if the readings are corrected by the estimated instrument constants before the tests."""
 
     @cached_property
     def _extra_parameter_slices(self) -> list[tuple[LinearEffect, slice]]:
@@ -64,13 +68,13 @@ class TestedNetwork:
 
     @cached_property
     def _is_recording_error(self) -> Bools:
-        """Flags (q,) of the additional parameters of errors of the recording."""
+        """Mask (q,) of the additional parameters that belong to errors in the recording."""
         flags = [np.full(at.stop - at.start, is_recording_error(effect)) for effect, at in self._extra_parameter_slices]
         return np.concatenate([np.zeros(0, dtype=bool), *flags])
 
     @cached_property
     def _is_nuisance(self) -> Bools:
-        """Flags (q,) of the additional parameters of nuisance errors, such as centring."""
+        """Mask (q,) of the additional parameters that belong to nuisance errors, such as centring errors."""
         n_effect_parameters = self.adjustment.problem.model.n_effect_parameters
         return np.arange(len(self._is_recording_error)) >= n_effect_parameters
 
@@ -81,7 +85,7 @@ class TestedNetwork:
 
     @cached_property
     def readings(self) -> Floats:
-        """Front-face readings (n, 3) [m, rad, rad] without the errors of the recording."""
+        """Readings (n, 3) [m, rad, rad] converted to the front face, without the errors identified in the recording."""
         adjustment = self.adjustment
         readings = adjustment.recording.readings.copy()
         if self.is_corrected_for_constants:
@@ -93,7 +97,7 @@ class TestedNetwork:
         return to_polar(from_polar(readings))
 
     def is_corrected(self, cause: CauseTest) -> bool:
-        """True if an error of the recording is removed from the readings, or in the uncertainties of the lengths."""
+        """True if an error in the recording is removed from the readings, or included in uncertainties of lengths."""
         place = cause.where
         if cause.kind == CENTRING_KIND:
             return bool(self.adjustment.problem.model.centring_errors)
@@ -108,13 +112,13 @@ class TestedNetwork:
         )
 
     def test_entries(self, limits: Specification) -> list[TestEntry]:
-        """Entries of the lengths and two-face differences of all stations, from the pointings in use."""
+        """Test entries of the lengths and two-face differences of all stations, from the pointings in use."""
         is_tested: Bools = np.asarray(self.adjustment.problem.is_used_reading.all(axis=1))
         stations = range(len(self.adjustment.recording.stations))
         return [entry for s in stations for entry in self.station_entries(s, is_tested, limits)]
 
     def station_entries(self, station: int, is_tested: Bools, limits: Specification) -> list[TestEntry]:
-        """Entries of the lengths and two-face differences of a station, from the pointings that `is_tested` flags."""
+        """Test entries of the lengths and two-face differences of a station, from the pointings in `is_tested` (n,)."""
         recording = self.adjustment.recording
         rows_by_face = [
             np.flatnonzero(is_tested & (recording.station == station) & (recording.face == f)) for f in (1, 2)
@@ -134,12 +138,12 @@ class TestedNetwork:
         return test_entries + [make_test_entry(name, "two-face", *v) for name, *v in zip(names, *sizes, strict=True)]
 
     def _mean_points(self, pointing_rows: Ints) -> dict[int, Floats]:
-        """Mean points (3,) [m] in the instrument's frame, by target, of the pointings in some rows."""
+        """Mean measured point (3,) [m] of each target in the instrument's frame, over the pointings `pointing_rows`."""
         points, targets = from_polar(self.readings[pointing_rows]), self.adjustment.recording.target[pointing_rows]
         return {int(t): points[targets == t].mean(axis=0) for t in np.unique(targets)}
 
     def _length_entries(self, station: str, row_indices: Ints, limits: Specification) -> list[TestEntry]:
-        """Entries of all lengths between the targets in some rows of a station, with their uncertainty."""
+        """Test entries of all lengths between targets, from the pointings `row_indices` of a station in one face."""
         adjustment = self.adjustment
         names, points = adjustment.recording.targets, adjustment.state.target_points
         mean_points = self._mean_points(row_indices)
@@ -166,11 +170,11 @@ class TestedNetwork:
     def _length_variance(
         self, targets: list[int], row_indices: Ints, point_pairs: Ints, lengths: Floats, reference_lengths: Floats
     ) -> Floats:
-        """Variances (k,) [m^2] of measured minus reference lengths, without the errors of the instrument.
+        """Variances (k,) [m^2] of k measured minus reference lengths, without errors of the instrument.
 
-        The ends of a length have most errors in common (poses, constants), so that their joint covariance is needed; a
-        length does not depend on the datum. The corrections of the measured lengths belong to that covariance. Nuisance
-        errors are not corrected, because they are estimated from the tested readings alone; their prior variance is
+        The two ends of a length share most errors (poses, instrument constants), so that their joint covariance is
+        used, together with that of the corrections of the measured lengths. A length does not depend on the datum.
+        Nuisance errors are not corrected, because only the tested readings determine them; their prior variance is
         added.
         """
         unknowns, size = self.adjustment.problem.unknowns, len(targets)
@@ -194,12 +198,12 @@ class TestedNetwork:
         return np.asarray(adjusted + np.sum((length_changes[:, is_nuisance] * prior) ** 2, axis=1))
 
     def _two_face_variance(self, targets: list[int], rows_by_face: list[Ints], points: Floats) -> Floats:
-        """Variances (t,) [m^2] of differences between the faces across the beam, without the errors of the instrument.
+        """Variances (t,) [m^2] of the differences between the faces of t targets, without errors of the instrument.
 
-        A difference between the faces needs no reference, and the declared noise is an error of the instrument, so that
-        the variance is that of the removed errors of the recording and of nuisance errors that differ between the
-        faces. Noise beyond the declared noise is added, because its cause is not known to be the instrument. The
-        variance is that in the worst direction across the beam at the points (t, 3).
+        A difference between the faces needs no reference, and the declared noise is an error of the instrument. The
+        variance therefore consists of the uncertainty of the errors removed from the recording, and of nuisance errors
+        that differ between the faces. Noise beyond the declared noise is added, because its cause may not be the
+        instrument. The result is the variance in the worst direction perpendicular to the beam at `points` (t, 3) [m].
         """
         _, across, up = unit_vectors(*to_polar(points).T[1:])
         directions = np.stack([across, up], axis=1)
@@ -218,28 +222,28 @@ class TestedNetwork:
 
     @cached_property
     def _correction_covariance(self) -> Floats:
-        """Covariance (e, e) of the e estimated parameters of errors of the recording."""
+        """Covariance (e, e) [SI] of the e estimated parameters that belong to errors in the recording."""
         columns = self.adjustment.problem.unknowns.effect_columns[self._is_recording_error]
         unit = np.zeros((self.adjustment.problem.unknowns.n_columns, len(columns)))
         unit[columns, np.arange(len(columns))] = 1.0
         return np.asarray(self.adjustment.factorised_normals.covariance_columns(unit)[columns])
 
     def _mean_point_changes(self, targets: list[int], row_indices: Ints) -> Floats:
-        """Derivative (t, 3, q) of the mean points by the additional parameters, in the frame of the instrument."""
+        """Derivative (t, 3, q) of the mean points of t targets by additional parameters, in the instrument's frame."""
         point_changes = self._point_derivatives(row_indices) @ self._extra_design[row_indices]
         return np.einsum("tn,niq->tiq", self._mean_weights(targets, row_indices), point_changes)
 
     def _mean_weights(self, targets: list[int], row_indices: Ints) -> Floats:
-        """Weights (t, n) of the pointings in n rows in the mean points of t targets."""
+        """Weights (t, r) with which the r pointings `row_indices` contribute to the mean points of t targets."""
         is_mine = self.adjustment.recording.target[row_indices] == np.array(targets)[:, None]
         return np.asarray(is_mine / is_mine.sum(axis=1, keepdims=True))
 
     def _point_derivatives(self, row_indices: Ints) -> Floats:
-        """Derivative (n, 3, 3) of the measured points by the raw readings in n rows."""
+        """Derivative (r, 3, 3) of the measured points by the raw readings of the r pointings `row_indices`."""
         faces = self.adjustment.recording.face[row_indices]
         return np.asarray(np.linalg.inv(polar_jacobian(self.readings[row_indices], faces)))
 
 
 def _pair_vectors(points: Floats, point_pairs: Ints) -> Floats:
-    """Second minus first of each pair of rows of `points` (t, ...), given by indices `point_pairs` (k, 2)."""
+    """Differences (k, ...) of rows of `points` (t, ...): second minus first row of each index pair (k, 2)."""
     return np.asarray(points[point_pairs[:, 1]] - points[point_pairs[:, 0]])

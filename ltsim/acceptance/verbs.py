@@ -1,4 +1,4 @@
-"""Public function of acceptance tests, and evaluation of measured errors against the manufacturer's limits."""
+"""Public function `accept`, and evaluation of measured errors against the manufacturer's limits."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -38,21 +38,22 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 
 MAX_PREDICTED_TESTS = 2_000
-"""Largest number of tests of a prediction, which draws the errors of 2,000 instruments at a time: 64 MB an array."""
+"""Largest number of tests in a prediction. It draws the errors of 2,000 instruments at a time, in arrays of up to 64
+MB."""
 MAX_TEST_DRAWS = 1e9
-"""Largest number of tests times trials of a prediction; 1e9 take a minute."""
+"""Largest product of the numbers of tests and trials in a prediction; 1e9 take a minute."""
 MIN_MARGIN_UM = 1e-3
-"""Smallest distance [um] between an error and its limit with which ratios of uncertainty to distance are computed."""
+"""Lower bound [um] of the margin between an error and its limit, for ratios of uncertainty to margin."""
 DECISION_RULE = (
     "By ISO 14253-1, an error e with the expanded uncertainty U (95 %) is accepted if |e| + U is within its limit, "
     "rejected if |e| - U exceeds it, and otherwise undecided."
 )
-"""Sentence with the rule by which measured errors are judged."""
+"""Sentence on the decision rule for measured errors."""
 NETWORK_UNCERTAINTY_TEXT = (
     "U of a length contains the adjusted network and the errors removed from the recording. A two-face error has no "
     "reference: its U contains only those errors and scatter beyond the declared noise, so that it may be 0."
 )
-"""Sentences on the uncertainties of errors in a network."""
+"""Sentences on the expanded uncertainties U of test errors in a network."""
 
 
 def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, folder: str | Path = ".") -> AcceptanceFile:
@@ -61,14 +62,14 @@ def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, fold
     Parameters
     ----------
     acceptance : str, Path, mapping or AcceptanceSettings
-        Acceptance file, or its tables; tables need no `format`.
+        Acceptance file, or a mapping with its content; a mapping needs no `format`.
     folder : str or Path
-        Folder to which the names of other files are relative.
+        Folder to which the paths in a mapping are relative.
 
     Raises
     ------
     SetupError, RecordError, NetworkError
-        When a file is missing or does not fit the plan of tests.
+        When a file is missing or invalid, or does not belong to the planned tests.
 
     Examples
     --------
@@ -86,7 +87,7 @@ def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, fold
 
 
 def _require_few_draws(n_tests: int, n_trials: int) -> None:
-    """Check that a prediction of `n_tests` tests with `n_trials` draws is not too large; raises SetupError."""
+    """Check of the size of a prediction with `n_tests` tests and `n_trials` draws; SetupError if it is too large."""
     if n_tests > MAX_PREDICTED_TESTS or n_tests * n_trials > MAX_TEST_DRAWS:
         raise SetupError(
             f"{n_tests} tests with {n_trials} trials each, expected at most {MAX_PREDICTED_TESTS} tests and "
@@ -142,9 +143,10 @@ def _load_calibration(path: Path) -> Calibration:
 
 @as_setup_error()
 def read_measured(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -> list[TestEntry]:
-    """Errors of a CSV with the columns ``test``, ``error_um`` and (optionally) ``U_um``.
+    """Test entries from a CSV file of measured errors with the columns ``test``, ``error_um`` and optionally ``U_um``.
 
-    Raises SetupError for a test that is unknown or repeated, and for a cell that is no number.
+    `limits` (tests,) [m] are the permissible errors of the planned tests. SetupError is raised for an unknown or
+    repeated test, and for a cell that is no number.
     """
     place = {test.name: i for i, test in enumerate(tests)}
     entry_by_test: dict[str, TestEntry] = {}
@@ -177,9 +179,10 @@ def evaluated_result(
     recording: Recording | None = None,
     network_tests: NetworkTests | None = None,
 ) -> AcceptanceFile:
-    """Result for measured errors; `unmeasured_tests` are the tests of the plan without one.
+    """Result for measured errors, with joint judgement, sentence and next actions.
 
-    `network_tests` are the tests of a recording, with the errors in it; the test entries are its own.
+    `unmeasured_tests` names the planned tests without a measured error. For tests in a network, `recording` is the
+    recording and `network_tests` its tests, which are also `test_entries`.
     """
     judgement = joint_judgement([t.judgement for t in test_entries if t.judgement])
     is_valid = network_tests is None or not network_tests.uncorrected_causes
@@ -217,7 +220,7 @@ def _worst_entry(test_entries: Sequence[TestEntry], judgement: Judgement) -> Tes
 
 
 def _judgement_sentence(test_entries: Sequence[TestEntry], n_unmeasured_tests: int) -> str:
-    """Sentence with the numbers of errors by judgement and the worst error."""
+    """Sentence with the number of errors of each judgement, and the worst error."""
     numbers, total = Counter(t.judgement for t in test_entries), len(test_entries)
     judgement = next(j for j in JUDGEMENT_ORDER if numbers[j])
     worst_entry = _worst_entry(test_entries, judgement)
@@ -245,11 +248,12 @@ def _next_actions(
 ) -> tuple[str, ...]:
     """Next actions that can change the judgement, the most urgent first.
 
-    Smaller uncertainties and further tests do not change a rejection. `network_tests` are the tests of a recording.
+    Smaller uncertainties and further tests do not change a rejection. `network_tests` is None for errors that were not
+    measured in a network.
     """
     rejected = [t for t in test_entries if t.judgement == "rejected"]
     if rejected:
-        return _actions_after_rejection(rejected) if network_tests is None else (network_tests.constants_action,)
+        return _actions_after_rejection(rejected) if network_tests is None else (network_tests.action_after_rejection,)
     actions = []
     undecided = [t for t in test_entries if t.judgement == "undecided"]
     if undecided:
@@ -261,7 +265,7 @@ def _next_actions(
 
 
 def _actions_after_rejection(rejected_entries: Sequence[TestEntry]) -> tuple[str, ...]:
-    """Actions after a rejection by measured errors; one rejected error may be a mistake of the measurement."""
+    """Actions after a rejection; a single rejected error is to be measured again, because it may be a blunder."""
     worst = _worst_entry(rejected_entries, "rejected")
     excess = f"{abs(worst.error_um) - (worst.expanded_um or 0.0) - worst.limit_um:.1f} um"
     if len(rejected_entries) > 1:
@@ -274,10 +278,10 @@ def _actions_after_rejection(rejected_entries: Sequence[TestEntry]) -> tuple[str
 
 
 def _sufficient_uncertainty_text(undecided_entries: Sequence[TestEntry]) -> str:
-    """Text on the expanded uncertainty that changes an undecided judgement if the errors stay as they are.
+    """Sentence part on the expanded uncertainty with which the same errors would be decided.
 
-    An error beyond its limit is then rejected, and with it the tracker. Otherwise all undecided errors must be
-    accepted; that with the largest ratio of uncertainty to margin needs the smallest uncertainty.
+    With it an error beyond its limit is rejected, and the tracker too. Without such an error all undecided errors must
+    be accepted; the error with the largest ratio of uncertainty to margin needs the largest reduction.
     """
 
     def margin(test_entry: TestEntry) -> float:

@@ -1,15 +1,15 @@
-"""Campaigns: many trials over a grid of settings, computed in batches, stored safely, summarised by queries."""
+"""Campaigns: many trials for each combination of factor levels, computed in batches, stored safely, queried by SQL."""
 
 import os
 
 from ltsim.core.errors import require_extra
 
 REQUIRED_PACKAGES = ("duckdb", "filelock", "numba", "pyarrow")
-"""Packages that only campaigns need; they are a third of the size of a complete installation."""
+"""Packages that only campaigns need, a third of the size of a complete installation."""
 
 
 def require_packages() -> None:
-    """Check that the packages of campaigns are installed; raises SetupError that says what to install."""
+    """Check that the packages that campaigns need are installed; SetupError with the command that installs them."""
     require_extra(REQUIRED_PACKAGES, "campaigns", "campaigns")
 
 

@@ -1,13 +1,13 @@
-"""Distance objective of Sensors 2021, 21, 7479 (eq. 9) for all trials with a common geometry.
+"""Minimum of the distance objective of Sensors 2021, 21, 7479 (eq. 9) for all trials in one network geometry.
 
-The normal matrix at the nominal network gives the Gauss-Newton steps of all trials, as in the network adjustment. The
+The normal matrix of the nominal network gives the Gauss-Newton steps of all trials, as in the network adjustment. The
 gradient is exact for the readings and parameters of each trial, so that the iteration converges to the optimum of the
-trial. The nominal network decides which combinations of parameters are estimated and which remain zero.
+trial. The nominal network determines which combinations of parameters are estimated; the others remain zero.
 
-For least absolute deviations each step is the solution of a linear program with the matrix and combinations of the
-trial, because small differences between matrices may change the optimal vertex. Equation 9 as printed estimates every
-combination that changes a compared distance. Weakly determined combinations change much, so that each step uses the
-matrix of the trial too.
+For least absolute deviations, each step is the solution of a linear program with the normal matrix and the combinations
+of the trial itself, because small differences between matrices may change the optimal vertex. Equation 9 as printed
+estimates every combination that changes a compared distance. The estimates of weakly determined combinations are large,
+so that each step uses the normal matrix of the trial there too.
 """
 
 from dataclasses import dataclass
@@ -30,19 +30,19 @@ from ltsim.campaigns.batch_fit import BatchFit
 from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.cloud_kernels import add_station_means, distance_gradient
 from ltsim.campaigns.kernels import backpropagate_mean_forces, compute_points
-from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBlock, measured_targets_and_weights
+from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBatch, measured_targets_and_weights
 from ltsim.campaigns.truth import TrialBatch
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap_angle
 from ltsim.solve.least_absolute import solve_least_absolute
 
 MAX_DISTANCE_STEPS = 10
-"""Largest number of Gauss-Newton steps of a trial."""
+"""Largest number of Gauss-Newton steps for the distance objective of a trial."""
 MAX_STEPS_WITH_WEAK_COMBINATIONS = 30
-"""Largest number of least-squares steps of a trial whose weakly determined combinations are estimated too."""
+"""Largest number of Gauss-Newton steps for a trial in which weakly determined combinations are estimated too."""
 MAX_CONVERGED_CHANGE = 3e-5
-"""Largest change of an unknown in the last step, in prior sigmas, of a trial that counts as converged. The remaining
-error is a hundredth of this change.
+"""Largest change of an unknown in the last step, in prior standard deviations, at which a trial counts as converged.
+The remaining error is a hundredth of this change.
 """
 
 
@@ -50,14 +50,16 @@ error is a hundredth of this change.
 class BatchDistance(BatchCalibrator):
     """Batch calibration by the distance objective (Sensors 2021, 21, 7479), for methods `distance` and `equation-9`.
 
-    Methods that end in `-l1` minimise absolute deviations, all others squares.
+    The unknowns are the q = I p parameters of I instruments. Methods whose name ends in `-l1` minimise absolute
+    deviations, all others minimise squares.
     """
 
     method: str = "distance"
+    """Name of the method in the campaign file: `distance` or `equation-9`, with or without `-l1`."""
 
     @property
     def uses_absolute_deviations(self) -> bool:
-        """True for an estimate by least absolute deviations."""
+        """True if absolute deviations are minimised, false if squares are."""
         return self.method.endswith("-l1")
 
     @property
@@ -73,7 +75,7 @@ class BatchDistance(BatchCalibrator):
 
     @cached_property
     def nominal_estimate(self) -> DistanceEstimate:
-        """Estimate at nominal readings, which is zero, with its covariance and the combinations not estimated."""
+        """Estimate at the nominal readings: zero, with its covariance and the combinations that are not estimated."""
         if self.estimates_all_combinations:
             return solve_equation_9(self.distance_problem, "absolute" if self.uses_absolute_deviations else "squares")
         return solve_distances(self.distance_problem, NORM_BY_DISTANCE_METHOD[self.method])
@@ -84,7 +86,7 @@ class BatchDistance(BatchCalibrator):
 
     @cached_property
     def _estimated_combinations(self) -> Floats:
-        """Estimated combinations of parameters in units of the prior sigmas: k orthonormal columns, (q, k)."""
+        """Estimated combinations of parameters: k orthonormal columns (q, k), in units of prior standard deviations."""
         excluded_vectors = np.array([d.vector for d in self.nominal_estimate.undetermined_combinations]).reshape(
             -1, self.distance_problem.prior_sigma.size
         )
@@ -94,9 +96,9 @@ class BatchDistance(BatchCalibrator):
 
     @cached_property
     def step_matrix(self) -> Floats:
-        """Matrix (q, q) that turns half a gradient into a step of the q unknowns [prior sigma].
+        """Matrix (q, q) by which half the gradient is multiplied to get a step of the q unknowns [prior sigma].
 
-        Steps are combinations of the estimated ones only.
+        A step contains only the estimated combinations of parameters.
         """
         rows, determined = self._mean_deviation_rows, self._estimated_combinations
         normal = rows.unknown_derivatives.T @ rows.unknown_derivatives
@@ -116,17 +118,17 @@ class BatchDistance(BatchCalibrator):
 
     @cached_property
     def _set_membership(self) -> tuple[Ints, Bools, Floats, Ints]:
-        """Set of each pointing (n,), flags (O, T) of the targets of each set, weights (n,), pairs of targets (g, 2).
+        """Set of each pointing (n,), mask (O, T) of the targets of each set, weights (n,), pairs of targets (g, 2).
 
-        A set is a station and face; a weight is the share of a pointing in the mean point of its set and target; the
-        pairs have reference lengths.
+        A set contains the pointings of one station in one face. The weight of a pointing is its share in the mean point
+        of its set and target. The pairs of targets are the ends of the reference lengths.
         """
         gauge, sets = self.distance_problem.reference_lengths, self.distance_problem.set_indices
         visible, share = measured_targets_and_weights(self.truth, sets)
         return sets, visible, share, np.stack([gauge.first_targets, gauge.second_targets], axis=1).reshape(-1, 2)
 
-    def calibrate_batch(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBlock, Bools]:
-        """Calibrated trials, and flags (B,) of the converged ones.
+    def calibrate_batch(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBatch, Bools]:
+        """Estimates of the trials, and mask (B,) of the converged trials.
 
         The targets are adjusted from readings that are corrected by the estimated parameters.
         """
@@ -141,12 +143,12 @@ class BatchDistance(BatchCalibrator):
             * self.distance_problem.prior_sigma
         )
         status = np.zeros(len(moved), dtype=np.int64)
-        return CalibratedBlock(values, spread, fit.target_increments, fit.chi2, status), (
+        return CalibratedBatch(values, spread, fit.target_increments, fit.chi2, status), (
             moved < MAX_CONVERGED_CHANGE
         ) & fit.has_converged
 
     def _least_squares_values(self, trial_batch: TrialBatch) -> tuple[Floats, Floats]:
-        """Parameters (I, p, B) [SI], and their largest change (B,) in the last step [prior sigma]."""
+        """Estimated parameters (I, p, B) [SI], and their largest change (B,) in the last step [prior sigma]."""
         deviation, prior = trial_batch.reading_deviations, self.distance_problem.prior_sigma[:, :, None]
         sets, visible, share, gauge = self._set_membership
         recording, trials = self.truth.recording, deviation.shape[2]
@@ -171,8 +173,8 @@ class BatchDistance(BatchCalibrator):
     def _separate_trial_values(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[Floats, Floats]:
         """Parameters (I, p, B) [SI] of selected trials, and their largest change (B,) in the last step [prior sigma].
 
-        Each trial has a separate normal matrix. The change is infinite for trials of the block that are not in
-        `trial_numbers`.
+        Each trial has its own normal matrix. `trial_numbers` are the indices of the selected trials in the batch; the
+        change of the other trials is infinite.
         """
         prior, trials = self.distance_problem.prior_sigma[:, :, None], trial_batch.reading_deviations.shape[2]
         unknowns, moved = np.zeros((self.distance_problem.prior_sigma.size, trials)), np.full(trials, np.inf)
@@ -198,7 +200,7 @@ class BatchDistance(BatchCalibrator):
             for gap, trial in zip(residual.T, active.tolist(), strict=True):
                 by_unknown = self.distance_problem.parameter_derivatives(readings[trial], unknowns[:, trial])
                 design = self._pair_difference_rows.comparison_matrix @ (by_unknown @ combinations_by_trial[trial])
-                if self.uses_absolute_deviations:  # every step but the first is short
+                if self.uses_absolute_deviations:  # every step except the first is short
                     step = solve_least_absolute(
                         design, -gap, start_solution=np.zeros(design.shape[1]) if iteration else None
                     )
@@ -209,9 +211,9 @@ class BatchDistance(BatchCalibrator):
         return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
 
     def _trial_combinations(self, readings: Floats) -> Floats:
-        """Combinations of parameters (q, k) of a trial, for its `readings` (n, 3).
+        """Combinations of parameters (q, k) that are estimated in a trial with the `readings` (n, 3).
 
-        They are the principal axes of the trial's objective that are nearest to the estimated combinations.
+        They are the principal axes of the trial's objective that are nearest to `_estimated_combinations`.
         """
         design = self._mean_deviation_rows.comparison_matrix @ self.distance_problem.parameter_derivatives(
             readings, np.zeros(self.distance_problem.prior_sigma.size)
@@ -223,10 +225,10 @@ class BatchDistance(BatchCalibrator):
         return axes[:, order]
 
     def _objective_terms(self, trial_batch: TrialBatch, parameter_values: Floats, trial_indices: Ints) -> Floats:
-        """Terms (R, B) whose sum is the distance objective of B trials.
+        """R terms (R, B) whose sum is the distance objective of B trials.
 
-        The trials have the indices `trial_indices` in the block and the instrument parameters `parameter_values` (I, p,
-        B) [SI].
+        `trial_indices` (B,) are the indices of these trials in the batch, `parameter_values` (I, p, B) [SI] their
+        instrument parameters.
         """
         deviation, parameter_values = (
             np.ascontiguousarray(a) for a in (trial_batch.reading_deviations[:, :, trial_indices], parameter_values)
@@ -240,7 +242,7 @@ class BatchDistance(BatchCalibrator):
         return rows.residuals[:, None] + rows.comparison_matrix @ change + by_gauge @ length_errors
 
     def _fit_corrected_readings(self, trial_batch: TrialBatch, parameter_values: Floats) -> BatchFit:
-        """Network adjustment of the readings that parameters (I, p, B) [SI] have corrected."""
+        """Network adjustment of the trials after correction of the readings by the parameters (I, p, B) [SI]."""
         deviation = trial_batch.reading_deviations
         points = np.empty(deviation.shape)
         compute_points(self._chain_program, self.truth.recording.instrument, deviation, parameter_values, points)

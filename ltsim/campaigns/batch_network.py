@@ -1,12 +1,12 @@
-"""Network adjustment of all trials with a common geometry: one factorisation, exact residuals and gradients.
+"""Network adjustment of all trials in one network geometry: one factorisation, exact residuals and gradients.
 
 The normal matrix N of the nominal network is inverted once. A step is ``inverse @ gradient`` for all trials in one
-matrix product. The gradient is that of the exact residuals at each trial's own state, so that the iteration converges
-to the optimum of the trial for any N. N only determines the speed: a step reduces the distance to the optimum by a
-factor of about 1e-3, since errors of micrometres in metres hardly change the design.
+matrix product. The gradient is computed from the exact residuals at the state of each trial, so that the iteration
+converges to the optimum of the trial for any N. N only determines the speed: a step reduces the distance to the optimum
+by a factor of about 1e-3, since errors of micrometres in metres hardly change the design matrix.
 
-The residual of a pointing is formed as the difference between the measured point and the target. The derivative of an
-ideal tracker converts this difference to readings, with a relative error of 1e-5, or 1e-5 sigma of a reading.
+The residual of a pointing is the difference between the measured point and the target. The derivative of an ideal
+tracker's readings converts this difference to readings, with an error of 1e-5 standard deviations of a reading.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from ltsim.solve.chain import inverse_from_cholesky
 from ltsim.solve.design import cholesky_where_determined, scale_to_unit_diagonal, to_dense
 
 MAX_NETWORK_STEPS = 8
-"""Largest number of Gauss-Newton steps of a trial."""
+"""Largest number of Gauss-Newton steps in the network adjustment of a trial."""
 MIN_CONVERGENCE_RATE = 1e-3
-"""Smallest assumed ratio of the distance to the optimum after a step to that before; otherwise the ratio of the last
-two steps is used."""
+"""Smallest assumed ratio of the distances to the optimum after and before a step; a larger ratio is estimated from the
+last two steps."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class SharedQuantities:
     """Quantities of one network that are reused for another network with the same set-up and pointings."""
 
     network: BatchNetwork
-    """Network with the same set-up and pointings, but other coordinates."""
+    """Network from which the quantities are reused, with the same set-up and pointings but other coordinates."""
     point_derivatives: Floats
     """Derivative of the nominal readings with respect to the targets in the instruments' frames, (n, 3, 3)."""
     parameter_derivatives: Floats
@@ -57,23 +57,23 @@ class BatchNetwork:
     """Network with nominal readings, for the adjustment of B trials.
 
     Letters in shapes: S stations, T targets, I instruments with p parameters, q parameters of effects, n pointings, K
-    unknowns.
+    unknowns, m observations, r observations other than readings, g reference lengths.
     """
 
     recording: Recording
-    """Recording with nominal readings: those of an ideal tracker at `state`."""
+    """Recording with nominal readings, which an ideal tracker reads at `state`."""
     state: NetworkState
-    """Nominal state: true poses and targets."""
+    """Nominal state of the network: true poses of the stations and true targets."""
     construction: GeometricErrorModel
-    """Geometric error model of the instrument, whose parameters are estimated."""
+    """Geometric error model of the instruments; its parameters are estimated."""
     chain_program: ChainProgram
-    """Kinematic chain around the nominal readings."""
+    """Kinematic chain of the geometric error model, linearised at the nominal readings."""
     effects: tuple[Effect, ...] = ()
-    """Additional effects that are estimated, together with the nuisance errors that the recording declares."""
+    """Additional effects that are estimated; the nuisance errors that the recording declares are estimated too."""
     shared_quantities: SharedQuantities | None = None
-    """Quantities computed by another network of the same set-up, or None; not used with additional effects."""
+    """Quantities reused from another network with the same set-up, or None; not used with additional effects."""
     is_adjusted_observable: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
-    """Flags (3,) of the observables (range, azimuth, elevation) that are adjusted."""
+    """Mask (3,) of the observables (range, azimuth, elevation) that are adjusted."""
 
     @cached_property
     def model(self) -> MeasurementModel:
@@ -85,7 +85,7 @@ class BatchNetwork:
 
     @cached_property
     def problem(self) -> NetworkProblem:
-        """Least-squares problem at the nominal state; its rows are those of a single adjustment."""
+        """Least-squares problem at the nominal state, with the same rows as a single adjustment."""
         if self.shared_quantities is None:
             return NetworkProblem.from_model(
                 self.model, reading_mask=np.tile(self.is_adjusted_observable, (len(self.recording), 1))
@@ -94,7 +94,7 @@ class BatchNetwork:
 
     @cached_property
     def nominal_state(self) -> NetworkState:
-        """Nominal state with zero parameters."""
+        """Nominal state of the network, with all instrument and effect parameters zero."""
         n_instruments = len(self.recording.instruments)
         return NetworkState(
             self.state.station_positions,
@@ -115,7 +115,7 @@ class BatchNetwork:
 
     @cached_property
     def column_order(self) -> Ints:
-        """Columns (K,) of the problem's design in the order of this class: poses, targets, parameters, effects."""
+        """Columns (K,) of `problem`'s design in the order of this class: poses, targets, parameters, effects."""
         if self.shared_quantities is not None:
             return self.shared_quantities.network.column_order
         unknowns = self.problem.unknowns
@@ -132,14 +132,14 @@ class BatchNetwork:
 
     @cached_property
     def _non_reading_design(self) -> tuple[Floats, Floats]:
-        """Whitened design (r, K) of the r observations other than readings, and their nominal residuals (r, 1)."""
+        """Whitened design (r, K) of the observations other than readings, and their nominal residuals (r, 1)."""
         design, residual = self._whitened_design_and_residuals
         n_readings = int(self.problem.is_used_reading.sum())
         return design[n_readings:, self.column_order], residual[n_readings:, None]
 
     @cached_property
     def _whitened_design_and_residuals(self) -> tuple[Floats, Floats]:
-        """Whitened design (m, K) of all m observations, in the order of the problem, and their residuals (m,)."""
+        """Whitened design (m, K) of all observations, in the order of `problem`, and their nominal residuals (m,)."""
         prediction = (
             self.problem.model.linearise(self.nominal_state)
             if self.shared_quantities is None
@@ -151,7 +151,7 @@ class BatchNetwork:
         return to_dense(system.design), system.whitened_residuals
 
     def _nominal_prediction(self, quantities: SharedQuantities) -> Prediction:
-        """Predicted readings and derivatives at the nominal state, equal to those of `MeasurementModel.linearise`."""
+        """Predicted readings at the nominal state and their derivatives, equal to `MeasurementModel.linearise`."""
         recording, state = self.recording, self.state
         by_target = quantities.point_derivatives @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]
         arm = state.target_points[recording.target] - state.station_positions[recording.station]
@@ -162,9 +162,9 @@ class BatchNetwork:
 
     @cached_property
     def cholesky_and_scales(self) -> tuple[Floats, Floats]:
-        """Cholesky factor (K, K) of the nominal normal matrix after column scaling, and the column scales (K,).
+        """Lower Cholesky factor (K, K) of the nominal normal matrix, scaled to a unit diagonal, and the scales (K,).
 
-        The factor is lower triangular; scaling makes the diagonal one. Raises SetupError for undetermined unknowns.
+        SetupError is raised for undetermined unknowns.
         """
         design = self._whitened_design_and_residuals[0]
         normal = (design.T @ design).take(self.column_order, 0).take(self.column_order, 1)
@@ -172,7 +172,7 @@ class BatchNetwork:
         roots, determined = cholesky_where_determined(unit[None])
         if not determined.all():
             raise SetupError(
-                "the network of the scenario does not determine all its unknowns: give priors or more pointings"
+                "the network of the scenario does not determine all unknowns: give priors or more pointings"
             )
         return roots[0], scale
 
@@ -184,16 +184,16 @@ class BatchNetwork:
 
     @cached_property
     def parameter_sigmas(self) -> Floats:
-        """Standard deviation (I, p) [SI] of the parameters after adjustment."""
+        """Standard deviation (I, p) [SI] of the instrument parameters after adjustment."""
         (_, start, end, _), (root, scale) = self.end_indices, self.cholesky_and_scales
         inverse_block = inverse_from_cholesky(
             root[start:, start:]
-        )  # of the last unknowns the inverse is that of the last corner
+        )  # the inverse for the last unknowns needs only the last corner of the factor
         roots = np.sqrt(np.diag(inverse_block)[: end - start]) * scale[start:end]
         return roots.reshape(self.problem.unknowns.instrument_columns.shape)
 
     def step(self, gradient: Floats) -> Floats:
-        """Gauss-Newton step (K, B) for gradients (K, B)."""
+        """Gauss-Newton step (K, B) of the unknowns for negative gradients (K, B) of half the sum of squares."""
         return self.covariance @ gradient
 
     @cached_property
@@ -228,7 +228,7 @@ class BatchNetwork:
 
     @cached_property
     def _extra_sightings(self) -> Sightings:
-        """Sightings in the frame of the floor plan, in which the directions of nests are declared."""
+        """Pointings in the frame of the floor plan, in which the directions of nests are declared."""
         state = self.nominal_state
         motion = self._network_frame.motion_to_floor_plan(state.station_positions, state.station_rotations)
         if motion is not None:
@@ -253,7 +253,7 @@ class BatchNetwork:
 
     @cached_property
     def _expected_reading_change(self) -> Floats | None:
-        """Expected change (n, 3, 1) of the readings by range errors of tested reflectors; None if none was tested."""
+        """Expected change (n, 3, 1) of the readings by range errors of bench-tested reflectors; None without these."""
         if not any(
             isinstance(error, IncidenceErrors) and error.mean_parameters.any() for error in self.model.nuisance_errors
         ):
@@ -264,11 +264,11 @@ class BatchNetwork:
 
     @cached_property
     def reading_sigmas(self) -> Floats:
-        """Standard deviation (n, 3) of the readings; infinite for unmeasured ones."""
+        """Standard deviation (n, 3) [m, rad, rad] of the readings; infinite for unmeasured readings."""
         return np.where(self.problem.is_used_reading, self.problem.sigma, np.inf)
 
     def split_unknowns(self, unknowns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Views of unknowns (K, B): poses (S, 6, B), targets (T, 3, B), instruments (I, p, B), effects (q, B)."""
+        """Views of the unknowns (K, B): poses (S, 6, B), targets (T, 3, B), instruments (I, p, B), effects (q, B)."""
         pose, targets, values, _ = self.end_indices
         shape = self.nominal_state.instrument_parameters.shape
         return (
@@ -279,10 +279,10 @@ class BatchNetwork:
         )
 
     def fit_trials(self, reading_deviations: Floats, length_errors: Floats | None = None) -> BatchFit:
-        """Adjusted trials.
+        """Adjusted network of each of B trials.
 
-        `reading_deviations` (n, 3, B) are readings minus nominal readings, `length_errors` (g, B) [m] are the errors of
-        the g reference lengths.
+        `reading_deviations` (n, 3, B) are readings minus nominal readings, `length_errors` (g, B) [m] are declared
+        minus true reference lengths.
         """
         if self._expected_reading_change is not None:
             reading_deviations = reading_deviations - self._expected_reading_change
@@ -311,9 +311,9 @@ class BatchNetwork:
 
     @cached_property
     def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
-        """Indices (r,) of the readings that effects change, among all 3 n, and their design (r, q), plain and whitened.
+        """Indices (a,) of the readings that effects change, among all 3 n, and their design (a, q), plain and whitened.
 
-        Effects include declared nuisance errors. For trials with separate geometries the designs are (B, r, q).
+        Effects include declared nuisance errors. For trials with separate geometries the designs are (B, a, q).
         """
         flattened = self._extra_design.reshape(self.reading_sigmas.size, -1)
         indices = np.flatnonzero(flattened.any(axis=1))
@@ -323,14 +323,14 @@ class BatchNetwork:
     def _first_step_matrices(self) -> tuple[Floats, Floats, Floats]:
         """Matrices (K, 3 n) and (K, r) of the first step, and matrix (3 n, K') of the readings that it predicts.
 
-        The first step is the first matrix times the deviations of readings plus the second times the residuals of the r
-        other observations. K' excludes effects, whose changes are subtracted from the measured readings.
+        The first step is the first matrix times the reading deviations, plus the second times the residuals of other
+        observations. The K' unknowns exclude effects, whose changes are subtracted from the measured readings.
         """
         use, design = self.problem.is_used_reading, np.zeros((3 * len(self.recording), self.end_indices[-1]))
         design[use.ravel()] = self._whitened_design_and_residuals[0][
             : int(use.sum()), self.column_order
-        ]  # whitened; zero where nothing is measured
-        # A reading that is not measured has no row; its prediction starts at the nominal reading.
+        ]  # whitened; zero for unmeasured readings
+        # An unmeasured reading has no row; its prediction starts at the nominal reading.
         predicting = np.where(use, self.problem.sigma, 0.0).reshape(-1, 1) * design[:, : self.end_indices[2]]
         by_reading = self.covariance @ (design / self.reading_sigmas.reshape(-1, 1)).T
         return by_reading, self.covariance @ self._non_reading_design[0].T, predicting
@@ -353,7 +353,7 @@ class BatchNetwork:
         gradient: Floats,
         cost: Floats,
     ) -> None:
-        """Gradient (K, B) and sum of squares (B,) at increments (K, B), written to `gradient` and `cost`."""
+        """Negative gradient (K, B) and sum of squares (B,) at `increments` (K, B), written to `gradient` and `cost`."""
         gradient[:], cost[:] = 0.0, 0.0
         pose, points, values, extra = self.split_unknowns(increments)
         if self._has_additional_parameters:
@@ -373,7 +373,7 @@ class BatchNetwork:
     def _non_reading_residuals(self, increments: Floats, length_errors: Floats | None) -> Floats:
         """Whitened residuals (r, B) of reference lengths, control points, levels, priors and datum.
 
-        The residuals of lengths are exact; all others are linear in the increments (K, B).
+        The residuals of lengths are exact; all others are linear in `increments` (K, B) of the unknowns.
         """
         design, nominal = self._non_reading_design
         residuals = nominal - multiply_by_trial(design, increments)
@@ -394,7 +394,7 @@ class BatchNetwork:
 
 
 def multiply_by_trial(matrix: Floats, columns: Floats) -> Floats:
-    """Product of a matrix (j, k) with columns (k, B), or of a separate matrix for each column, (B, j, k)."""
+    """Product (j, B) of a matrix (j, k), or of one matrix per trial (B, j, k), with the columns (k, B) of B trials."""
     if matrix.ndim == 2:
         return matrix @ columns
     return np.matmul(matrix, columns.T[:, :, None])[:, :, 0].T

@@ -1,4 +1,4 @@
-"""Comparison of calibrations of one recording by the error of new points that none of them used."""
+"""Comparison of calibrations of one recording by errors at new points, which none of the calibrations used."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -16,43 +16,43 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.results import Result, Table, number_columns, text_columns
 from ltsim.core.units import MICROMETRE
-from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.fieldwork import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import measure_trial
 from ltsim.simulation.verbs import ScenarioSource, scenario
 
 READING_TOLERANCE = 1e-6
-"""Largest difference [m, rad] between readings that count as equal. Rounding in a file is smaller, and the noise of two
-recordings differs by more.
+"""Largest difference [m, rad] between readings that count as equal. Rounding in a file gives a smaller difference, the
+noise of two recordings a larger one.
 """
 NEW_POINT_ERRORS_TABLE = Table(
     "new_points.csv",
-    "rms errors, over stations and points, of points that no calibration used, with the noise of the new readings",
+    "rms errors, over stations and points, at points that no calibration used, including the noise of new readings",
     (
-        *text_columns(calibration="its name"),
+        *text_columns(calibration="name of the calibration"),
         *number_columns(
             display_format=".1f",
             error_raw_um="readings without corrections",
             error_calibrated_um="readings corrected by the estimates, or by the applied part of them",
             error_true_parameters_um="readings corrected by the true parameters: limit by noise and other effects",
         ),
-        *number_columns(display_format=".3f", share_removed="of the mean square above the floor"),
+        *number_columns(display_format=".3f", share_removed="removed fraction of the mean square above the limit"),
     ),
 )
 
 
 @dataclass(frozen=True, repr=False)
 class NewPointErrors(Result):
-    """Errors of new points after each of several calibrations of one recording."""
+    """Errors at new points after each of several calibrations of one recording."""
 
     errors: Mapping[str, CalibrationErrors]
-    """Rms errors [m] before and after correction of the readings, by name of the calibration."""
+    """Rms errors [m] at new points before and after correction of the readings, by name of the calibration."""
 
     def _lines(self) -> list[str]:
         first_errors = next(iter(self.errors.values()))
         raw, floor = first_errors.raw_rms / MICROMETRE, first_errors.true_parameters_rms / MICROMETRE
         errors = ", ".join(f"{name} {error.calibrated_rms / MICROMETRE:.1f} um" for name, error in self.errors.items())
-        return [f"Error of a new point: raw {raw:.1f} um, {errors}; with the true parameters {floor:.1f} um"]
+        return [f"Error of a new point: uncorrected {raw:.1f} um, {errors}; with the true parameters {floor:.1f} um"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {"new_points": lambda: NEW_POINT_ERRORS_TABLE.with_rows(self._rows())}
@@ -64,9 +64,9 @@ class NewPointErrors(Result):
 
 
 def _may_be_same_recording(readings: Floats, other_readings: Floats) -> bool:
-    """True if two sets of readings [m, rad] are those of one recording.
+    """True if two arrays of readings [m, rad] can come from the same recording.
 
-    They may differ by the rounding of files, and readings may have been removed.
+    They may differ by rounding in files, and by readings that were excluded.
     """
     return readings.shape != other_readings.shape or not np.any(np.abs(readings - other_readings) > READING_TOLERANCE)
 
@@ -80,29 +80,30 @@ def compare_calibrations(
     seed: int = 0,
     trial: int = 0,
 ) -> NewPointErrors:
-    """Comparison of calibrations of one simulated recording by points that were not used for calibration.
+    """Comparison of calibrations of one simulated recording at points that were not used for calibration.
 
-    The same instruments with the same errors measure at another place with independent noise, and each calibration
-    corrects these readings. The rows of a campaign with the key `judge_in` contain the same numbers.
+    The same instruments with the same errors measure these points with independent noise, and each calibration corrects
+    these readings. The rows of a campaign with the key `judge_in` contain the same errors.
 
     Parameters
     ----------
     source : Scenario, str or Path
-        The scenario of the recording that was calibrated.
+        Scenario of the recording that was calibrated.
     calibrations : Calibration, or mapping of str to Calibration
-        Calibrations, by the names that the result gives them.
+        Calibrations by name, for the result.
     validation_scenario : str or Path
-        The other place: a scenario, or a table of points ``NAME.csv`` measured from the recording's own stations.
+        New points: a scenario with other stations and targets, or a table ``NAME.csv`` of points that are measured from
+        the stations of the recording.
     applied : bool
         True to evaluate the corrections that `correct` applies, in place of the estimates. The key `applied` of a
         method in a campaign file does the same.
     seed, trial : int
-        Seed and trial of the recording.
+        Seed and number of the trial with which the recording was simulated.
 
     Raises
     ------
     SetupError
-        If there is no such scenario, its stations name other trackers, or a calibration belongs to another recording.
+        If the scenario does not exist, its stations name other trackers, or a calibration belongs to another recording.
 
     Examples
     --------
@@ -116,7 +117,7 @@ def compare_calibrations(
     check_bounds(seed=seed, trial=trial, required_argument="seed trial")
     base_scenario = scenario(source)
     place = Path() if isinstance(source, Scenario) else Path(source)
-    made, truth = measure_trial(make_geometry(base_scenario, seed), seed, trial)
+    made, truth = measure_trial(make_measurement_geometry(base_scenario, seed), seed, trial)
     by_name = {"calibration": calibrations} if isinstance(calibrations, Calibration) else calibrations
     for name, calibration in by_name.items():
         readings = (
@@ -124,12 +125,12 @@ def compare_calibrations(
             if calibration.adjustment and calibration.method == "network"
             else made.readings
         )
-        if not _may_be_same_recording(readings, made.readings):  # the distance methods adjust what they have corrected
-            raise SetupError(f"'{name}' calibrates another recording than that of seed {seed}, trial {trial}")
+        if not _may_be_same_recording(readings, made.readings):  # the distance methods adjust corrected readings
+            raise SetupError(f"calibration '{name}' belongs to another recording than seed {seed}, trial {trial}")
     if not by_name:
         raise SetupError("no calibration is given, expected at least one")
     true_values = np.array([*truth.instrument_values.values()]).reshape(len(base_scenario.trackers_in_use), -1)
-    geometry = make_geometry(
+    geometry = make_measurement_geometry(
         make_validation_scenario(str(validation_scenario), base_scenario, place), seed, VALIDATION_STREAM_KEY
     )
     recording, there = measure_trial(

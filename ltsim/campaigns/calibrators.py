@@ -1,8 +1,9 @@
-"""Calibrators of the methods in a campaign file, for trials with a common geometry and for trials with separate ones.
+"""Calibrators of the methods in a campaign file, for trials in one network geometry and in separate geometries.
 
-Trials whose stations see the same targets form a stack. The last index of the geometry arrays of a stack is the trial,
-as for all other arrays of a campaign. The large operations (exact readings, residuals and gradients, points, criteria)
-are done for all trials together. The Gauss-Newton steps of a trial use the normal matrix of that trial.
+Trials with separate geometries whose stations see the same targets form a stack. The last index of the geometry arrays
+of a stack is the trial, as for all other arrays of a campaign. The large operations (exact readings, residuals and
+gradients, points, criteria) are done for all trials together. The Gauss-Newton steps of a trial use the normal matrix
+of that trial.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ from ltsim.campaigns.kernels import compute_readings
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.trial_calibrators import (
     BatchCalibrator,
-    CalibratedBlock,
+    CalibratedBatch,
     SerialCalibrator,
     TrialCalibrator,
-    is_suspect_trial,
+    suspect_trial_mask,
 )
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import CellTruth, TrialBatch
@@ -44,12 +45,12 @@ def estimated_construction(method: Method) -> GeometricErrorModel:
 
 
 def estimated_effects(method: Method) -> tuple[Effect, ...]:
-    """Additional effects that a method estimates; raises SetupError with the entry and the permitted values."""
+    """Additional effects that a method estimates; SetupError names an invalid entry and the permitted values."""
     return tuple(e.effect(f"methods.{method.title}.effects.{i}") for i, e in enumerate(method.effects, 1))
 
 
 def make_calibrator(method: Method, truth: CellTruth) -> TrialCalibrator:
-    """Calibrator of a method in a campaign file."""
+    """Calibrator for a method of a campaign file, for trials in the network geometry `truth`."""
     if method.method != "network" and not truth.is_recorded_observable.all():
         raise SetupError(f"methods.{method.title}: {method.method} compares points, which need ranges and angles")
     built, effects = estimated_construction(method), estimated_effects(method)
@@ -62,21 +63,18 @@ def make_calibrator(method: Method, truth: CellTruth) -> TrialCalibrator:
 
 @dataclass(frozen=True)
 class GeometryStack(CellTruth):
-    """True geometries of B trials whose stations see the same n pointings.
-
-    The last index of each geometry array is the trial.
-    """
+    """True network geometries of B trials with the same n pointings; the last index of their arrays is the trial."""
 
     truths: tuple[CellTruth, ...] = ()
-    """True geometry of each trial. Quantities that all trials share are taken from the first one."""
+    """True network geometry of each trial. Quantities that all trials share are taken from the first trial."""
     recording_row_of_pointing: Ints = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
-    """Row number of each pointing of the first trial in the recording of every trial, (n, B); recordings may list the
-    pointings in different orders.
+    """Row index, in the recording of each trial, of each pointing of the first trial, (n, B). The recordings of the
+    trials may list the pointings in different orders.
     """
 
     @classmethod
     def from_truths(cls, truths: tuple[CellTruth, ...]) -> Self:
-        """Stack of true geometries with the same sightings."""
+        """Stack of the true network geometries of trials with the same pointings."""
         first_truth = truths[0]
         shared_fields = {f.name: getattr(first_truth, f.name) for f in fields(CellTruth) if f.name != "state"}
         states = [truth.state for truth in truths]
@@ -95,7 +93,7 @@ class GeometryStack(CellTruth):
         )
 
     def stack_arrays(self, arrays: Iterable[Floats]) -> Floats:
-        """Stacked array (n, ..., B) of one array (n, ...) per trial, in the order of the first trial's pointings."""
+        """Array (n, ..., B) from one array (n, ...) per trial, in the order of the first trial's pointings."""
         return np.ascontiguousarray(
             np.stack([a[r] for a, r in zip(arrays, self.recording_row_of_pointing.T, strict=True)], axis=-1)
         )
@@ -108,7 +106,7 @@ class GeometryStack(CellTruth):
 
     @cached_property
     def nominal_readings(self) -> Floats:
-        """Nominal readings of all trials, (n, 3, B)."""
+        """Nominal readings of all trials, (n, 3, B) [m, rad, rad]."""
         return self.stack_arrays(truth.recording.readings for truth in self.truths)
 
     @cached_property
@@ -118,14 +116,14 @@ class GeometryStack(CellTruth):
 
     @cached_property
     def reading_derivatives(self) -> Floats:
-        """Derivative of an ideal tracker's readings with respect to the local point, (n, 3, 3, B)."""
+        """Derivative of an ideal tracker's readings with respect to `local_points`, (n, 3, 3, B)."""
         return self.stack_arrays(truth.sightings.local_derivatives for truth in self.truths)
 
     def _effect_design(self, effects: tuple[Effect, ...]) -> Floats:
         return self.stack_arrays(truth.effect_design_function(effects)[..., 0] for truth in self.truths)
 
     def _compute_chain_and_design(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
-        """Kinematic chain of all trials, and derivative of the readings with respect to p parameters, (n, 3, p, B)."""
+        """Kinematic chain of all trials, and derivative (n, 3, p, B) of the readings by the p instrument parameters."""
         flattened = np.swapaxes(self.nominal_readings, 1, 2).reshape(-1, 3)
         by_value = construction.reading_design(flattened, np.zeros(construction.n_parameters))[1]
         by_trial = np.moveaxis(by_value.reshape(*self.recording_row_of_pointing.shape, *by_value.shape[1:]), 1, -1)
@@ -134,14 +132,14 @@ class GeometryStack(CellTruth):
         ), np.ascontiguousarray(by_trial)
 
     def _exact_deviations(self, true_parameters: Floats) -> Floats:
-        """Exact minus nominal readings (n, 3, B) for true parameters (I, p, B) of the instruments."""
+        """Exact minus nominal readings (n, 3, B) for true instrument parameters (I, p, B) [SI]."""
         which, (program, by_value) = self.recording.instrument, self.chain_and_design(self.construction)
         deviation = np.einsum("nckb,nkb->ncb", by_value, true_parameters[which])
         compute_readings(program, which, self.local_points, self.reading_derivatives, true_parameters, deviation)
         return deviation
 
     def draw_numbered_trials(self, seed: int, trial_numbers: Ints) -> TrialBatch:
-        """Trials with the given numbers, one for each geometry of the stack, with their random values."""
+        """Batch of the trials `trial_numbers` (B,), one for each geometry of the stack, with their random values."""
         sources = StandardNormalSource(seed, trial_numbers).single_trial_sources()
         draws = [
             truth.distributions.draw(numbers_of_trial)
@@ -150,22 +148,23 @@ class GeometryStack(CellTruth):
         instrument_values = np.concatenate([draw.instrument_values for draw in draws], axis=2)
         exact = self._exact_deviations(instrument_values)
         single_trials = tuple(
-            truth.block_from_draw(draw, self.array_of_trial(exact, k)[:, :, None])
+            truth.batch_from_draw(draw, self.array_of_trial(exact, k)[:, :, None])
             for k, (truth, draw) in enumerate(zip(self.truths, draws, strict=True))
         )
         effect_values = tuple(
             np.concatenate(parts, axis=1)
-            for parts in zip(*(block.effect_values for block in single_trials), strict=True)
+            for parts in zip(*(batch.effect_values for batch in single_trials), strict=True)
         )
-        length_errors = np.concatenate([block.length_errors for block in single_trials], axis=1)
-        deviation = self.stack_arrays(block.reading_deviations[:, :, 0] for block in single_trials)
+        length_errors = np.concatenate([batch.length_errors for batch in single_trials], axis=1)
+        deviation = self.stack_arrays(batch.reading_deviations[:, :, 0] for batch in single_trials)
         return TrialBatch(trial_numbers, instrument_values, effect_values, deviation, length_errors, single_trials)
 
 
 def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometryStack, Ints]]:
     """Stacks of the trials whose stations see the same targets, each with the numbers (B,) of its trials.
 
-    `truths` holds the true geometry of each trial by its number. A trial with an incomplete pointing has its own stack.
+    `truths` holds the true network geometry of each trial by number. A trial with an incomplete pointing forms a stack
+    of one trial.
     """
     trials_by_pattern: dict[tuple[object, ...], list[int]] = {}
     for number, truth in truths.items():
@@ -180,7 +179,7 @@ def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometrySta
 
 
 def _pointing_keys(truth: CellTruth) -> Ints:
-    """Integers (n,) that identify each pointing by repeat, station, face and target."""
+    """Integer key of each pointing, (n,), from its repeat, station, face and target."""
     r = truth.recording
     return ((r.repeat * len(r.stations) + r.station) * 3 + r.face) * len(r.targets) + r.target
 
@@ -189,14 +188,14 @@ def _pointing_keys(truth: CellTruth) -> Ints:
 class StackCalibrator(TrialCalibrator):
     """Calibrator of the trials of a stack.
 
-    The network method calibrates them in a batch. Trials that do not converge there, and trials of all other methods,
-    are calibrated one by one.
+    The network method calibrates the trials in a batch. Trials that do not converge there are calibrated one by one, as
+    are the trials of all other methods.
     """
 
     truth: GeometryStack
-    """True geometries of the trials."""
+    """True network geometries of the trials."""
     requested_method: Method = field(default_factory=Method)
-    """Method of the campaign file."""
+    """Calibration method of the campaign file."""
 
     @classmethod
     def for_stack(cls, method: Method, stack: GeometryStack) -> Self:
@@ -205,12 +204,12 @@ class StackCalibrator(TrialCalibrator):
         return cls(stack, first_calibrator.construction, first_calibrator.effects, method.method, method)
 
     def single_trial_calibrator(self, trial: int) -> TrialCalibrator:
-        """Calibrator of a single trial."""
+        """Calibrator for the single trial with the index `trial` in the stack."""
         return make_calibrator(self.requested_method, self.truth.truths[trial])
 
-    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
-        """Calibrated trials of a block; a trial with undetermined parameters is marked as failed."""
-        calibrated = CalibratedBlock.from_failed_trials(
+    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBatch:
+        """Estimates of the trials of a batch; a trial with undetermined parameters has the status failed."""
+        calibrated = CalibratedBatch.from_failed_trials(
             self.truth, self.construction, self.effects, len(trial_batch.single_trials)
         )
         is_batch = self.method == "network" and self.requested_method.solver == "batch" and not self.effects
@@ -225,20 +224,20 @@ class StackCalibrator(TrialCalibrator):
             calibrated.copy_trial(trial, single, 0)
         return calibrated
 
-    def _calibrate_batch(self, trial_batch: TrialBatch, calibrated_block: CalibratedBlock) -> Ints:
-        """Indices of the trials that the batch did not calibrate.
+    def _calibrate_batch(self, trial_batch: TrialBatch, calibrated_batch: CalibratedBatch) -> Ints:
+        """Indices of the trials that the batch calibration did not solve.
 
-        The estimates of all other trials are stored in `calibrated_block`.
+        The estimates of all other trials are written to `calibrated_batch`.
         """
         stack, built = self.truth, self.construction
         program, by_value = stack.chain_and_design(built)
-        blocks: list[BatchNetwork] = []
+        networks: list[BatchNetwork] = []
         for k, truth in enumerate(stack.truths):
             recording = stack.recording.with_readings(stack.nominal_readings[:, :, k])
             shared = (
-                SharedQuantities(blocks[0], stack.reading_derivatives[..., k], by_value[..., k]) if blocks else None
+                SharedQuantities(networks[0], stack.reading_derivatives[..., k], by_value[..., k]) if networks else None
             )
-            blocks.append(
+            networks.append(
                 BatchNetwork(
                     recording,
                     truth.state,
@@ -248,13 +247,13 @@ class StackCalibrator(TrialCalibrator):
                     is_adjusted_observable=truth.is_recorded_observable,
                 )
             )
-        network = StackedNetwork(stack.recording, stack.state, built, program, networks=tuple(blocks))
+        network = StackedNetwork(stack.recording, stack.state, built, program, networks=tuple(networks))
         try:
             fit = network.fit_trials(trial_batch.reading_deviations, trial_batch.length_errors)
         except SetupError:
-            return np.arange(len(blocks))
-        status = np.zeros(len(blocks), dtype=np.int64)
-        batch_results = CalibratedBlock(
+            return np.arange(len(networks))
+        status = np.zeros(len(networks), dtype=np.int64)
+        batch_results = CalibratedBatch(
             fit.instrument_values,
             network.parameter_sigmas,
             fit.target_increments,
@@ -262,22 +261,22 @@ class StackCalibrator(TrialCalibrator):
             status,
             incidence_parameters=fit.incidence_parameters,
         )
-        is_doubtful = ~fit.has_converged | is_suspect_trial(trial_batch.reading_deviations, stack.local_points)
+        is_doubtful = ~fit.has_converged | suspect_trial_mask(trial_batch.reading_deviations, stack.local_points)
         for trial in np.flatnonzero(~is_doubtful):
-            calibrated_block.copy_trial(int(trial), batch_results, int(trial))
+            calibrated_batch.copy_trial(int(trial), batch_results, int(trial))
         return np.flatnonzero(is_doubtful)
 
-    def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBlock) -> float:
-        """Largest difference [sigma] between `results` of the batch for a trial and those of the full solver."""
+    def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBatch) -> float:
+        """Largest difference [sigma] between the batch `results` of a trial and those of the full solver."""
         trial_slice = slice(trial, trial + 1)
         arrays = (
             results.instrument_values[..., trial_slice],
             results.instrument_sigmas[..., trial],
             results.target_errors[..., trial_slice],
         )
-        single_block = CalibratedBlock(*arrays, results.chi2[trial_slice], results.status_indices[trial_slice])
+        single_batch = CalibratedBatch(*arrays, results.chi2[trial_slice], results.status_indices[trial_slice])
         return self.single_trial_calibrator(trial).largest_solver_difference(
-            trial_batch.single_trials[trial], 0, single_block
+            trial_batch.single_trials[trial], 0, single_batch
         )
 
 
@@ -285,7 +284,7 @@ class StackCalibrator(TrialCalibrator):
 class StackedNetwork(BatchNetwork):
     """Networks of several trials with the same pointings but different coordinates, adjusted together.
 
-    The last index of the arrays in `state` and `chain_program` is the trial; `recording` is that of the first trial.
+    The last index of the arrays in `state` and `chain_program` is the trial; `recording` belongs to the first trial.
     """
 
     networks: tuple[BatchNetwork, ...] = ()
@@ -297,7 +296,7 @@ class StackedNetwork(BatchNetwork):
         return self.networks[0].problem
 
     def step(self, gradient: Floats) -> Floats:
-        """Gauss-Newton step (K, B) for gradients (K, B), with a separate normal matrix for each trial."""
+        """Gauss-Newton step (K, B) for negative gradients (K, B), with a separate normal matrix for each trial."""
         step = np.empty_like(gradient)
         for trial, (root, scale) in enumerate(part.cholesky_and_scales for part in self.networks):
             step[:, trial] = scale * dpotrs(root.T, scale * gradient[:, trial])[0]
@@ -305,25 +304,28 @@ class StackedNetwork(BatchNetwork):
 
     @cached_property
     def parameter_sigmas(self) -> Floats:
-        """Standard deviation of the parameters, (I, p, B) [SI]."""
+        """Standard deviation of the instrument parameters after adjustment, (I, p, B) [SI]."""
         return np.stack([part.parameter_sigmas for part in self.networks], axis=-1)
 
     @cached_property
     def reading_sigmas(self) -> Floats:
-        """Standard deviation of the readings, (n, 3, B)."""
+        """Standard deviation of the readings, (n, 3, B) [m, rad, rad]; infinite for unmeasured readings."""
         return np.stack([part.reading_sigmas for part in self.networks], axis=-1)
 
     @cached_property
     def _point_derivatives(self) -> Floats:
+        """Derivative (n, 3, 3, B) of an ideal tracker's readings by the target in the instrument's frame."""
         return np.stack([part._point_derivatives for part in self.networks], axis=-1)
 
     @cached_property
     def _expected_reading_change(self) -> Floats | None:
+        """Expected change (n, 3, B) of the readings by range errors of bench-tested reflectors; None without these."""
         shifts = [shift for part in self.networks if (shift := part._expected_reading_change) is not None]
         return np.concatenate(shifts, axis=-1) if shifts else None
 
     @cached_property
     def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
+        """Indices (a,) of the readings that effects change, and their designs (B, a, q), plain and whitened."""
         n_readings = 3 * len(self.recording)
         flattened = [part._extra_design.reshape(n_readings, -1) for part in self.networks]
         affected_rows = np.flatnonzero(np.any([design.any(axis=1) for design in flattened], axis=0))
@@ -333,6 +335,7 @@ class StackedNetwork(BatchNetwork):
 
     @cached_property
     def _non_reading_design(self) -> tuple[Floats, Floats]:
+        """Whitened design (B, r, K) of the observations other than readings, and their nominal residuals (r, B)."""
         designs, nominal = zip(*(part._non_reading_design for part in self.networks), strict=True)
         return np.stack(designs), np.concatenate(nominal, axis=1)
 
@@ -342,5 +345,5 @@ class StackedNetwork(BatchNetwork):
         arguments = reading_deviations, length_errors, predicted, gradient, cost
         self._gradient(x, *arguments)
         x += self.step(gradient)
-        self._gradient(x, *arguments)  # the predicted readings settle
+        self._gradient(x, *arguments)  # for a second Newton step of the predicted readings
         return x, predicted

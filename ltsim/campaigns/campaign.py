@@ -1,9 +1,9 @@
 """Execution of a campaign: workers compute shards, one process writes them, and any interruption can be resumed.
 
-A shard is a file with the rows of some trials of one combination of settings. The rows are identical byte by
-byte for any number of workers, interruptions and backend, if processor type and package versions are the same: compiler
-and matrix library choose their instructions by the processor, which changes the last bit of a sum. The manifest names
-both.
+A shard is a file with the rows of some trials of one cell, that is, of one combination of factor levels. The rows are
+identical byte by byte for any number of workers, any interruptions and either backend, if processor type and package
+versions are the same. Compiler and matrix library choose their instructions by the processor, which changes the last
+bit of a sum. The manifest names processor type and package versions.
 """
 
 import os
@@ -43,28 +43,28 @@ from ltsim.core.parallel import run_parallel
 from ltsim.core.storage import check_writable
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.settings import to_toml
-from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.fieldwork import make_measurement_geometry
 from ltsim.simulation.simulator import ineffective_effect_notes
 
 VERSIONED_PACKAGES = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
-"""Packages whose version can change the bytes of a row."""
+"""Packages whose versions can change the bytes of the rows."""
 EXTENDABLE_KEYS = ("title", "trials", "statistics", "grid", "design", "cells", "stop")
-"""Keys of the campaign file that may be extended while existing rows remain valid."""
+"""Keys of the campaign file whose values may be extended; existing rows remain valid."""
 ProgressCallback = Callable[[int], None]
-"""Callback with the number of trials that were finished since the last call."""
+"""Progress callback; its argument is the number of rows (trials times methods) finished since the last call."""
 
 
 @dataclass(frozen=True)
 class WorkerSettings:
-    """Workers that compute the shards: local processes, or those of a Dask scheduler."""
+    """Worker processes that compute the shards: processes on this machine, or workers of a Dask scheduler."""
 
     n_processes: int = 1
-    """Number of processes on this machine; with Dask the scheduler decides."""
+    """Number of worker processes on this machine; with Dask the scheduler determines the number."""
     backend: str = "local"
-    """`local` or `dask`."""
+    """Kind of workers: `local` or `dask`."""
     scheduler: str = ""
-    """Address of the Dask scheduler, such as ``tcp://127.0.0.1:8786``, or the file that the scheduler wrote (``dask
-    scheduler --scheduler-file cluster.json``).
+    """Address of the Dask scheduler, such as ``tcp://127.0.0.1:8786``, or path of its file (``dask scheduler
+    --scheduler-file cluster.json``).
     """
 
     def __post_init__(self) -> None:
@@ -92,7 +92,7 @@ class RunResult:
     n_existing_shards: int
     """Number of shards that were complete before this run."""
     notes: tuple[str, ...]
-    """Notes for the user: damaged shards that were computed again, or a change of the commit since the start."""
+    """Notes for the user, for example on damaged shards that were computed again, or on another commit of ltsim."""
 
 
 def run_campaign(
@@ -106,17 +106,17 @@ def run_campaign(
     tables: Mapping[str, Any] | None = None,
     progress: ProgressCallback = lambda trials: None,
 ) -> RunResult:
-    """Run, continuation or extension of a campaign, as `ltsim.campaign` but with a choice of workers.
+    """Run, continuation or extension of a campaign in `folder`, as `ltsim.campaign` but with a choice of workers.
 
-    `tables` is the content of a campaign file, used in place of `file`. `progress` is called with the number of trials
-    that were finished since the last call.
+    `tables`, if given, replaces the content of the campaign file `file`. `changes` are new values of its keys.
+    `progress` is called with the number of rows (trials times methods) that were finished since the last call.
     """
     with as_setup_error():
         check_writable(folder, is_folder=True)
     campaign, scenarios = load_campaign(file, changes, tables)
     factors, cells = make_cells(campaign, scenarios, file)
     notes, store = _configuration_notes(campaign, factors, cells, file), CampaignFolder(folder)
-    sources = _input_files(campaign, cells, file, is_existing=not changes and tables is None)
+    sources = _input_files(campaign, cells, file, copies_file=not changes and tables is None)
     taken = [] if store.has_campaign or force else store.conflicting_files(sources)
     if taken:
         raise SetupError(
@@ -126,7 +126,7 @@ def run_campaign(
     chosen_workers = workers or WorkerSettings()
     if chosen_workers.backend == "dask":
         with _dask_cluster(chosen_workers):
-            pass  # a scheduler that does not answer is reported before anything is written
+            pass  # a scheduler without an answer is an error before anything is written
     with store.lock():
         if force and not resume:
             store.remove_files()
@@ -157,9 +157,12 @@ def run_campaign(
 
 
 def _input_files(
-    campaign: CampaignFile, cells: Sequence[CampaignCell], file: Path, *, is_existing: bool
+    campaign: CampaignFile, cells: Sequence[CampaignCell], file: Path, *, copies_file: bool
 ) -> dict[str, bytes]:
-    """Input files of the campaign, stored with its rows: scenarios, points, CAD files, the campaign file."""
+    """Contents by name of the input files that are stored with the rows: scenarios, points, CAD and campaign files.
+
+    If `copies_file` is true, `file` is copied; otherwise the campaign file is written from `campaign`.
+    """
     named = [path for name in (campaign.scenario, campaign.judge_in) if name and (path := local_file(name, file))]
     contents, root = {path.name: path.read_bytes() for path in named}, (named[0] if named else file).resolve().parent
     for path in cad_files(
@@ -169,16 +172,13 @@ def _input_files(
         name = whole.relative_to(root).as_posix() if whole.is_relative_to(root) else path.name
         contents[name] = read_cad(path)
     settings = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return contents | {CAMPAIGN_FILE: file.read_bytes() if is_existing else to_toml(settings).encode()}
+    return contents | {CAMPAIGN_FILE: file.read_bytes() if copies_file else to_toml(settings).encode()}
 
 
 def _configuration_notes(
     campaign: CampaignFile, factors: Sequence[Factor], cells: Sequence[CampaignCell], file: Path
 ) -> list[str]:
-    """Notes on declared effects that change no reading.
-
-    Raises SetupError for an error that would stop every trial.
-    """
+    """Notes on declared effects that change no reading; SetupError for an error that would stop every trial."""
     unused_settings = []
     for method in campaign.methods:
         estimated_construction(method)
@@ -187,19 +187,20 @@ def _configuration_notes(
         where = f"cell {number} ({cell_label(factors, cell.levels)})"
         with as_setup_error(f"{file}: {where}"):
             unused_settings += [
-                f"{where}: {note}" for note in ineffective_effect_notes(make_geometry(cell.scenario, campaign.seed))
+                f"{where}: {note}"
+                for note in ineffective_effect_notes(make_measurement_geometry(cell.scenario, campaign.seed))
             ]
             if cell.validation_scenario is not None:
-                make_geometry(cell.validation_scenario, campaign.seed, VALIDATION_STREAM_KEY)
+                make_measurement_geometry(cell.validation_scenario, campaign.seed, VALIDATION_STREAM_KEY)
     return unused_settings
 
 
 def _extended_campaign(
     store: CampaignFolder, campaign: CampaignFile, cells: tuple[CampaignCell, ...], file: Path, *, resume: bool
 ) -> tuple[CampaignFile, tuple[CampaignCell, ...]]:
-    """Campaign of a folder with the additions of the file: its settings, and its combinations of settings (cells).
+    """Campaign in a folder with the additions of the campaign file: its content, and its cells.
 
-    Existing cells keep their numbers. Raises SetupError if the file would change existing rows.
+    Existing cells keep their numbers. SetupError is raised if the file would change existing rows.
     """
     if not resume:
         raise SetupError(
@@ -237,9 +238,9 @@ def _extended_campaign(
 
 
 def _environment_change_notes(store: CampaignFolder) -> list[str]:
-    """Notes on another commit of ltsim or another processor type than at the start of the campaign.
+    """Notes on changes since the start of the campaign: another commit of ltsim, or another processor type.
 
-    Raises SetupError for other versions of the packages in `VERSIONED_PACKAGES`.
+    SetupError is raised for other versions of the packages in `VERSIONED_PACKAGES`.
     """
     manifest = store.manifest()
     then, today = manifest.versions, _package_versions()
@@ -269,10 +270,10 @@ def processor_type() -> str:
 
 
 def checkout_commit() -> str | None:
-    """Commit of the ltsim checkout from which the package runs.
+    """Git commit of the ltsim checkout from which the package runs; None for an installed package.
 
-    It is None if it runs from elsewhere, such as an environment inside the checkout of another project: git then does
-    not track the package, or the root of the checkout is not the folder of the package.
+    A package inside the checkout of another project is recognised: git does not track the package there, or the root of
+    the checkout is not the folder of the package.
     """
     package = Path(__file__).parents[1]
     git_arguments = (["rev-parse", "--show-toplevel"], ["ls-files", "--error-unmatch", __file__], ["rev-parse", "HEAD"])
@@ -320,9 +321,9 @@ def _pending_shards(
     shard_keys: list[ShardKey],
     progress: ProgressCallback,
 ) -> tuple[list[ShardTask], list[str]]:
-    """Shards of `shard_keys` that are missing or incomplete, and notes on damaged ones.
+    """Tasks for the shards of `shard_keys` that are missing or incomplete, and notes on damaged shards.
 
-    A damaged shard is renamed and computed again.
+    A damaged shard is renamed and computed again. `progress` is called with the number of rows of each complete shard.
     """
     waiting, notes, digests = [], [], store.digests()
     for cell, shard in shard_keys:
@@ -345,7 +346,7 @@ def _pending_shards(
 def _confidence_half_widths(folder: Path, statistic: str, n_shards: int) -> dict[tuple[int, str], float]:
     """Half-width of the 95 % confidence interval of the mean of a statistic, by cell and method.
 
-    A cell is one combination of settings. Only the first `n_shards` shards of each cell are used.
+    Only the first `n_shards` shards of each cell (combination of factor levels) are used.
     """
     return {
         (s.cell, s.method): 0.5 * (s.high - s.low) for s in CampaignStatistics(folder, n_shards).distribution(statistic)
@@ -355,9 +356,9 @@ def _confidence_half_widths(folder: Path, statistic: str, n_shards: int) -> dict
 def _iterate_results(
     tasks: list[ShardTask], workers: WorkerSettings, store: CampaignFolder
 ) -> Iterator[tuple[ShardTask, bytes]]:
-    """Computed shards, as task and bytes of the file, in the order of completion.
+    """Pairs of a task and the bytes of its shard's file, in the order of completion.
 
-    Rows that a shard already has are passed to the worker with its task.
+    The existing rows of a shard are passed to the worker with the task.
     """
     pending_tasks = (
         replace(

@@ -1,10 +1,10 @@
 """Kinematic chain as arrays for the compiled functions, expanded about the nominal readings of a network.
 
-Each motion (a rotation or translation) is the motion at the nominal reading plus a small deviation, so that
-trigonometric functions of large angles are computed only once. A parameter acts on a motion through its basis, a
-function of the readings that is expanded to first order in the deviation of the readings. The neglected term is half
-the second derivative times the squared deviation times the parameter: 2e-16 rad for deviations and parameters of 10
-urad, 1e-12 m at 5 m for 100 um and 100 urad.
+The amount of each motion (a rotation or translation) is the amount at the nominal readings plus a small deviation, so
+that trigonometric functions of large angles are computed only once. A parameter changes the amount of a motion by the
+parameter times a basis function of the readings, which is expanded to first order in the reading deviations. The
+neglected term is half the second derivative times the squared deviation times the parameter: 2e-16 rad for deviations
+and parameters of 10 urad, 1e-12 m at 5 m for 100 um and 100 urad.
 """
 
 from typing import NamedTuple, Self
@@ -22,28 +22,29 @@ is 1e-9.
 
 
 class ChainProgram(NamedTuple):
-    """Kinematic chain as arrays: M motions from the base outwards, n pointings, p parameters."""
+    """Kinematic chain as arrays: M motions from the base to the target, n pointings, p parameters."""
 
     is_rotation: Ints
     """Kind of each motion, (M,): 1 for a rotation, 0 for a translation."""
     axis_indices: Ints
-    """Coordinate axis of each motion (0, 1, 2), (M,)."""
+    """Coordinate axis of each motion, (M,): 0 for x, 1 for y, 2 for z."""
     reading_signs: Floats
-    """Sign with which a reading enters each motion, (M,)."""
+    """Sign with which the reading enters the amount of each motion, (M,)."""
     reading_indices: Ints
-    """Index of the reading on which each motion depends, (M,): 0 range, 1 azimuth, 2 elevation, -1 none."""
+    """Index of the reading that determines the amount of each motion, (M,): 0 range, 1 azimuth, 2 elevation, -1
+    none."""
     nominal_amounts: Floats
-    """Size of each motion at the nominal readings, (M, n, 2): a translation [m] in the first entry, or cosine and sine
-    of a rotation.
+    """Amount of each motion at the nominal readings, (M, n, 2): length [m] of a translation in the first entry, or
+    cosine and sine of a rotation.
     """
     parameter_offsets: Ints
     """Offsets (M + 1,) into `parameter_indices`: the parameters of motion m are ``parameter_indices[offsets[m] :
     offsets[m + 1]]``.
     """
     parameter_indices: Ints
-    """Indices of the parameters that act on each motion, motion after motion, (f,)."""
+    """Indices (f,) of the parameters that act on the motions, listed motion by motion."""
     depends_on_readings: Ints
-    """Flags (p,) of the parameters whose basis depends on the readings."""
+    """Mask (p,) of the parameters whose basis function depends on the readings."""
     basis_values: Floats
     """Basis function of each parameter at the nominal readings, (p, n)."""
     basis_derivatives: Floats
@@ -51,7 +52,7 @@ class ChainProgram(NamedTuple):
 
     @classmethod
     def from_construction(cls, construction: GeometricErrorModel, readings: Floats) -> Self:
-        """Arrays of a geometric error model, linearised at readings (n, 3), without motions that are always zero."""
+        """Chain of a geometric error model, linearised at `readings` (n, 3), without motions that are always zero."""
         slots = [term.slot for term in construction.terms]
         motions_by_slot = {
             m.error_slot: [k for k, slot in enumerate(slots) if slot == m.error_slot]
@@ -79,9 +80,9 @@ class ChainProgram(NamedTuple):
         )
 
     def with_trial_axis(self, n_trials: int) -> Self:
-        """Arrays with a last index for the trial.
+        """Chain in which the arrays by pointing have an additional last axis for `n_trials` trials.
 
-        The rows of these arrays are pointings; for each pointing, one row per trial follows the other.
+        In the present arrays, the entries of all trials of a pointing follow each other along the axis of pointings.
         """
 
         def per_trial(array_rows: Floats) -> Floats:
@@ -98,7 +99,7 @@ class ChainProgram(NamedTuple):
 
 
 def _reading_index(motion: ElementaryMotion) -> int:
-    """Index of the reading that sets the amount of a motion (0 range, 1 azimuth, 2 elevation); -1 if it is constant."""
+    """Index of the reading that determines the amount of a motion: 0 range, 1 azimuth, 2 elevation, -1 none."""
     if motion.nominal_function is None:
         return -1
     probe = np.vstack([np.zeros(3), np.eye(3)])
@@ -117,7 +118,7 @@ def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
 
 
 def _basis_derivatives(construction: GeometricErrorModel, readings: Floats) -> Floats:
-    """Derivative (p, n, 3) of each basis function with respect to the readings."""
+    """Derivative (p, n, 3) of each parameter's basis function by the readings, from central differences."""
     step = DERIVATIVE_STEP * np.eye(3)[:, None, :]
     shifted_readings = np.concatenate([readings + step, readings - step]).reshape(-1, 3)
     ahead, behind = (

@@ -1,8 +1,8 @@
 """Compiled functions on point clouds of B trials: means, rigid fits, disagreement of stations and distance objective.
 
-The quantities are those of `ltsim.adjustment.evaluation`; the last index of each array is the trial. A rigid fit starts
-from frames that agree within the size of the errors. Three Newton steps on the rotation then reach rounding error and
-replace a singular value decomposition.
+`ltsim.adjustment.evaluation` computes the same quantities for single recordings. The last index of each array is the
+trial. A rigid fit starts from frames that agree within the size of the errors. Three Newton steps on the rotation then
+reach rounding error and replace a singular value decomposition.
 """
 
 import numpy as np
@@ -17,10 +17,10 @@ MICROMETRES_PER_METRE = 1e6
 
 @compile_function
 def add_station_means(points: Floats, station: Ints, target: Ints, weights: Floats, clouds: Floats) -> None:
-    """Addition of points (n, 3, B), multiplied by weights (n,), to the clouds (S, T, 3, B).
+    """Addition of points (n, 3, B), multiplied by weights (n,), to the clouds (S, T, 3, B), in place.
 
-    A cloud is the points of one of S stations (or sets) on T targets; `station` and `target` (n,) are indices of each
-    point.
+    A cloud contains the points of one station (or set of pointings) on T targets. `station` and `target` (n,) are the
+    indices of the cloud and of the target of each point.
     """
     for i in range(len(points)):
         cloud = clouds[station[i], target[i]]
@@ -32,7 +32,7 @@ def add_station_means(points: Floats, station: Ints, target: Ints, weights: Floa
 
 @compile_function
 def transform_to_network(clouds: Floats, rotation: Floats, position: Floats) -> None:
-    """Transformation of the clouds (S, T, 3, B) of S stations from instrument to network frames, in place.
+    """Transformation of the clouds (S, T, 3, B) of S stations from instrument frames to the network frame, in place.
 
     `rotation` (S, 3, 3) and `position` (S, 3) are the nominal poses.
     """
@@ -67,7 +67,7 @@ def transform_to_network(clouds: Floats, rotation: Floats, position: Floats) -> 
 
 @compile_function
 def _centre_cloud(cloud: Floats, is_used_target: Bools, centred_cloud: Floats) -> None:
-    """Subtraction of the mean over the used targets (T,) from a cloud (T, 3, B)."""
+    """Cloud (T, 3, B) minus its mean over the targets in `is_used_target` (T,), written to `centred_cloud`."""
     centred_cloud[:] = 0.0
     n_points = 0
     for k in range(len(cloud)):
@@ -85,7 +85,7 @@ def _centre_cloud(cloud: Floats, is_used_target: Bools, centred_cloud: Floats) -
 def align_rigidly(cloud: Floats, reference_cloud: Floats, is_used_target: Bools, aligned_cloud: Floats) -> None:
     """Rigid least-squares alignment of a cloud (T, 3, B) to `reference_cloud`, written to `aligned_cloud`.
 
-    Only the targets flagged in `is_used_target` (T,) are fitted.
+    Only the targets in the mask `is_used_target` (T,) are fitted.
     """
     trials = cloud.shape[2]
     middle, aim = np.empty((3, trials)), np.empty((3, trials))
@@ -138,7 +138,7 @@ def _rotation_step(correlation: Floats, step: Floats) -> None:
         v = scale * (c01 * g0 + c11 * g1 + c12 * g2)
         w = scale * (c02 * g0 + c12 * g1 + c22 * g2)
         size = u * u + v * v + w * w
-        # Cayley's form is a rotation whatever the angle, and exp to third order.
+        # The Cayley transform is a rotation for any angle, and equals the exponential map to third order.
         f = 1.0 / (1.0 + 0.25 * size)
         d = 1.0 - 0.25 * size
         step[0, 0, t] = f * (d + 0.5 * u * u)
@@ -165,9 +165,9 @@ def _rotate_columns(rotations: Floats, columns: Floats) -> None:
 
 @compile_function
 def add_square_error(aligned_cloud: Floats, reference_cloud: Floats, is_used_target: Bools, square_sum: Floats) -> int:
-    """Number of targets flagged by `is_used_target` (T,); their squared distances are added to `square_sum` (B,).
+    """Number of targets in the mask `is_used_target` (T,), whose squared errors are added to `square_sum` (B,).
 
-    The distances are those between the points of two clouds (T, 3, B), `aligned_cloud` and `reference_cloud`.
+    The error of a target is its distance between `aligned_cloud` and `reference_cloud`, both (T, 3, B) [m].
     """
     n_points = 0
     for i in range(len(aligned_cloud)):
@@ -184,9 +184,9 @@ def add_square_error(aligned_cloud: Floats, reference_cloud: Floats, is_used_tar
 def distance_criterion(clouds: Floats, is_visible: Bools, mean_criterion: Floats, max_criterion: Floats) -> None:
     """Disagreement of stations in distances (Sensors 2021, 21, 7479): mean, maximum over pairs of targets, (B,) [um].
 
-    Both are written to `mean_criterion` and `max_criterion`. The value of a pair is the mean absolute deviation of its
-    distance, as measured from each station, from the mean over stations. `clouds` (S, T, 3, B) [m] are the points of
-    the stations, `is_visible` (S, T) flags the measured ones.
+    Mean and maximum are written to `mean_criterion` and `max_criterion`. The disagreement on a pair is the mean
+    absolute deviation of its distance, as measured from each station, from the mean over stations. `clouds` (S, T, 3,
+    B) [m] are the points of the stations, `is_visible` (S, T) is the mask of the measured targets.
     """
     stations, targets, _, trials = clouds.shape
     length, middle, spread = np.empty((stations, trials)), np.empty(trials), np.empty(trials)
@@ -226,9 +226,9 @@ def coordinate_criterion(
 ) -> None:
     """Disagreement of stations in coordinates (Sensors 2021, 21, 7479): mean and maximum over targets, (B,) [um].
 
-    Both are written to `mean_criterion` and `max_criterion`. The value of a target is the mean distance between its
-    positions from two stations, over all pairs of stations. `aligned_clouds` (S, T, 3, B) [m] are the points of the
-    stations in one frame, `is_visible` (S, T) flags the measured ones.
+    Mean and maximum are written to `mean_criterion` and `max_criterion`. The disagreement on a target is the mean
+    distance between its positions from two stations, over all pairs of stations. `aligned_clouds` (S, T, 3, B) [m] are
+    the points of the stations in one frame, `is_visible` (S, T) is the mask of the measured targets.
     """
     stations, targets, _, trials = aligned_clouds.shape
     spread = np.empty(trials)
@@ -265,10 +265,10 @@ def _add_line_derivative(
     derivative_size: Floats,
     distance: Floats,
 ) -> None:
-    """Addition of the derivative of a distance objective to the gradients (3, B) with respect to two points.
+    """Addition of the derivative of an objective by one distance to its gradients (3, B) by the two end points.
 
-    The derivative is a vector of size `derivative_size` (B,) along the line between `first_point` and `second_point`
-    (3, B); `distance` (B,) is that of the points.
+    `derivative_size` (B,) is the derivative of the objective by the distance between `first_point` and `second_point`
+    (3, B) [m]; it acts along their line. `distance` (B,) [m] is the distance between the two points.
     """
     for c in range(3):
         for t in range(len(derivative_size)):
@@ -279,7 +279,7 @@ def _add_line_derivative(
 
 @compile_function
 def _point_distances(first_point: Floats, second_point: Floats, distances: Floats) -> None:
-    """Distances (B,) between two points (3, B), written to `distances`."""
+    """Distances (B,) [m] between two points (3, B) in each trial, written to `distances`."""
     for t in range(len(distances)):
         x, y, z = (
             first_point[0, t] - second_point[0, t],
@@ -291,7 +291,7 @@ def _point_distances(first_point: Floats, second_point: Floats, distances: Float
 
 @compile_function
 def _reference_length_index(gauge_pairs: Ints, first_target: int, second_target: int) -> int:
-    """Index of the reference length between two targets; -1 if there is none."""
+    """Index, in `gauge_pairs` (g, 2), of the reference length between two targets; -1 without a reference length."""
     for g in range(len(gauge_pairs)):
         if (gauge_pairs[g, 0] == first_target and gauge_pairs[g, 1] == second_target) or (
             gauge_pairs[g, 0] == second_target and gauge_pairs[g, 1] == first_target
@@ -306,9 +306,9 @@ def distance_gradient(
 ) -> None:
     """Half of the derivative of the distance objective by the points, added to `point_gradient` (O, T, 3, B).
 
-    `clouds` (O, T, 3, B) [m] are the points on T targets in O sets; a set is a station and face. `is_visible` (O, T)
-    marks the measured ones. The g pairs of targets `gauge_pairs` (g, 2) have the reference lengths `gauge_lengths` (g,
-    B) [m]. The value of the objective is added to `cost` (B,).
+    `clouds` (O, T, 3, B) [m] are the points on T targets in O sets, each of one station and face; `is_visible` (O, T)
+    is the mask of the measured targets. `gauge_lengths` (g, B) [m] are the reference lengths between the pairs of
+    targets `gauge_pairs` (g, 2). The value of the objective is added to `cost` (B,).
     """
     sets, targets, _, trials = clouds.shape
     lengths, middle = np.empty((sets, trials)), np.empty(trials)

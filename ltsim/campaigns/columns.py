@@ -15,22 +15,22 @@ from ltsim.physics.effects.effect import Effect, Parameter, effect_parameter_nam
 from ltsim.physics.model.construction import GeometricErrorModel
 
 ResultColumns = dict[str, NDArray[Any]]
-"""Results by name of the column, each (B,) with one value per trial; the name contains the unit of a length."""
+"""Results by name of the column, each (B,) with one value per trial; names of columns with lengths contain the unit."""
 ARROW_TYPES = {"number": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
-"""Arrow types of the columns, by type of the values."""
+"""Arrow type of a column, by the type of its values."""
 
 
 class ParameterLabel(NamedTuple):
-    """Label of a parameter of an instrument or effect in the rows."""
+    """Label of a parameter of an instrument or effect in the names of columns."""
 
     text: str
-    """Text of the label: ``beam-tilt``, ``beam-tilt@NAME`` for several instruments; ``head-sag:sag S2``, ``head-sag:sag
-    S2 #2``.
+    """Text of the label: ``beam-tilt``, ``beam-tilt@NAME`` for several instruments, ``head-sag:sag S2`` for an effect
+    at station S2, ``head-sag:sag S2 #2`` for the second such effect there.
     """
     parameter: Parameter
     """Parameter of an instrument or effect."""
     effect: Effect | None = None
-    """Effect to which the parameter belongs; None for an instrument."""
+    """Effect to which the parameter belongs; None for a parameter of an instrument."""
 
 
 def parameter_labels(
@@ -45,7 +45,10 @@ def parameter_labels(
 
 
 def error_parameter_columns(labels: Sequence[ParameterLabel], parameters: Floats, prefix: str) -> ResultColumns:
-    """Columns of P parameters (P, B) [SI], converted to units of display; names such as ``estimate:beam-tilt``."""
+    """Columns of P parameters (P, B) [SI], converted to display units, with names such as ``estimate:beam-tilt``.
+
+    `prefix` is the part of the name before the colon.
+    """
     return {
         f"{prefix}:{label.text}": row / label.parameter.si_per_display_unit
         for label, row in zip(labels, parameters, strict=True)
@@ -59,9 +62,10 @@ def z_score_columns(
     true_labels: Sequence[ParameterLabel],
     truths: Floats,
 ) -> ResultColumns:
-    """Columns of z-scores, (estimate - truth) / sigma, of the parameters that have a true value.
+    """Columns of z-scores, (estimate - true value) / sigma, of the parameters that have a true value.
 
-    `estimates`, `sigma` and `truths` are (P, B) for P parameters and B trials.
+    `estimates` and `sigma` (P, B) [SI] belong to the parameters `labels`, `truths` [SI] to the parameters
+    `true_labels`, in B trials.
     """
     true_values = {
         (label.text, label.effect): true_value for label, true_value in zip(true_labels, truths, strict=True)
@@ -82,10 +86,13 @@ def _column_metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]
     return {"unit": unit, "meaning": column.meaning}
 
 
-def append_settings(
+def append_factor_levels(
     table: pa.Table, factors: Sequence[Factor], level_by_factor: Mapping[str, Any], parameters: Mapping[str, str]
 ) -> pa.Table:
-    """Rows of one combination of settings, with its settings as columns after `cell` and units as metadata."""
+    """Rows of one cell with the levels of its factors as columns after `cell`, and with units as metadata.
+
+    `parameters` holds the unit of each parameter in the rows, by the label of the parameter.
+    """
     columns = dict(zip(table.column_names, table.columns, strict=True))
     cell = {"cell": columns.pop("cell")}
     settings = {
@@ -102,10 +109,10 @@ def append_settings(
 
 
 def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> pa.Table:
-    """Table of the columns of a method for the combination of settings number `cell`.
+    """Table of the results of a method for the combination of factor levels number `cell`.
 
-    `column_groups` are joined in their order. Displayed numbers have seven digits; a value that does not exist is
-    empty.
+    The rows of `column_groups` (one group per batch of trials) follow each other. Numbers are stored in single
+    precision; a value that does not exist is empty.
     """
     names = dict.fromkeys(name for part in column_groups for name in part)
     values_by_column = {
@@ -132,5 +139,5 @@ def method_table(cell: int, method: str, column_groups: list[ResultColumns]) -> 
 
 
 def columns_from_rows(table_rows: Sequence[Mapping[str, Any]]) -> ColumnValues:
-    """Values of each column, from rows with the same keys."""
+    """Values by column name, from rows that are mappings with the same keys."""
     return {key: [row[key] for row in table_rows] for key in (table_rows[0] if table_rows else ())}

@@ -1,4 +1,4 @@
-"""Decorators for compiled functions of campaigns."""
+"""Decorators that compile functions of campaigns to machine code (Numba)."""
 
 from collections.abc import Callable
 from typing import TypeVar, cast
@@ -13,7 +13,7 @@ from ltsim.core.arrays import Floats
 ReturnType = TypeVar("ReturnType")
 
 if llvmlite.binding.llvm_version_info[0] >= 17:
-    # Otherwise rows of one array are tested for overlap over all turns of the loop around, which is never passed.
+    # Otherwise rows of one array are checked for overlap over all iterations of the outer loop, which always fails.
     llvmlite.binding.set_option("ltsim", "-hoist-runtime-checks=false")
 
 
@@ -30,7 +30,7 @@ def compile_function(function: Callable[..., ReturnType]) -> Callable[..., Retur
 
     try:
         return compiled_kernel(caches_code=True)
-    except RuntimeError:  # neither the package's folder nor a home can be written to
+    except RuntimeError:  # neither the package's folder nor the home folder can be written to
         return compiled_kernel(caches_code=False)
 
 
@@ -41,13 +41,13 @@ def compile_inlined(function: Callable[..., ReturnType]) -> Callable[..., Return
 
 
 def value_of_trial(value: Floats | float, trial: int) -> float:
-    """Value of a trial: the common number of all trials, or the entry of an array (B,)."""
+    """Value of a quantity in a trial: the number that all trials share, or the trial's entry of an array (B,)."""
     return value if isinstance(value, float) else float(value[trial])
 
 
 @overload(value_of_trial, strict=False)
 def _compiled_value_of_trial(value: object, trial: object) -> Callable[..., object]:
-    """Compiled form of `value_of_trial`: a scalar itself, or the entry of an array for the trial."""
+    """Compiled form of `value_of_trial`: a scalar is returned unchanged, of an array the entry of the trial."""
     if isinstance(value, types.Float):
         return lambda value, trial: value
     return lambda value, trial: value[trial]

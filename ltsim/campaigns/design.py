@@ -1,4 +1,4 @@
-"""Experimental design of a campaign: factors, points in ranges of settings, and the names of factors in the rows."""
+"""Experimental design of a campaign: factors, design points in ranges of keys, and names of factors in the rows."""
 
 import json
 from collections import Counter
@@ -18,20 +18,20 @@ from ltsim.simulation.keys import ValueType, value_at_key, value_type_of_key
 RESERVED_COLUMNS = frozenset(
     {
         "cell", "label", "method", "trial", "trials", "status", "chi2",
-        "column", "unit", "mean", "deviation", "low", "high", "least", "largest",
+        "column", "unit", "mean", "standard_deviation", "low", "high", "least", "largest",
     }
 )  # fmt: skip
-"""Names of the columns that every campaign has."""
+"""Names of the columns that every campaign has, which no factor may have."""
 SIGNIFICANT_DIGITS = 4
-"""Number of significant digits of a value in a design. With four digits the points remain distinct and the values are
-easy to read.
+"""Number of significant digits of a value at a design point. With four digits the points remain distinct and the values
+are easy to read.
 """
-MAX_DESIGN_SETTINGS = 64
-"""Largest number of settings that a design varies, each over one range of values."""
+MAX_DESIGN_KEYS = 64
+"""Largest number of keys that a design varies, each over one range of values."""
 
 
-class SettingRange(TomlSection):
-    """Range of one setting in a design, in the unit of its key; values are integers if the key takes integers."""
+class LevelRange(TomlSection):
+    """Range of one key of the scenario in a design, in the unit of the key; integers if the key takes integers."""
 
     low: Finite
     """Smallest value of the key."""
@@ -43,24 +43,24 @@ class SettingRange(TomlSection):
     @model_validator(mode="after")
     def _check_limits_ascend(self) -> Self:
         if self.low >= self.high or (self.scale == "log" and self.low <= 0):
-            raise ValueError("low should be less than high, and above 0 for a log scale")
+            raise ValueError("it should have low below high, and low above 0 for a log scale")
         return self
 
     def values_at(self, fractions: Floats, *, is_integer: bool) -> list[float]:
-        """Values at given fractions (n,) of the range, 0 to 1; integers are equally likely."""
+        """Values at `fractions` (n,) of the range, from 0 to 1; all integers of the range are equally likely."""
         low, high = (self.low, self.high + 1.0) if is_integer else (self.low, self.high)
         values = low * (high / low) ** fractions if self.scale == "log" else low + fractions * (high - low)
         return [int(min(v, self.high)) if is_integer else float(f"{v:.{SIGNIFICANT_DIGITS}g}") for v in values]
 
 
 class Design(TomlSection):
-    """Points distributed evenly over ranges of several keys, in place of a grid with too many combinations."""
+    """Design points distributed evenly over ranges of several keys, in place of a grid with too many combinations."""
 
     kind: Literal["latin-hypercube", "sobol"]
     """Kind of design: Latin hypercube (McKay 1979), or scrambled Sobol sequence (Owen 1998)."""
     cells: Annotated[int, Field(ge=2)]
-    """Number of points; for a Sobol sequence a power of two."""
-    ranges: Annotated[dict[str, SettingRange], Field(min_length=1, max_length=MAX_DESIGN_SETTINGS)]
+    """Number of design points, each a combination of factor levels (cell); a power of two for a Sobol sequence."""
+    ranges: Annotated[dict[str, LevelRange], Field(min_length=1, max_length=MAX_DESIGN_KEYS)]
     """Range of each key, by dotted key or by a name in `[link]`: tables `[design.ranges.KEY]`."""
 
     @model_validator(mode="after")
@@ -71,9 +71,10 @@ class Design(TomlSection):
         return self
 
     def points(self, seed: int, keys: Mapping[str, str]) -> list[dict[str, Any]]:
-        """Value of each key at each point of the design, drawn with the campaign's seed.
+        """Value of each key at each design point, drawn with the campaign's seed.
 
-        `keys` gives, for each range, the dotted key that decides whether values are integers.
+        `keys` maps the name of each range to a dotted key of the scenario; values are integers if this key takes
+        integers.
         """
         from scipy.stats import qmc  # a second to load, and few campaigns have a design
 
@@ -88,27 +89,27 @@ class Design(TomlSection):
 
 
 class Factor(Entry):
-    """Factor of a campaign: a setting that differs between its combinations of settings."""
+    """Factor of a campaign: a key of the scenario, or several keys, whose value differs between cells."""
 
     name: str
     """Name of the factor, and of its column in rows and summary."""
     keys: tuple[str, ...]
     """Dotted keys of the scenario that take the value of the factor."""
     unit: str = ""
-    """Unit of the values."""
+    """Unit of the levels."""
     kind: ValueType = "number"
-    """Type of the values; tables are written as JSON."""
+    """Type of the levels; tables are written as JSON."""
 
     def level(self, scenario: Mapping[str, Any]) -> Any:
-        """Value of the factor in a combination of settings (cell), from the tables of the cell's scenario.
+        """Level of the factor in a cell, from the TOML tables of the cell's scenario.
 
-        A table is returned as JSON, a missing key as None.
+        A table is returned as JSON text, a missing key as None.
         """
         value = value_at_key(dict(scenario), self.keys[0])
         return json.dumps(value) if isinstance(value, (dict, list)) else value
 
     def level_text(self, level: Any) -> str:
-        """Text of a value of the factor; the unit is added unless the name of the factor contains it."""
+        """Level of the factor as text; the unit is added unless the name of the factor contains it."""
         text = level if isinstance(level, str) else "none" if level is None else f"{level:g}"
         if isinstance(level, bool):
             text = "yes" if level else "no"
@@ -116,7 +117,7 @@ class Factor(Entry):
 
 
 def short_key_names(keys: Sequence[str]) -> dict[str, str]:
-    """Shortest suffix of each dotted key that is unique among the keys and the other columns, by key."""
+    """Shortest suffix of each dotted key that is unique among all keys and reserved columns, by key."""
     depth = dict.fromkeys(keys, 1)
     while True:
         names = {key: "_".join(key.split(".")[-depth[key] :]) for key in keys}
@@ -131,5 +132,5 @@ def short_key_names(keys: Sequence[str]) -> dict[str, str]:
 
 
 def cell_label(factors: Sequence[Factor], level_by_factor: Mapping[str, Any]) -> str:
-    """Description of a combination of settings in one line: the value of each factor."""
+    """Description of a cell in one line: the level of each factor."""
     return ", ".join(f"{f.name} = {f.level_text(level_by_factor[f.name])}" for f in factors) or "as the scenario says"

@@ -6,7 +6,7 @@ A program is called with the folder of a recording and the name of a file to wri
      "parameters": [{"name": "beam-tilt", "value": 5.9, "sigma": 2.5, "unit": "urad"},
                     {"name": "head-sag:sag", "value": 3.1, "unit": "urad"}]}
 
-A parameter without a sigma can be judged by a tolerance only.
+An estimate without a sigma can be checked against a tolerance only.
 """
 
 import os
@@ -28,7 +28,7 @@ from ltsim.recordings.result_file import read_json
 from ltsim.recordings.setup import Finite
 
 MAX_LINE_LENGTH = 300
-"""Largest number of characters of an external program's last line in a message."""
+"""Largest number of characters, in a message, of the last line that an external program printed."""
 RECORDING_PLACEHOLDER = "{recording}"
 """Word of a calibrator command that is replaced by the path of the recording."""
 OUTPUT_PLACEHOLDER = "{out}"
@@ -36,22 +36,25 @@ OUTPUT_PLACEHOLDER = "{out}"
 
 
 class ParameterEstimate(NamedTuple):
-    """Parameter estimated by a calibrator, in a unit that `ltsim effects` lists."""
+    """Estimate of a parameter by an external calibrator, in a unit that `ltsim effects` lists."""
 
     value: Finite
+    """Estimated value."""
     sigma: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None
+    """Standard deviation of the estimate; None if the calibrator declares none."""
     unit: str
+    """Unit of value and standard deviation."""
 
 
 ExternalCalibrator = str | Callable[[Recording], Mapping[str, ParameterEstimate | tuple[float, float | None, str]]]
 """External calibrator: a command with the words {recording} and {out}, or a function that returns value, sigma and unit
-by name.
+of each estimated parameter by its name.
 """
 _ESTIMATES_ADAPTER = TypeAdapter(dict[str, ParameterEstimate])
 
 
 def split_command(command: str) -> list[str]:
-    """Words of a command; raises SetupError for a command without {recording} or {out}."""
+    """List of the words of a command; raises SetupError for a command without {recording} or {out}."""
     for place in (RECORDING_PLACEHOLDER, OUTPUT_PLACEHOLDER):
         if place not in command:
             expected = f"'CMD {RECORDING_PLACEHOLDER} {OUTPUT_PLACEHOLDER}'"
@@ -65,15 +68,15 @@ def split_command(command: str) -> list[str]:
 def run_external_calibrator(
     calibrator: ExternalCalibrator, recording: Recording, trial_text: str
 ) -> dict[str, ParameterEstimate]:
-    """Parameters that an external calibrator estimates from a recording, by name.
+    """Estimates of an external calibrator from a recording, by name of the parameter.
 
-    Raises CalibratorError, with `trial_text`, when it ends without a valid result (a status other than 0, None, no
-    file, a value that is not finite); SetupError when it cannot be started.
+    `trial_text` names the trial in messages. CalibratorError is raised for a calibrator without a valid result (exit
+    status other than 0, None, no file, a value that is not finite), SetupError for one that cannot be started.
     """
     if not isinstance(calibrator, str):
         given = calibrator(recording)
         if given is None:
-            raise CalibratorError(f"the calibrator gave no result (None) for {trial_text}")
+            raise CalibratorError(f"the calibrator returned no result (None) for {trial_text}")
         try:
             return _validated_estimates(given)
         except RecordError as problem:
@@ -88,7 +91,7 @@ def run_external_calibrator(
         try:
             environment = {
                 name: value for name, value in os.environ.items() if name != SAFE_PATH_VARIABLE
-            }  # of our processes
+            }  # without the variable that only concerns processes of ltsim
             done = subprocess.run(
                 filled, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False, env=environment
             )
@@ -108,7 +111,7 @@ def run_external_calibrator(
 
 
 def _read_estimates(file: Path) -> dict[str, list[object]]:
-    """Value, sigma and unit by name from the file of a program; raises RecordError."""
+    """Value, sigma and unit of each parameter by name, from the output file of a program; raises RecordError."""
     if not file.exists():
         raise RecordError(f"there is no file at {OUTPUT_PLACEHOLDER}")
     try:
@@ -119,11 +122,11 @@ def _read_estimates(file: Path) -> dict[str, list[object]]:
     except KeyError as problem:
         raise RecordError(f"{problem} is missing; expected parameters with name, value and unit") from None
     except (OSError, TypeError, AttributeError):
-        raise RecordError("the file is no list of parameters with name, value and unit") from None
+        raise RecordError("the file contains no list of parameters with name, value and unit") from None
 
 
 def _validated_estimates(raw_estimates: object) -> dict[str, ParameterEstimate]:
-    """Estimates by name, checked; raises RecordError."""
+    """Validated estimates by name of the parameter; raises RecordError."""
     try:
         estimates = _ESTIMATES_ADAPTER.validate_python(raw_estimates)
     except ValidationError as problem:
@@ -137,5 +140,5 @@ def _validated_estimates(raw_estimates: object) -> dict[str, ParameterEstimate]:
     if lost is not None:
         raise RecordError(f"'{quoted_text(lost)}' is not a unit, expected one of {permitted_units_text()}")
     if not estimates:
-        raise RecordError("it has no parameter, expected at least one")
+        raise RecordError("it contains no parameter, expected at least one")
     return estimates

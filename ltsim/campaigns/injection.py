@@ -1,4 +1,4 @@
-"""Detectability of an effect in a given recording: the effect is injected, and the recording is diagnosed."""
+"""Detectability of an effect in a given recording: the effect is injected, and the changed recording is diagnosed."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.simulation.inject import DetectionCurve, InjectedEffect, InjectionTruth, Injector, RecordingWithInjection
 
 AMPLITUDE_NAME = "size"
-"""Name of the amplitude of a law in text form: the rms change of the observable on which the law acts, in the unit of
-that observable.
+"""Name of the amplitude in the specification of a law, ``RESPONSE ~ REGRESSOR:size=VALUE``: the rms change of the
+observable on which the law acts, in um or urad.
 """
 DEFAULT_NONCENTRALITIES = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
-"""Noncentralities of the injections of a detection curve if none are given."""
+"""Default noncentralities of the injections for a detection curve."""
 MAX_PLACE_DRAWS = 25
-"""Largest number of times that unspecified values are drawn until the effect is visible in the residuals; after that an
-error is raised.
+"""Largest number of draws of the unspecified values of an effect until the effect is visible in the residuals. If it is
+still not visible, an error is raised.
 """
 MIN_PLACE_OVERLAP = 0.5
-"""Smallest ratio of the common stations or targets to all stations or targets of two groups (Jaccard index), at which a
-reported group counts as the injected one.
+"""Smallest Jaccard index of two groups of stations or targets (number of common ones divided by number in either group)
+at which a reported group counts as the injected group.
 """
 
 
@@ -49,7 +49,7 @@ def inject(
     noncentrality: float | None = None,
     seed: int = 0,
 ) -> RecordingWithInjection:
-    """Injection of effects into the readings of a recording by the exact model; everything else is unchanged.
+    """Recording in which effects change the readings by their exact model; everything else is unchanged.
 
     Parameters
     ----------
@@ -57,25 +57,25 @@ def inject(
         Measured or simulated recording.
     *causes : str or Effect
         Effects of the catalogue, ``EFFECT`` or ``EFFECT:WHERE,...``, or laws as for `calibrate` (``RESPONSE ~
-        REGRESSOR``). WHERE lists stations, targets, constants and parameters (``range-step:S3,range-step=30``) in their
-        units; a law has ``size=VALUE`` (rms, um or urad). Values that are not given are drawn: place, constants,
-        plausible size. Vectors are in the axes of the recording's adjustment.
+        REGRESSOR``). WHERE lists stations, targets, and values of constants and parameters in their units
+        (``range-step:S3,range-step=30``); a law has ``size=VALUE`` (rms change, um or urad). Stations, targets,
+        constants and sizes that are not given are drawn. Vectors are in the axes of the recording's adjustment.
     noncentrality : float, optional
-        Squared length of the part of each cause that remains in the residuals, in units of the noise; the sizes are
-        scaled to it.
+        Noncentrality to which the size of each effect is scaled: weighted sum of squares of the part of the effect that
+        remains in the residuals.
     seed : int
-        Root of all random draws.
+        Seed of all random draws.
 
     Returns
     -------
     recording : Recording
     truth : InjectionTruth
-        Injected values, which no calibration or diagnosis reads.
+        Injected effects with their true parameters, which no calibration or diagnosis reads.
 
     Raises
     ------
     ModelError
-        If a cause does not exist, or no residual changes by it.
+        If an effect does not exist, or changes no residual.
 
     Examples
     --------
@@ -92,7 +92,7 @@ def inject(
         )
     for cause in causes:
         if isinstance(cause, (list, tuple)):
-            raise ModelError("causes are separate arguments, not a list: inject(recording, first, second)")
+            raise ModelError("effects are separate arguments, not a list: inject(recording, first, second)")
     changed_recording = load_recording(recording)
     injector, injected = (
         Injector(
@@ -118,29 +118,30 @@ def injection_curve(
     injections: int = 5,
     seed: int = 0,
 ) -> DetectionCurve:
-    """Detection curve: strength at which a cause is detected, located and identified in a given recording.
+    """Detection curve: fraction of injections of an effect that the diagnosis detects, locates and names, by strength.
 
     Parameters
     ----------
     recording : Recording, str or Path
     cause : str
-        Effect or law as of `inject`; values that are not given, such as the place, are drawn for each injection.
+        Effect or law, as for `inject`. Values that are not given, such as the station, are drawn for each injection.
     strengths : sequence of float
         Noncentralities of the injections.
     injections : int
-        Number of injections at each strength; each is diagnosed.
+        Number of injections at each noncentrality; after each injection the recording is diagnosed.
     seed : int
+        Seed of all random draws.
 
     Returns
     -------
     DetectionCurve
-        Fractions of detected, located and named injections. An effect that is reported for the recording without
-        injection does not count as detected.
+        Fractions of detected, located and named injections. A finding that the diagnosis reports in the recording
+        without an injection does not count.
 
     Raises
     ------
     ModelError
-        As of `inject`.
+        If the effect does not exist or changes no residual, or without a positive strength and an injection.
     """
     check_bounds(injections=injections, seed=seed, required_argument="injections seed")
     if not len(strengths) or any(not s > 0.0 for s in strengths):
@@ -159,17 +160,17 @@ def injection_curve(
 
 
 def _catalogue_name(cause: str | CandidateEffect | SizedEffect) -> str:
-    """Name of the effect `cause`, which is a text, an effect, or an effect with sizes; a text is its own name."""
+    """Name of an effect object; a specification in text form is returned unchanged."""
     return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, SizedEffect) else cause.name
 
 
 def compare_with_injection(
     diagnosis: Diagnosis, cause: InjectedEffect, background_diagnosis: Diagnosis
 ) -> dict[str, bool]:
-    """Results of a diagnosis for an injected effect: detected, placed (located), named, and right.
+    """Success of a diagnosis for an injected effect: whether it is `detected`, `placed` (located), `named` and `right`.
 
-    Findings that the diagnosis of the recording without injection has too (`background_diagnosis`) do not count.
-    `right` is True if the first new finding has both the name and the place.
+    Findings that `background_diagnosis`, the diagnosis of the recording without injection, reports too do not count.
+    `right` is True if the first new finding has the name and the stations and targets of the effect.
     """
     background_keys = {_finding_key(f) for f in background_diagnosis.findings}
     new_findings = [f for f in diagnosis.findings if _finding_key(f) not in background_keys]
@@ -186,13 +187,13 @@ def compare_with_injection(
 
 
 def _finding_key(finding: Any) -> tuple[Any, ...]:
-    """Effect, stations, targets and observables of a finding; two findings with equal keys are the same."""
+    """Key by which equal findings are recognised: effect, stations, targets and observables."""
     scope = finding.where
     return finding.effect, tuple(scope.stations), tuple(scope.targets), tuple(scope.observables)
 
 
 def _has_same_place(cause: CandidateEffect, finding: Any) -> bool:
-    """True if a finding names the stations and targets of the injected effect, and a common observable."""
+    """True if a finding has the stations and targets of the injected effect, and a common observable."""
     scope = finding.where
     place_pairs = [(set(cause.stations), set(scope.stations)), (set(cause.targets), set(scope.targets))]
     overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_PLACE_OVERLAP * len(a | b) for a, b in place_pairs)
@@ -203,7 +204,10 @@ def _has_same_place(cause: CandidateEffect, finding: Any) -> bool:
 def _curve_row(
     noncentrality: float, injected_effects: Sequence[InjectedEffect], comparisons: Sequence[Mapping[str, bool]]
 ) -> dict[str, float]:
-    """Row of a detection curve: counts and fractions with confidence intervals at one noncentrality."""
+    """Row of a detection curve at one noncentrality: counts, and confidence intervals of the fractions.
+
+    `comparisons` are the results of `compare_with_injection` for the `injected_effects`.
+    """
     row: dict[str, float] = {"noncentrality": noncentrality, "injections": len(comparisons)}
     row["largest_um"] = float(np.mean([c.largest_changes["distance_um"] for c in injected_effects]))
     row["largest_urad"] = float(
@@ -223,9 +227,9 @@ def _scaled_injection(
     noncentrality: float | None,
     random_generator: np.random.Generator,
 ) -> tuple[CandidateEffect, Floats]:
-    """Effect with its place, and its parameter values (q,) [SI] scaled to a noncentrality.
+    """Effect with its stations and targets, and its q parameters (q,) [SI] scaled to a noncentrality.
 
-    If no residual changes by the drawn effect, another place and other constants are drawn.
+    If the drawn effect changes no residual, its unspecified values are drawn again.
     """
     for attempt in range(MAX_PLACE_DRAWS):
         drawn, values = _drawn_effect(injector, cause, random_generator)
@@ -242,7 +246,7 @@ def _scaled_injection(
 def _drawn_effect(
     injector: Injector, cause: str | CandidateEffect | SizedEffect, random_generator: np.random.Generator
 ) -> tuple[CandidateEffect, Floats]:
-    """Effect with a place, and its parameter values (q,) [SI]; values that are not given are drawn."""
+    """Effect with its stations and targets, and its q parameters (q,) [SI]; values that are not given are drawn."""
     if isinstance(cause, str):
         text, sizes = _split_parameter_values(cause)
         requested_effect = parse_requested_effect(text, injector.recording)
@@ -258,13 +262,13 @@ def _drawn_effect(
     elif isinstance(effect, Effect) and not isinstance(effect, Blunder):
         candidates = requested_effect.candidates(injector.residual_space.adjustment)
     if not candidates:
-        raise ModelError(f"{effect.name} has no place in this recording")
+        raise ModelError(f"{effect.name} cannot act on any reading of this recording")
     chosen = candidates[int(random_generator.integers(len(candidates)))]
     return chosen, _parameter_values(chosen, sizes, injector, random_generator)
 
 
 def _split_parameter_values(effect_text: str) -> tuple[str, dict[str, float]]:
-    """Text of an effect without the values of its parameters, and these values by name."""
+    """Specification of an effect without its parameter values, and these values by parameter name."""
     name, _, rest = effect_text.partition(":")
     names = {AMPLITUDE_NAME} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
     items, sizes = [part.strip() for part in rest.split(",") if part.strip()], {}
@@ -282,7 +286,7 @@ def _split_parameter_values(effect_text: str) -> tuple[str, dict[str, float]]:
 def _parameter_values(
     cause: CandidateEffect, given_values: Mapping[str, float], injector: Injector, random_generator: np.random.Generator
 ) -> Floats:
-    """Values (q,) [SI] of the parameters of an effect: those in `given_values`, others drawn from their priors."""
+    """Parameters (q,) [SI] of an effect: `given_values` by name [display units], the others drawn from their priors."""
     drawn_values = np.array([p.prior_sigma for p in cause.parameters]) * random_generator.standard_normal(
         len(cause.parameters)
     )

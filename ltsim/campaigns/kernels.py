@@ -1,8 +1,8 @@
-"""Compiled functions for a block of B trials: exact kinematic chain, and residuals of the network.
+"""Compiled functions for a batch of B trials: exact kinematic chain, and residuals of the network.
 
-The last index of all arrays is the trial, so that every inner loop is vectorised. A value of the geometry is one number
-for all trials or an array (B,). Small angles use power series, which are exact to rounding below 0.01 rad. All
-functions are in one file because the compiler's cache depends only on the file of the compiled function. Letters in
+The last index of all arrays is the trial, so that every inner loop is vectorised. A quantity of the network geometry is
+one number for all trials or an array (B,). Small angles use power series, which are exact to rounding below 0.01 rad.
+All functions are in one file because the compiler's cache depends only on the file of the compiled function. Letters in
 shapes: n pointings, M motions of the chain, I instruments with p parameters, S stations, T targets.
 """
 
@@ -15,8 +15,8 @@ from ltsim.campaigns.compilation import compile_function, compile_inlined, value
 from ltsim.core.arrays import Floats, Ints
 
 NEWTON_STEP_TOLERANCE = 1e-9
-"""Step [m, rad] of the inversion of the chain below which Newton's method ends; the remaining error is smaller by a
-factor of 1e-4.
+"""Step [m, rad] below which Newton's method for the inversion of the chain ends; the remaining error is smaller than
+the step by a factor of 1e-4.
 """
 MAX_BATCH_NEWTON_STEPS = 8
 """Largest number of Newton steps for the inversion of the chain."""
@@ -24,7 +24,7 @@ MAX_BATCH_NEWTON_STEPS = 8
 
 @compile_inlined
 def _add_small_angle(cosine: float, sine: float, small_angle: float) -> tuple[float, float]:
-    """Cosine and sine of an angle plus a small angle, from cosine and sine of the angle."""
+    """Cosine and sine of the sum of an angle, given by cosine and sine, and a small angle [rad]."""
     square = small_angle * small_angle
     s = small_angle * (1.0 - square * (1.0 / 6.0) * (1.0 - square * (1.0 / 20.0)))
     c = 1.0 - square * 0.5 * (1.0 - square * (1.0 / 12.0) * (1.0 - square * (1.0 / 30.0)))
@@ -33,7 +33,7 @@ def _add_small_angle(cosine: float, sine: float, small_angle: float) -> tuple[fl
 
 @compile_inlined
 def _rotate_by_small_vector(u: float, v: float, w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Vector (x, y, z) rotated by a small rotation vector (u, v, w), by Rodrigues' formula."""
+    """Vector (x, y, z) after rotation by the small rotation vector (u, v, w) [rad] (Rodrigues' formula)."""
     squared_angle = u * u + v * v + w * w
     a = 1.0 - squared_angle * (1.0 / 6.0) * (1.0 - squared_angle * (1.0 / 20.0))
     b = 0.5 - squared_angle * (1.0 / 24.0) * (1.0 - squared_angle * (1.0 / 30.0))
@@ -45,7 +45,7 @@ def _rotate_by_small_vector(u: float, v: float, w: float, x: float, y: float, z:
 def _motion_amounts(
     pointing: int, chain: ChainProgram, deviation: Floats, parameter_values: Floats, amounts: Floats
 ) -> None:
-    """Deviation (M, B) of each motion from its nominal size, for reading deviations (3, B) and parameters (p, B)."""
+    """Deviations of the motions' amounts from nominal, written to `amounts` (M, B), for parameters (p, B) [SI]."""
     _, _, sign, driven, _, first, fed, varies, basis, slope = chain
     n_trials = amounts.shape[1]
     for m in range(len(driven)):
@@ -81,7 +81,7 @@ def _motion_amounts(
 
 @compile_function
 def _forward_chain(pointing: int, chain: ChainProgram, amounts: Floats, path: Floats) -> None:
-    """Points along the chain at one pointing, written to `path` (M + 1, 3, B); path[0] is in the instrument's frame."""
+    """Target in the frame before each motion, written to `path` (M + 1, 3, B) [m]; path[0]: instrument's frame."""
     is_rotation, axis, _, _, amount, _, _, _, _, _ = chain
     n_trials = amounts.shape[1]
     n_motions = len(is_rotation)
@@ -120,7 +120,7 @@ def _backpropagate(
     moment: Floats,
     gradient: Floats,
 ) -> None:
-    """Subtraction of the force (3, B) on a target, times its derivative by each parameter, from `gradient` (p, B)."""
+    """Subtraction of `force` (3, B) on a target times its derivative by each parameter from `gradient` (p, B)."""
     is_rotation, axis, sign, _, amount, first, fed, varies, basis, slope = chain
     n_trials = amounts.shape[1]
     for m in range(len(is_rotation)):
@@ -164,7 +164,7 @@ def _backpropagate(
 
 @compile_function
 def compute_points(chain: ChainProgram, instrument: Ints, deviation: Floats, values: Floats, points: Floats) -> None:
-    """Targets in the instruments' frames, written to `points` (n, 3, B) [m], for reading deviations (n, 3, B)."""
+    """Targets in the instruments' frames, written to `points` (n, 3, B) [m], for parameters `values` (I, p, B) [SI]."""
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
@@ -185,10 +185,10 @@ def compute_readings(
     parameter_values: Floats,
     deviation: Floats,
 ) -> None:
-    """Readings minus nominal readings (n, 3, B) at which the chain reaches `local_points` (n, 3), by Newton's method.
+    """Readings minus nominal readings (n, 3, B) at which the chain gives `local_points` (n, 3) [m], by Newton's method.
 
-    `deviation` holds the start and receives the result. `point_derivatives` (n, 3, 3) is the derivative of an ideal
-    tracker's readings by the point; each step reduces the residual by a factor of the size of the instrument's errors.
+    `deviation` contains the start values and receives the result. `point_derivatives` (n, 3, 3) is the derivative of an
+    ideal tracker's readings by the point; each step multiplies the error by the size of the instrument's errors.
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
@@ -227,10 +227,10 @@ def backpropagate_mean_forces(
     forces: Floats,
     parameter_gradient: Floats,
 ) -> None:
-    """Subtraction, from `parameter_gradient` (I, p, B), of forces on mean points times derivatives by parameters.
+    """Negative gradient of an objective by the parameters, added to `parameter_gradient` (I, p, B).
 
-    `forces` (O, T, 3, B) is the derivative of an objective by the mean point of each of O sets on T targets. A pointing
-    contributes to the mean point of its set (n,) and target (n,) with a weight (n,).
+    `forces` (O, T, 3, B) is the derivative of the objective by the mean point of each of O sets on T targets. A
+    pointing contributes to the mean point of its set (n,) and target (n,) with the weight `mean_weights` (n,).
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
@@ -268,17 +268,17 @@ def network_gradient(
 ) -> None:
     """Whitened residuals (n, 3, B) of readings at a state, and negative gradients of half their sum of squares.
 
-    The negative gradient is the right side of the normal equations. The chain is followed at the *predicted* readings,
-    never at the measured ones: a derivative taken at a reading with noise is correlated with that noise, which would
-    bias the range scale by chi2 times its sigma (5e-4 sigma).
+    The negative gradient is the right side of the normal equations. The chain is evaluated at the *predicted* readings,
+    never at the measured ones: the derivative at a reading with noise is correlated with this noise, which would bias
+    the range scale by chi-square times its sigma (5e-4 sigma).
 
     Nominal quantities: `station_to_target` (n, 3) vectors [m], `rotation` (S, 3, 3) of the stations,
     `point_derivatives` (n, 3, 3) of an ideal tracker's readings by the target in the instrument's frame. `weight` (n,
-    3) is one over the standard deviation, zero for a reading that is not measured. `deviation` (n, 3, B) is measured
-    minus nominal readings, less the changes by further effects. `predicted` (n, 3, B) is predicted minus
-    nominal readings: it holds the values of the last state and receives one Newton step to this state. `pose` (S, 6,
-    B), `points` (T, 3, B) and `values` (I, p, B) are increments of the state. The gradients and the sum of squares
-    `cost` (B,) are added to the last four arguments.
+    3) is one over the standard deviation, zero for an unmeasured reading. `deviation` (n, 3, B) is measured minus
+    nominal readings, without the changes by additional effects. `predicted` (n, 3, B) is predicted minus nominal
+    readings: it contains the values of the previous state and is improved by one Newton step to this state. `pose` (S,
+    6, B), `points` (T, 3, B) and `values` (I, p, B) are increments of the state. The gradients and the sum of squares
+    are added to the last four arguments.
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
@@ -333,7 +333,7 @@ def _reading_force(
     force: Floats,
     cost: Floats,
 ) -> None:
-    """Negative gradient with respect to the target from one pointing of each trial, written to `force` (3, B).
+    """Negative gradient by the target from one pointing of each trial, written to `force` (3, B).
 
     Whitened residuals are written to `residual` (3, B), and their squares are added to `cost` (B,).
     """
@@ -368,7 +368,7 @@ def _reading_force(
 def _add_forces(
     rotation: Floats, pose: Floats, work_rows: Floats, force: Floats, pose_gradient: Floats, target_gradient: Floats
 ) -> None:
-    """Addition of the negative gradient `force` (3, B) of a pointing to those of its target and station."""
+    """Addition of a pointing's negative gradient `force` (3, B) to the gradients of its target and its station."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
@@ -394,6 +394,6 @@ def _add_forces(
 
 
 def is_compiled() -> bool:
-    """True if the machine code of these kernels is in the cache of this installation."""
+    """True if the machine code of the functions of this module is in the cache of this installation."""
     place = getattr(getattr(network_gradient, "stats", None), "cache_path", None)
     return place is not None and any(Path(place).glob(f"kernels.{network_gradient.__name__}*.nbi"))

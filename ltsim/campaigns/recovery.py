@@ -1,21 +1,21 @@
 """Recovery of injected errors within their declared uncertainty, as a check for continuous integration.
 
 Each trial simulates a recording (`lt.simulate(..., trial=N, geometry="per-trial")`), calibrates it with ltsim or an
-external calibrator, and divides the errors of the estimates by their declared sigmas. There are two modes for the
-errors of the instrument:
+external calibrator, and divides the errors of the estimates by their declared standard deviations (z-scores). There are
+two modes for the true errors of the instrument:
 
-* `drawn`: every parameter from its prior. For a correct model and a correct covariance the z-scores are standard
-  normal, priors included.
-* `stated`: as the scenario declares them (drawn entries are drawn). With a fixed truth the prior biases the estimate
-  towards its mean and narrows its scatter. Both follow from the covariance: with C in prior sigmas and the truth t, the
-  mean error is -C t and its covariance C - C C, so errors reduced by that mean and divided by that deviation are
-  standard normal too. In addition, the declared intervals have to contain the injected value at least as often as they
-  promise.
+* `drawn`: every parameter is drawn from its prior. For a correct model and a correct covariance the z-scores are
+  standard normal.
+* `stated`: the scenario declares the parameters, or declares that they are drawn. The prior biases the estimate of a
+  fixed parameter towards the prior mean and reduces its scatter. Bias and scatter follow from the covariance C of the
+  estimates, in units of prior standard deviations: for the true parameters t the mean error is -C t, and the covariance
+  of the errors is C - C C. Errors minus this mean, divided by the standard deviation from this covariance, are standard
+  normal too. In addition, the declared 95 % intervals have to contain the true value in at least 95 % of the trials.
 
-The prior of an external calibrator is unknown: with drawn errors its z-scores have to be standard normal; with stated
-ones their mean has to be 0, their spread at most 1, and its intervals have to contain the truth. A parameter that has
-neither sigmas nor a tolerance is not checked, and a run with such a parameter does not pass unless that is allowed.
-Chi-square, targets and stations are checked of ltsim's calibrator alone.
+The prior of an external calibrator is unknown. In the mode `drawn` its z-scores have to be standard normal. In the mode
+`stated` their mean has to be 0 and their standard deviation at most 1, and the intervals have to contain the true
+value. A parameter with neither a standard deviation nor a tolerance is not checked, and a run with such a parameter
+does not pass unless this is permitted. Chi-square, targets and stations are checked only for ltsim's calibrator.
 """
 
 import time
@@ -55,14 +55,14 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.verbs import ScenarioSource, scenario as scenario_of, simulate
 
 MAX_EARLY_FAILURES = 3
-"""Number of failed trials of an external calibrator after which a run ends: a command that does not work fails in every
-trial, and one failed trial is enough for the check of convergence to fail."""
+"""Number of failed trials of an external calibrator after which a run ends. A command that does not work fails in every
+trial, and with one failed trial the check of convergence fails."""
 MAX_LISTED_PARAMETERS = 3
-"""Largest number of parameters that a sentence lists; the table and the file have all."""
+"""Largest number of parameters that a sentence lists; tables and files contain all parameters."""
 
 
 class Recovery(ResultFile):
-    """`recovery.json`: the result of `recover`."""
+    """Result of `recover`, with the content of `recovery.json`."""
 
     FILE: ClassVar[str] = "recovery.json"
     format: Literal["ltsim-recovery/1"] = "ltsim-recovery/1"
@@ -76,9 +76,9 @@ class Recovery(ResultFile):
     converged: NonNegativeInt
     """Number of trials with a result."""
     seed: NonNegativeInt
-    """Root of the random draws."""
+    """Seed of the random draws."""
     checks: tuple[RecoveryCheck, ...]
-    """Checks of one number each; with these bounds a correct model fails at least one in one run of a hundred."""
+    """Checks of one number each. A correct model fails at least one of them in one run of a hundred."""
     parameters: tuple[RecoveredParameter, ...] = ()
     """Errors of each parameter over the trials."""
     ltsim_parameters: tuple[str, ...] = ()
@@ -95,7 +95,7 @@ class Recovery(ResultFile):
 
     @classmethod
     def from_trials(cls, trials: RecoveryTrials, *, seed: int = 0, allow_unchecked: bool = False) -> Self:
-        """Result of the trials."""
+        """Result of a recovery check from its trials."""
         checks, unchecked = tuple(trials.checks()), trials.unchecked_parameters()
         result = cls(
             passed=all(check.passed for check in checks) and (allow_unchecked or not unchecked),
@@ -136,11 +136,11 @@ class Recovery(ResultFile):
         }
 
     def failed_checks(self) -> list[RecoveryCheck]:
-        """Failed checks of the trials."""
+        """Checks whose number is outside its bounds."""
         return [check for check in self.checks if not check.passed]
 
     def comparison_sentences(self) -> list[str]:
-        """Sentence on the parameters of the compared calibrators, if ltsim estimates more than the checked one."""
+        """Sentence on parameters that ltsim estimates but the checked calibrator does not; no sentence without them."""
         more = [name for name in self.ltsim_parameters if name not in {p.parameter for p in self.parameters}]
         if not more:
             return []
@@ -154,7 +154,7 @@ class Recovery(ResultFile):
         ]
 
     def verdict_text(self) -> str:
-        """Text of the result in a few words."""
+        """Result in a few words, such as `everything is recovered within its declared uncertainty`."""
         phrase = "the given tolerances" if self.tolerances else "its declared uncertainty"
         if self.failed_checks():
             return "the check fails"
@@ -166,7 +166,7 @@ class Recovery(ResultFile):
         return f"{checked} of {count} parameters are recovered within {phrase}, the others are not checked"
 
     def failure_reason(self, check: RecoveryCheck) -> str:
-        """Reason of a failed check: for trials without a result that of the last one, else its value and limits."""
+        """Reason of a failed check: last error of a trial (convergence), or value and bounds (other checks)."""
         return self.problem if check.subject == CONVERGENCE_CHECK_NAME and self.problem else check.sentence()
 
     def failure_sentences(self) -> list[str]:
@@ -204,7 +204,7 @@ def recover(
     jobs: int = 1,
     progress: Callable[[int], None] = lambda trials: None,
 ) -> Recovery:
-    """Recovery check: simulation of an instrument with errors, calibration, and comparison with the truth, many times.
+    """Recovery check: many simulated recordings are calibrated, and estimates are compared with true parameters.
 
     Parameters
     ----------
@@ -212,25 +212,26 @@ def recover(
     trials : int
         Number of simulated recordings, at least two.
     method, with_effects
-        Options of ltsim's calibrator, as of `calibrate`.
+        Options of ltsim's calibrator, as for `calibrate`.
     construction : str, optional
-        Geometric error model of the instrument in ltsim's calibrator; default that of the scenario.
+        Geometric error model of ltsim's calibrator; default the model of the scenario.
     calibrator : callable or str, optional
-        External calibrator, checked together with that of ltsim: a command ``CMD {recording} {out}`` that reads a
+        External calibrator, compared with ltsim's calibrator: a command ``CMD {recording} {out}`` that reads a
         recording and writes parameters as JSON. In Python it can also be a function of a recording that returns value,
         sigma (or None) and unit of each parameter by name. Parameters of effects have names such as ``head-sag:sag``.
-        A trial without a valid result (an error, no file, a value that is not finite) fails; the run ends after three.
+        A trial without a valid result (an error, no file, a value that is not finite) fails; the run ends after three
+        failed trials.
     tolerance : mapping of str to str, optional
         Limit that 95 % of the errors of a parameter must not exceed, such as `2 urad` for `beam-tilt`; only parameters
         with a tolerance are then checked.
     allow_unchecked : bool
-        True to pass although a parameter cannot be checked, because the calibrator gives no sigma and there is no
+        True to pass although a parameter cannot be checked, because it has neither a declared standard deviation nor a
         tolerance.
     errors : {`drawn`, `stated`}, optional
         Instrument errors that are drawn from the prior, or given by the scenario; default `stated` if the scenario
         gives any.
     seed : int
-        Root of all random draws. Trial N equals that of `simulate` with this seed and places per trial (`per-trial`).
+        Seed of all random draws. Trial N equals trial N of `simulate` with this seed and the geometry `per-trial`.
     jobs : int
         Number of processes; a function as calibrator runs in this process.
     progress : callable
@@ -296,14 +297,14 @@ def _failed_if_parameters_differ(
     ):
         return outcome
     differing = sorted({*outcome.parameter_names} ^ {*first_trial.parameter_names})[0]
-    reason = f"trial {len(earlier_trials)}: the calibrator gives {differing} in a part of the trials only"
+    reason = f"trial {len(earlier_trials)}: the calibrator gives {differing} only in some of the trials"
     return FailedTrial(reason, is_external=True)
 
 
 def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[str, RecoveryTolerance]:
-    """Tolerances such as ``2 urad`` in the units of the parameters of a trial.
+    """Tolerances such as ``2 urad`` by parameter, converted to the units of the parameters in `trial`.
 
-    Raises SetupError for another kind of unit.
+    SetupError is raised for a unit of another quantity.
     """
     given_values = {}
     for name, words in tolerance.items():

@@ -1,7 +1,7 @@
-"""Checks of a recovery over many trials: estimates with their declared sigmas, compared with the truth.
+"""Checks of estimates and their declared standard deviations against true values, over many trials.
 
-Mean, standard deviation and coverage of the z-scores (error divided by declared sigma) have two-sided limits. The
-limits are those of the specification of ltsim (mean within 0.1, standard deviation within 5 %, coverage within 1.5 %),
+Mean, standard deviation and coverage of the z-scores (error divided by declared standard deviation) have two-sided
+limits. The margins that ltsim specifies (0.1 for the mean, 5 % for the standard deviation, 1.5 % for the coverage) are
 widened by the sampling error of a finite number of trials. A correct model thus fails at least one check in one run of
 a hundred.
 """
@@ -21,7 +21,7 @@ from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 FALSE_ALARM_RATE = 0.01
 """Probability that a correct model fails at least one of the checks."""
 NOMINAL_COVERAGE = 0.95
-"""Nominal fraction of the intervals that contain the truth."""
+"""Nominal fraction of the confidence intervals that contain the true value."""
 MIN_TRIALS = 2
 """Smallest number of trials from which a standard deviation is computed."""
 MEAN_Z_MARGIN = 0.1
@@ -68,7 +68,7 @@ class RecoveryCheck(Entry):
         )
 
     def with_limits(self, lower_limit: float, upper_limit: float) -> Self:
-        """Check of the same number with other limits."""
+        """Check of the same value with other limits."""
         return self.from_value(
             self.subject, self.statistic, math.nan if self.value is None else self.value, lower_limit, upper_limit
         )
@@ -100,18 +100,18 @@ def recovery_checks(
     sigma : (N, p) float, optional
         Standard deviations that the calibrator declares; without them only tolerances are checked.
     names : sequence of str, optional
-        Names of the parameters; default their numbers.
+        Names of the parameters; default their indices.
     tolerance : mapping of str to float, optional
-        Limit by parameter within which 95 % of its errors must lie. If any is given, only the parameters with a limit
-        are checked.
+        Limit, by name of the parameter, within which 95 % of the errors must lie. If any limit is given, only the
+        parameters with a limit are checked.
     alpha : float
         Probability that a correct calibrator fails at least one of the checks of sigmas.
 
     Returns
     -------
     list of RecoveryCheck
-        Checks of each parameter: mean, standard deviation and coverage of (estimate - truth) / sigma, which is standard
-        normal if the truths scatter as the calibrator assumes and its sigmas are right.
+        Checks of each parameter: mean, standard deviation and coverage of the z-scores (estimate - truth) / sigma. They
+        are standard normal if the true values are distributed as the calibrator assumes and its sigmas are right.
 
     Raises
     ------
@@ -156,7 +156,10 @@ def recovery_checks(
 
 
 def tolerance_check(name: str, errors: Floats, tolerance: float, tolerance_text: str = "") -> RecoveryCheck:
-    """Check that 95 % of the errors (N,) of a parameter (`name`) are within a tolerance with a given text."""
+    """Check that 95 % of the errors (N,) of the parameter `name` are within a tolerance, in the unit of the errors.
+
+    `tolerance_text` is the tolerance with its unit, for the name of the check.
+    """
     share = float(np.mean(np.abs(errors) <= tolerance))
     return RecoveryCheck.from_value(
         name, f"share of errors within {tolerance_text or f'{tolerance:g}'}", share, NOMINAL_COVERAGE, 1.0
@@ -164,7 +167,7 @@ def tolerance_check(name: str, errors: Floats, tolerance: float, tolerance_text:
 
 
 def parameter_checks(name: str, z_scores: Floats, alpha: float) -> list[RecoveryCheck]:
-    """Checks of mean, standard deviation and coverage of z-scores (N,).
+    """Checks of mean, standard deviation and coverage of the z-scores (N,) of the parameter `name`.
 
     `alpha` is the false-alarm rate of each check.
     """
@@ -188,10 +191,11 @@ def parameter_checks(name: str, z_scores: Floats, alpha: float) -> list[Recovery
 
 
 def fixed_truth_checks(name: str, z_scores: Floats, alpha: float) -> list[RecoveryCheck]:
-    """Checks of z-scores (N,) of an external calibrator for a truth that is the same in all trials.
+    """Checks of z-scores (N,) of an external calibrator for a true parameter that is the same in all trials.
 
-    The prior of the calibrator is unknown. A prior may make sigmas larger than the scatter, but never smaller: standard
-    deviation and coverage therefore have one limit each, and the mean has two.
+    The prior of the calibrator is unknown. A prior can make declared standard deviations larger than the scatter of the
+    estimates, but not smaller. Standard deviation and coverage of the z-scores therefore have one limit each, and their
+    mean has two. `alpha` is the false-alarm rate of each check.
     """
     mean, spread, coverage = parameter_checks(name, z_scores, alpha)
     return [mean, spread.with_limits(0.0, spread.high), coverage.with_limits(coverage.low, 1.0)]
@@ -200,9 +204,9 @@ def fixed_truth_checks(name: str, z_scores: Floats, alpha: float) -> list[Recove
 def chi_square_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, alpha: float) -> RecoveryCheck:
     """Check of the sum of chi-square over all N trials, divided by its expectation.
 
-    `chi2` (N,) are the values, `expected_chi2` and `chi2_sigma` (N,) their expected means and standard deviations, and
-    `alpha` is the false-alarm rate of the check. The limits are those of a scaled chi-square distribution with the same
-    mean and variance (Satterthwaite).
+    `chi2` (N,) is the chi-square of each trial, `expected_chi2` and `chi2_sigma` (N,) its expectation and standard
+    deviation. `alpha` is the false-alarm rate of the check. The limits come from a scaled chi-square distribution with
+    the same mean and variance (Satterthwaite).
     """
     mean, variance = float(np.sum(expected_chi2)), float(np.sum(chi2_sigma**2))
     freedom = 2 * mean**2 / variance
@@ -212,10 +216,10 @@ def chi_square_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, al
 
 
 def mean_check(subject: str, statistic: str, trial_values: Floats, alpha: float) -> RecoveryCheck:
-    """Check that the mean of values (N,), one per trial with expectation one, is one.
+    """Check that the mean of `trial_values` (N,), each with expectation one, is one.
 
-    The limits follow from the median absolute deviation divided by the median. Values that are all too large, or a few
-    outliers, thus do not widen the limits.
+    The limits follow from the median absolute deviation divided by the median, so that neither a few outliers nor
+    values that are all too large widen them. `alpha` is the false-alarm rate.
     """
     median = float(np.median(trial_values))
     deviation = float(np.median(np.abs(trial_values - median)))

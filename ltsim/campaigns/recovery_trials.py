@@ -58,26 +58,26 @@ class RecoveredParameter(Entry):
     """Errors of one parameter over the trials, in its unit; statistics are null for fewer than two trials."""
 
     parameter: str
-    """Name of the parameter; for an effect EFFECT:PARAMETER and its place."""
+    """Name of the parameter; for an effect EFFECT:PARAMETER, followed by the station or target where it acts."""
     unit: str
     """Unit of the errors."""
     rms_error: OptionalFloat = None
     """Root mean square error."""
     mean_z: OptionalFloat = None
-    """Mean of the errors divided by their declared sigmas."""
+    """Mean of the z-scores (errors divided by declared standard deviations)."""
     deviation_z: OptionalFloat = None
-    """Standard deviation of the errors divided by their declared sigmas."""
+    """Standard deviation of the z-scores."""
     coverage_95: OptionalFloat = None
-    """Fraction of the trials whose 95 % interval contains the truth."""
+    """Fraction of the trials whose 95 % interval contains the true value."""
     ltsim_rms_error: OptionalFloat = None
-    """Root mean square error of ltsim in the same recordings, if another calibrator is checked."""
+    """Root mean square error of ltsim's estimates from the same recordings, if another calibrator is checked."""
     absolute_error_difference: OptionalFloat = None
-    """Mean of the absolute errors minus mean of the absolute errors of ltsim in the same recordings; positive if ltsim
-    is closer. It is not the difference of the rms errors."""
+    """Mean absolute error of the checked calibrator minus mean absolute error of ltsim in the same recordings; positive
+    if the errors of ltsim are smaller. It is not the difference of the rms errors."""
     difference_low: OptionalFloat = None
-    """Lower 95 % confidence limit of this difference."""
+    """Lower 95 % confidence limit of `absolute_error_difference`."""
     difference_high: OptionalFloat = None
-    """Upper 95 % confidence limit of this difference."""
+    """Upper 95 % confidence limit of `absolute_error_difference`."""
 
 
 RECOVERED_PARAMETERS_TABLE = Table(
@@ -89,10 +89,10 @@ TRIALS_TABLE = Table(
     (
         *number_columns(trial="number of the trial; `ltsim simulate --per-trial --trial NUMBER` makes its recording"),
         *text_columns(
-            parameter="name of the parameter; for an effect EFFECT:PARAMETER and the place",
-            unit="of truth, estimate and sigma",
+            parameter="name of the parameter; for an effect EFFECT:PARAMETER and its station or target",
+            unit="unit of truth, estimate and sigma",
         ),
-        *number_columns("r", truth="true value", estimate="estimate of the calibrator", sigma="that it states"),
+        *number_columns("r", truth="true value", estimate="estimate of the calibrator", sigma="its declared sigma"),
         *number_columns(".6g", z="(estimate - truth) / sigma"),
         *number_columns(
             "r", ltsim_estimate="estimate of ltsim from the same recording, where another calibrator is checked"
@@ -125,9 +125,9 @@ class RecoverySettings:
 def run_trials(
     scenario: Scenario, trials: int, settings: RecoverySettings, *, seed: int = 0, jobs: int = 1
 ) -> Generator[TrialScore | FailedTrial, None, None]:
-    """Trials in order, one by one; they are identical for any number of processes.
+    """Outcomes of the trials in order; they are identical for any number of processes.
 
-    Raises SetupError for a parameter of the calibrator that is not drawn.
+    SetupError is raised for a parameter of the calibrator that is not drawn.
     """
     drawn_scenario = with_errors_from_prior(scenario) if settings.errors == "drawn" else scenario
     tasks = ((drawn_scenario, seed, index, settings) for index in range(trials))
@@ -144,7 +144,7 @@ def with_errors_from_prior(scenario: Scenario) -> Scenario:
 
 
 def run_trial(scenario: Scenario, seed: int, trial_number: int, settings: RecoverySettings) -> TrialScore | FailedTrial:
-    """Result of a trial: simulation, calibration and comparison with the truth."""
+    """Outcome of one trial: simulation, calibration, and comparison with the true parameters."""
     recording, truth = simulate(scenario, seed, trial_number, "per-trial")
     construction = make_scenario_construction(scenario)
     law = instrument_error_distribution(scenario, construction)
@@ -171,7 +171,7 @@ def run_trial(scenario: Scenario, seed: int, trial_number: int, settings: Recove
 
 
 def calibrate_with(recording: Recording, settings: RecoverySettings, construction: GeometricErrorModel) -> Calibration:
-    """Calibration of a recording by the method of ltsim in the settings."""
+    """Calibration of a recording by ltsim's method in `settings`."""
     if settings.method == "network":
         return calibrate_network(
             recording,
@@ -191,7 +191,7 @@ class RecoveryTrials(ValueEquality):
     """Score of each trial; None for a trial without a result."""
     errors: ErrorOrigin = "drawn"
     tolerance_by_parameter: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
-    """Tolerance by parameter; only these parameters are checked, if there are any."""
+    """Tolerance by name of the parameter; if there are any, only these parameters are checked."""
     run_time: float = 0.0
     """Run time of the trials [s]."""
     problem: str = ""
@@ -199,7 +199,7 @@ class RecoveryTrials(ValueEquality):
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
+        """Names of the parameters of the checked calibrator."""
         return self.trials_with_result[0].parameter_names if self.trials_with_result else ()
 
     @property
@@ -209,16 +209,16 @@ class RecoveryTrials(ValueEquality):
 
     @property
     def trials_with_result(self) -> list[TrialScore]:
-        """Trials with a result."""
+        """Scores of the trials with a result."""
         return [trial for trial in self.trials if trial is not None]
 
     def _stack_attribute(self, attribute: str) -> Floats:
-        """Values (N, p) of an attribute that has p values in each trial, for the N trials with a result."""
+        """Values (N, p) of an attribute of `TrialScore` with p entries, for the N trials with a result."""
         return np.stack([getattr(trial, attribute) for trial in self.trials_with_result])
 
     @property
     def z_scores(self) -> Floats:
-        """Errors of p parameters divided by their declared sigmas, for N trials with a result, (N, p)."""
+        """Errors of p parameters divided by their declared standard deviations, for N trials with a result, (N, p)."""
         return self._stack_attribute("z_scores")
 
     def unchecked_parameters(self) -> tuple[str, ...]:
@@ -240,7 +240,7 @@ class RecoveryTrials(ValueEquality):
         ]  # fmt: skip
 
     def parameter_statistics(self) -> tuple[RecoveredParameter, ...]:
-        """Statistics of each parameter's errors, with those of ltsim's calibrator if an external one is checked."""
+        """Statistics of each parameter's errors, also for ltsim's calibrator if an external calibrator is checked."""
         columns: dict[str, Sequence[float]] = {}
         if len(self.trials_with_result) >= MIN_TRIALS:
             error, z = self._stack_attribute("estimates") - self._stack_attribute("true_values"), self.z_scores
@@ -259,7 +259,7 @@ class RecoveryTrials(ValueEquality):
         )
 
     def _comparison_columns(self, error: Floats) -> dict[str, Sequence[float]]:
-        """Columns with ltsim's estimates of the same recordings.
+        """Columns that compare the checked calibrator with ltsim's calibrator in the same recordings.
 
         `error` (N, p) are the errors of the checked calibrator.
         """
@@ -279,7 +279,7 @@ class RecoveryTrials(ValueEquality):
         }
 
     def checks(self) -> list[RecoveryCheck]:
-        """All checks; with these bounds a correct model fails at least one in one run of a hundred."""
+        """All checks of the run; a correct model fails at least one of them in one run of a hundred."""
         n_lost = len(self.trials) - len(self.trials_with_result)
         checks = [RecoveryCheck.from_value(CONVERGENCE_CHECK_NAME, "trials without a result", n_lost, 0, 0)]
         if len(self.trials_with_result) < MIN_TRIALS:
@@ -294,7 +294,7 @@ class RecoveryTrials(ValueEquality):
         return checks if self.tolerance_by_parameter else checks + self._network_checks(level)
 
     def _parameter_checks(self, parameter_index: int, alpha: float) -> list[RecoveryCheck]:
-        """Checks of a parameter; its z-scores are checked if every trial has one."""
+        """Checks of one parameter, with false-alarm rate `alpha`; its z-scores are checked if every trial has one."""
         name, standard, z = (
             self.parameter_names[parameter_index],
             self._stack_attribute("standard_z_scores")[:, parameter_index],
@@ -305,7 +305,7 @@ class RecoveryTrials(ValueEquality):
             checks += parameter_checks(name, standard, alpha)
         if self.errors == "stated" and np.all(np.isfinite(z)):
             mean, spread, coverage = fixed_truth_checks(name, z, alpha)
-            checks += [mean, spread] if foreign else []  # of ltsim's own the standardised z-scores say both
+            checks += [mean, spread] if foreign else []  # for ltsim's calibrator the standardised z-scores contain both
             checks.append(coverage)
         if self.tolerance_by_parameter:
             given = self.tolerance_by_parameter[name]
@@ -317,10 +317,10 @@ class RecoveryTrials(ValueEquality):
         return checks
 
     def _network_checks(self, alpha: float) -> list[RecoveryCheck]:
-        """Checks of chi-square, targets and stations; `alpha` is the false-alarm rate of each."""
+        """Checks of chi-square, targets and stations; `alpha` is the false-alarm rate of each check."""
         parts, checks = [trial.network_score for trial in self.trials_with_result], []
         if all(np.isfinite(part.expected_chi2) for part in parts):
-            names = ("chi2", "expected_chi2", "chi2_deviation")
+            names = ("chi2", "expected_chi2", "chi2_sigma")
             chi2, expected, spread = (np.array([getattr(p, n) for p in parts]) for n in names)
             checks.append(chi_square_check(chi2, expected, spread, alpha))
         for what in ("targets", "stations"):

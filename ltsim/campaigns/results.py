@@ -1,4 +1,4 @@
-"""Results of a campaign: statistics, differences on common draws, figures, arrays."""
+"""Results of a campaign: statistics, paired differences on the same random draws, figures, xarray datasets."""
 
 from __future__ import annotations
 
@@ -26,21 +26,22 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 METHOD_AXIS = "calibrator"
-"""Name of the axis of methods in an xarray dataset; the name `method` is an argument of `Dataset.sel`."""
+"""Name of the axis of methods in an xarray dataset. The name `method` is not possible: it is an argument of
+`Dataset.sel`."""
 N_BOOTSTRAP_RESAMPLES = 400
-"""Number of resamples of a bootstrap interval; its limits then have a sampling error of about a tenth of its width."""
+"""Number of resamples of a bootstrap interval; the sampling error of its limits is about a tenth of its width."""
 RESERVED_AXIS_NAMES = frozenset({METHOD_AXIS, "indexers", "method", "tolerance", "drop"})
 """Names that an axis of an xarray dataset cannot have; an underscore is appended to the name of such a factor."""
 
 
 class CampaignResults(CampaignStatistics, Result):
-    """Results of a campaign: statistics of its rows, paired differences, figures and arrays."""
+    """Results of a campaign: statistics of its rows, paired differences, figures and xarray datasets."""
 
     def __reduce__(self) -> tuple[type[CampaignResults], tuple[Path]]:
         return CampaignResults, (self.folder.resolve(),)
 
     def paired_differences(self, statistic: str, **pair: tuple[Any, Any]) -> PairedDifferences:
-        """Differences of a statistic between two methods, or two levels of a factor, on the same draws.
+        """Differences of a statistic between two methods, or two levels of a factor, on the same random draws.
 
         Parameters
         ----------
@@ -48,7 +49,7 @@ class CampaignResults(CampaignStatistics, Result):
             Column of the rows, or a ratio over all trials such as `share_removed`.
         **pair
             Two methods, ``method=("distance", "network")``, or two levels of a factor, ``faces=(1, 2)``. The difference
-            is first minus second, for every combination of the other settings.
+            is first minus second, for every combination of levels of the other factors.
 
         Raises
         ------
@@ -59,7 +60,7 @@ class CampaignResults(CampaignStatistics, Result):
         return paired_differences(self, statistic, **pair)
 
     def statistic(self, function: Callable[..., float], *columns: str) -> list[StatisticSummary]:
-        """Value of a function of the trials, by combination of settings and method, with its 95 % confidence interval.
+        """Value of a function of the trials for each cell and method, with its 95 % confidence interval.
 
         Parameters
         ----------
@@ -72,8 +73,8 @@ class CampaignResults(CampaignStatistics, Result):
         Returns
         -------
         list of StatisticSummary
-            `mean` is the value for all trials, `low` and `high` are the confidence limits by resampling the trials
-            (percentile bootstrap), `column` is the name of the function.
+            `mean` is the function of all trials. `low` and `high` are its confidence limits from resampled trials
+            (percentile bootstrap). `column` is the name of the function.
 
         Raises
         ------
@@ -81,7 +82,7 @@ class CampaignResults(CampaignStatistics, Result):
             When there is no such column, or the function does not return a number.
         """
         if shares := [column for column in columns if column in RATIO_STATISTICS]:
-            raise ModelError(f"{shares[0]} is a ratio over all trials and no column of the rows; call `distribution`")
+            raise ModelError(f"{shares[0]} is a ratio over all trials, not a column of the rows; call `distribution`")
         sql_columns = [self._sql_column(column) for column in columns]
         condition_text = " AND ".join(f"isfinite({name})" for name in sql_columns) or "true"
         name = getattr(function, "__name__", type(function).__name__)
@@ -96,7 +97,8 @@ class CampaignResults(CampaignStatistics, Result):
                 value = _statistic_value(function, values)
                 again = [_statistic_value(function, values[:, draw]) for draw in draws]
                 low, high = np.nanquantile(again, [0.025, 0.975]).tolist()
-                interval = {"mean": value, "low": low, "high": high, "deviation": float(np.nanstd(again, ddof=1))}
+                spread = float(np.nanstd(again, ddof=1))
+                interval = {"mean": value, "low": low, "high": high, "standard_deviation": spread}
                 spreads.append(StatisticSummary(cell=cell, method=method, column=name, trials=count, **interval))
         return spreads
 
@@ -106,10 +108,10 @@ class CampaignResults(CampaignStatistics, Result):
         Parameters
         ----------
         statistic : str
-            Column of the rows, or a ratio over all trials such as `share_removed`; default the first figure of the
-            campaign's page.
+            Column of the rows, or a ratio over all trials such as `share_removed`; default the statistic of the first
+            figure in the campaign's report.
         along, panel : str
-            Factor along the horizontal axis, and factor with a separate panel for each of its levels.
+            Factor along the horizontal axis, and factor for whose levels the figure has separate panels.
         **levels
             Levels of factors, such as ``faces=1``, or one ``method``, to which the figure is restricted.
 
@@ -133,14 +135,15 @@ class CampaignResults(CampaignStatistics, Result):
 
         Returns
         -------
-            xarray.Dataset Each statistic with its confidence limits ``NAME_low`` and ``NAME_high``, and its unit in
-            `attrs`. Axes are `calibrator` (the methods) and the factors; if the combinations of settings are no
-            full grid, `cell` with the factors along it.
+        xarray.Dataset
+            Each statistic with its confidence limits ``NAME_low`` and ``NAME_high``, and its unit in `attrs`. The axes
+            are `calibrator` (the methods) and the factors. If the combinations of factor levels form no full grid, the
+            axis `cell` replaces the axes of the factors.
 
         Raises
         ------
         ModelError, SetupError
-            When there is no such statistic; without xarray.
+            When there is no such statistic, or when xarray is not installed.
         """
         try:
             from xarray import Dataset
@@ -164,9 +167,9 @@ class CampaignResults(CampaignStatistics, Result):
         return Dataset(variables, {METHOD_AXIS: methods} | axes | along, title)
 
     def _xarray_axes(self) -> tuple[dict[str, Any], list[tuple[int, ...]], dict[str, Any]]:
-        """Values of each axis, position of each combination of settings on the axes, and coordinates along an axis.
+        """Values of each axis, position of each cell on the axes, and coordinates along an axis, for an xarray dataset.
 
-        Factors of a full grid are axes; other cells are on one axis with the values of the factors.
+        The factors of a full grid are axes. Other cells are on the single axis `cell`, with the factor levels along it.
         """
         levels, named = (
             self.levels,
@@ -183,7 +186,7 @@ class CampaignResults(CampaignStatistics, Result):
 
 
 def _statistic_value(function: Callable[..., float], columns: Floats) -> float:
-    """Value of a function of k columns with n trials, (k, n); raises ModelError if it is not a number."""
+    """Value of `function` for k columns of n trials, `columns` (k, n); ModelError if the value is not a number."""
     result = np.asarray(function(*columns))
     if result.size != 1 or result.dtype.kind not in "fiub":
         raise ModelError(f"the statistic returns {type(result.tolist()).__name__}, expected one number")
@@ -191,25 +194,25 @@ def _statistic_value(function: Callable[..., float], columns: Floats) -> float:
 
 
 def _sorted_levels(levels: Iterable[Any]) -> list[Any]:
-    """Levels in increasing order if all are numbers, so that an axis can be sliced; else in the order of the file."""
+    """Levels in increasing order if all are numbers, so that an axis can be sliced, else in their given order."""
     level_list = list(levels)
     return sorted(level_list) if all(isinstance(value, int | float) for value in level_list) else level_list
 
 
 MAX_LEVEL_ROUNDING_ERROR = 5e-4
-"""Largest relative difference between a level and a number that a user gives for it; the level may thus be rounded to
-three digits.
+"""Largest relative difference between a level and the number by which a user requests it. A level may thus be given
+rounded to three digits.
 """
 CellAndMethod = tuple[int, str]
-"""Index of a combination of settings, from 0, and name of a method."""
+"""Index of a combination of factor levels, from 0, and name of a method."""
 
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """Paired difference of a statistic: first minus second method or level on the same draws, trial by trial."""
+    """Paired difference of a statistic: first minus second method or level, in trials with the same random draws."""
 
     settings: Mapping[str, Any]
-    """Values of all other factors, which both have in common."""
+    """Levels of all other factors, by name of the factor."""
     first: str
     """First method or level."""
     second: str
@@ -219,9 +222,9 @@ class PairedDifference:
     unit: str
     """Unit of the statistic."""
     trials: int
-    """Number of trials."""
+    """Number of trials with a value of the statistic on both sides."""
     difference: float
-    """Mean of the statistic of the first minus that of the second."""
+    """Difference of the means: first minus second method or level."""
     low: float
     """Lower 95 % confidence limit of the difference."""
     high: float
@@ -229,7 +232,7 @@ class PairedDifference:
 
     @property
     def sentence(self) -> str:
-        """Sentence on the difference."""
+        """Sentence on the difference with its confidence interval."""
         place = "".join(f", {name} {value}" for name, value in self.settings.items())
         gap, unit = f"{self.difference:.4g}", f" {self.unit}" if self.unit else ""
         interval = f"95 %: {self.low:.4g} to {self.high:.4g}{unit}"
@@ -240,10 +243,10 @@ class PairedDifference:
 
 @dataclass(frozen=True, repr=False)
 class PairedDifferences(Result):
-    """Differences between the methods and levels of a campaign on common draws."""
+    """Paired differences between two methods or levels of a campaign, on the same random draws."""
 
     entries: tuple[PairedDifference, ...]
-    """Difference for each combination of the other settings."""
+    """Difference for each combination of levels of the other factors."""
 
     def _lines(self) -> list[str]:
         return [entry.sentence for entry in self.entries]
@@ -280,9 +283,9 @@ def paired_differences(results: CampaignStatistics, statistic: str, **pair: tupl
 def _comparison_pairs(
     results: CampaignStatistics, factor_name: str, first_level: Any, second_level: Any
 ) -> Iterator[tuple[dict[str, Any], CellAndMethod, CellAndMethod]]:
-    """Common settings, first cell (combination of settings) and method, second cell and method of each comparison.
+    """Common factor levels, first cell and method, and second cell and method of each paired comparison.
 
-    Raises ModelError if there is no such factor, method or level.
+    The compared factor is `factor_name`, or `method`. ModelError is raised if there is no such factor, method or level.
     """
     methods, levels = results.manifest.methods, results.levels
     factors = [factor.name for factor in results.factors]
@@ -301,9 +304,9 @@ def _comparison_pairs(
 
 
 def _matching_level(factor_name: str, requested_level: Any, levels: Sequence[Any]) -> Any:
-    """Level that a user's value means: the level itself, with its unit as in the file, or rounded to three digits.
+    """Level that a user requests by its value, by its text with unit, or by its value rounded to three digits.
 
-    Raises ModelError for a value that is no level, or that is the rounded value of several levels.
+    ModelError is raised for a value that is no level, or that is the rounded value of several levels.
     """
     distinct = list(dict.fromkeys(levels))
     if requested_level in distinct:
@@ -322,7 +325,7 @@ def _matching_level(factor_name: str, requested_level: Any, levels: Sequence[Any
 
 
 def _trial_values(results: CampaignStatistics, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:
-    """Numbers (N,) of the trials of a combination of settings and method, and the terms to average over them.
+    """Numbers (N,) of the trials of a cell and method, and the terms whose means give the statistic.
 
     The terms are (1, N) for a mean, and (2, N), numerator and denominator, for a ratio of means.
     """
@@ -332,7 +335,7 @@ def _trial_values(results: CampaignStatistics, statistic: str, cell: int, method
 
 
 def _mean_and_influence(trial_terms: Floats) -> tuple[float, Floats]:
-    """Mean of terms (1, N), or ratio of the means of terms (2, N), and influence function (N,) of the trials on it."""
+    """Mean of terms (1, N), or ratio of the means of terms (2, N), and influence function (N,) of each trial on it."""
     if len(trial_terms) == 1:
         return float(np.mean(trial_terms)), trial_terms[0]
     ratio = float(trial_terms[0].mean() / trial_terms[1].mean())

@@ -1,4 +1,4 @@
-"""Rows of a shard: trials are drawn, calibrated by every method on the same draws, and compared with the truth."""
+"""Rows of a shard: trials are drawn, calibrated by every method, and compared with the true values."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -20,7 +20,7 @@ from ltsim.campaigns.calibrators import (
 )
 from ltsim.campaigns.columns import (
     ResultColumns,
-    append_settings,
+    append_factor_levels,
     error_parameter_columns,
     method_table,
     parameter_labels,
@@ -29,8 +29,8 @@ from ltsim.campaigns.columns import (
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.schema import SOLVER_DIFFERENCE_COLUMN, TRIAL_STATUSES, WITHOUT_RESULT, find_column
 from ltsim.campaigns.spec import VALIDATION_STREAM_KEY, CampaignFile
-from ltsim.campaigns.store import encode_table, stored_statistics
-from ltsim.campaigns.trial_calibrators import CalibratedBlock, TrialCalibrator
+from ltsim.campaigns.store import parquet_bytes, stored_statistics
+from ltsim.campaigns.trial_calibrators import CalibratedBatch, TrialCalibrator
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import CellTruth, TrialBatch, make_cell_truth
 from ltsim.core.arrays import Floats, Ints
@@ -47,31 +47,33 @@ from ltsim.simulation.workshop import WorkshopLayout, planned_layout
 CORRECTED_STATISTICS = {"criteria", "errors"}
 """Groups of statistics for which the readings are corrected by the calibration."""
 MAX_TRIALS_PER_STACK = 64
-"""Largest number of trials that are calibrated together if each trial has a separate geometry."""
+"""Largest number of trials that are calibrated together if each trial has a separate network geometry."""
 
 
 @dataclass(frozen=True)
 class ShardTask:
-    """Task of a worker: computation of one shard, a file with rows of trials of one combination of settings."""
+    """Task of a worker: computation of one shard, a file with rows of trials of one combination of factor levels."""
 
     campaign: CampaignFile
     scenario: Scenario
+    """Scenario of the cell."""
     cell_digest: str
-    """Digest of everything that determines the rows of the combination of settings."""
+    """Digest of everything that determines the rows of the cell (combination of factor levels)."""
     cell: int
-    """Index of the combination of settings in the campaign, from 0."""
+    """Index of the cell in the campaign, from 0."""
     shard: int
-    """Index of the shard within the combination of settings, from 0."""
+    """Index of the shard in the cell, from 0."""
     validation_scenario: Scenario | None = None
-    """Scenario of `judge_in`, which gives held-out points for the evaluation; None without the key."""
+    """Scenario of the held-out points that the campaign key `judge_in` defines; None without this key."""
     session_effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.session_effects)
-    """Classes of effects that the user registered in this session; a worker process does not have them."""
+    """Classes of effects that the user registered in this session; they are sent to worker processes, which lack
+    them."""
     existing_rows: pa.Table | None = None
-    """Rows that the shard already has, if trials or statistics were added to the campaign."""
+    """Existing rows of the shard, if trials or statistics were added to the campaign."""
 
     @property
     def shard_metadata(self) -> dict[str, str]:
-        """Metadata of the shard's file: campaign, combination of settings, shard and statistics."""
+        """Metadata of the shard's file: campaign, cell, shard and statistics."""
         statistics = " ".join(self.campaign.statistics)
         return {
             "campaign": self.cell_digest,
@@ -83,7 +85,7 @@ class ShardTask:
 
 @dataclass(frozen=True)
 class CellContext:
-    """Quantities that all trials of a combination of settings share."""
+    """Quantities that all trials of a cell (combination of factor levels) share."""
 
     campaign: CampaignFile
     scenario: Scenario
@@ -91,15 +93,15 @@ class CellContext:
 
     @cached_property
     def common_evaluator_and_calibrators(self) -> tuple[TrialEvaluator, list[TrialCalibrator]]:
-        """Evaluation of the geometry that all trials share, and the calibrators in the order of the file's methods."""
+        """Evaluator for the network geometry that all trials share, and calibrators in the order of the methods."""
         truth = make_cell_truth(self.scenario, self.campaign.seed)
         return TrialEvaluator(truth), [make_calibrator(method, truth) for method in self.campaign.methods]
 
     @cached_property
     def validation_evaluator(self) -> TrialEvaluator | None:
-        """Evaluation at the held-out points of the key `judge_in`; None without this key.
+        """Evaluator for the held-out points of the campaign key `judge_in`; None without this key.
 
-        The instruments of each trial measure these points, which no calibration uses.
+        The instruments of each trial measure these points, but no calibration uses them.
         """
         return (
             None
@@ -109,18 +111,18 @@ class CellContext:
 
     @cached_property
     def factors(self) -> tuple[Factor, ...]:
-        """Factors of the campaign: the settings that differ between its combinations of settings."""
+        """Factors of the campaign: keys of the scenario whose values differ between cells."""
         return self.campaign.factors(self.scenario)
 
     @cached_property
     def levels(self) -> dict[str, Any]:
-        """Levels of the factors in this combination of settings, by name."""
+        """Levels of the factors in this cell, by name of the factor."""
         tables = self.scenario.model_dump(mode="json", by_alias=True)
         return {factor.name: factor.level(tables) for factor in self.factors}
 
     @cached_property
     def units(self) -> dict[str, str]:
-        """Units of the parameters in the rows."""
+        """Units of the parameters in the rows, by label of the parameter."""
         names = tuple(self.scenario.trackers_in_use)
         labels = parameter_labels(make_scenario_construction(self.scenario), names, scenario_effects(self.scenario))
         for method in self.campaign.methods:
@@ -131,20 +133,19 @@ class CellContext:
     def _planned_layout(self) -> WorkshopLayout:
         return planned_layout(self.scenario)
 
-    def trial_blocks(
+    def trial_batches(
         self, first_trial: int, end_trial: int
     ) -> Iterator[tuple[TrialEvaluator, Sequence[TrialCalibrator], TrialBatch]]:
-        """Blocks of drawn trials from ``first_trial`` to ``end_trial - 1``.
+        """Evaluator, calibrators of all methods, and drawn trials for each batch of trials.
 
-        Each block comes with the evaluation of its geometry and the calibrators of all methods, in the order
-        evaluation, calibrators, block. Trials with an impossible geometry, such as a station without visible targets,
-        are in no block.
+        The batches contain the trials from ``first_trial`` to ``end_trial - 1``, except those with an impossible
+        network geometry, such as a station without visible targets.
         """
         seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
             judge, calibrators = self.common_evaluator_and_calibrators
             for number in range(first_trial // TRIALS_PER_STREAM, -(-end_trial // TRIALS_PER_STREAM)):
-                yield judge, calibrators, judge.truth.draw_block(seed, number)
+                yield judge, calibrators, judge.truth.draw_batch(seed, number)
             return
         for low in range(first_trial, end_trial, MAX_TRIALS_PER_STACK):
             for stack, numbers in stack_geometries(
@@ -157,9 +158,9 @@ class CellContext:
                 )
 
     def _trial_geometries(self, trials: range) -> dict[int, CellTruth]:
-        """True geometry by number of the trial, for trials with a possible geometry.
+        """True network geometry of each trial with a possible geometry, by number of the trial.
 
-        All of them share the set-up of the common geometry.
+        All of these geometries have the set-up of the common geometry.
         """
         geometries, seed = {}, self.campaign.seed
         for trial in trials:
@@ -176,9 +177,9 @@ class CellContext:
 
 @lru_cache(maxsize=4)
 def cell_context(campaign: str, scenario: str, validation_scenario: str) -> CellContext:
-    """Context of a combination of settings (cell), from campaign and scenarios as JSON.
+    """Quantities that all trials of a cell share, from campaign file, scenario and validation scenario as JSON texts.
 
-    The result is cached, because a worker computes many shards of the same cell.
+    The result is cached, because a worker process computes many shards of the same cell.
     """
     validation_model = Scenario.model_validate_json(validation_scenario) if validation_scenario else None
     return CellContext(
@@ -187,18 +188,18 @@ def cell_context(campaign: str, scenario: str, validation_scenario: str) -> Cell
 
 
 def run_task(task: ShardTask) -> tuple[ShardTask, bytes]:
-    """Task, and the bytes of its shard's file.
+    """Task, and the bytes of the shard's file that it computes.
 
-    The shard is computed with one thread, so that sums keep their order on any worker.
+    The shard is computed with one thread, so that sums have the same order in every worker process.
     """
     for kind in task.session_effects:
         CATALOGUE.add(kind)
     with threadpool_limits(limits=1):
-        return replace(task, existing_rows=None), encode_table(make_shard_rows(task), task.shard_metadata)
+        return replace(task, existing_rows=None), parquet_bytes(make_shard_rows(task), task.shard_metadata)
 
 
 def make_shard_rows(task: ShardTask) -> pa.Table:
-    """Rows of a shard, by method, then by trial; existing rows are reused, missing ones computed."""
+    """Rows of a shard, ordered by method, then by trial; existing rows are reused, missing rows are computed."""
     if task.existing_rows is None:
         return _compute_new_rows(task, 0)
     campaign, held = task.campaign, task.existing_rows
@@ -218,9 +219,9 @@ def make_shard_rows(task: ShardTask) -> pa.Table:
 
 
 def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bool = False) -> pa.Table:
-    """New rows of a shard, after the first `n_existing_trials` trials, which have rows already.
+    """New rows of a shard for the trials after the first `n_existing_trials`, which already have rows.
 
-    With `truth_only` the rows contain the true values only, and nothing is calibrated.
+    With `truth_only` the rows contain only the true values, and no trial is calibrated.
     """
     campaign, given = task.campaign, (task.campaign, task.scenario, task.validation_scenario)
     cell = cell_context(*("" if model is None else model.model_dump_json(by_alias=True) for model in given))
@@ -228,12 +229,12 @@ def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bo
     first, last = first_trial + n_existing_trials, min(first_trial + campaign.shard, campaign.trials)
     tables_by_method: list[list[ResultColumns]] = [[] for _ in campaign.methods]
     missing_numbers = set(range(first, last))
-    for judge, calibrators, block in cell.trial_blocks(first, last):
-        numbers = block.trials
+    for judge, calibrators, batch in cell.trial_batches(first, last):
+        numbers = batch.trials
         wanted = np.flatnonzero((numbers >= first) & (numbers < last))
         missing_numbers -= set(numbers[wanted].tolist())
         checked = wanted[numbers[wanted] < first_trial + campaign.verify]
-        work = TrialBatchRows(campaign, judge, block, cell.validation_evaluator, wanted, checked, truth_only)
+        work = TrialBatchRows(campaign, judge, batch, cell.validation_evaluator, wanted, checked, truth_only)
         for part, calibrator in zip(tables_by_method, calibrators, strict=True):
             columns = {"trial": numbers} | work.method_columns(calibrator)
             part.append({name: column[wanted] for name, column in columns.items()})
@@ -251,70 +252,70 @@ def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bo
         for method, part in zip(campaign.methods, tables_by_method, strict=True)
     ]
     full_table = pa.concat_tables(tables, promote_options="default").combine_chunks()
-    return append_settings(full_table, cell.factors, cell.levels, cell.units)
+    return append_factor_levels(full_table, cell.factors, cell.levels, cell.units)
 
 
 @dataclass(frozen=True)
 class TrialBatchRows:
-    """Block of drawn trials that every method calibrates."""
+    """Batch of drawn trials, from which the rows of every method are computed."""
 
     campaign: CampaignFile
     evaluator: TrialEvaluator
-    block: TrialBatch
+    trial_batch: TrialBatch
     validation_evaluator: TrialEvaluator | None
-    """Evaluation at the held-out points of `judge_in`; None without the key."""
+    """Evaluator for the held-out points of the campaign key `judge_in`; None without this key."""
     requested_trial_indices: Ints
-    """Indices in the block of the trials whose rows are requested."""
+    """Indices, in the batch, of the trials whose rows are requested."""
     verified_trial_indices: Ints
-    """Indices in the block of the trials that the full solver repeats."""
+    """Indices, in the batch, of the trials that the full solver repeats for verification."""
     has_truth_only: bool = False
-    """True if rows contain the drawn truth only, without a calibration."""
+    """True if the rows contain only the drawn true values, without a calibration."""
 
     @cached_property
     def common_columns(self) -> ResultColumns:
-        """Columns common to all methods."""
-        return self.evaluator.common_columns(self.block)
+        """Columns of results that do not depend on the method."""
+        return self.evaluator.common_columns(self.trial_batch)
 
     @cached_property
-    def validation_block(self) -> tuple[TrialEvaluator, TrialBatch, ResultColumns] | None:
-        """Measurements of held-out points by the same instruments: evaluation, drawn trials, and common columns.
+    def validation_batch(self) -> tuple[TrialEvaluator, TrialBatch, ResultColumns] | None:
+        """Measurements of the held-out points by the same instruments: evaluator, drawn trials, and common columns.
 
-        Noise is independent, sizes of effects are equal. None without `judge_in`.
+        The noise is independent of the calibrated recordings, the effects have the same sizes. None without `judge_in`.
         """
         if self.validation_evaluator is None:
             return None
-        normal_source = StandardNormalSource(self.campaign.seed, self.block.trials)
-        block = self.validation_evaluator.truth.draw_trials(
+        normal_source = StandardNormalSource(self.campaign.seed, self.trial_batch.trials)
+        batch = self.validation_evaluator.truth.draw_trials(
             normal_source, self._drifted_instrument_values(), stream_key=VALIDATION_STREAM_KEY
         )
-        return self.validation_evaluator, block, self.validation_evaluator.common_columns(block)
+        return self.validation_evaluator, batch, self.validation_evaluator.common_columns(batch)
 
     def _drifted_instrument_values(self) -> Floats:
-        """Errors of the instruments (I, p, B) [SI] at the held-out points, after the drift `judge_drift`."""
-        values, share = self.block.instrument_values, self.campaign.judge_drift
+        """Instrument errors (I, p, B) [SI] at the measurement of the held-out points, after the drift `judge_drift`."""
+        values, share = self.trial_batch.instrument_values, self.campaign.judge_drift
         if not share:
             return values
         population = self.evaluator.truth.distributions
         moves = np.array([p.unit != "ppm" for p in population.construction.parameters])
-        step = StandardNormalSource(self.campaign.seed, self.block.trials)(values[:, :, 0].size, "drift")
+        step = StandardNormalSource(self.campaign.seed, self.trial_batch.trials)(values[:, :, 0].size, "drift")
         return values + share * (population.instrument_sigmas * moves)[:, :, None] * step.reshape(values.shape)
 
     def method_columns(self, calibrator: TrialCalibrator) -> ResultColumns:
-        """Columns of a method that the campaign stores."""
-        wanted, block, truth = self.campaign.statistics, self.block, self.evaluator.truth
+        """Columns of the results of a method, as selected by the campaign's `statistics`."""
+        wanted, batch, truth = self.campaign.statistics, self.trial_batch, self.evaluator.truth
         construction, effects = calibrator.construction, calibrator.effects
         if self.has_truth_only:
-            calibrated = CalibratedBlock.from_failed_trials(truth, construction, effects, len(block.trials))
+            calibrated = CalibratedBatch.from_failed_trials(truth, construction, effects, len(batch.trials))
         else:
-            calibrated = calibrator.calibrate(block, self.requested_trial_indices)
+            calibrated = calibrator.calibrate(batch, self.requested_trial_indices)
         columns: ResultColumns = {"status": calibrated.status_indices, "chi2": calibrated.chi2}
         columns[SOLVER_DIFFERENCE_COLUMN] = np.full(len(calibrated.chi2), np.nan)
         for place in self.verified_trial_indices:
             columns[SOLVER_DIFFERENCE_COLUMN][place] = calibrator.largest_solver_difference(
-                block, int(place), calibrated
+                batch, int(place), calibrated
             )
         if CORRECTED_STATISTICS & {*wanted}:
-            judged = self.common_columns | self.evaluator.method_columns(block, calibrated, construction, effects)
+            judged = self.common_columns | self.evaluator.method_columns(batch, calibrated, construction, effects)
             judged |= self._validation_columns(calibrated, calibrator)
             columns |= {
                 n: column_values
@@ -325,7 +326,7 @@ class TrialBatchRows:
         true_labels = parameter_labels(
             truth.construction, truth.recording.instruments, [law.effect for law in truth.effects]
         )
-        (values, sigma), true = calibrated.estimates, block.true_values
+        (values, sigma), true = calibrated.estimates, batch.true_values
         if "z-scores" in wanted:
             columns |= z_score_columns(labels, values, sigma, true_labels, true)
         if "estimates" in wanted:
@@ -336,20 +337,20 @@ class TrialBatchRows:
             columns |= error_parameter_columns(true_labels, true, "true")
         return columns
 
-    def _validation_columns(self, calibrated_block: CalibratedBlock, calibrator: TrialCalibrator) -> ResultColumns:
-        """Columns of the errors of held-out points for a method; empty without `judge_in`."""
-        if self.validation_block is None:
+    def _validation_columns(self, calibrated_batch: CalibratedBatch, calibrator: TrialCalibrator) -> ResultColumns:
+        """Columns of a method with the errors at the held-out points; empty without `judge_in`."""
+        if self.validation_batch is None:
             return {}
-        there, block, before = self.validation_block
+        there, batch, before = self.validation_batch
         nowhere = np.full(
-            (*there.truth.state.target_points.shape, len(calibrated_block.chi2)), np.nan
-        )  # no target is adjusted there
+            (*there.truth.state.target_points.shape, len(calibrated_batch.chi2)), np.nan
+        )  # the targets of the held-out measurement are not adjusted
         columns = there.method_columns(
-            block, replace(calibrated_block, target_errors=nowhere), calibrator.construction, calibrator.effects
+            batch, replace(calibrated_batch, target_errors=nowhere), calibrator.construction, calibrator.effects
         )
         return {f"new_point_{name}": values for name, values in (before | columns).items() if name.startswith("error_")}
 
 
 def n_rows_of_shard(campaign: CampaignFile, shard: int) -> int:
-    """Number of rows of a shard."""
+    """Number of rows of the shard with the index `shard` in its cell."""
     return len(campaign.methods) * (min((shard + 1) * campaign.shard, campaign.trials) - shard * campaign.shard)

@@ -1,4 +1,4 @@
-"""Schema of manifest.json and of the tables of a campaign."""
+"""Schema of manifest.json, and columns of the tables of a campaign."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,42 +12,43 @@ from ltsim.recordings.result_file import Entry, ResultFile
 
 NonNegativeInt = Annotated[int, Field(ge=0)]
 QUANTILE_LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
-"""Probabilities of the quantiles in a summary."""
+"""Probabilities of the quantiles in the summary of a campaign."""
 
 SUMMARY_FILE = "summary.csv"
 SOLVER_DIFFERENCE_COLUMN = "full_difference_sigma"
-"""Name of the column with the largest difference between batch and full solver, for the trials that both solved."""
+"""Name of the column with the largest difference between batch solver and full solver, for the verified trials."""
 PARAMETER_UNIT_TEXT = "of the parameter"
-"""Unit of a column whose numbers are in the unit of the parameter that its name contains."""
+"""Text in place of the unit for columns whose numbers are in the unit of the parameter in the name of the column."""
 TRIAL_STATUSES = BATCH_CONVERGED, FULL_SOLVER, WITHOUT_RESULT = "converged", "full solver", "failed"
-"""Statuses of a trial: calibrated by the batch solver, by the full solver, or without a result."""
+"""Status of a trial: calibrated by the batch solver, calibrated by the full solver, or without a result."""
 ErrorOrigin = Literal["drawn", "stated"]
-"""Origin of the instruments' errors in a recovery check: drawn from the prior, or declared."""
+"""Origin of the instrument errors in a recovery check: `drawn` from the prior, or `stated` (declared) by the
+scenario."""
 StatisticGroup = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
-"""Kind of results in the rows of a campaign, of which a user may select some."""
+"""Group of results in the rows of a campaign; the key `statistics` of the campaign file selects groups."""
 READING_ERROR_TEXT = (
-    "rms over stations and targets of the 3D distance from the true point to the point that a reading describes, each "
-    "station's points fitted rigidly to the true ones; noise of these readings included"
+    "rms over stations and targets of the 3D distance between the true point and the point that the readings give, "
+    "after a rigid fit of each station's points to the true points; noise of these readings included"
 )
-NEW_POINT_TEXT = "error of a new point, by readings in the place of `judge_in` that no calibration used: "
+NEW_POINT_TEXT = "error at the held-out points of `judge_in`, whose readings no calibration used: "
 REMOVED_FRACTION_TEXT = (
     "(R - C) / (R - P), where R, C and P are the mean squares of {0}error_raw_um, {0}error_calibrated_um and "
-    "{0}error_true_parameters_um over all trials of a combination of settings and method: 1 for a calibration that "
-    "found the true parameters, 0 for one that did nothing, below 0 for one that did harm; its interval is that of a "
-    "ratio of means"
+    "{0}error_true_parameters_um over all trials of a cell (combination of factor levels) and method: 1 for a "
+    "calibration with the true parameters, 0 for no correction, below 0 for a correction that increases the error; its "
+    "interval is that of a ratio of means"
 )
 
 
 @dataclass(frozen=True)
 class RowColumn(Column):
-    """Column of results in the rows of a campaign; a name that ends in `:` means one column per parameter."""
+    """Column of results in the rows of a campaign; a name that ends in `:` stands for one column per parameter."""
 
     group: StatisticGroup | None = None
-    """Statistic of the campaign's file to which the column belongs; None for a column of all rows."""
+    """Group of results to which the column belongs; None for a column that all rows have."""
 
 
 def _result_columns(group: StatisticGroup | None, unit: str, **meanings: str) -> list[RowColumn]:
-    """Columns of one group and unit, from their names and meanings."""
+    """Columns of one group with a common unit; the arguments are names and meanings of the columns."""
     return [RowColumn(name, meaning, unit=unit, group=group) for name, meaning in meanings.items()]
 
 
@@ -78,7 +79,7 @@ def _error_columns(prefix: str, description: str) -> list[RowColumn]:
 
 
 RESULT_COLUMNS: tuple[RowColumn, ...] = (
-    *_result_columns(None, "", chi2="least sum of squares of the weighted residuals"),
+    *_result_columns(None, "", chi2="chi-square: minimum of the weighted sum of squared residuals"),
     *_result_columns(
         None, "sigma", **{SOLVER_DIFFERENCE_COLUMN: "largest difference of parameters and targets from the full solver"}
     ),
@@ -93,40 +94,40 @@ RESULT_COLUMNS: tuple[RowColumn, ...] = (
     ),
     *_error_columns("new_point_", NEW_POINT_TEXT + READING_ERROR_TEXT),
     _parameter_column(
-        "z", "", "z-scores", "(estimate - truth) / sigma of a parameter that is both simulated and estimated"
+        "z", "", "z-scores", "(estimate - true value) / sigma of a parameter that is both simulated and estimated"
     ),
     _parameter_column("estimate", PARAMETER_UNIT_TEXT, "estimates", "estimate of a parameter"),
     _parameter_column("sigma", PARAMETER_UNIT_TEXT, "estimates", "standard deviation of an estimate"),
     _parameter_column("true", PARAMETER_UNIT_TEXT, "truth", "true value of a parameter"),
 )
-"""All results that rows and statistics can contain, declared once for files, documentation and reports."""
+"""Columns of all results that rows and statistics can contain, for files, documentation and reports."""
 RATIO_STATISTICS = tuple(column.name for column in RESULT_COLUMNS if column.name.endswith("share_removed"))
-"""Ratios over all trials, which no single row has."""
+"""Names of the statistics that are ratios over all trials, so that a single row has no such value."""
 
 
 def find_column(name: str) -> RowColumn | None:
-    """Definition of a column of the rows, or of a statistic; None for a setting."""
+    """Definition of a column of results or of a statistic, by its name; None for the column of a factor."""
     return next(
         (c for c in RESULT_COLUMNS if name == c.name or (c.name.endswith(":") and name.startswith(c.name))), None
     )
 
 
 def ratio_columns(ratio_name: str) -> tuple[str, str, str]:
-    """Columns from which a ratio is computed: raw, calibrated, and with the true parameters."""
+    """Names of the columns from which a ratio is computed: errors raw, calibrated, and with the true parameters."""
     prefix = ratio_name.removesuffix("share_removed")
     return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
 
 
 def sql_identifier(name: str) -> str:
-    """Column name as an SQL identifier, for any characters."""
+    """Column name as a quoted SQL identifier; the name may contain any characters."""
     return '"' + name.replace('"', '""') + '"'
 
 
 def sql_terms(statistic: str) -> tuple[str, ...]:
-    """SQL expressions whose means give a statistic.
+    """SQL expressions whose means over the trials give a statistic.
 
-    For a column it is the column. For a ratio over all trials there are two: the removed mean square, and the mean
-    square that the true parameters remove.
+    A column needs one expression. A ratio over all trials is the ratio of the means of two expressions: the squared
+    error that the calibration removes, and the squared error that the true parameters remove.
     """
     if statistic not in RATIO_STATISTICS:
         return (sql_identifier(statistic),)
@@ -136,7 +137,7 @@ def sql_terms(statistic: str) -> tuple[str, ...]:
 
 ROWS_TABLE = Table(
     "rows/cell-*/shard-*.parquet",
-    "one row per trial and method; the settings of the cell follow its number",
+    "one row per trial and method; the levels of the factors follow the number of the cell",
     (
         *number_columns(cell="number"),
         *text_columns(method="name"),
@@ -148,11 +149,11 @@ ROWS_TABLE = Table(
 
 
 def summary_table(factors: Mapping[str, str]) -> Table:
-    """Table `summary.csv` of a campaign: one row per combination of settings, method and column of the rows.
+    """Table `summary.csv` of a campaign: one row per cell, method and column of the rows.
 
-    `factors` holds the kind of each factor by its name.
+    `factors` holds the type of the levels of each factor by its name.
     """
-    about = "setting of the cell, in the unit of manifest.json"
+    about = "level of the factor in the cell, in the unit of manifest.json"
     settings = [
         column
         for name, kind in factors.items()
@@ -160,72 +161,72 @@ def summary_table(factors: Mapping[str, str]) -> Table:
     ]
     return Table(
         SUMMARY_FILE,
-        "every statistic over the trials of a combination of settings (cell) and a method, with these settings",
+        "every statistic over the trials of a combination of factor levels (cell) and a method, with these levels",
         (
             *number_columns(cell="number"),
             *settings,
-            *text_columns(method="name", column="of the rows", unit="of the following columns, except trials"),
-            *number_columns(trials="that have it"),
-            *number_columns("r", mean="over them", deviation="standard deviation"),
-            *number_columns("r", low="95 % bound of the mean", high="as low", least="of all", largest="of all"),
+            *text_columns(method="name", column="column of the rows", unit="unit of the next columns except trials"),
+            *number_columns(trials="trials with a value in this column"),
+            *number_columns("r", mean="mean of these values", standard_deviation="standard deviation of these values"),
+            *number_columns("r", low="lower 95 % confidence limit of the mean", high="upper 95 % confidence limit"),
+            *number_columns("r", least="smallest value", largest="largest value"),
             *number_columns(
-                "r", **{f"quantile_{100 * level:g}_percent": "over the trials" for level in QUANTILE_LEVELS}
+                "r", **{f"quantile_{100 * level:g}_percent": "quantile over the trials" for level in QUANTILE_LEVELS}
             ),
         ),
     )
 
 
 class TrackerSettings(Entry):
-    """Tracker of a scenario, with all settings that the scenario gives it."""
+    """Tracker of a scenario, with all keys of its table."""
 
     model_config = ConfigDict(extra="allow")
 
     preset: str
-    """Name of its data sheet or preset."""
+    """Name of the tracker's data sheet or preset."""
 
 
 class ScenarioSettings(Entry):
-    """Scenario of one combination of factor levels, with all its settings."""
+    """Scenario of one cell (combination of factor levels), with all its keys."""
 
     model_config = ConfigDict(extra="allow")
 
     instrument: TrackerSettings
-    """Tracker of the stations for which the scenario names no other one."""
+    """Tracker of the stations for which the scenario names no other tracker."""
     instruments: dict[str, TrackerSettings] = Field(default_factory=dict)
-    """Trackers by name."""
+    """Trackers with names, by name."""
 
 
 LevelValue = StrictBool | StrictInt | StrictFloat | StrictStr | None
 
 
 class CellEntry(Entry):
-    """Cell of a campaign: a combination of settings."""
+    """Cell of a campaign, that is, a combination of factor levels, in manifest.json."""
 
     cell: NonNegativeInt
-    """Index of the combination of settings in the campaign, from 0."""
+    """Index of the cell in the campaign, from 0."""
     label: str
-    """Description of the combination of settings in a line: the level of each factor."""
+    """Description of the cell in one line: the level of each factor."""
     levels: dict[str, LevelValue] = Field(default_factory=dict)
-    """Value of each factor, by the factor's name."""
+    """Level of each factor, by the factor's name."""
     settings: dict[str, Any] = Field(default_factory=dict)
-    """Settings of this combination that replace those of the base scenario, by dotted key."""
+    """Values that replace those of the base scenario in this cell, by dotted key."""
     digest: str = ""
-    """Digest of all that determines the rows of the combination of settings; the metadata of its shards contain
-    it too."""
+    """Digest of everything that determines the rows of the cell; the metadata of its shards contain the digest too."""
 
 
 FACTORS_TABLE = Table(
     "varied.csv",
-    "settings that differ between cells",
-    text_columns(factor="its title", values="of all cells", key="of the scenario", meaning="of the key"),
+    "factors: keys of the scenario whose values differ between cells",
+    text_columns(factor="title", values="levels", key="key of the scenario", meaning="meaning of the key"),
 )
 MEANS_BY_LEVEL_TABLE = Table(
     "levels.csv",
     "means over the cells of each level",
     (
-        *text_columns(factor="its title", level="its value", method="name", statistic="name"),
+        *text_columns(factor="title", level="value of the factor", method="name", statistic="name"),
         *number_columns(
-            mean="over the cells", least_cell="smallest mean of a cell", largest_cell="largest mean of a cell"
+            mean="mean over the cells", least_cell="smallest mean of a cell", largest_cell="largest mean of a cell"
         ),
     ),
 )
@@ -234,8 +235,8 @@ ERRORS_TABLE = Table(
     "errors before and after calibration, with 95 % intervals of their means",
     (
         *text_columns(setting="cell", method="name"),
-        *number_columns(raw_um="uncorrected", calibrated_um="corrected", noise_floor_um="with the true parameters"),
-        *number_columns(share_removed="of the removable error"),
+        *number_columns(raw_um="before", calibrated_um="after", noise_floor_um="with the true parameters"),
+        *number_columns(share_removed="removed fraction of the mean square error that can be removed"),
     ),
 )
 METHOD_DIFFERENCES_TABLE = Table(
@@ -245,7 +246,7 @@ METHOD_DIFFERENCES_TABLE = Table(
         *text_columns(setting="cell", methods="first minus second method"),
         *number_columns(
             display_format=".3g",
-            difference_um="mean difference on the same draws; positive if the second method is better",
+            difference_um="mean difference on the same random draws; positive if the second method has less error",
             low_um="lower 95 % confidence limit",
             high_um="upper 95 % confidence limit",
         ),
@@ -256,35 +257,35 @@ METHOD_DIFFERENCES_TABLE = Table(
 
 
 class ManifestFile(ResultFile):
-    """`manifest.json`: definition of a campaign, written before its first row and when it is extended."""
+    """Content of `manifest.json`: definition of a campaign, written before its first row and when it is extended."""
 
     FILE: ClassVar[str] = "manifest.json"
     format: Literal["ltsim-campaign-rows/1"] = "ltsim-campaign-rows/1"
     """Format and version of this file."""
     title: str = ""
-    """Free text."""
+    """Title of the campaign, free text."""
     seed: NonNegativeInt = 0
-    """Root of the random draws."""
+    """Seed of the random draws."""
     trials: NonNegativeInt
-    """Largest number of trials of each combination of settings."""
+    """Largest number of trials of each cell."""
     shard: NonNegativeInt | None = None
     """Number of trials in a file of rows."""
     methods: tuple[str, ...] = Field(min_length=1)
-    """Names of the calibrators."""
+    """Names of the calibration methods."""
     factors: tuple[Factor, ...] = ()
-    """Settings that differ between combinations of settings."""
+    """Factors: keys of the scenario whose values differ between cells."""
     cells: tuple[CellEntry, ...] = Field(min_length=1)
-    """Cells of the campaign."""
+    """Cells (combinations of factor levels) of the campaign."""
     versions: dict[str, str] = Field(default_factory=dict)
     """Versions of the software that computed the rows, by package."""
     processor: str = "unknown"
-    """Type of the processor; rows have identical bytes on one type."""
+    """Type of the processor that computed the rows; processors of the same type compute identical bytes."""
     commit: str | None = None
-    """Commit of ltsim's checkout, if it runs from one."""
+    """Git commit of the ltsim checkout that computed the rows; null for an installed package."""
     settings: dict[str, Any] = Field(default_factory=dict)
-    """Contents of the campaign file."""
+    """Content of the campaign file."""
     scenarios: tuple[ScenarioSettings, ...] = ()
-    """Scenario of each combination of settings."""
+    """Scenario of each cell."""
 
     def _lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""
@@ -303,5 +304,5 @@ class ManifestFile(ResultFile):
                 raise ValueError(f"entry {number + 1} of the cells is not cell {number} with a level of each factor")
         statistics = self.settings.get("statistics", [])
         if not (isinstance(statistics, list) and all(name in get_args(StatisticGroup) for name in statistics)):
-            raise ValueError("the statistics in the settings are not a list of names of statistics")
+            raise ValueError("the key statistics in settings is not a list of names of statistics")
         return self

@@ -1,4 +1,4 @@
-"""Scores of calibrators relative to a known truth: errors divided by declared sigmas, and their distribution."""
+"""Scores of calibrators relative to true values: errors divided by declared standard deviations (z-scores)."""
 
 from __future__ import annotations
 
@@ -22,62 +22,66 @@ from ltsim.recordings.files import quoted_text
 from ltsim.simulation.truth import Truth
 
 MIN_NOISE_FRACTION = 1e-4
-"""Fraction of a declared variance below which the error comes from the prior and not from noise."""
+"""Smallest fraction of a declared variance that must come from noise; below it the error comes from the prior, and the
+parameter has no z-score."""
 
 
 @dataclass(frozen=True)
 class NetworkScore:
-    """Scores of a trial for the whole network; NaN for a score that does not exist."""
+    """Scores of a trial for the whole network, not for single parameters; NaN for a score that does not exist."""
 
     target_mean_square_z: float = np.nan
     """Mean square of error divided by standard deviation, over all target coordinates."""
     station_mean_square_z: float = np.nan
     """Mean square of error divided by standard deviation, over all poses except the first one."""
     chi2: float = np.nan
+    """Chi-square of the adjustment."""
     dof: float = np.nan
+    """Degrees of freedom of the adjustment."""
     expected_chi2: float = np.nan
-    """Mean of chi-square over the noise and over the distribution of the truth."""
-    chi2_deviation: float = np.nan
-    """Standard deviation of chi-square over the noise and over the distribution of the truth."""
+    """Expected chi-square, over the noise and the distribution of the true parameters."""
+    chi2_sigma: float = np.nan
+    """Standard deviation of chi-square, over the noise and the distribution of the true parameters."""
 
 
 @dataclass(frozen=True)
 class TrialScore(ValueEquality):
-    """Estimates of p parameters by a calibrator in one trial, with the true values, in units of display."""
+    """Estimates of p parameters by a calibrator in one trial, with the true values, in display units."""
 
     parameter_names: tuple[str, ...]
     parameter_units: tuple[str, ...]
     estimates: Floats
     declared_sigmas: Floats
-    """Standard deviations that the calibrator declares, (p,); NaN for none."""
+    """Standard deviations that the calibrator declares, (p,); NaN for a parameter without one."""
     true_values: Floats
     standard_z_scores: Floats
-    """z-scores (p,) that are standard normal for a correct calibrator, also with truths that are not drawn from the
-    prior. NaN for parameters without influence of noise, and for a calibrator with unknown prior.
+    """z-scores (p,) that are standard normal for a correct calibrator, even if the true values were not drawn from the
+    prior. NaN for parameters whose error does not come from noise, and for a calibrator with unknown prior.
     """
     network_score: NetworkScore = NetworkScore()
     is_external: bool = False
     """True for an external calibrator, whose prior is unknown."""
     ltsim_score: TrialScore | None = None
-    """Estimates of the same parameters by ltsim's calibrator in the same recording; None without an external one."""
+    """Score of ltsim's calibrator for the same parameters in the same recording; None without an external
+    calibrator."""
     ltsim_parameter_names: tuple[str, ...] = ()
     """Names of all parameters that ltsim's calibrator estimates, if there is an external calibrator."""
 
     @property
     def z_scores(self) -> Floats:
-        """Errors divided by declared sigmas, (p,)."""
+        """Errors (estimate - true value) divided by declared standard deviations, (p,)."""
         return (self.estimates - self.true_values) / self.declared_sigmas
 
 
 class TrueParameter(NamedTuple):
-    """True value of a parameter [SI], and its unit of display."""
+    """True value of a parameter [SI], and its display unit."""
 
     value: float
     unit: str
 
 
 def true_parameters(truth: Truth) -> dict[str, TrueParameter]:
-    """True parameters by name; those of effects as ``head-sag:sag``, followed by their place if they have one."""
+    """True parameters by name; a parameter of an effect is named ``head-sag:sag``, at a station ``head-sag:sag S2``."""
     instrument_values = {
         name: TrueParameter(value, truth.units[name]) for name, value in truth.instrument_values.items()
     }
@@ -92,7 +96,7 @@ def true_parameters(truth: Truth) -> dict[str, TrueParameter]:
 
 
 def check_true_parameters(names: Sequence[str], true_names: Collection[str], truth: Truth) -> None:
-    """Check that parameters have true values; raises SetupError for another one."""
+    """Check that the parameters `names` are among `true_names`; SetupError for a parameter without a true value."""
     unknown = [name for name in names if name not in true_names]
     if unknown:
         raise SetupError(
@@ -102,25 +106,33 @@ def check_true_parameters(names: Sequence[str], true_names: Collection[str], tru
 
 
 @dataclass(frozen=True)
-class ExpectedTruth:
-    """Distribution of the true values of P parameters [prior sigma], and bias of the estimates by the prior."""
+class TrueParameterDistribution:
+    """Distribution of the true values of P parameters, and bias of the estimates by the prior [prior sigma].
+
+    All values are divided by the prior standard deviations of the parameters.
+    """
 
     mean_truth: Floats
     """Mean of the distribution of the true parameters, (P,); the true values if they were not drawn."""
     truth_sigmas: Floats
     """Standard deviation of the distribution of the true parameters, (P,); 0 for declared values."""
     bias_matrix: Floats
-    """Matrix (P, P) of the bias by the prior: without noise, estimate minus truth is -bias_matrix @ truth."""
+    """Matrix (P, P) of the bias by the prior: without noise, estimate minus true value is -bias_matrix @ true
+    values."""
     network_columns: Ints
-    """Columns of these parameters in the design of the adjusted network, (P,); empty for a method without a network."""
+    """Columns of the parameters in the design of the adjusted network, (P,); empty for a method without a network."""
     prior_sigmas: Floats
     """Prior standard deviations of the parameters, (P,) [SI]."""
 
     @classmethod
     def from_calibration(
         cls, calibration: Calibration, truth: Truth, truth_distributions: Mapping[str, tuple[float, float]]
-    ) -> ExpectedTruth:
-        """Distribution of the truth of a simulated recording; `truth_distributions` as in `score_calibration`."""
+    ) -> TrueParameterDistribution:
+        """Distribution of the true parameters of a simulated recording.
+
+        `truth_distributions` holds mean and standard deviation [SI] of each true parameter by name; 0 for a declared
+        one.
+        """
         prior = calibration.prior_sigma.ravel()
         mean, drawn = np.array([truth_distributions[name] for name in calibration.instrument_parameter_names]).T / prior
         adjustment = calibration.adjustment
@@ -151,12 +163,12 @@ class ExpectedTruth:
 
     @property
     def missing_variance_fraction(self) -> Floats:
-        """Fraction (P,) by which the variance of the truth is smaller than that of the prior."""
+        """Fraction (P,) by which the variance of the true parameters is smaller than that of the prior."""
         return 1.0 - self.truth_sigmas**2
 
 
 def _true_incidence_parameters(truth: Truth) -> Floats:
-    """True parameters (14,) [SI] of the range error over incidence (effect `smr-incidence`) of all reflectors."""
+    """True parameters (14,) [SI] of the effect `smr-incidence` (range error by incidence angle) of all reflectors."""
     incidence_parameters = SmrIncidence().parameters_from_table
     for applied in truth.applied_effects:
         if isinstance(applied.effect, SmrIncidence) and not applied.effect.place_text:
@@ -169,13 +181,13 @@ def _true_incidence_parameters(truth: Truth) -> Floats:
 def score_calibration(
     calibration: Calibration, truth: Truth, truth_distributions: Mapping[str, tuple[float, float]]
 ) -> TrialScore:
-    """Score of ltsim's calibration relative to a truth; raises SetupError for a parameter without a true value.
+    """Score of ltsim's calibration relative to true values; raises SetupError for a parameter without a true value.
 
-    `truth_distributions` holds mean and standard deviation [SI] from which each true parameter was drawn; 0 for a
-    declared one.
+    `truth_distributions` holds, by name, mean and standard deviation [SI] of the distribution from which each true
+    parameter was drawn; the standard deviation of a declared parameter is 0.
     """
     check_true_parameters(calibration.instrument_parameter_names, truth.instrument_values, truth)
-    expected = ExpectedTruth.from_calibration(calibration, truth, truth_distributions)
+    expected = TrueParameterDistribution.from_calibration(calibration, truth, truth_distributions)
     n_parameters = len(calibration.instrument_parameter_names)
     true = np.array([truth.instrument_values[name] for name in calibration.instrument_parameter_names])
     prior = calibration.prior_sigma.ravel()
@@ -199,7 +211,7 @@ def score_calibration(
     fitted = {name: entry for name, entry in _effect_parameters(calibration).items() if name in true_by_name}
     plain = np.all(expected.truth_sigmas[:n_parameters] == 1.0) and not np.any(
         expected.mean_truth[:n_parameters]
-    )  # else priors move effects too
+    )  # otherwise priors bias the effects too
     effect_scores = np.array(
         [[e.value, e.sigma or np.nan, true_by_name[name].value / SI_PER_UNIT[e.unit]] for name, e in fitted.items()]
     )
@@ -214,7 +226,7 @@ def score_calibration(
 
 
 def _effect_parameters(calibration: Calibration) -> dict[str, ParameterEstimate]:
-    """Estimates of the parameters of effects in a calibration, by the names of `true_parameters`."""
+    """Estimates of the parameters of effects in a calibration, by the names that `true_parameters` uses."""
     effect_entries = calibration.effects
     names = effect_parameter_names((e.effect, e.place_text, [p.name for p in e.parameters]) for e in effect_entries)
     parameters = [parameter for entry in effect_entries for parameter in entry.parameters]
@@ -225,8 +237,8 @@ def _effect_parameters(calibration: Calibration) -> dict[str, ParameterEstimate]
     }
 
 
-def _expected_chi2(calibration: Calibration, expected_truth: ExpectedTruth) -> tuple[float, float]:
-    """Mean and standard deviation of chi-square, over noise and true parameters; NaN if they are unknown."""
+def _expected_chi2(calibration: Calibration, expected_truth: TrueParameterDistribution) -> tuple[float, float]:
+    """Expected value and standard deviation of chi-square, over noise and true parameters; NaN if they are unknown."""
     dof, sigma = calibration.fit.dof, calibration.fit.chi2_sigma
     if calibration.method != "network":
         return (dof, sigma) if expected_truth.is_drawn_from_prior and sigma is not None else (np.nan, np.nan)
@@ -237,17 +249,17 @@ def _expected_chi2(calibration: Calibration, expected_truth: ExpectedTruth) -> t
     )
 
 
-def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTruth) -> tuple[float, float]:
+def _network_scores(calibration: Calibration, truth: Truth, expected: TrueParameterDistribution) -> tuple[float, float]:
     """Mean squares of error divided by standard deviation: of all targets, and of the poses of stations.
 
-    Bias and variance by the prior are taken into account, so that both have expectation one. NaN for a datum other than
-    the first station, and for a distance method if the truth was not drawn from the prior.
+    Bias and variance by the prior are taken into account, so that both have expectation one. They are NaN for a datum
+    other than the first station, and for a distance method if the true parameters were not drawn from the prior.
     """
     adjustment = calibration.adjustment
     unknown = calibration.method != "network" and not expected.is_drawn_from_prior
     if adjustment is None or unknown or adjustment.problem.free_motions.shape[1] < 6:
         return float("nan"), float("nan")
-    # The truth moved to where the first station is held.
+    # True stations and targets, moved rigidly so that the first station has its fixed pose.
     held, origin = adjustment.state, truth.station_positions[0]
     turn = truth.station_rotations[0] @ held.station_rotations[0].T
     unknowns, size = adjustment.problem.unknowns, np.zeros(adjustment.problem.unknowns.n_columns)
@@ -275,10 +287,11 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: ExpectedTr
 def score_estimates(
     estimates: Mapping[str, ParameterEstimate], truth: Truth, errors: ErrorOrigin, full_ltsim_score: TrialScore | None
 ) -> TrialScore:
-    """Score of an external calibrator in a trial, with ltsim's estimates of the same parameters.
+    """Score of an external calibrator in a trial, with ltsim's score for the same parameters.
 
-    Parameters are in the order and units of the truth. Raises CalibratorError for a parameter without a true value, or
-    with a unit of another kind.
+    Parameters are in the order and units of the truth file. `errors` is the origin of the true instrument errors,
+    `full_ltsim_score` ltsim's score for all parameters. CalibratorError is raised for a parameter without a true value,
+    or with a unit of another quantity.
     """
     true = true_parameters(truth)
     unknown = next((name for name in estimates if name not in true), None)

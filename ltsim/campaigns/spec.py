@@ -1,4 +1,4 @@
-"""Campaign file (ltsim-campaign/1): a base scenario, factors, methods to compare, number of trials."""
+"""Campaign file (ltsim-campaign/1): base scenario, factors with their levels, methods to compare, number of trials."""
 
 import hashlib
 import itertools
@@ -24,40 +24,41 @@ from ltsim.simulation.sections import PlacedEffect
 CAMPAIGN_FORMAT = "ltsim-campaign/1"
 """Format and version of a campaign file."""
 MAX_CELLS = 4096
-"""Largest number of combinations of settings of a campaign file; a file with more is rejected."""
+"""Largest number of cells (combinations of factor levels) of a campaign."""
 MAX_SHARDS = 500_000
-"""Largest number of files of rows (shards) of a campaign; a campaign with more is rejected."""
+"""Largest number of shards (files of rows) of a campaign."""
 VALIDATION_STREAM_KEY = "judge"
-"""Key of the random draws for the measurements at the place of `judge_in`."""
+"""Key of the random stream for the measurement of the held-out points of `judge_in`."""
 
 
 class Method(TomlSection):
     """Calibration method of a campaign.
 
-    `solver`: ``batch`` calibrates all trials of a geometry together and is hundreds of times as fast; ``single``
-    calibrates each recording with `lt.calibrate`. Every campaign verifies on a sample of its trials that both agree.
+    With the solver ``batch`` all trials in one network geometry are calibrated together, hundreds of times as fast as
+    with ``single``, which calibrates each recording by `lt.calibrate`. Every campaign verifies on a sample of its
+    trials that both solvers agree.
     """
 
     name: str = ""
     """Name of the method in the results; default the value of `method`."""
     method: Literal["network", "distance", "distance-l1", "equation-9", "equation-9-l1"] = "network"
     """Estimator: network adjustment, or the paper's distance objective by least squares or least absolute deviations
-    (`-l1`); `distance` estimates the combinations that the readings determine, `equation-9` is the objective as
-    printed.
+    (`-l1`). `distance` estimates the combinations of parameters that the readings determine, `equation-9` minimises the
+    objective as printed.
     """
     construction: Literal["misalignment", "dh", "steering-mirror", "ideal"] = "misalignment"
     """Geometric error model whose parameters are estimated; `ideal` has none."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
     """Number of harmonics of each joint error in the model `dh`."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
-    """Degree of the polynomials in the range in the model `dh`."""
+    """Degree of the polynomials in the range, by which the model `dh` describes errors of the linear joint."""
     effects: tuple[PlacedEffect, ...] = ()
     """Additional effects to estimate, tables `[[methods.effects]]`."""
     solver: Literal["batch", "single"] = "batch"
-    """Solver: all trials of a geometry together, or each recording separately."""
+    """Solver: all trials in one network geometry together (`batch`), or each recording separately (`single`)."""
     applied: bool = False
-    """True to evaluate the corrections that `ltsim calibrate` applies, in place of the estimates; only for the network
-    method with solver `single`.
+    """True to evaluate the corrections that `ltsim calibrate` applies, in place of the estimates; permitted only for
+    the method `network` with the solver `single`.
     """
 
     @property
@@ -70,78 +71,77 @@ class Method(TomlSection):
         if self.effects and self.method != "network":
             raise ValueError(f"it should have no effects: method {self.method} estimates instrument parameters only")
         if self.applied and (self.effects or self.method != "network" or self.solver != "single"):
-            raise ValueError("it should have method network, solver single and no effects if `applied` is true")
+            raise ValueError("it should have method network, solver single and no effects if applied is true")
         if self.construction == "ideal" and self.method != "network":
             raise ValueError(f"it should not be ideal: method {self.method} needs parameters to estimate")
         return self
 
 
 class StoppingRule(TomlSection):
-    """Adaptive stopping rule of a combination of settings (cell), evaluated after each round of trials.
-
-    Every round adds 50 % more trials.
+    """Adaptive stopping rule of each cell (combination of factor levels), evaluated after each round of trials.
 
     A cell stops when, for every method, the half-width of the confidence interval of the mean of `statistic` is at most
-    `within`.
+    `within`. Each round adds 50 % more trials.
     """
 
     statistic: str = "target_error_um"
-    """Column of the results of trials, or the improvement in percent of the agreement of stations."""
+    """Statistic whose mean must be precise: a column of the rows, or an improvement of the agreement of stations
+    [%]."""
     within: Positive
-    """Half-width of the 95 % confidence interval of the mean at which a combination of settings stops, in the
-    statistic's unit."""
+    """Largest half-width of the 95 % confidence interval of the mean at which a cell stops, in the statistic's unit."""
 
 
 class CampaignFile(TomlSection):
-    """Contents of a campaign file.
+    """Content of a campaign file.
 
-    `settings` changes the scenario for all cells. `grid` holds lists of values that are combined with each other,
-    `design` spreads points over ranges, and `cells` lists combinations one by one; these three are combined with each
-    other. Keys are dotted keys of the scenario, as in ``"instrument.noise_factor"`` (entries of a list by number, as in
-    ``"effects.1.values.x"``), or names of `link`. A value is a number in the key's unit, or a text with its unit (``"2
-    urad"``). Truth and model are separate: the scenario defines the truth, `methods` the estimated parameters.
+    `settings` changes the scenario in all cells. `grid` holds lists of values that are combined with each other,
+    `design` spreads points over ranges, and `cells` lists combinations one by one. If a file has several of these
+    three, every combination of their entries is a cell. Keys are dotted keys of the scenario, as in
+    ``"instrument.noise_factor"`` (entries of a list by number, as in ``"effects.1.values.x"``), or names of `link`. A
+    value is a number in the key's unit, or a text with its unit (``"2 urad"``). The scenario defines the true errors,
+    `methods` defines the estimated parameters.
     """
 
     format: Literal["ltsim-campaign/1"] = "ltsim-campaign/1"
     """Format and version of this file."""
     title: str = ""
-    """Free text."""
+    """Title of the campaign, free text."""
     scenario: str = "paper-workshop"
-    """Built-in scenario, or a file in the folder of the campaign file."""
+    """Base scenario: name of a built-in scenario, or a file in the folder of the campaign file."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    """Root of all random draws."""
+    """Seed of all random draws."""
     trials: Annotated[int, Field(ge=1, le=10**9)] = 1000
-    """Number of trials of each combination of settings."""
+    """Number of trials of each cell (combination of factor levels)."""
     shard: Annotated[int, Field(ge=1, le=65_536)] = 4096
-    """Number of trials per output file; if the process is killed, at most one unfinished file is lost."""
+    """Number of trials in each output file (shard). If a process is killed, its unfinished file is lost."""
     geometry: Literal["shared", "per-trial"] = "shared"
-    """Placing of stations and targets: a common one for all trials of a combination of settings, or a separate
-    one for each."""
+    """True positions of stations and targets: the same for all trials of a cell (`shared`), or drawn for each trial
+    (`per-trial`)."""
     verify: Annotated[int, Field(ge=0, le=1000)] = 2
     """Number of trials at the start of each output file that the full solver repeats for verification."""
     statistics: tuple[StatisticGroup, ...] = ("criteria", "errors", "z-scores")
-    """Groups of results that each row holds."""
+    """Groups of results that each row contains."""
     judge_in: str = ""
-    """Held-out points for the evaluation: a scenario (built-in, or a file in the folder of this one) measured with the
-    true instruments of each trial, or a table of points (`target,x_mm,y_mm,z_mm` in a file `NAME.csv`) measured from
-    the stations of the combination of settings.
+    """Held-out points, which are measured by the instruments of each trial but used by no calibration: a scenario
+    (built-in, or a file in the folder of this one), or a table of points (`target,x_mm,y_mm,z_mm` in a file `NAME.csv`)
+    measured from the stations of the cell.
     """
     judge_drift: Annotated[float, Field(ge=0)] = 0.0
-    """Random drift of the instruments (except the range scale) between calibration and the measurement of held-out
-    points, in units of the prior sigma.
+    """Standard deviation of the random drift of the instrument parameters (except the range scale) between calibration
+    and measurement of the held-out points, as a fraction of the prior standard deviations.
     """
     settings: dict[str, Any] = Field(default_factory=dict)
-    """Changes of the scenario for all combinations of settings, by dotted key."""
+    """Values that replace those of the base scenario in all cells, by dotted key."""
     link: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(default_factory=dict)
-    """Names for groups of keys that take the same value; the column of the rows has this name."""
+    """Keys that always take the same value, by a name for the group; the column in the rows has this name."""
     grid: dict[str, list[Any]] = Field(default_factory=dict)
-    """Values that are combined with each other, by dotted key."""
+    """Lists of levels by dotted key; all combinations of these levels are cells."""
     design: Design | None = None
-    """Space-filling design: points that a Latin hypercube or a Sobol sequence spreads over ranges of several keys."""
+    """Space-filling design: points of a Latin hypercube or a Sobol sequence in ranges of several keys."""
     cells: tuple[dict[str, Any], ...] = ()
-    """Combinations one by one, tables `[[cells]]`."""
+    """Combinations of factor levels that are listed one by one, tables `[[cells]]`."""
     stop: StoppingRule | None = None
-    """Rule that ends a combination of settings before it has all its trials."""
+    """Rule that stops a cell before it has all its trials."""
     methods: tuple[Method, ...] = (Method(),)
     """Calibration methods to compare, tables `[[methods]]`."""
 
@@ -196,19 +196,19 @@ class CampaignFile(TomlSection):
 
     @property
     def n_shards_per_cell(self) -> int:
-        """Number of shards of each combination of settings."""
+        """Number of shards of each cell."""
         return -(-self.trials // self.shard)
 
     @property
     def varied_keys(self) -> tuple[str, ...]:
-        """Dotted keys and names of links that differ between combinations of settings, in the file's order."""
+        """Dotted keys, and names in `link`, whose values differ between cells, in the order of the file."""
         keys = (key for cell in self.cells for key in cell)
         return tuple(dict.fromkeys((*keys, *(self.design.ranges if self.design else ()), *self.grid)))
 
     def factors(self, scenario: Scenario) -> tuple[Factor, ...]:
-        """Factors that differ between combinations of settings (cells); `scenario` is the scenario of any cell.
+        """Factors of the campaign; `scenario` is the scenario of any cell, for units and types.
 
-        If a table varies together with the key `title`, the title represents the table.
+        If a table and the key `title` vary together, the title represents the table.
         """
         titles, given = (
             short_key_names(self.varied_keys),
@@ -226,7 +226,7 @@ class CampaignFile(TomlSection):
         return tuple(factor for factor in factors if factor.kind != "table" or "title" not in self.varied_keys)
 
     def cell_changes(self) -> Iterator[dict[str, Any]]:
-        """Changes of the scenario for each combination of settings, by dotted key."""
+        """Values that replace those of the base scenario in each cell, by dotted key."""
         first_key_by_name = {name: self.link.get(name, (name,))[0] for name in self.varied_keys}
         points = self.design.points(self.seed, first_key_by_name) if self.design else [{}]
         for listed, point in itertools.product(self.cells or ({},), points):
@@ -235,17 +235,17 @@ class CampaignFile(TomlSection):
                 yield self.values_by_key(values_by_name)
 
     def values_by_key(self, values_by_name: Mapping[str, Any]) -> dict[str, Any]:
-        """Values by dotted key; the value of a name in `link` is assigned to each of its keys."""
+        """Values by dotted key, from values by dotted key or by a name in `link`, which stands for several keys."""
         return {key: value for name, value in values_by_name.items() for key in self.link.get(name, (name,))}
 
 
 def load_campaign(
     path: Path, changes: Mapping[str, Any] | None = None, tables: Mapping[str, Any] | None = None
 ) -> tuple[CampaignFile, tuple[Scenario, ...]]:
-    """Campaign of a file, or of `tables` in place of a file, and the scenario of each combination of settings.
+    """Campaign of a file, or of `tables` in place of a file, and the scenario of each cell.
 
-    `changes` are new values of keys of the file (such as `trials`) or of dotted keys of the scenario, which are then
-    the same in all cells. Raises SetupError.
+    `changes` are new values of keys of the file (such as `trials`), or of dotted keys of the scenario in all cells.
+    SetupError is raised for an invalid file.
     """
     if tables is None and (path / ManifestFile.FILE).is_file():
         raise SetupError(f"{path}: the folder holds rows of a campaign; to run it, give {path / 'campaign.toml'}")
@@ -259,7 +259,7 @@ def load_campaign(
         key: convert_value(base, key, value, str(path))
         for key, value in campaign.values_by_key(campaign.settings).items()
     }
-    units = change_scenario(base, common_values, path)  # with the effects that the settings add
+    units = change_scenario(base, common_values, path)  # with the effects that `settings` adds
     items = []
     for number, values in enumerate(campaign.cell_changes(), start=1):
         where = f"{path}: cell {number}"
@@ -269,7 +269,7 @@ def load_campaign(
 
 
 def override_campaign(campaign: CampaignFile, key_changes: Mapping[str, Any], path: Path) -> CampaignFile:
-    """Campaign with other values of its keys, or of keys of the scenario in all combinations of settings."""
+    """Campaign with new values of its keys, or of dotted keys of the scenario in all cells; errors name `path`."""
     tables = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
     for key, value in key_changes.items():
         if key in CampaignFile.model_fields:
@@ -286,24 +286,23 @@ def override_campaign(campaign: CampaignFile, key_changes: Mapping[str, Any], pa
 
 @dataclass(frozen=True)
 class CampaignCell:
-    """Cell of a campaign: a combination of settings."""
+    """Cell of a campaign: a combination of factor levels, with its scenario."""
 
     scenario: Scenario
     validation_scenario: Scenario | None
     """Scenario of the held-out points; None without `judge_in`."""
     settings: dict[str, Any]
-    """Settings of this combination that replace those of the base scenario, by dotted key."""
+    """Values that replace those of the base scenario in this cell, by dotted key."""
     levels: dict[str, Any]
-    """Value of each factor, by the factor's name."""
+    """Level of each factor, by the factor's name."""
     digest: str
-    """Digest of everything that determines the rows of the combination of settings, except their number and the
-    stored columns."""
+    """Digest of everything that determines the rows of the cell, except the number of rows and the stored columns."""
 
 
 def make_cells(
     campaign: CampaignFile, scenarios: Sequence[Scenario], path: Path
 ) -> tuple[tuple[Factor, ...], tuple[CampaignCell, ...]]:
-    """Factors, and their combinations (cells); raises SetupError for a combination without a valid scenario."""
+    """Factors of a campaign, and its cells; raises SetupError for a cell without a valid scenario."""
     factors, cells = campaign.factors(scenarios[0]), []
     deciding = {"seed", "shard", "geometry", "verify", "methods", "judge_drift"}
     cell_seed_text = campaign.model_dump_json(include=deciding, by_alias=True)
@@ -347,7 +346,7 @@ def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scena
 
 
 def local_file(name: str, path: Path) -> Path | None:
-    """Path of a file that a campaign names relative to its folder; None if there is no such file."""
+    """Path of the file `name` relative to the folder of the campaign file `path`; None if there is no such file."""
     for candidate in (path.parent / name, path.parent / Path(name).name):
         if candidate.is_file():
             return candidate.resolve()
@@ -355,7 +354,7 @@ def local_file(name: str, path: Path) -> Path | None:
 
 
 def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
-    """CAD files of the halls, without duplicates."""
+    """Paths of the CAD files of the scenarios' halls, without duplicates."""
     file_names = (o.file for scenario in scenarios for o in scenario.workshop.obstacles if o.file is not None)
     return [Path(name) for name in dict.fromkeys(file_names)]
 

@@ -1,4 +1,4 @@
-"""Statistics of a campaign's rows by queries that stream over the shards, one column at a time."""
+"""Statistics of a campaign's rows by SQL queries, which read the shards one column at a time."""
 
 from __future__ import annotations
 
@@ -44,46 +44,46 @@ DATABASE_SETTINGS: dict[str, Any] = {
     "autoinstall_known_extensions": False,
     "autoload_known_extensions": False,
 }
-"""Settings of the database: no extension is downloaded or loaded, for any query or file."""
+"""Configuration of the database DuckDB; no query or file can make it download or load an extension."""
 MAX_ROWS_EXACT_QUANTILES = 50_000_000
-"""Largest number of rows for which quantiles are exact. Exact quantiles need all values of a column in memory; above
-this number they are approximated by a t-digest.
+"""Largest number of rows for which quantiles are exact. Exact quantiles need all values of a column in memory; with
+more rows the quantiles are approximated by a t-digest.
 """
 IMPROVED_CRITERIA = ("distance", "coordinate")
-"""Disagreements of stations (in distances, in coordinates of targets) whose reduction [%] a campaign reports."""
+"""Criteria of the disagreement of stations, in distances and in coordinates, whose reduction [%] a campaign reports."""
 
 
 class CampaignStatistics:
-    """Rows of a campaign's folder as tables for queries.
+    """Rows in a campaign's folder, as tables for SQL queries.
 
     Parameters
     ----------
     folder : Path
     max_shards : int, optional
-        Number of files per combination of settings (cell) that are read, from the first one; default all.
+        Largest number of shards that are read in each cell (combination of factor levels); default all.
 
     Raises
     ------
     SetupError
-        If there is no campaign, or if no file of rows is complete, or one is damaged.
+        If there is no campaign, no file of rows is complete, or a file of rows is damaged.
 
     Attributes
     ----------
     folder : Path
     manifest : ManifestFile
     factors : tuple of Factor
-        Factors that differ between cells: the columns of settings.
+        Factors whose levels differ between cells; each has a column in the rows.
     levels : list of dict
         Levels of the factors in each cell, by name.
     columns : tuple of str
-        Columns of results, and ratios over all trials such as `share_removed`.
+        Names of the columns of results, and of ratios over all trials such as `share_removed`.
     units : dict
-        Units of columns that have one, by name.
+        Units by column name, for columns with a unit.
 
     Notes
     -----
-    Table `rows` has one row per trial and method with the settings of the cell, and two additional columns:
-    ``distance_improvement_percent`` and ``coordinate_improvement_percent``. Table `cells` has the settings.
+    The table `rows` has one row per trial and method, with the factor levels of the cell and two additional columns:
+    ``distance_improvement_percent`` and ``coordinate_improvement_percent``. The table `cells` has the factor levels.
     """
 
     def __init__(self, folder: Path, max_shards: int | None = None) -> None:
@@ -94,7 +94,7 @@ class CampaignStatistics:
         shards = store.shard_paths(max_shards)
         if not shards:
             raise SetupError(f"{folder}: no file of rows of this campaign is complete yet")
-        # One thread: sums keep their order, and tables their last digit.
+        # One thread: sums are computed in the same order in each run, so that no digit of a table changes.
         self._database = duckdb.connect(config=DATABASE_SETTINGS)
         source = f"read_parquet([{', '.join(map(sql_path, shards))}], union_by_name = true)"
         try:
@@ -121,15 +121,15 @@ class CampaignStatistics:
         return plain | {f.name: [level[f.name] for level in self.levels] for f in self.factors}
 
     def _check_cells(self) -> None:
-        """Check that all rows belong to combinations of settings and methods of the manifest; raises ValueError."""
+        """Check that all rows belong to cells and methods of the manifest; raises ValueError."""
         for cell, method in self._database.execute("SELECT DISTINCT cell, method FROM rows").fetchall():
             if cell not in range(len(self.levels)) or method not in self.manifest.methods:
                 raise ValueError(f"cell {cell} by {method} is not in {ManifestFile.FILE}")
 
     def _create_cells_table(self) -> None:
-        """Creation of the table `cells` with the column types of the rows.
+        """Creation of the table `cells` with the column types of the table `rows`.
 
-        Plain SQL replaces Arrow, which would import pandas.
+        It uses plain SQL instead of Arrow, which would import pandas.
         """
         cells = self._cells()
         columns = "".join(f", {sql_identifier(factor.name)}" for factor in self.factors)
@@ -150,15 +150,15 @@ class CampaignStatistics:
         return {
             "summary": self._summary,
             "cells": self._cells,
-            "solver_comparisons": lambda: columns_from_rows(self._with_settings(self.solver_comparisons())),
-            "z_scores": lambda: columns_from_rows(self._with_settings(self.z_score_summaries())),
+            "solver_comparisons": lambda: columns_from_rows(self._with_factor_levels(self.solver_comparisons())),
+            "z_scores": lambda: columns_from_rows(self._with_factor_levels(self.z_score_summaries())),
             "rows": self._rows,
         }
 
     def _summary(self) -> Table:
         table = summary_table({factor.name: factor.kind for factor in self.factors})
         quantiles = table.header[-len(QUANTILE_LEVELS) :]
-        summary_rows = self._with_settings(self.summary().columns)
+        summary_rows = self._with_factor_levels(self.summary().columns)
         return table.with_rows(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in summary_rows)
 
     def _rows(self) -> ColumnValues:
@@ -167,12 +167,12 @@ class CampaignStatistics:
             names = [column[0] for column in rows.description]
             return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
 
-    def _with_settings(self, entries: Sequence[Entry]) -> list[dict[str, Any]]:
+    def _with_factor_levels(self, entries: Sequence[Entry]) -> list[dict[str, Any]]:
         entry_rows = [entry.model_dump(mode="json") for entry in entries]
         return [{"cell": row["cell"]} | self.levels[row["cell"]] | row for row in entry_rows]
 
     def query(self, sql: str) -> list[tuple[Any, ...]]:
-        """Result rows of any query over `rows` and `cells`.
+        """Rows that an SQL query over the tables `rows` and `cells` returns.
 
         Raises
         ------
@@ -194,14 +194,14 @@ class CampaignStatistics:
             raise unknown_name_error("column of these rows", column, self.columns)
         return sql_identifier(column)
 
-    def half_width_of_interval(self, n_trials: int, deviation: float) -> float:
-        """Half-width of the 95 % confidence interval of a mean of `n_trials` values with this standard `deviation`."""
+    def half_width_of_interval(self, n_trials: int, sigma: float) -> float:
+        """Half-width of the 95 % confidence interval of a mean of `n_trials` values with standard deviation `sigma`."""
         stops = bool(self.manifest.settings.get("stop"))
         level = interval_error_rate(self.manifest.trials, self.manifest.shard or 1, is_stopping=stops)
-        return student_quantile(n_trials, level) * deviation / math.sqrt(n_trials)
+        return student_quantile(n_trials, level) * sigma / math.sqrt(n_trials)
 
     def distribution(self, column: str) -> list[StatisticSummary]:
-        """Mean, standard deviation and quantiles of a column in every combination of settings and for every method."""
+        """Mean with confidence interval, standard deviation and quantiles of a column, for each cell and method."""
         name = self._sql_column(column)
         if column in RATIO_STATISTICS:
             return self._ratios_of_means(column)
@@ -225,7 +225,7 @@ class CampaignStatistics:
                     mean=mean,
                     low=mean - half,
                     high=mean + half,
-                    deviation=_nan_if_none(deviation),
+                    standard_deviation=_nan_if_none(deviation),
                     least=low,
                     largest=high,
                     quantiles=tuple(quantiles),
@@ -239,12 +239,12 @@ class CampaignStatistics:
     ) -> list[tuple[Any, ...]]:
         sql = f"SELECT cell, method, {expressions} FROM {row_selection} WHERE {condition} "
         sql += "GROUP BY cell, method ORDER BY cell, method"
-        if sql not in self._cache:  # a page asks the same for its figures and for each of its tables
+        if sql not in self._cache:  # a report needs the same query for its figures and its tables
             self._cache[sql] = self.query(sql)
         return self._cache[sql]
 
     def _ratios_of_means(self, column: str) -> list[StatisticSummary]:
-        """Ratios of two means over all trials, with confidence intervals by the delta method."""
+        """Ratio of two means over all trials for each cell and method, with its interval by the delta method."""
         gained, correctable = sql_terms(column)
         terms = f"(SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows)"
         select_list = "count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b)"
@@ -263,12 +263,12 @@ class CampaignStatistics:
         return shares
 
     def column_values(self, column: str, cell: int, method: str, *, max_trials: int) -> Floats:
-        """Finite values (n,) of a column for a combination of settings and method, from `max_trials` trials."""
+        """Finite values (n,) of a column for a cell and method, from the first `max_trials` trials."""
         name = self._sql_column(column)
         return self.term_values((name,), cell, method, f"isfinite({name}) AND trial < {int(max_trials)}")[0]
 
     def term_values(self, terms: Sequence[str], cell: int, method: str, condition: str) -> Floats:
-        """Values (k, n) of k SQL expressions for the n trials of a combination of settings that meet a condition."""
+        """Values (k, n) of k SQL expressions for the n trials of a cell and method that meet the SQL condition."""
         word = method.replace("'", "''")
         query_rows = self.query(
             f"SELECT {', '.join(terms)} FROM rows WHERE cell = {int(cell)} AND method = '{word}' AND {condition} "
@@ -277,18 +277,18 @@ class CampaignStatistics:
         return np.array(query_rows, dtype=np.float64).reshape(len(query_rows), len(terms)).T
 
     def z_score_summaries(self) -> list[ZScoreSummary]:
-        """Mean, standard deviation and coverage of the z-scores of every parameter."""
+        """Mean, standard deviation and coverage of the z-scores of each parameter, for each cell and method."""
         summaries = []
         for column in (c for c in self.columns if c.startswith("z:")):
             name, parameter = self._sql_column(column), column.removeprefix("z:")
             what = f"count({name}), avg({name}), stddev_samp({name}), avg((abs({name}) <= {NORMAL_QUANTILE_95})::INT)"
             for cell, method, count, mean, deviation, coverage in self._query_each_cell(what, f"isfinite({name})"):
-                values = {"mean": mean, "deviation": _nan_if_none(deviation), "coverage_95": coverage}
+                values = {"mean": mean, "standard_deviation": _nan_if_none(deviation), "coverage_95": coverage}
                 summaries.append(ZScoreSummary(cell=cell, method=method, parameter=parameter, trials=count, **values))
         return sorted(summaries, key=lambda s: (s.cell, s.method))
 
     def solver_comparisons(self) -> list[SolverComparison]:
-        """Numbers of trials by solver, and largest difference between the solvers in the verified sample."""
+        """Numbers of trials by solver, and largest difference of the solvers, for each cell and method."""
         ended = f"count(*) FILTER (status = '{WITHOUT_RESULT}'), count(*) FILTER (status = '{FULL_SOLVER}')"
         query_rows = self._query_each_cell(
             f"count(*), {ended}, count({SOLVER_DIFFERENCE_COLUMN}), max({SOLVER_DIFFERENCE_COLUMN})"
@@ -296,7 +296,7 @@ class CampaignStatistics:
         return [SolverComparison(**dict(zip(SolverComparison.model_fields, row, strict=True))) for row in query_rows]
 
     def summary(self) -> CampaignSummary:
-        """Statistics of all columns, combinations of settings and methods."""
+        """Statistics of all columns, for each cell and method."""
         columns_used = [
             c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != SOLVER_DIFFERENCE_COLUMN
         ]
@@ -315,7 +315,7 @@ class CampaignStatistics:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Context in which an interrupted query raises KeyboardInterrupt in place of RuntimeError of DuckDB."""
+    """Context in which an interrupted query raises KeyboardInterrupt in place of DuckDB's RuntimeError."""
     try:
         yield
     except RuntimeError as problem:
@@ -325,14 +325,14 @@ def _interruptible() -> Iterator[None]:
 
 
 def _column_units(schema: pa.Schema) -> dict[str, str]:
-    """Units in the metadata of a shard's columns, and of the added improvement columns."""
+    """Units by column name, from the metadata of a shard; the improvement columns that queries add are included."""
     units = {f.name: (f.metadata or {}).get(b"unit", b"").decode() for f in schema}
     added = {f"{kind}_improvement_percent": "%" for kind in IMPROVED_CRITERIA}
     return {name: unit for name, unit in (units | added).items() if unit}
 
 
 def _improvement_sql(names: list[str]) -> str:
-    """SQL of the columns with the improvement by calibration [%], for the criteria that the result rows contain."""
+    """SQL expressions for the improvement by calibration [%] of the criteria that are among the columns `names`."""
     added = [
         f', (100 * (1 - "{kind}_after_mean_um" / "{kind}_before_mean_um"))::FLOAT AS {kind}_improvement_percent'
         for kind in IMPROVED_CRITERIA

@@ -1,13 +1,14 @@
 """Folder of a campaign: a manifest and shards of rows, written so that no finished shard can be lost.
 
     manifest.json                          settings, seed, versions, commit; written before the first row
-    campaign.toml                          the file as it was given
+    campaign.toml                          copy of the campaign file
     rows/cell-0000/shard-000000.parquet    rows of consecutive trials of one cell, all methods
     rows.sha256                            digest of each shard, as `sha256sum --check` reads it
 
-A shard gets its name only when it is complete and on the disk (temporary file, fsync, rename). Its bytes depend on
-settings and versions alone. Every reader compares the digest first. A shard has no digest if the process was killed
-between both files; then the checksums of its pages and its metadata are compared.
+A shard gets its name only when it is complete and on the disk (temporary file, fsync, rename). Its bytes depend only on
+settings and versions. Every reader first compares the digest. A shard has no digest if the process was killed after it
+wrote the shard and before it wrote the digest; then the reader checks the checksums of the Parquet pages and the
+metadata.
 """
 
 import contextlib
@@ -39,8 +40,8 @@ DIGEST_LINE = re.compile(r"^(?P<digest>[0-9a-f]{64})  (?P<name>rows/cell-\d+/sha
 """Pattern of a complete line in the file of digests."""
 
 
-def encode_table(table: pa.Table, metadata: Mapping[str, str]) -> bytes:
-    """Bytes of a table as a Parquet file; `metadata` is stored as metadata of the file."""
+def parquet_bytes(table: pa.Table, metadata: Mapping[str, str]) -> bytes:
+    """Bytes of a Parquet file with the rows of a table; `metadata` becomes metadata of the file."""
     table_with_key = table.replace_schema_metadata({"ltsim": json.dumps(dict(metadata), sort_keys=True)})
     words = [f.name for f in table_with_key.schema if pa.types.is_string(f.type) or f.name.startswith("sigma:")]
     sink = pa.BufferOutputStream()
@@ -65,7 +66,7 @@ def read_shard(path: Path) -> pa.Table:
 
 
 def interruption_error(folder: Path, reason: object, remedy: str = "") -> SetupError:
-    """Error for a campaign that ended early: its `reason`, the `remedy` to take first, and how to continue."""
+    """SetupError for a campaign that ended early, with the `reason`, a `remedy` to take first, and how to continue."""
     action = f"{f'{remedy} and ' if remedy else ''}continue with {option_text('resume=True')}"
     return SetupError(f"{folder}: {reason}; complete files of rows remain in the folder: {action}")
 
@@ -77,11 +78,11 @@ class CampaignFolder:
     folder: Path
 
     def shard_path(self, cell: int, shard: int) -> Path:
-        """Path of the file of the shard number `shard` of the combination of settings number `cell`."""
+        """Path of the shard number `shard` of the cell number `cell`, both from 0."""
         return self.folder / ROWS_FOLDER / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
     def shard_paths(self, max_shards: int | None = None) -> list[Path]:
-        """Paths of the finished shards in order, in each combination of settings at most the first `max_shards`."""
+        """Paths of the finished shards in order, at most the first `max_shards` of each cell."""
         paths = sorted(self.folder.glob(f"{ROWS_FOLDER}/cell-*/shard-*.parquet"))
         return [path for path in paths if max_shards is None or path.name < self.shard_path(0, max_shards).name]
 
@@ -95,9 +96,10 @@ class CampaignFolder:
             raise SetupError(f"{path}: cannot be read ({problem}); {repair}") from None
 
     def verify(self, shards: Iterable[Path], cell_digests: Mapping[int, str]) -> None:
-        """Check that the shards are unchanged since they were written, and belong to their combination of settings.
+        """Check that shards are unchanged since they were written, and belong to the cell in whose folder they are.
 
-        `cell_digests` is the digest of each cell by its number. Raises OSError, ValueError or pyarrow.ArrowException.
+        `cell_digests` is the digest of each cell by its number. OSError, ValueError or pyarrow.ArrowException is raised
+        for a damaged shard.
         """
         digests = self.digests()
         for path in shards:
@@ -111,7 +113,7 @@ class CampaignFolder:
                 raise ValueError(f"{name} belongs to another campaign")
 
     def digests(self) -> dict[str, str]:
-        """Recorded digests of shards, by their path in the folder."""
+        """Recorded digest of each shard, by the path of the shard in the folder."""
         try:
             text = (self.folder / DIGESTS_FILE).read_text(encoding="ascii", errors="replace")
         except OSError:
@@ -133,7 +135,7 @@ class CampaignFolder:
             raise SetupError(f"{problem}; start again in another folder; the rows in this folder are kept") from None
 
     def write_manifest(self, manifest: ManifestFile, input_files: Mapping[str, bytes]) -> None:
-        """Writing of the campaign's input files and then its manifest; written again when the campaign is extended."""
+        """Writing of the campaign's input files (contents by name), and then of its manifest; old ones are replaced."""
         with self._storage_errors():
             self.folder.mkdir(parents=True, exist_ok=True)
             write_files(self.folder, {**input_files, MANIFEST_FILE: manifest.text().encode()}, flush_to_disk=True)
@@ -146,7 +148,7 @@ class CampaignFolder:
             self._append_digest(name, hashlib.sha256(content).hexdigest())
 
     def record_digest(self, cell: int, shard: int) -> None:
-        """Recording of the digest of a complete shard, if the process was killed before it could record it."""
+        """Recording of the digest of a complete shard, for a process that was killed before it recorded the digest."""
         path = self.shard_path(cell, shard)
         with self._storage_errors():
             self._append_digest(path.relative_to(self.folder).as_posix(), _file_digest(path))
@@ -156,7 +158,10 @@ class CampaignFolder:
             stream.write(f"{digest}  {name}\n")
 
     def conflicting_files(self, sources: Mapping[str, bytes]) -> list[str]:
-        """Names of files in the folder that the input files of a new campaign would overwrite with other content."""
+        """Names of files in the folder that a new campaign with the input files `sources` would overwrite.
+
+        `sources` holds contents by file name; a file with the same content is no conflict.
+        """
         remaining = [name for name in (ROWS_FOLDER, DIGESTS_FILE, SUMMARY_FILE) if (self.folder / name).exists()]
         existing_paths = {name: self.folder / name for name in sources if (self.folder / name).exists()}
         return remaining + [
@@ -164,7 +169,7 @@ class CampaignFolder:
         ]
 
     def remove_files(self) -> None:
-        """Removal of manifest, rows and derived files; raises RecordError for rows in another folder."""
+        """Removal of manifest, rows and derived files; RecordError if a link leads to rows outside the folder."""
         path_in_folder(self.folder, ROWS_FOLDER)
         with self._storage_errors():
             for name in (MANIFEST_FILE, DIGESTS_FILE, SUMMARY_FILE):
@@ -177,8 +182,8 @@ class CampaignFolder:
     ) -> str:
         """Status of a shard: `whole` (complete), `missing`, `damaged`, or `short` (rows or columns are missing).
 
-        `required_metadata` is the metadata that the shard should have, `n_rows` its number of rows, and `digests` the
-        recorded digests.
+        `required_metadata` and `n_rows` are metadata and number of rows of a complete shard, `digests` the recorded
+        digests by path.
         """
         path = self.shard_path(cell, shard)
         if not path.exists():
@@ -199,7 +204,7 @@ class CampaignFolder:
         return "short" if short else "whole"
 
     def quarantine(self, cell: int, shard: int) -> Path:
-        """New path of a damaged shard, which is renamed for inspection."""
+        """New path of a damaged shard, after it is renamed so that the user can inspect it."""
         path = self.shard_path(cell, shard)
         damaged_path = path.with_suffix(".damaged")
         path_in_folder(self.folder, damaged_path.relative_to(self.folder).as_posix())
@@ -208,7 +213,7 @@ class CampaignFolder:
         return damaged_path
 
     def remove_unfinished_files(self) -> None:
-        """Removal of unfinished files of a killed run: temporary files, and an incomplete line of the digests."""
+        """Removal of what a killed run left unfinished: temporary files, and an incomplete line of digests."""
         with self._storage_errors():
             for folder in (self.folder, *self.folder.glob(f"{ROWS_FOLDER}/cell-*")):
                 complete_interrupted_moves(path_in_folder(self.folder, folder.relative_to(self.folder).as_posix()))
@@ -219,7 +224,7 @@ class CampaignFolder:
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
-        """Context that excludes other processes from the folder; the lock ends with the process in any case."""
+        """Context in which the folder is locked for other processes; the lock ends with the process in any case."""
         with self._storage_errors():
             self.folder.mkdir(parents=True, exist_ok=True)
             lock = FileLock(self.folder / LOCK_FILE, blocking=False)
@@ -244,7 +249,7 @@ class CampaignFolder:
 
 
 def stored_statistics(table: pa.Table) -> list[str]:
-    """Statistics in the rows of a shard, from the metadata of its file."""
+    """Names of the groups of results in the rows of a shard, from the metadata of its file."""
     return _shard_metadata(table)["statistics"].split()
 
 
@@ -258,6 +263,6 @@ def _file_digest(path: Path) -> str:
 
 
 def sql_path(path: Path) -> str:
-    """Path for SQL, with brackets and asterisks not interpreted as patterns."""
+    """Path as a quoted SQL text, in which brackets and asterisks are not interpreted as patterns."""
     escaped_path = "".join(f"[{c}]" if c in "[*?" else c for c in str(path))
     return "'" + escaped_path.replace("'", "''") + "'"

@@ -1,4 +1,4 @@
-"""Summary of a campaign: statistics of its combinations of settings and methods, as Python objects and as JSON."""
+"""Summary of a campaign: statistics for each cell and method, as Python objects and as JSON."""
 
 import math
 from typing import Annotated, Literal
@@ -15,49 +15,49 @@ def _null_if_not_finite(value: float) -> float | None:
 
 
 NumberOrNaN = Annotated[float, PlainSerializer(_null_if_not_finite, return_type=float | None, when_used="json")]
-"""A number, or NaN for one that does not exist, which is null in JSON."""
+"""Number; NaN stands for a number that does not exist, and becomes null in JSON."""
 
 
 class StatisticSummary(Entry):
-    """Statistic over the trials of one combination of settings and method.
+    """Statistics of one column over the trials of a cell (combination of factor levels) and method.
 
-    A ratio over all trials has only a mean and an interval.
+    A ratio over all trials has only a mean and a confidence interval.
     """
 
     cell: int
-    """Index of the combination of settings in the campaign, from 0."""
+    """Index of the cell in the campaign, from 0."""
     method: str
     """Name of the method."""
     column: str
-    """Column of the rows, or ratio over all trials."""
+    """Name of the column of the rows, or of a ratio over all trials."""
     trials: int
-    """Number of trials with a value."""
+    """Number of trials with a value in this column."""
     mean: NumberOrNaN
-    """Mean over the trials."""
+    """Mean over the trials, or ratio over all trials."""
     low: NumberOrNaN
     """Lower 95 % confidence limit of the mean, valid also with adaptive stopping."""
     high: NumberOrNaN
     """Upper 95 % confidence limit of the mean."""
-    deviation: NumberOrNaN = math.nan
+    standard_deviation: NumberOrNaN = math.nan
     """Standard deviation over the trials."""
     least: NumberOrNaN = math.nan
-    """Smallest value."""
+    """Smallest value over the trials."""
     largest: NumberOrNaN = math.nan
-    """Largest value."""
+    """Largest value over the trials."""
     quantiles: tuple[NumberOrNaN, ...] = (math.nan,) * len(QUANTILE_LEVELS)
-    """Quantiles at the probabilities `levels` of the summary."""
+    """Quantiles over the trials, at the probabilities `levels` of the summary."""
     unit: str = ""
     """Unit of the values."""
 
 
 class ZScoreSummary(Entry):
-    """Summary of the z-scores of one parameter, (estimate - truth) / sigma.
+    """Summary of the z-scores, (estimate - true value) / sigma, of one parameter for a cell and method.
 
-    The z-scores are standard normal if the truth is drawn from the prior and the covariance is correct.
+    The z-scores are standard normal if the true values are drawn from the prior and the covariance is correct.
     """
 
     cell: int
-    """Index of the combination of settings in the campaign, from 0."""
+    """Index of the cell in the campaign, from 0."""
     method: str
     """Name of the method."""
     parameter: str
@@ -66,17 +66,17 @@ class ZScoreSummary(Entry):
     """Number of trials with a z-score."""
     mean: NumberOrNaN
     """Mean of the z-scores."""
-    deviation: NumberOrNaN
+    standard_deviation: NumberOrNaN
     """Standard deviation of the z-scores."""
     coverage_95: NumberOrNaN
-    """Fraction of the trials whose 95 % interval contains the truth."""
+    """Fraction of the trials whose 95 % interval contains the true value."""
 
 
 class SolverComparison(Entry):
-    """Comparison of the batch and the full solver in the trials of one combination of factors, for one method."""
+    """Comparison of the batch solver and the full solver in the trials of a cell and method."""
 
     cell: int
-    """Index of the combination of settings in the campaign, from 0."""
+    """Index of the cell in the campaign, from 0."""
     method: str
     """Name of the method."""
     trials: int
@@ -86,31 +86,31 @@ class SolverComparison(Entry):
     by_full_solver: int
     """Number of trials that the full solver calibrated."""
     checked: int
-    """Number of trials that the full solver repeated for verification."""
+    """Number of trials that both solvers calibrated, for verification."""
     largest_difference_sigma: NumberOrNaN | None
-    """Largest difference [sigma] between batch and full solver in these trials; null without such trials."""
+    """Largest difference [sigma] between batch and full solver in the verified trials; null without such trials."""
 
 
 class CampaignSummary(Entry):
-    """Statistics of a campaign: what `ltsim campaign --json` prints."""
+    """Statistics of a campaign, the output of `ltsim campaign --json`."""
 
     format: Literal["ltsim-campaign-summary/1"] = "ltsim-campaign-summary/1"
     """Format and version of this content."""
     title: str
     """Title of the campaign."""
     trials: int
-    """Largest number of trials of each combination of settings."""
+    """Largest number of trials of each cell."""
     factors: tuple[Factor, ...]
-    """Settings that differ between combinations of settings."""
+    """Factors: keys of the scenario whose values differ between cells."""
     cells: tuple[CellEntry, ...]
-    """Cells of the campaign."""
+    """Cells (combinations of factor levels) of the campaign."""
     solver_comparisons: tuple[SolverComparison, ...]
-    """Numbers of trials by solver."""
+    """Comparison of batch and full solver for each cell and method."""
     levels: tuple[float, ...] = QUANTILE_LEVELS
-    """Probabilities of the quantiles."""
+    """Probabilities of the quantiles in `columns`."""
     meanings: dict[str, str]
-    """Meaning of each column."""
+    """Meaning of each column, by the name of the column."""
     columns: tuple[StatisticSummary, ...]
-    """Statistics of each column, combination of settings and method."""
+    """Statistics of each column, for each cell and method."""
     z_scores: tuple[ZScoreSummary, ...]
-    """Summaries of the z-scores of each parameter."""
+    """Summary of the z-scores of each parameter, for each cell and method."""

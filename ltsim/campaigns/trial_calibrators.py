@@ -1,6 +1,6 @@
-"""Calibrators of blocks of trials: the public calibrator for single recordings, and the batch network adjustment.
+"""Calibrators of batches of trials: calibration of each recording by `lt.calibrate`, and batch network adjustment.
 
-benchmarks/README.md has the run time of a trial by step (paper's workshop: 420 readings, 130 unknowns, one core).
+benchmarks/README.md lists the run time of each step per trial (paper's workshop: 420 readings, 130 unknowns, one core).
 """
 
 from __future__ import annotations
@@ -30,38 +30,38 @@ from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.simulator import with_certificates
 
 MIN_SUSPECT_DEVIATION_M = 0.6e-3
-"""Smallest displacement [m] of a measured point by one reading at which the trial may contain a gross error. Such a
-trial is solved by the full solver, which rejects gross errors, if `MIN_SUSPECT_RATIO` is exceeded too.
+"""Smallest displacement [m] of a measured point by one reading at which the trial may contain a gross error. If
+`MIN_SUSPECT_RATIO` is exceeded too, the trial is solved by the full solver, which rejects gross errors.
 """
 MIN_SUSPECT_RATIO = 10.0
-"""Smallest ratio of the largest displacement of a point to the median over the trial's pointings, at which the trial
-may contain a gross error and is solved by the full solver.
+"""Smallest ratio of the largest displacement of a measured point to the median displacement over the trial's pointings,
+at which the trial may contain a gross error.
 """
 
 
 @dataclass(frozen=True)
-class CalibratedBlock:
+class CalibratedBatch:
     """Estimates of a calibration for B trials, with I instruments of p parameters and T targets."""
 
     instrument_values: Floats
     """Estimated instrument parameters, (I, p, B) [SI]."""
     instrument_sigmas: Floats
-    """Predicted standard deviations of the parameters [SI]: (I, p) if all trials share them, else (I, p, B)."""
+    """Standard deviations of the instrument parameters [SI]: (I, p) if all trials share them, else (I, p, B)."""
     target_errors: Floats
-    """Adjusted minus true coordinates of the targets, (T, 3, B) [m], in any common frame; NaN for a method without
-    targets.
+    """Adjusted minus true coordinates of the targets, (T, 3, B) [m], both in the same frame; NaN for a method that does
+    not adjust targets.
     """
     chi2: Floats
     """Chi-square of each trial, (B,)."""
     status_indices: Ints
-    """Index into `TRIAL_STATUSES`, (B,)."""
+    """Status of each trial, (B,), as index into `TRIAL_STATUSES`."""
     effect_values: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """Parameters of the additional effects, (q, B) [SI]; no rows without effects."""
+    """Estimated parameters of the additional effects, (q, B) [SI]; (0, 0) without effects."""
     effect_sigmas: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     """Standard deviations of the parameters of effects [SI]: (q, 1) if all trials share them, else (q, B)."""
     incidence_parameters: Mapping[str, Floats] = field(default_factory=dict)
-    """Parameters of the range error over incidence (effect `smr-incidence`, 14 parameters), (14, B) [SI], by name of
-    the reflector; only reflectors whose error is estimated.
+    """Estimated parameters, (14, B) [SI], of the effect `smr-incidence` (range error by incidence angle), by name of
+    the reflector, for reflectors whose error is estimated.
     """
 
     @property
@@ -80,8 +80,8 @@ class CalibratedBlock:
     @classmethod
     def from_failed_trials(
         cls, truth: CellTruth, construction: GeometricErrorModel, effects: Sequence[Effect], n_trials: int
-    ) -> CalibratedBlock:
-        """Results of trials without a solution: all estimates are NaN, the status is that of a failure."""
+    ) -> CalibratedBatch:
+        """Results for trials without a solution: all estimates are NaN, and the status is `failed`."""
         instrument_values = np.full((len(truth.recording.instruments), construction.n_parameters, n_trials), np.nan)
         points = np.full((*truth.state.target_points.shape[:2], n_trials), np.nan)
         effect_values = np.full((sum(len(e.parameters) for e in effects), n_trials), np.nan)
@@ -98,20 +98,20 @@ class CalibratedBlock:
             reflectors,
         )
 
-    def copy_trial(self, trial: int, source_block: CalibratedBlock, source_trial: int) -> None:
-        """Copy of a trial's result from trial `source_trial` of another block, written to trial `trial` of this block.
+    def copy_trial(self, trial: int, source_batch: CalibratedBatch, source_trial: int) -> None:
+        """Copying of the results of trial `source_trial` of another batch to trial `trial` of this batch, in place.
 
-        Standard deviations are copied if they differ between trials.
+        Standard deviations are copied only if they differ between trials.
         """
         per_trial = ("instrument_sigmas", "effect_sigmas") if self.instrument_sigmas.ndim == 3 else ()
         for name in ("chi2", "status_indices", "instrument_values", "target_errors", "effect_values", *per_trial):
-            mine, theirs = getattr(self, name), getattr(source_block, name)
+            mine, theirs = getattr(self, name), getattr(source_batch, name)
             if len(mine):
                 shared = theirs.ndim < mine.ndim
                 mine[..., trial] = theirs if shared else theirs[..., min(source_trial, theirs.shape[-1] - 1)]
         for name, values in self.incidence_parameters.items():
-            if name in source_block.incidence_parameters:
-                values[:, trial] = source_block.incidence_parameters[name][:, source_trial]
+            if name in source_batch.incidence_parameters:
+                values[:, trial] = source_batch.incidence_parameters[name][:, source_trial]
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class TrialCalibrator:
     """Base class of the calibrators that a campaign compares."""
 
     truth: CellTruth
-    """True geometry of the combination of settings whose trials are calibrated."""
+    """True network geometry of the cell whose trials are calibrated."""
     construction: GeometricErrorModel
     """Geometric error model of the instrument, whose parameters are estimated."""
     effects: tuple[Effect, ...] = ()
@@ -127,20 +127,20 @@ class TrialCalibrator:
     method: str = "network"
     """Name of the method in the campaign file."""
 
-    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
-        """Calibrated block. Trials that are not in `trial_numbers` may be NaN."""
+    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBatch:
+        """Estimates for the trials of a batch; trials whose index is not in `trial_numbers` may be NaN."""
         raise NotImplementedError
 
-    def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBlock) -> float:
-        """Largest difference [sigma] between the results for a trial and those of the full solver.
+    def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBatch) -> float:
+        """Largest difference [sigma] between the `results` of this calibrator for a trial and those of the full solver.
 
-        It is NaN if the calibrator is the full solver.
+        The difference is NaN if this calibrator is the full solver.
         """
         return float("nan")
 
 
 def recording_of_trial(truth: CellTruth, trial_batch: TrialBatch, trial: int) -> Recording:
-    """Recording of a trial for any calibrator: readings and declared reference lengths, without the truth."""
+    """Recording of the trial with index `trial` in a batch: readings and declarations, without true values."""
     recording = truth.recording.with_readings(truth.trial_readings(trial_batch, trial))
     lengths = ReferenceLengths.from_recording(recording)
     return with_certificates(
@@ -151,7 +151,7 @@ def recording_of_trial(truth: CellTruth, trial_batch: TrialBatch, trial: int) ->
 def align_targets(adjustment: Adjustment, reference_points: Floats) -> Floats:
     """Adjusted targets (T, 3) [m] after rigid alignment to `reference_points` (T, 3); NaN for undetermined targets.
 
-    Ranges do not determine the handedness: of the two mirror images the one that fits better is used.
+    Ranges alone do not determine the handedness of the network; the mirror image that fits better is then used.
     """
     is_lost = np.isin(adjustment.recording.targets, adjustment.undetermined_targets)
     points = np.where(is_lost[:, None], np.nan, adjustment.state.target_points)
@@ -162,7 +162,7 @@ def align_targets(adjustment: Adjustment, reference_points: Floats) -> Floats:
 
 
 def measured_targets_and_weights(truth: CellTruth, set_numbers: Ints) -> tuple[Bools, Floats]:
-    """Flags (O, T) of the T targets that O sets measured completely, and weights (n,) of n pointings.
+    """Mask (O, T) of the T targets that O sets of pointings measured completely, and weights (n,) of n pointings.
 
     The weight of a pointing is its share in the mean point of its set and target. `set_numbers` (n,) is the set of each
     pointing.
@@ -174,8 +174,8 @@ def measured_targets_and_weights(truth: CellTruth, set_numbers: Ints) -> tuple[B
     return n_members.reshape(-1, targets) > 0, np.where(is_complete, 1.0 / np.maximum(n_members[key], 1), 0.0)
 
 
-def is_suspect_trial(reading_deviations: Floats, local_points: Floats) -> Bools:
-    """Flags (B,) of the trials with a pointing that may contain a gross error, so that the full solver must solve them.
+def suspect_trial_mask(reading_deviations: Floats, local_points: Floats) -> Bools:
+    """Mask (B,) of the trials that may contain a gross error, so that the full solver must solve them.
 
     `reading_deviations` (n, 3, B) are readings minus nominal readings. `local_points`, (n, 3, B) or (n, 3, 1) if all
     trials share them, are the targets in the instruments' frames [m].
@@ -193,16 +193,16 @@ def is_suspect_trial(reading_deviations: Floats, local_points: Floats) -> Bools:
 
 @dataclass(frozen=True)
 class SerialCalibrator(TrialCalibrator):
-    """Full solver: calibrates each recording separately by `lt.calibrate`."""
+    """Full solver: calibration of each recording separately by `lt.calibrate`."""
 
     uses_applied_corrections: bool = False
-    """True if the corrections that `ltsim calibrate` applies replace the estimates. The standard deviations remain
-    those of the estimates.
+    """True if the corrections that `ltsim calibrate` applies are returned in place of the estimates. The standard
+    deviations of the estimates are returned in both cases.
     """
 
-    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBlock:
-        """Calibrated block; only the trials in `trial_numbers` are computed."""
-        calibrated = CalibratedBlock.from_failed_trials(
+    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints) -> CalibratedBatch:
+        """Estimates for the trials of a batch; only the trials with the indices `trial_numbers` are computed."""
+        calibrated = CalibratedBatch.from_failed_trials(
             self.truth, self.construction, self.effects, trial_batch.reading_deviations.shape[2]
         )
         for trial in trial_numbers.tolist():
@@ -232,7 +232,7 @@ class SerialCalibrator(TrialCalibrator):
     def adjust_recording(self, recording: Recording) -> tuple[Adjustment | None, Floats, Floats]:
         """Adjustment of a recording, instrument parameters (I, p) [SI], and their standard deviations (I, p) [SI].
 
-        The adjustment is None if the calibration has none.
+        The adjustment is None for a calibration that adjusts no network.
         """
         if self.uses_applied_corrections:
             calibration = calibrate_network(recording, self.construction, recommend_measurements=False)
@@ -248,25 +248,25 @@ class SerialCalibrator(TrialCalibrator):
 
 @dataclass(frozen=True)
 class BatchCalibrator(TrialCalibrator):
-    """Calibrator of all trials with a common geometry in one batch.
+    """Calibrator of all trials in one network geometry as a batch.
 
     Trials that do not converge, or that may contain gross errors, are solved by the full solver.
     """
 
     @cached_property
     def serial_calibrator(self) -> SerialCalibrator:
-        """Full solver for single trials."""
+        """Full solver for trials that the batch cannot solve, and for verification."""
         return SerialCalibrator(self.truth, self.construction, self.effects, self.method)
 
     @cached_property
     def batch_network(self) -> BatchNetwork:
-        """Network with an inverted normal matrix, which gives the targets of all trials."""
+        """Nominal network, whose inverted normal matrix is used to adjust all trials."""
         truth, built = self.truth, self.construction if self.method == "network" else ideal_construction()
         program, recorded = truth.chain_program(built), truth.is_recorded_observable
         return BatchNetwork(truth.recording, truth.state, built, program, self.effects, is_adjusted_observable=recorded)
 
-    def calibrate_batch(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBlock, Bools]:
-        """Calibrated block by the batch alone, and flags (B,) of the converged trials."""
+    def calibrate_batch(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBatch, Bools]:
+        """Estimates for the trials of a batch without the full solver, and mask (B,) of the converged trials."""
         network, fit = (
             self.batch_network,
             self.batch_network.fit_trials(trial_batch.reading_deviations, trial_batch.length_errors),
@@ -275,15 +275,15 @@ class BatchCalibrator(TrialCalibrator):
         extra_columns = slice(network.end_indices[2], network.end_indices[2] + len(fit.effect_values))
         effect_sigmas = np.sqrt(np.diag(network.covariance)[extra_columns, None]) if self.effects else np.zeros((0, 1))
         other_arrays = fit.effect_values, effect_sigmas, fit.incidence_parameters
-        return CalibratedBlock(
+        return CalibratedBatch(
             fit.instrument_values, sigma, fit.target_increments, fit.chi2, status, *other_arrays
         ), fit.has_converged
 
-    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints | None = None) -> CalibratedBlock:
-        """Calibrated block. Only trials in `trial_numbers` (default all) may use the full solver, which is slow."""
+    def calibrate(self, trial_batch: TrialBatch, trial_numbers: Ints | None = None) -> CalibratedBatch:
+        """Estimates for the trials of a batch; the full solver is slow and used only for `trial_numbers`, if given."""
         trial_numbers = np.arange(len(trial_batch.trials)) if trial_numbers is None else trial_numbers
         calibrated, good = self.calibrate_batch(trial_batch, trial_numbers)
-        is_sufficient = good & ~is_suspect_trial(
+        is_sufficient = good & ~suspect_trial_mask(
             trial_batch.reading_deviations, self.truth.sightings.local_points[:, :, None]
         )
         single_trials = trial_numbers[~is_sufficient[trial_numbers]]
@@ -295,23 +295,23 @@ class BatchCalibrator(TrialCalibrator):
             )
         return calibrated
 
-    def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBlock) -> float:
-        """Largest difference [sigma] of parameters and targets of a trial between these results and the full solver.
+    def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBatch) -> float:
+        """Largest difference [sigma] of parameters and targets of a trial between `results` and the full solver.
 
-        Targets are compared after a rigid fit, relative to their standard deviations in that frame. NaN for a failed
-        trial.
+        Targets are compared after a rigid fit, relative to their standard deviations after this fit. The difference is
+        NaN for a failed trial.
         """
-        serial_block = self.serial_calibrator.calibrate(trial_batch, np.array([trial]))
-        if serial_block.status_indices[trial] != 0:
+        serial_batch = self.serial_calibrator.calibrate(trial_batch, np.array([trial]))
+        if serial_batch.status_indices[trial] != 0:
             return float("nan")
         value_differences = (
-            np.abs(serial_block.instrument_values[:, :, trial] - results.instrument_values[:, :, trial])
+            np.abs(serial_batch.instrument_values[:, :, trial] - results.instrument_values[:, :, trial])
             / results.instrument_sigmas
         )
         truth = self.truth.state.target_points
         batch = truth + results.target_errors[:, :, trial]
         gap = (
-            np.abs(align_to_points(truth + serial_block.target_errors[:, :, trial], batch) - batch) / self.target_sigmas
+            np.abs(align_to_points(truth + serial_batch.target_errors[:, :, trial], batch) - batch) / self.target_sigmas
         )
         return float(max(value_differences.max(initial=0.0), np.nanmax(gap)))
 

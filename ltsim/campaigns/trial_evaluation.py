@@ -1,7 +1,7 @@
-"""Evaluation of a calibration for a block of trials: disagreement of stations, and errors relative to the truth.
+"""Evaluation of the calibrations of a batch of trials: disagreement of stations, and errors relative to true values.
 
-The quantities are those of `ltsim.adjustment.evaluation` for single recordings; tests compare the two. S stations, T
-targets, I instruments with p parameters, n pointings, B trials.
+`ltsim.adjustment.evaluation` computes the same quantities for single recordings; tests compare both. Letters in shapes:
+S stations, T targets, I instruments with p parameters, n pointings, B trials.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from ltsim.campaigns.cloud_kernels import (
 )
 from ltsim.campaigns.columns import ResultColumns
 from ltsim.campaigns.kernels import compute_points
-from ltsim.campaigns.trial_calibrators import CalibratedBlock, measured_targets_and_weights
+from ltsim.campaigns.trial_calibrators import CalibratedBatch, measured_targets_and_weights
 from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.rigid import determines_pose
@@ -29,45 +29,47 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 
 MAX_UNDETERMINED_ROTATION_RATIO = 1e-3
-"""Largest ratio of the spread of targets across a line to their spread along it, at which they do not determine the
-rotation about the line. Such targets give no frame.
+"""Largest ratio of the spread of targets perpendicular to a line to their spread along the line, at which they do not
+determine the rotation about the line. Such targets do not determine a frame.
 """
 
 
 @dataclass(frozen=True)
 class TrialEvaluator:
-    """Evaluation of calibrations of trials with one true geometry.
+    """Evaluator of calibrations for trials in one true network geometry.
 
-    Quantities that do not depend on the method are computed once per block.
+    Quantities that do not depend on the method are computed once per batch of trials.
     """
 
     truth: CellTruth
+    """True network geometry of the trials."""
 
     @cached_property
     def _mean_weights(self) -> tuple[Bools, Floats]:
-        """Flags (S, T) of the completely measured targets, and weight (n,) of each pointing in its mean point."""
+        """Mask (S, T) of completely measured targets, and weight (n,) of each pointing in its target's mean point."""
         return measured_targets_and_weights(self.truth, self.truth.recording.station)
 
     @property
     def is_measured(self) -> Bools:
-        """Flags (S, T) of the targets that each station measured completely."""
+        """Mask (S, T) of the targets that each station measured completely."""
         return self._mean_weights[0]
 
     @cached_property
     def has_criteria(self) -> bool:
         """True if the disagreement of the stations in distances and coordinates can be computed.
 
-        At least two stations are needed; each must share targets with the first that determine the relative frame.
+        At least two stations are needed, and each must share enough targets with the first station to determine its
+        pose relative to the first.
         """
         return len(self.is_measured) > 1 and bool(self._determines_frame(self.is_measured & self.is_measured[0]).all())
 
     @cached_property
     def has_frame(self) -> Bools:
-        """Flags (S,) of the stations whose targets determine a frame; only these are compared with the truth."""
+        """Mask (S,) of the stations whose targets determine a frame; only these are compared with the true targets."""
         return self._determines_frame(self.is_measured)
 
     def _determines_frame(self, is_used_target: Bools) -> Bools:
-        """Flags (k,) of the k sets of used targets (k, T) that determine a frame."""
+        """Mask (k,) of those among k sets of targets, given as masks (k, T), that determine a frame."""
         return determines_pose(
             self._true_targets(1)[:, :, 0], is_used_target, min_relative_width=MAX_UNDETERMINED_ROTATION_RATIO
         )
@@ -78,10 +80,10 @@ class TrialEvaluator:
         construction: GeometricErrorModel | None = None,
         parameter_values: Floats | None = None,
     ) -> Floats:
-        """Means (S, T, 3, B) [m], over faces and repeats, of the measured points in the nominal frame.
+        """Points (S, T, 3, B) [m] of each station in the nominal network frame, averaged over faces and repeats.
 
-        `reading_deviations` (n, 3, B) is readings minus nominal readings; they are corrected by the parameters
-        `parameter_values` (I, p, B) of the geometric error model.
+        `reading_deviations` (n, 3, B) are readings minus nominal readings. The readings are corrected by the parameters
+        `parameter_values` (I, p, B) [SI] of the geometric error model.
         """
         recording, trials = self.truth.recording, reading_deviations.shape[2]
         if construction is None or parameter_values is None:
@@ -97,7 +99,10 @@ class TrialEvaluator:
         return clouds
 
     def criteria_columns(self, clouds: Floats, stage: str) -> ResultColumns:
-        """Columns of the distance and coordinate criteria, mean and maximum [um], from clouds (S, T, 3, B) [m]."""
+        """Columns of the distance and coordinate criteria, mean and maximum [um], from clouds (S, T, 3, B) [m].
+
+        `stage` is the word `before` or `after` (calibration) in the names of the columns.
+        """
         trials = clouds.shape[3]
         columns = {
             f"{kind}_{stage}_{which}_um": np.empty(trials)
@@ -114,15 +119,15 @@ class TrialEvaluator:
         return columns
 
     def _true_targets(self, n_trials: int) -> Floats:
-        """True targets (T, 3, B) [m]."""
+        """True positions of the targets for each of `n_trials` trials, (T, 3, B) [m]."""
         points = self.truth.state.target_points
         return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], n_trials, axis=2))
 
     def cloud_error(self, clouds: Floats) -> Floats:
-        """Rms distance (B,) [um] of measured from true targets, after a rigid fit of each station's points.
+        """Rms distance (B,) [um] between measured and true targets, after a rigid fit of each station's points.
 
-        `clouds` (S, T, 3, B) [m] are the points of each station. Stations whose targets determine no frame are omitted;
-        NaN if no station remains.
+        `clouds` (S, T, 3, B) [m] are the points of each station. Stations whose targets determine no frame are omitted.
+        The result is NaN if no station remains.
         """
         trials = clouds.shape[3]
         truth, total, count = self._true_targets(trials), np.zeros(trials), 0
@@ -133,7 +138,7 @@ class TrialEvaluator:
         return MICROMETRES_PER_METRE * np.sqrt(total / count) if count else np.full(trials, np.nan)
 
     def target_error(self, points: Floats) -> Floats:
-        """Rms error (B,) [um] of adjusted targets after one rigid fit to the true ones.
+        """Rms error (B,) [um] of adjusted targets after a rigid fit of all targets to the true ones.
 
         `points` (T, 3, B) [m] are adjusted minus true coordinates. Undetermined targets (NaN) are omitted.
         """
@@ -151,7 +156,7 @@ class TrialEvaluator:
         return error
 
     def common_columns(self, trial_batch: TrialBatch) -> ResultColumns:
-        """Columns that do not depend on the method: criteria and error before, and error with true parameters."""
+        """Columns that all methods share: criteria and error before calibration, and error with true parameters."""
         raw_clouds = self.station_clouds(trial_batch.reading_deviations)
         perfect = self.station_clouds(
             trial_batch.reading_deviations, self.truth.construction, trial_batch.instrument_values
@@ -164,15 +169,15 @@ class TrialEvaluator:
     def method_columns(
         self,
         trial_batch: TrialBatch,
-        estimates: CalibratedBlock,
+        estimates: CalibratedBatch,
         construction: GeometricErrorModel,
         effects: Sequence[Effect] = (),
     ) -> ResultColumns:
-        """Columns of a method: criteria and errors after correction by its parameters and effects.
+        """Columns of a method: criteria and errors after correction of the readings by its parameters and effects.
 
-        As in `calibrate` and `evaluate`, the estimated range errors over incidence of reflectors are corrected too;
-        other nuisance errors with a prior remain in the readings. The correction by true parameters contains neither of
-        them.
+        As in `calibrate` and `evaluate`, the estimated range errors of reflectors by incidence angle are corrected too.
+        Other nuisance errors with a prior remain in the readings. The correction by true parameters corrects no
+        nuisance error.
         """
         deviation = trial_batch.reading_deviations
         if estimates.incidence_parameters:

@@ -1,7 +1,7 @@
-"""True geometry of a cell (combination of settings), and its trials, drawn in blocks exactly as by the simulator.
+"""True network geometry of a cell (combination of factor levels), and its trials, drawn in batches as by the simulator.
 
-A trial depends on its number alone, and not on workers, number of trials or compared methods. All cells of a campaign
-use the same random streams: they differ by their settings and not by chance.
+A trial depends only on its number, and not on workers, number of trials or compared methods. All cells of a campaign
+use the same random streams, so that they differ by their factor levels and not by chance.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smr_names
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.draws import EffectDistribution, StandardNormalSource, TrialDistributions, TrialDraw
-from ltsim.simulation.fieldwork import MeasurementGeometry, make_geometry
+from ltsim.simulation.fieldwork import MeasurementGeometry, make_measurement_geometry
 from ltsim.simulation.physics import instrument_resolutions, true_noise_sigmas
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import error_free_recording, occurring_blunders, simulate_readings, trial_distributions
@@ -36,76 +36,76 @@ from ltsim.simulation.workshop import WorkshopLayout
 FULL_TURN = 2 * np.pi
 """Full turn [rad]."""
 MAX_NONLINEARITY = 1e-3
-"""Largest difference between the exact and the linear change of a reading by an effect of three prior sigmas, in
-standard deviations of the reading, at which the linear form of the effect is used for all trials. Otherwise the exact
-change is computed trial by trial."""
+"""Largest difference between the exact and the linear change of a reading by an effect with the size of three prior
+standard deviations, divided by the standard deviation of the reading, at which the linear form of the effect is used
+for all trials. For a larger difference the exact change is computed trial by trial."""
 
 
 @dataclass(frozen=True)
 class TrialBatch:
-    """Block of B drawn trials, with n pointings, I instruments of p parameters, and g reference lengths."""
+    """Batch of B drawn trials, with n pointings, I instruments of p parameters, and g reference lengths."""
 
     trials: Ints
     """Numbers of the trials, (B,)."""
     instrument_values: Floats
     """True instrument parameters, (I, p, B) [SI]."""
     effect_values: tuple[Floats, ...]
-    """True parameters of each additional effect, (q, B) [SI]."""
+    """True parameters of each additional effect, each (q, B) [SI]."""
     reading_deviations: Floats
     """Readings minus nominal readings, (n, 3, B) [m, rad, rad]."""
     length_errors: Floats
     """Declared minus true reference lengths, (g, B) [m]."""
     single_trials: tuple[TrialBatch, ...] = ()
-    """Each trial separately, in the order of its own pointings, if geometries differ; else empty."""
+    """Batch of one trial for each trial, in the order of its pointings, if network geometries differ; otherwise
+    empty."""
 
     @property
     def true_values(self) -> Floats:
-        """All true parameters, (I p + q, B) [SI]: those of each instrument, followed by those of effects."""
+        """All true parameters, (I p + q, B) [SI]: parameters of each instrument, followed by parameters of effects."""
         return np.concatenate([self.instrument_values.reshape(-1, len(self.trials)), *self.effect_values])
 
 
 @dataclass(frozen=True)
 class CellTruth:
-    """True geometry of a combination of settings, and the distributions from which its trials are drawn.
+    """True network geometry of a cell, and the distributions from which its trials are drawn.
 
-    n pointings, I instruments with p parameters, q parameters of an effect, B trials.
+    Letters in shapes: n pointings, I instruments with p parameters, q parameters of an effect, B trials.
     """
 
     recording: Recording
-    """Recording with nominal readings: those of an ideal tracker at `state`."""
+    """Recording with nominal readings, which an ideal tracker reads at `state`."""
     state: NetworkState
-    """True poses and targets in the frame in which a calibrator starts, that of the first station."""
+    """True poses and targets, in the frame in which a calibrator starts: the frame of the first station."""
     distributions: TrialDistributions
     """Distributions of the random values of a trial; their sightings may be in another frame than `state`."""
     resolution: Floats = field(default_factory=lambda: np.zeros((1, 3)))
     """Resolution of the readings of each instrument, (I, 3) [m, rad, rad]; 0 for none."""
     is_recorded_observable: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
-    """Flags (3,) of the observables (range, azimuth, elevation) that are recorded; the others have no deviation."""
+    """Mask (3,) of the observables (range, azimuth, elevation) that are recorded; the deviation of the others is 0."""
     geometry: MeasurementGeometry | None = None
-    """True geometry with which blunders are simulated; trials with blunders are computed one by one. None without
-    blunders.
-    """
+    """Network geometry with which the simulator computes trials with blunders one by one; None without blunders."""
 
     @property
     def sightings(self) -> Sightings:
-        """True geometry of the pointings including nests, in any common frame."""
+        """Pointings with the true positions of stations, targets and nests, all in the same frame."""
         return self.distributions.sightings
 
     @property
     def construction(self) -> GeometricErrorModel:
-        """Geometric error model of the true instrument."""
+        """Geometric error model that generates the readings."""
         return self.distributions.construction
 
     @property
     def effects(self) -> tuple[EffectDistribution, ...]:
-        """Effects in addition to the instrument's errors."""
+        """Effects in addition to the instrument's errors, with the distributions of their parameters."""
         return self.distributions.effects
 
     @cached_property
     def effect_design_function(self) -> Callable[[tuple[Effect, ...]], Floats]:
-        """Function of effects that returns the change of the readings per unit of their q parameters, (n, 3, q, 1).
+        """Function that returns, for effects with q parameters in all, the change of the readings per unit of each.
 
-        If trials have separate geometries, the last index is the trial: (n, 3, q, B).
+        The result of the function has the shape (n, 3, q, 1), or (n, 3, q, B) if trials have separate network
+        geometries.
         """
         return lru_cache(maxsize=8)(self._effect_design)
 
@@ -114,32 +114,33 @@ class CellTruth:
 
     @cached_property
     def reflector_masks(self) -> dict[str, Bools]:
-        """Flags (n,) of the pointings to each reflector, by its name; '' for an unnamed one."""
+        """Mask (n,) of the pointings to each reflector, by name of the reflector; '' for a reflector without a name."""
         names = smr_names(self.recording)
         return {name: np.array([other == name for other in names]) for name in dict.fromkeys(names)}
 
     def incidence_errors(self, parameters_by_reflector: Mapping[str, Floats]) -> Floats:
-        """Range errors (n, B) [m] of the pointings, from the parameters of each reflector by its name.
+        """Range errors (n, B) [m] of the pointings by the incidence angles at the reflectors.
 
-        The parameters (14, B) [SI] are those of the effect `smr-incidence`, the range error over incidence.
+        `parameters_by_reflector` holds the parameters (14, B) [SI] of the effect `smr-incidence` by name of the
+        reflector.
         """
         range_errors = np.zeros((len(self.recording), 1))
         for name, pointings in self.reflector_masks.items():
             if name in parameters_by_reflector:
                 design, values = self.effect_design_function((SmrIncidence(),))[:, 0], parameters_by_reflector[name]
-                shared = design.shape[2] == 1  # one geometry for all trials
+                shared = design.shape[2] == 1  # one network geometry for all trials
                 errors = design[..., 0] @ values if shared else np.einsum("nqb,qb->nb", design, values)
                 range_errors = range_errors + pointings[:, None] * errors
         return range_errors
 
     @cached_property
     def _chain_cache(self) -> list[tuple[GeometricErrorModel, tuple[ChainProgram, Floats]]]:
-        """Kinematic chain and design matrix of each geometric error model that was requested."""
+        """Kinematic chain and design matrix of each geometric error model for which they were computed."""
         return []
 
     def chain_and_design(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
-        """Kinematic chain about the nominal readings, and derivative (n, 3, p) of the readings by its parameters."""
-        for other, chain in self._chain_cache:  # comparing a few is quicker than hashing one
+        """Kinematic chain at the nominal readings, and derivative (n, 3, p) of the readings by the parameters."""
+        for other, chain in self._chain_cache:  # comparing a few models is quicker than hashing one model
             if other == construction:
                 return chain
         self._chain_cache.append((construction, self._compute_chain_and_design(construction)))
@@ -156,11 +157,11 @@ class CellTruth:
 
     @cached_property
     def _linear_effects(self) -> list[tuple[Floats, Floats] | None]:
-        """Constant part (n, 3) and design (n, 3, q) of each effect in linear form; None for a nonlinear effect."""
+        """Constant change (n, 3) and design (n, 3, q) of the readings by each effect; None for a nonlinear effect."""
         return [self._linear_effect(entry) for entry in self.effects]
 
     def _linear_effect(self, effect_distribution: EffectDistribution) -> tuple[Floats, Floats] | None:
-        """Constant part (n, 3) and design (n, 3, q) of the change of readings by an effect; None if it is nonlinear."""
+        """Constant change (n, 3) and design (n, 3, q) of the readings by an effect; None for a nonlinear effect."""
         constant = effect_distribution.effect.reading_change(self.sightings, effect_distribution.mean_values)
         if not np.any(effect_distribution.value_sigmas):  # nothing is drawn
             return constant, np.zeros((*constant.shape, len(effect_distribution.mean_values)))
@@ -173,25 +174,25 @@ class CellTruth:
         )
         return (constant, design) if np.all(np.abs(miss) <= MAX_NONLINEARITY * self.recording.sigma()) else None
 
-    def draw_block(self, seed: int, block_number: int, n_trials: int = TRIALS_PER_STREAM) -> TrialBatch:
-        """Block number `block_number` of drawn trials; each block has `n_trials` trials with consecutive numbers."""
-        return self.draw_trials(StandardNormalSource(seed, n_trials * block_number + np.arange(n_trials)))
+    def draw_batch(self, seed: int, batch_number: int, n_trials: int = TRIALS_PER_STREAM) -> TrialBatch:
+        """Batch of `n_trials` drawn trials; its first trial has the number `batch_number` times `n_trials`."""
+        return self.draw_trials(StandardNormalSource(seed, n_trials * batch_number + np.arange(n_trials)))
 
     def draw_trials(
         self, normal_source: StandardNormalSource, instrument_values: Floats | None = None, *, stream_key: str = ""
     ) -> TrialBatch:
-        """Drawn trials, whose numbers are those of the source of random numbers.
+        """Batch of the trials whose numbers `normal_source` contains.
 
-        `instrument_values` (I, p, B) [SI] replaces the drawn errors of the instruments; `stream_key` is that of
-        `TrialDistributions`.
+        `instrument_values` (I, p, B) [SI] replaces the drawn errors of the instruments. Another `stream_key` gives the
+        same trials independent noise, for a second measurement.
         """
         draw = self.distributions.draw(normal_source, instrument_values, stream_key=stream_key)
-        return self.block_from_draw(draw, self._exact_deviations(draw.instrument_values))
+        return self.batch_from_draw(draw, self._exact_deviations(draw.instrument_values))
 
-    def block_from_draw(self, draw: TrialDraw, reading_deviations: Floats) -> TrialBatch:
-        """Trials with the errors of a draw: their readings, reference lengths and parameters.
+    def batch_from_draw(self, draw: TrialDraw, reading_deviations: Floats) -> TrialBatch:
+        """Batch of trials from drawn random values: readings, reference lengths and true parameters.
 
-        `reading_deviations` (n, 3, B), exact minus nominal readings, is overwritten by the result.
+        `reading_deviations` (n, 3, B) are exact minus nominal readings; the noise is added to this array in place.
         """
         if occurring_blunders([law.effect for law in self.effects], draw.effect_values):
             reading_deviations = self._deviations_with_blunders(draw)
@@ -221,7 +222,7 @@ class CellTruth:
     def _exact_deviations(self, true_parameters: Floats) -> Floats:
         """Exact minus nominal readings (n, 3, B) for true parameters (I, p, B) [SI] of the instruments.
 
-        Newton's method starts from the linear form.
+        Newton's method starts from the linear change of the readings.
         """
         which, sightings = self.recording.instrument, self.sightings
         program, by_value = self.chain_and_design(self.construction)
@@ -234,7 +235,7 @@ class CellTruth:
         return deviation
 
     def _effect_change(self, effect_index: int, amounts: Floats) -> Floats:
-        """Change (n, 3, B) of the readings by one effect with parameters (q, B) [SI]."""
+        """Change (n, 3, B) of the readings by one effect with the parameters `amounts` (q, B) [SI]."""
         entry, linear = self.effects[effect_index], self._linear_effects[effect_index]
         if linear is None:
             return np.stack([entry.effect.reading_change(self.sightings, v) for v in amounts.T], axis=2)
@@ -242,11 +243,11 @@ class CellTruth:
         return constant[:, :, None] + np.tensordot(design, amounts - entry.mean_values[:, None], axes=1)
 
     def _round_to_resolution(self, reading_deviations: Floats) -> Floats:
-        """Readings minus nominal readings (n, 3, B) after rounding of the readings to the resolution, in place."""
+        """Readings minus nominal readings (n, 3, B), after rounding of the readings to their resolution in place."""
         of_row = np.broadcast_to(self.resolution[self.recording.instrument], reading_deviations.shape[:2])
         for column in range(3):
             rows = np.flatnonzero(of_row[:, column])
-            selected: Any = rows if len(rows) < len(of_row) else slice(None)  # a slice needs no copy
+            selected: Any = rows if len(rows) < len(of_row) else slice(None)  # a slice makes no copy
             step, start = of_row[selected, column, None], self.recording.readings[selected, column, None]
             reading_deviations[selected, column] = (
                 step * np.round((start + reading_deviations[selected, column]) / step) - start
@@ -254,7 +255,7 @@ class CellTruth:
         return reading_deviations
 
     def trial_readings(self, trial_batch: TrialBatch, trial: int) -> Floats:
-        """Readings (n, 3) of one trial as an instrument gives them, with azimuths within +-180 deg."""
+        """Readings (n, 3) [m, rad, rad] of the trial with index `trial` in a batch, with azimuths within +-180 deg."""
         readings: Floats = self.recording.readings + trial_batch.reading_deviations[:, :, trial]
         readings[:, 1] = np.where(np.abs(readings[:, 1]) < FULL_TURN, wrap_angle(readings[:, 1]), readings[:, 1])
         readings[:, ~self.is_recorded_observable] = np.nan
@@ -268,18 +269,18 @@ def make_cell_truth(
     reference_truth: CellTruth | None = None,
     planned_layout: WorkshopLayout | None = None,
 ) -> CellTruth:
-    """True geometry of a scenario, drawn once, with the distributions of its trials; raises SetupError.
+    """True network geometry of a scenario, drawn once, with the distributions of its trials; raises SetupError.
 
-    `key` is the key of the random draws of the geometry; default that of `simulate`. `reference_truth`, a truth of the
-    same scenario with another geometry, provides the set-up if the same targets are visible; `planned_layout` is the
-    planned layout.
+    `key` is the key of the random draws of the geometry, by default the key that `simulate` uses. `reference_truth` is
+    another geometry of the same scenario, from which the set-up is taken if the same targets are visible.
+    `planned_layout` is the planned layout, if it was computed before.
     """
     read = {frozenset(tracker.observables) for tracker in scenario.trackers_in_use.values()}
     if len(read) > 1:
-        raise SetupError("instruments: observables differ between the trackers; trials need the same for all")
-    geometry = make_geometry(scenario, seed, *key, plan=planned_layout)
+        raise SetupError("instruments: observables differ between the trackers; give all trackers the same observables")
+    geometry = make_measurement_geometry(scenario, seed, *key, plan=planned_layout)
     if geometry.sightings.sight_vector_offsets is not None and np.any(geometry.sightings.sight_vector_offsets):
-        raise SetupError("reflectors: trials in batch use one SMR; give all SMRs of the scenario the same radius")
+        raise SetupError("reflectors: a campaign uses one SMR radius; give all SMRs of the scenario the same radius")
     s, reference = geometry.sightings, None if reference_truth is None else reference_truth.recording
     if (
         reference_truth
@@ -309,7 +310,7 @@ def make_cell_truth(
 def _state_in_start_frame(geometry: MeasurementGeometry, mean_parameters: Floats) -> NetworkState:
     """True stations and targets, in the frame of the first station or, if levels define the vertical, of the hall.
 
-    `mean_parameters` are the mean parameters of the instrument [SI].
+    `mean_parameters` [SI] are the means of the true instrument parameters.
     """
     s = geometry.sightings
     if any(station.levelled for station in geometry.scenario.stations.values()):

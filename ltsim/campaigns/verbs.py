@@ -1,4 +1,4 @@
-"""Public function of campaigns: many trials over a grid of settings."""
+"""Public function `campaign`: many trials for each combination of factor levels."""
 
 from __future__ import annotations
 
@@ -25,27 +25,31 @@ def campaign(
     force: bool = False,
     changes: Mapping[str, Any] | None = None,
 ) -> CampaignResults:
-    """Simulation, calibration and evaluation of many trials; an interrupted run can be continued.
+    """Simulation, calibration and evaluation of many trials for each combination of factor levels.
+
+    An interrupted run can be continued.
 
     Parameters
     ----------
     source : str, Path or mapping
-        Campaign file (ltsim-campaign/1), its tables without the format, or the folder of a finished campaign.
+        Campaign file (ltsim-campaign/1), mapping with its content (without `format`), or folder of a finished campaign.
     out : str or Path, optional
         Folder for the rows; default the file's name without its suffix. Required if `source` is a mapping.
     jobs : int
-        Number of processes; the rows do not depend on it. With dask the workers of the scheduler are used.
+        Number of worker processes on this machine; the rows do not depend on it. With dask the scheduler's workers are
+        used.
     backend : {`local`, `dask`}
         Processes on this machine (`local`), or workers of a dask cluster (`dask`).
     scheduler : str
         Address of the dask scheduler, such as tcp://host:8786, or the file that the scheduler wrote.
     resume : bool
-        True to continue the campaign in the folder. If levels, trials or statistics were added to the file, only what
-        is missing is computed.
+        True to continue the campaign in the folder. If levels, trials or statistics were added to the file, only the
+        missing rows and columns are computed.
     force : bool
         True to start again in a folder that contains a campaign; its rows are deleted.
     changes : mapping, optional
-        New values of keys of the file, such as 200 for `trials`, or of the scenario, such as 2 for `work.faces`.
+        New values by key of the file, such as 200 for `trials`, or by dotted key of the scenario, such as 2 for
+        `work.faces`.
 
     Returns
     -------

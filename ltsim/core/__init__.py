@@ -1,1 +1,1 @@
-"""Foundations of every package: errors, units, randomness, text, results, storage, limits, processes."""
+"""Modules that all packages use: errors, units, random streams, notation, results, file storage, limits, processes."""

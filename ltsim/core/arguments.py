@@ -1,4 +1,4 @@
-"""Bounds, choices and forms of arguments, with the same error messages in Python and on the command line."""
+"""Checks of arguments against bounds, choices and types, with the same messages in Python and on the command line."""
 
 from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
@@ -20,7 +20,7 @@ ARGUMENT_BOUNDS: dict[str, tuple[float, float | None]] = {
 
 If the smallest value is an integer, only whole numbers are permitted."""
 STATION_POSITION_SYNTAX = "STATION=X,Y or STATION=X,Y,Z or STATION=X,Y,Z,YAW in mm and degrees, such as S2=5000,3000"
-"""Syntax of a moved station, for messages and help."""
+"""Syntax of a station with its new position, for messages and help."""
 
 
 MAPPING_SYNTAX = {
@@ -29,9 +29,9 @@ MAPPING_SYNTAX = {
     "changes": "KEY=VALUE, such as work.faces=2",
     "move": STATION_POSITION_SYNTAX,
 }
-"""Syntax of the arguments that are mappings, by name, for messages and help."""
+"""Syntax of the arguments that are mappings, by the name of the argument, for messages and help."""
 MAX_MAPPING_NUMBER = 1e12
-"""Largest magnitude of a number in an argument NAME=NUMBER; a larger number is refused."""
+"""Largest absolute value of a number in an argument NAME=NUMBER."""
 
 
 def bounds_text(argument_name: str) -> str:
@@ -44,8 +44,8 @@ def bounds_text(argument_name: str) -> str:
 def check_bounds(*, required_argument: str = "", **argument_values: object) -> None:
     """Check of numeric arguments, given by name, against `ARGUMENT_BOUNDS`; raises SetupError for a value out of range.
 
-    The value None means that an argument was not given. This is an error only for the arguments that
-    `required_argument` names, a text with names separated by blanks.
+    None stands for an argument that was not given. It is an error only for arguments in `required_argument`, which is a
+    text of names separated by blanks.
     """
     for name, value in argument_values.items():
         low, high = ARGUMENT_BOUNDS[name]
@@ -58,7 +58,7 @@ def check_bounds(*, required_argument: str = "", **argument_values: object) -> N
 
 
 def bounded_parser(argument_name: str) -> Callable[[object], int | float]:
-    """Function that reads a numeric argument of the command line; it raises SetupError for a value out of range."""
+    """Function that converts a command-line argument to a number; it raises SetupError for a number out of range."""
     kind = int if isinstance(ARGUMENT_BOUNDS[argument_name][0], int) else float
 
     def parse_bounded(text: object) -> int | float:
@@ -78,7 +78,7 @@ def bounded_parser(argument_name: str) -> Callable[[object], int | float]:
 def check_choice(
     argument_name: str, argument_value: object, choices: Sequence[str], *, allow_none: bool = False
 ) -> None:
-    """Check that an argument is one of its choices (or None with `allow_none`); raises SetupError otherwise."""
+    """Check that an argument is one of its permitted values (or None with `allow_none`); SetupError otherwise."""
     if argument_value not in choices and not (allow_none and argument_value is None):
         raise SetupError(f"{option_text(argument_name)} is {argument_value}, expected {' or '.join(choices)}")
 
@@ -99,5 +99,5 @@ def source_path(path_or_name: object) -> Path:
     """
     text = fspath(path_or_name) if isinstance(path_or_name, str | PathLike) else None
     if not isinstance(text, str) or not text or "\0" in text:
-        raise SetupError(f"the source is {path_or_name!r}, expected the name of a built-in one, or the path of a file")
+        raise SetupError(f"the source is {path_or_name!r}, expected the name of a built-in source, or a file path")
     return Path(text)

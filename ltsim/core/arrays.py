@@ -14,17 +14,18 @@ Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 """Array of 64-bit integers."""
 Bools = NDArray[np.bool_]
-"""Array of truth values."""
+"""Array of booleans."""
 MAX_TEMPORARY_ENTRIES = 2_000_000
-"""Number of entries up to which a temporary array is allocated as a whole, 16 MB. Larger ones are computed in batches,
-so that memory does not grow with a recording; smaller batches cost time for calls.
+"""Largest number of entries of a temporary array that is allocated as a whole, 16 MB. Larger arrays are computed in
+batches, so that memory does not grow with the recording; smaller batches would cost time for calls.
 """
 MAX_MATRIX_ENTRIES = 100_000_000
-"""Number of entries of a matrix above which a method that needs it as a whole is refused: 0.8 GB."""
+"""Largest number of entries, 0.8 GB, of a matrix that is allocated as a whole; methods that need a larger one are
+refused."""
 
 
 def batches(n_items: int, n_entries_per_item: int) -> Iterator[slice]:
-    """Slices of consecutive items whose arrays have at most `MAX_TEMPORARY_ENTRIES` entries in all, or of one item."""
+    """Slices of consecutive items, each with at most `MAX_TEMPORARY_ENTRIES` array entries in all, or with one item."""
     step = max(1, MAX_TEMPORARY_ENTRIES // max(n_entries_per_item, 1))
     return (slice(first, min(first + step, n_items)) for first in range(0, n_items, step))
 
@@ -41,9 +42,9 @@ def stack_columns(*columns: Floats) -> Floats:
 
 
 def stack_and_release(row_arrays: list[Singles]) -> Singles:
-    """Array with k rows, (k, ...), from a list of k row arrays.
+    """Array (k, ...) from a list of k arrays of equal shape, which become its rows.
 
-    Each row is removed from the list once it is copied, so that list and array are never in memory together.
+    Each array is removed from the list once it is copied, so that all data are never in memory twice.
     """
     array = np.empty((len(row_arrays), *row_arrays[0].shape), dtype=np.float32)
     while row_arrays:
@@ -67,7 +68,10 @@ def median(values: Floats) -> float:
 
 
 def group_rows(keys: Ints, rows: Ints) -> Iterator[tuple[int, Ints]]:
-    """Pairs of a key and the rows with this key, in ascending order of the distinct keys."""
+    """Pairs of a key and the row indices with this key, in ascending order of the distinct keys.
+
+    `keys` (n,) has the key of each row of a table; `rows` (r,) are the indices of the rows that are grouped.
+    """
     order = rows[np.argsort(keys[rows], kind="stable")]
     values, first = np.unique(keys[order], return_index=True)
     for key, group in zip(values, np.split(order, first[1:]), strict=False):

@@ -1,7 +1,7 @@
 """Descriptions of the fields of pydantic models, from the docstrings below the fields.
 
-They are read only when a schema, a table or a page shows them. Pydantic's `use_attribute_docstrings` would read the
-source of each class when the class is created, which takes a tenth of the time that a command needs to start.
+The docstrings are read only when a schema, a table or a page shows them. Pydantic's `use_attribute_docstrings` would
+read the source of each class when the class is created, which takes a tenth of the time that a command needs to start.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class DescribedModel(BaseModel):
 
 
 def field_descriptions(model: type[BaseModel]) -> dict[str, str]:
-    """Description of each field of a model, by the name of the field; fields of base classes are included."""
+    """Description of each field of a model and of its base classes, by the name of the field."""
     meanings: dict[str, str] = {}
     for kind in reversed(model.__mro__):
         if issubclass(kind, BaseModel) and kind is not BaseModel:
@@ -45,7 +45,7 @@ def field_descriptions(model: type[BaseModel]) -> dict[str, str]:
 
 @cache
 def _attribute_docstrings(module_name: str) -> dict[str, dict[str, str]]:
-    """Docstring of each annotated attribute, for each class of a module by its qualified name."""
+    """Docstrings of annotated attributes by attribute name, for each class of a module by its qualified name."""
     try:
         tree = ast.parse(inspect.getsource(sys.modules[module_name]))
     except (OSError, TypeError):  # no source is at hand, as in an interactive session
@@ -54,7 +54,10 @@ def _attribute_docstrings(module_name: str) -> dict[str, dict[str, str]]:
 
 
 def _attribute_docstrings_of_classes(statements: list[ast.stmt], name_prefix: str) -> list[tuple[str, dict[str, str]]]:
-    """Qualified name of each class among parsed statements, and the docstrings of its annotated attributes."""
+    """Pairs of the qualified name of a parsed class and the docstrings of its annotated attributes by attribute name.
+
+    `name_prefix` is the qualified name of the enclosing class with a dot, or empty.
+    """
     classes = []
     for node in statements:
         if isinstance(node, ast.ClassDef):

@@ -1,6 +1,6 @@
 """Comparison of results by value, including their arrays.
 
-Results are read from files only through the models of these files. No function of ltsim reads a `pickle`.
+ltsim reads results from files only through pydantic models of these files. No function of ltsim reads a `pickle`.
 """
 
 import dataclasses
@@ -15,7 +15,7 @@ from pydantic import BaseModel
 class ValueEquality:
     """Base class of data classes that are compared by value, including their arrays.
 
-    The usual comparison of data classes compares tuples of fields, which fails for arrays.
+    The generated `__eq__` of data classes compares tuples of fields, which fails for arrays.
     """
 
     def __init_subclass__(cls, **class_options: Any) -> None:
@@ -33,7 +33,7 @@ class ValueEquality:
 
 
 def equal_values(first_value: Any, second_value: Any) -> bool:
-    """True if two values have the same type and the same content; NaN equals NaN."""
+    """True if two values have the same type and equal contents; NaN equals NaN."""
     if first_value is second_value:
         return True
     if isinstance(first_value, np.ndarray) or isinstance(second_value, np.ndarray):
@@ -62,9 +62,9 @@ def equal_values(first_value: Any, second_value: Any) -> bool:
 
 
 def _comparable_content(compared_object: Any) -> tuple[Any, ...] | None:
-    """Content of an object that is neither a data class nor a pydantic model, in a form that `==` can compare.
+    """Tuple with the content of a sparse matrix or of an ltsim object with `__reduce__`, for `equal_values`.
 
-    Sparse matrices and objects with `__reduce__` have such a content. The result is None for all other objects.
+    The result is None for all other objects.
     """
     kind = type(compared_object)
     if kind.__module__.startswith("scipy.sparse"):

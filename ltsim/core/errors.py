@@ -1,13 +1,14 @@
 """Exceptions of ltsim, and the condition under which each is raised.
 
-* `RecordError`: a file or a recording is malformed. One sentence: file, row, column, value, and what would be right.
-* `SetupError`: a scenario, campaign or plan file asks for something impossible.
-* `ModelError`: a caller inside Python passed something that makes no sense (a shape, an unknown name).
-* `NetworkError`: the recording is well formed, but its network cannot be solved (a station that shares too
-  few targets with the others).
+* `RecordError`: a file or a recording is malformed. The message is one sentence with file, row, column, value, and the
+  expected value.
+* `SetupError`: a scenario, a campaign file, a plan file or an option cannot be carried out.
+* `ModelError`: an argument of a Python function has a wrong shape, unit or name.
+* `NetworkError`: the recording is well formed, but its network has no unique solution, for example because a station
+  shares too few targets with the others.
 
-A solver that does not converge raises nothing: it returns a `Solution` whose status says so in a sentence,
-and `Solution.require_success()` raises `ConvergenceError` for callers who want an exception.
+A solver that does not converge raises no exception. It returns a `Solution` whose status says so in a sentence, and
+`Solution.require_success()` raises `ConvergenceError` for callers who want an exception.
 """
 
 import difflib
@@ -26,9 +27,9 @@ class RecordError(LtsimError):
     Parameters
     ----------
     message : str
-        The value and what would be right.
+        Invalid value, and the expected value.
     file, row, column
-        Location; `row` counts data rows from 1 (the header is row 0). All optional.
+        Location of the value, as far as it is known; `row` counts data rows from 1 (the header is row 0).
     """
 
     def __init__(
@@ -76,15 +77,15 @@ class StoppedError(LtsimError):
 
 
 class CalibratorError(LtsimError):
-    """Error for a trial in which an external calibrator gives no valid result, although its input is valid.
+    """Error for a trial in which an external calibrator returns no valid result, although its input is valid.
 
-    The check of the calibrator fails. If the calibrator is a program, the message contains its command, its exit status
-    and the last line of its output.
+    The recovery check of the calibrator then fails. If the calibrator is a program, the message contains its command,
+    its exit status and the last line of its output.
     """
 
 
 class ConvergenceError(LtsimError):
-    """Error for an iteration that did not converge; the attribute `solution` holds its last state."""
+    """Error for an iteration that did not converge; the attribute `solution` holds the state after the last step."""
 
     def __init__(self, message: str, solution: object) -> None:
         self.solution = solution
@@ -92,9 +93,9 @@ class ConvergenceError(LtsimError):
 
 
 MAX_QUOTED_NAME_LENGTH = 60
-"""Number of characters up to which a message quotes a name in full; longer names are shortened."""
+"""Largest number of characters of a name that a message quotes in full; longer names are shortened."""
 _OPTION_SPELLING = {"flags": False}
-"""Spelling of options in messages: as flags of the command line, or as arguments in Python."""
+"""Spelling of options in messages: as command-line flags if true, as Python arguments if false."""
 FLAG_SPELLINGS = {
     "with_effects": "--with", "scaled": "--scale", "hints": "--hint", "changes": "--set",
     "calibrate=False": "--no-calibrate",
@@ -120,12 +121,12 @@ def option_text(argument_name: str) -> str:
 
 
 def missing_extra_error(feature_name: str, extra_name: str) -> SetupError:
-    """SetupError that says how to install the packages of an optional extra, which `feature_name` needs."""
+    """SetupError with the command that installs the optional extra `extra_name`, which `feature_name` needs."""
     return SetupError(f"{feature_name} need the extra '{extra_name}': pip install \"ltsim[{extra_name}]\"")
 
 
 def require_extra(package_names: Sequence[str], feature_name: str, extra_name: str) -> None:
-    """Check that the packages of an optional extra are installed; SetupError with the command to install them."""
+    """Check that `package_names` are installed; SetupError with the command that installs the extra `extra_name`."""
     if not all(is_installed(name) for name in package_names):
         raise missing_extra_error(feature_name, extra_name)
 
@@ -139,15 +140,15 @@ def is_installed(package_name: str) -> bool:
 
 
 def printable(text: str) -> str:
-    """Text with `?` in place of control characters, also those of the direction of writing.
+    """Text with `?` in place of control characters, including those that change the direction of writing.
 
-    It is safe on a terminal and, escaped, on a page. Blanks that are no control characters stay.
+    The result is safe on a terminal and, after escaping, on an HTML page. Line breaks, tabs and no-break spaces remain.
     """
     return "".join(c if c.isprintable() or c in "\n\t\u00a0" else "?" for c in text)
 
 
 def unknown_name_error(object_kind: str, unknown_name_text: str, valid_names: Iterable[str]) -> ModelError:
-    """ModelError for a name of an `object_kind` (such as `effect`) that does not exist, with similar valid names."""
+    """ModelError for an unknown name; it lists similar `valid_names`. `object_kind` is a noun such as `effect`."""
     choices = sorted(valid_names)
     short = printable(
         unknown_name_text

@@ -1,4 +1,4 @@
-"""Size limits of input files, checked before anything is built from a file.
+"""Size limits of input files and networks, checked before memory is allocated for their content.
 
 Together they keep the reading of any file of up to 32 MiB within 500 MB of memory and 30 s of processor time
 (`tests/recordings/test_limits.py` measures both at the limits of TOML, XML and JSON). A monitoring of 100,000 pointings
@@ -20,12 +20,12 @@ MAX_TEXT_LINES = 500_000
 while it is read.
 """
 MAX_LINE_CHARACTERS = 20_000
-"""Largest number of characters in a line: that of a header of `MAX_ROW_FIELDS` names with 40 characters each."""
+"""Largest number of characters in a line: a header of `MAX_ROW_FIELDS` names with 40 characters each."""
 MAX_ROW_FIELDS = 500
 """Largest number of columns in a table."""
 MAX_TABLE_HEADERS = 10_000
-"""Largest number of header lines in a table, one for each set-up or page; the rows between two are converted together,
-in a millisecond.
+"""Largest number of header lines in a table that repeats its header for each set-up or page; the rows between two
+headers are converted together, in a millisecond.
 """
 MAX_WORKBOOK_CELLS = 3_000_000
 """Largest number of cells in all sheets of a workbook together, 80 bytes each."""
@@ -37,9 +37,9 @@ MAX_CALIBRATED_POINTINGS = 30_000
 """Largest number of pointings of a network that is calibrated: proposals for further measurements are evaluated on
 networks up to three times as large."""
 MAX_ADJUSTED_TARGETS = 6_000
-"""Largest number of targets of a network that is adjusted or checked: time and memory grow with its square. With 6,000
-targets of two set-ups an adjustment takes 19 s and 436 MB, with 10,000 44 s and 970 MB. The largest measured networks
-have 1,000.
+"""Largest number of targets of a network that is adjusted or checked; time and memory grow with its square. An
+adjustment of two set-ups takes 19 s and 436 MB with 6,000 targets, and 44 s and 970 MB with 10,000. The largest
+measured networks have 1,000 targets.
 """
 MAX_CALIBRATED_TARGETS = 2_500
 """Largest number of targets of a network that is calibrated; 2,500 take 9 s and 400 MB, 10,000 take 104 s and 4.2 GB.
@@ -47,17 +47,18 @@ MAX_CALIBRATED_TARGETS = 2_500
 MAX_DIAGNOSED_TARGETS = 1_500
 """Largest number of targets of a network that is diagnosed; 1,500 take 60 s and 0.8 GB, 3,000 take 148 s and 2.1 GB."""
 MAX_NETWORK_SETUPS = 500
-"""Largest number of set-ups of a network that is adjusted, checked, calibrated or diagnosed: flags of all pairs of a
-set-up and a target are in memory, and set-ups are compared in pairs. The largest measured networks have hundreds.
+"""Largest number of set-ups of a network that is adjusted, checked, calibrated or diagnosed. Masks of all pairs of a
+set-up and a target are in memory, and set-ups are compared in pairs. The largest measured networks have hundreds of
+set-ups.
 """
 MAX_DIAGNOSED_POINTINGS = 8_000
-"""Largest number of pointings of a network that is diagnosed. With a cause, 2,000 take 24 s of processor time and
-310 MB, a ring of 3,360 takes 30 to 95 s and 450 to 530 MB, and 8,000 take 115 s and 0.85 GB (measured with other
-processes).
+"""Largest number of pointings of a network that is diagnosed. The diagnosis of a misfit takes 24 s of processor time
+and 310 MB with 2,000 pointings, 30 to 95 s and 450 to 530 MB with a ring of 3,360, and 115 s and 0.85 GB with 8,000
+(measured while other processes ran).
 """
 POINTINGS_LIMIT_VARIABLE = "LTSIM_MAX_POINTINGS"
-"""Environment variable that raises the largest number of pointings, set-ups and targets of every command, for machines
-with more memory."""
+"""Environment variable with a larger limit of the numbers of pointings, set-ups and targets for all commands, for
+machines with more memory."""
 
 MAX_TOML_BYTES = 8 * BYTES_PER_MIB
 """Largest size [bytes] of a TOML file; the parser, written in Python, reads 1 MiB in a second."""
@@ -66,21 +67,21 @@ MAX_TOML_DEPTH = 32
 memory of the parser grow with the square of the depth.
 """
 MAX_TOML_KEYS = 100_000
-"""Largest number of keys and table headers in a TOML file, each part of a dotted one counted: 20,000 points with five
-keys each. A table takes 2 kB.
+"""Largest number of keys and table headers in a TOML file; each part of a dotted key counts. It corresponds to 20,000
+points with five keys each. A table takes 2 kB.
 """
 MAX_TOML_WORD_CHARACTERS = 1_000
 """Largest number of characters of a key without quotes, a number or a date in a TOML file; the longest number that is
 read has 40. The parser takes 130 bytes for each digit of a number.
 """
 MAX_TOML_VALUES = 400_000
-"""Largest number of keys, tables, arrays and commas in a TOML file: 20,000 points with three coordinates and a
-covariance each.
+"""Largest number of keys, tables, arrays and commas in a TOML file. It corresponds to 20,000 points with three
+coordinates and a covariance matrix each.
 """
 
 MAX_JSON_VALUES = 1_500_000
-"""Largest number of commas and opening brackets in a JSON file, an upper bound of its values; an empty object, three
-characters, takes 64 bytes.
+"""Largest number of commas and opening brackets in a JSON file, an upper bound of the number of values. An empty
+object, with a comma three characters, takes 64 bytes.
 """
 
 MAX_RESULT_ENTRIES = 20_000
@@ -89,14 +90,14 @@ values of pointings are in tables. An entry takes 1 to 2 kB in a report.
 """
 
 MAX_DRAWN_ITEMS = 1_000
-"""Largest number of points, bars or curves in a figure of a report; each takes 5 ms and 0.1 MB, and more cannot be told
-apart.
+"""Largest number of points, bars or curves in a figure of a report; each takes 5 ms and 0.1 MB. More of them cannot be
+distinguished.
 """
 
 MAX_XML_TAGS = 600_000
 """Largest number of tags in an XML file; each element has one or two and takes 400 bytes."""
 MAX_XML_ATTRIBUTES = 1_000_000
-"""Largest number of equals signs in an XML file, an upper bound of its attributes; an attribute takes 150 bytes."""
+"""Largest number of equals signs in an XML file, an upper bound of the number of attributes of 150 bytes each."""
 MAX_XML_DEPTH = 64
 """Largest nesting depth of XML elements; the deepest format that is read has 8."""
 MAX_TAG_ATTRIBUTES = 1_000
@@ -107,7 +108,8 @@ MAX_COVARIANCE_VALUES = 1_000_000
 takes 120 bytes while it is read.
 """
 MAX_JOINT_COORDINATES = 4_000
-"""Largest number of coordinates with a joint covariance matrix, as compared epochs have it: a matrix takes 130 MB."""
+"""Largest number of coordinates with a joint covariance matrix, for example of compared epochs; the matrix takes 130
+MB."""
 
 MAX_WORKBOOK_BYTES = 16 * BYTES_PER_MIB
 """Largest size [bytes] of all unpacked parts of a workbook, checked by their headers and again while unpacking. A cell
@@ -129,16 +131,16 @@ MAX_WORKBOOK_SHEETS = 200
 MAX_CAD_BYTES = 512 * BYTES_PER_MIB
 """Largest size [bytes] of a CAD file."""
 MAX_CAD_MEMORY = 250 * BYTES_PER_MIB
-"""Memory [bytes] that the process that reads a CAD file may take beyond its libraries (125 MB); proportionally more for
-a file larger than `MAX_FILE_BYTES`. The process that waits for it takes 110 MB.
+"""Largest memory [bytes], beyond 125 MB of libraries, of the process that reads a CAD file; proportionally more for a
+file larger than `MAX_FILE_BYTES`. The process that waits for it takes 110 MB.
 """
 MAX_CAD_SECONDS = 25
-"""Processor time [s] that the process that reads a CAD file may take; proportionally more for a file larger than
+"""Largest processor time [s] of the process that reads a CAD file; proportionally more for a file larger than
 `MAX_FILE_BYTES`.
 """
 MAX_IN_PROCESS_CAD_BYTES = BYTES_PER_MIB // 2
-"""Size [bytes] up to which an OBJ or PLY file is read without a separate process: a polygon with many corners becomes
-360 bytes per byte of the file.
+"""Largest size [bytes] of an OBJ or PLY file that is read without a separate process. A polygon with many corners takes
+360 bytes of memory for each byte of the file.
 """
 MAX_OBSTACLE_TRIANGLES = 200_000
 """Largest number of triangles in a CAD file, counted for each instance of a part. A triangle takes 700 bytes while it
@@ -146,7 +148,7 @@ is read, and 1,500 in a hall where it may hide targets."""
 
 
 def max_pointings(default_limit: int) -> int:
-    """Largest number of pointings of a network: the given limit, or the environment variable if this is larger.
+    """Limit of the number of pointings, set-ups or targets: the larger of `default_limit` and the environment variable.
 
     ModelError is raised if the variable is not a whole number.
     """
@@ -159,9 +161,9 @@ def max_pointings(default_limit: int) -> int:
 
 
 def require_small_joint_covariance(n_coordinates: int, file: object) -> None:
-    """Check that a joint covariance matrix of so many coordinates fits in memory.
+    """Check that a joint covariance matrix of `n_coordinates` coordinates fits in memory.
 
-    RecordError, which names `file`, is raised for more than `MAX_JOINT_COORDINATES`.
+    RecordError, which names `file`, is raised for more than `MAX_JOINT_COORDINATES` coordinates.
     """
     if n_coordinates > MAX_JOINT_COORDINATES:
         expected = f"expected at most {MAX_JOINT_COORDINATES}; leave out points"

@@ -1,7 +1,8 @@
 """Notation of numbers with standard deviations and with expanded uncertainties, the same in all texts.
 
-`a +- b` is always a value and **one standard deviation** (standard uncertainty of JCGM 100). An uncertainty that covers
-95 % is written as an expanded uncertainty with its coverage factor, `U = b (k = 2)`, or as an interval that says so.
+`a +- b` is always a value and **one standard deviation** (standard uncertainty of JCGM 100). An uncertainty with 95 %
+coverage is written as an expanded uncertainty with its coverage factor, `U = b (k = 2)`, or as an interval with its
+coverage probability.
 Pages show `+-` and `um` as symbols.
 """
 
@@ -13,15 +14,15 @@ from ltsim.core.errors import ModelError
 MISSING_TEXT = "-"
 """Text for a missing number, in place of `nan`."""
 MAX_LISTED_ITEMS = 6
-"""Largest number of names or numbers that a sentence lists."""
+"""Largest number of names or numbers that a sentence lists; further ones are only counted."""
 MAX_LISTED_SENTENCES = 4
-"""Largest number of sentences of one kind; the number of further ones is reported."""
+"""Largest number of sentences of one kind that are displayed; further ones are only counted."""
 MAX_DECIMALS = 12
-"""Largest number of decimals in a displayed standard deviation; one below 1e-12 is displayed as 0."""
+"""Largest number of decimals in a displayed standard deviation; standard deviations below 1e-12 are displayed as 0."""
 
 
 def number_text(value: float | None, n_digits: int = 3) -> str:
-    """Number as text with `n_digits` significant digits, without exponent from 1e-4 to 1e6; a dash if it is missing."""
+    """Number as text with `n_digits` significant digits, with an exponent outside 1e-4 to 1e6; a dash if missing."""
     if value is None or not math.isfinite(value):
         return MISSING_TEXT
     if value == 0:
@@ -33,7 +34,7 @@ def number_text(value: float | None, n_digits: int = 3) -> str:
 
 
 def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
-    """Value and one standard deviation (`sigma`) in `unit` as text, to the second digit of it: `1.23 +- 0.10 um`."""
+    """Value and standard deviation `sigma` in `unit` as text, to the second digit of `sigma`: `1.23 +- 0.10 um`."""
     if value is None or not math.isfinite(value):
         return MISSING_TEXT
     if sigma is None or not (math.isfinite(sigma) and sigma > 0):
@@ -56,13 +57,13 @@ def with_expanded_uncertainty(
 
 
 def decimals_of_sigma(sigma: float) -> int:
-    """Number of decimals down to the second digit of a standard deviation: 2 for 0.10, and 0 from 12 on."""
+    """Number of decimals that show two significant digits of a standard deviation: 2 for 0.10, and 0 from 10 on."""
     rounded_sigma = float(f"{sigma:.1e}")  # 0.0996 is 0.10
     return min(max(1 - math.floor(math.log10(rounded_sigma)), 0), MAX_DECIMALS)
 
 
 def align_columns(header: Sequence[str], table_rows: Sequence[Sequence[str]], n_text_columns: int = 1) -> str:
-    """Rows as aligned text: the first `n_text_columns` columns flush left, the others flush right.
+    """Table as text with aligned columns: the first `n_text_columns` columns flush left, the others flush right.
 
     ModelError is raised if a row is not as long as the header.
     """
@@ -80,7 +81,7 @@ def align_columns(header: Sequence[str], table_rows: Sequence[Sequence[str]], n_
 
 
 def listing(names: Sequence[str], max_items: int = MAX_LISTED_ITEMS) -> str:
-    """List of names as text; names beyond `max_items` are only counted: `a, b and 3 more`."""
+    """List of names as text, `a, b and 3 more`; names after the first `max_items` are only counted."""
     if len(names) <= max_items:
         return ", ".join(names)
     return ", ".join(names[:max_items]) + f" and {len(names) - max_items} more"
@@ -94,5 +95,5 @@ def fixed_point_text(value: float | None, n_decimals: int) -> str:
 
 
 def unsigned_zero(decimal_text: str) -> str:
-    """Text of a number, without the minus sign if it is rounded to zero."""
+    """Decimal number as text, without the minus sign of `-0.00`."""
     return decimal_text if decimal_text.strip("-0.") else decimal_text.removeprefix("-")

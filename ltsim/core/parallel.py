@@ -1,4 +1,4 @@
-"""Functions in parallel worker processes, which exit with their parent process even if this is killed."""
+"""Function calls in parallel worker processes; the workers exit with their parent process, even if it is killed."""
 
 import os
 import threading
@@ -12,7 +12,7 @@ from ltsim.core.arguments import check_bounds
 from ltsim.core.errors import WorkerError, option_text
 
 PARENT_CHECK_INTERVAL_S = 1.0
-"""Time [s] between two checks of a worker process that its parent process still exists."""
+"""Time [s] between two checks by a worker process that its parent process still exists."""
 SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
 """Environment variable that keeps Python from adding the working folder to its module search path."""
 ReturnType = TypeVar("ReturnType")
@@ -28,9 +28,10 @@ def run_parallel(
 ) -> Iterator[ReturnType]:
     """Results of a function for each tuple of arguments, computed by `n_processes` worker processes.
 
-    With one process this process computes the results. The function must be importable by its name. Results come in the
-    order of the calls, or as soon as they are ready if `keeps_order` is false. Each worker receives `calls_per_batch`
-    calls together. WorkerError is raised if a worker process ends early, SetupError for fewer than one process.
+    If `n_processes` is 1, the calling process computes the results. The function must be importable by its name.
+    Results are yielded in the order of the calls, or as soon as they are ready if `keeps_order` is false. Each worker
+    receives `calls_per_batch` calls together. WorkerError is raised if a worker process ends early, SetupError for
+    fewer than one process.
     """
     check_bounds(jobs=n_processes)
     if n_processes == 1:

@@ -7,10 +7,10 @@ _plotting_loaders: list[Callable[[str], Any]] = []
 
 
 def register_plotting(import_module: Callable[[str], Any]) -> None:
-    """Registration of the function that imports a plotting module by its name in `ltsim.reports`."""
+    """Registration of the function that imports a module of `ltsim.reports` by its name."""
     _plotting_loaders[:] = [import_module]
 
 
 def plotting_module(module_name: str) -> Any:
-    """Plotting module of the given name, imported by the registered function."""
+    """Module of `ltsim.reports` with the given name, imported by the registered function."""
     return _plotting_loaders[0](module_name)

@@ -3,13 +3,15 @@
 import math
 
 SMALLEST_REPORTED_P = 1e-6
-"""p-value below which `< 1e-6` is reported, because no test is exact for such small probabilities."""
+"""Smallest p-value that is reported as a number; smaller ones are reported as `< 1e-6`, because no test is exact
+there."""
 AGREEMENT_LEVEL = 0.02
 """Two-sided p-value of the global test (chi-square) below which readings and model disagree: 1 % on each side."""
 SIZE_PRIOR = {0.03: 0.15, 0.1: 0.2, 0.3: 0.25, 1.0: 0.22, 3.0: 0.13, 10.0: 0.05}
-"""Prior probability of each size of an unmodelled effect; the size is a multiple of the effect's plausible size."""
+"""Prior probability of each size of an unmodelled effect; the keys are sizes divided by the plausible size of the
+effect."""
 P_WRONG_CONSTANT = 0.04
-"""Prior probability that the cause of a misfit is a wrong constant of an instrument."""
+"""Prior probability that a wrong instrument constant, such as the additive constant, is the cause of a misfit."""
 
 
 def two_sided_p_value(upper_tail_probability: float) -> float:

@@ -1,7 +1,8 @@
 """Results and their tables; the columns of a table are declared once for all forms of output.
 
-A `Column` has name, meaning, unit and number format. A `Table` gives the CSV file, the rows of JSON, the data frame,
-the text of a terminal, and the tables of notebooks and pages. A `Result` has a short summary, tables and a picture.
+A `Column` has name, meaning, unit and number format. From a `Table` the CSV file, the JSON rows, the data frame, the
+text on a terminal, and the tables in notebooks and reports are made. A `Result` has a short summary, tables and a
+figure.
 """
 
 from __future__ import annotations
@@ -33,11 +34,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMULA_STARTS = ("=", "+", "-", "@", "'")
-"""First characters of a cell that a spreadsheet interprets as a formula."""
+"""First characters of texts that are written to CSV with an apostrophe before them, see `guard_formula`."""
 MAX_MAGNITUDE = 1e40
-"""Largest magnitude of a number in a result file; a product of eight larger numbers could overflow."""
+"""Largest absolute value of a number in a result file; a product of eight larger numbers could overflow."""
 MAX_NOTEBOOK_ROWS = 12
-"""Number of rows up to which a notebook shows a table in full."""
+"""Largest number of rows of a table that a notebook shows."""
 ColumnKind = Literal["text", "number", "flag", "chance"]
 """Kind of the values of a column: text, number, true or false, or p-value (`chance`)."""
 ColumnValues = Mapping[str, Sequence[Any]]
@@ -57,19 +58,19 @@ class Column:
     kind : str
         `text`, `number`, `flag` (true or false) or `chance` (a p-value).
     csv_format : str
-        Number format in CSV, as of `format`; `r` for full precision.
+        Number format in CSV, in the syntax of Python's `format`; `r` for full precision.
     display_format : str
         Number format for display; by default `n_digits` significant digits.
     sigma_column : str
-        Name of the column with its standard deviation; both are displayed in one cell, `1.23 +- 0.10`.
+        Name of the column with the standard deviation of this column; both are displayed in one cell, `1.23 +- 0.10`.
     precision_column : str
-        Name of the column whose two significant digits set the displayed decimals, such as U for a value.
+        Name of a column, such as U, whose second significant digit is the last displayed decimal of this column.
     unit : str
         Unit; by default the one in the name.
     title : str
         Displayed title; by default the name without its unit.
     attribute : str
-        Attribute of a row object that holds the value; by default the name.
+        Attribute of a row object, or key of a row mapping, that holds the value; by default the name of the column.
     n_digits : int
         Significant digits of a number that is displayed without `display_format`.
     """
@@ -105,7 +106,7 @@ class Column:
         return f"{value:.6g}" if isinstance(value, float) and abs(value) < 1e4 else value
 
     def displayed_text(self, value: Any, precision_value: Any = None) -> str:
-        """Displayed text of a value to two significant digits of `precision_value`, the value of `precision_column`."""
+        """Displayed text of a value; `precision_value` is the row's value of `sigma_column` or `precision_column`."""
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return MISSING_TEXT
         if isinstance(value, bool | np.bool_):
@@ -124,27 +125,27 @@ class Column:
 
 
 def text_columns(**columns: str) -> tuple[Column, ...]:
-    """Columns of a table that hold text; each argument is the name of a column with its definition, `name="..."`."""
+    """Columns that hold text; the arguments are names and definitions of the columns, `name="definition"`."""
     return tuple(Column(name, about, "text") for name, about in columns.items())
 
 
 def number_columns(format_text: str = "", display_format: str = "", **columns: str) -> tuple[Column, ...]:
-    """Columns of numbers of one format (files, display); further arguments are names and definitions, `name="..."`."""
+    """Columns that hold numbers, `name="definition"`, with their formats in CSV (`format_text`) and for display."""
     return tuple(
         Column(name, about, csv_format=format_text, display_format=display_format) for name, about in columns.items()
     )
 
 
 def flag_columns(**columns: str) -> tuple[Column, ...]:
-    """Columns of a table that hold true or false; each argument is the name of a column with the meaning of true."""
+    """Columns that hold true or false; the arguments are names and the meaning of true, `name="True if ..."`."""
     return tuple(Column(name, about, "flag") for name, about in columns.items())
 
 
 def columns_of(model: type[BaseModel], names: str = "", **column_options: Mapping[str, Any]) -> tuple[Column, ...]:
-    """Columns of the fields of a model, with the descriptions of the fields as meanings.
+    """Columns for the fields of a pydantic model, with the descriptions of the fields as meanings.
 
-    `names` are the fields in their order, separated by blanks; default all. Further arguments of the `Column` of a
-    field are given by its name: ``value={"sigma_column": "sigma"}``.
+    `names` lists the fields, separated by blanks; default all. `column_options` holds further arguments of the `Column`
+    of a field by the field's name: ``value={"sigma_column": "sigma"}``.
     """
     made, meanings = [], field_descriptions(model)
     for name in names.split() or model.model_fields:
@@ -161,7 +162,7 @@ def _is_text(annotation: Any) -> bool:
 
 @dataclass(frozen=True)
 class Table(ValueEquality):
-    """Table with a subject, columns and rows.
+    """Table with description, columns and rows.
 
     A spreadsheet interprets a cell that begins with ``=``, ``+``, ``-`` or ``@`` as a formula. Such texts, and texts
     that begin with an apostrophe, are written to CSV with an apostrophe before them; `parse_csv` removes it.
@@ -175,12 +176,12 @@ class Table(ValueEquality):
 
     @classmethod
     def from_columns(cls, table_name: str, columns: ColumnValues, description: str = "") -> Table:
-        """Table of columns that are not declared in advance, such as further columns of a recording."""
+        """Table of values by column name, for columns without a declaration, such as extra columns of a recording."""
         table_columns = tuple(Column(head, kind=_column_kind(column)) for head, column in columns.items())
         return cls(f"{table_name}.csv", description, table_columns, tuple(zip(*columns.values(), strict=True)))
 
     def with_rows(self, rows: Iterable[Any]) -> Table:
-        """Copy of the table with rows: sequences in the order of the columns, or objects or mappings by name."""
+        """Copy of the table with new rows: sequences in column order, objects with attributes, or mappings."""
         return replace(self, rows=tuple(self._row_values(row) for row in rows))
 
     def _row_values(self, row: Any) -> tuple[Any, ...]:
@@ -203,7 +204,7 @@ class Table(ValueEquality):
         return [column.name for column in self.columns]
 
     def with_columns(self, names: str) -> Table:
-        """Copy of the table with the columns `names` (separated by blanks), and with their standard deviations."""
+        """Copy of the table with only the columns `names` (separated by blanks) and their uncertainty columns."""
         column_by_name = {column.name: column for column in self.columns}
         columns_used = [column_by_name[name] for name in names.split() if name in column_by_name]
         names_used = dict.fromkeys(
@@ -233,7 +234,7 @@ class Table(ValueEquality):
         return DataFrame({name: self.column(name) for name in self.header})
 
     def csv_text(self) -> str:
-        """Content of the CSV file."""
+        """Content of the table's CSV file."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow([guard_formula(name) for name in self.header])
@@ -247,7 +248,7 @@ class Table(ValueEquality):
         Raises
         ------
         RecordError
-            When a column is missing or a cell holds no number where one should be.
+            When a column is missing, or a cell of a number column holds no number. `file` is named in the message.
         """
         if text.count("\n") > MAX_TEXT_LINES:
             raise RecordError(f"has more than {MAX_TEXT_LINES} lines, the limit for reading", file=file)
@@ -271,7 +272,7 @@ class Table(ValueEquality):
 
     @property
     def _displayed_columns(self) -> list[Column]:
-        """Columns that are displayed: not empty, and not the standard deviations that share a cell with their value."""
+        """Displayed columns: all except empty ones and standard deviations that share a cell with their value."""
         merged_names = {column.sigma_column for column in self.columns}
         empty_names = {
             c.name for i, c in enumerate(self.columns) if self.rows and all(r[i] in (None, "") for r in self.rows)
@@ -300,7 +301,7 @@ class Table(ValueEquality):
         return align_columns(self.headings, self.cells(), kinds.index(False) if False in kinds else len(kinds))
 
     def html_table(self) -> str:
-        """HTML table of the first rows for a notebook; texts are escaped."""
+        """HTML table of the first `MAX_NOTEBOOK_ROWS` rows for a notebook; texts are escaped."""
         if not self.columns:
             return ""
         head = "".join(
@@ -338,12 +339,12 @@ class Result(ValueEquality):
         return f"<p>{head}</p>" + (self.table().html_table() if self._tables() else "")
 
     def table(self, table_name: str | None = None) -> Table:
-        """A table of the result.
+        """Table of the result with the given name.
 
         Parameters
         ----------
         table_name : str, optional
-            Name of the table; default the first. The error for an unknown name lists the valid ones.
+            Name of the table; default the first table. The error for an unknown name lists the valid names.
 
         Raises
         ------
@@ -376,7 +377,7 @@ def guard_formula(text: str) -> str:
 
 
 def unguard_formula(text: str) -> str:
-    """Text without the apostrophe that `guard_formula` adds."""
+    """Text of a CSV cell without the apostrophe that `guard_formula` adds."""
     return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA_STARTS) else text
 
 

@@ -3,14 +3,15 @@
 import numpy as np
 
 MAX_ROUNDING_ERROR = float(np.sqrt(np.finfo(np.float64).eps))
-"""Relative rounding error of a difference of squares in double precision, 1.5e-8 (half of the digits). A number that is
-smaller relative to its terms counts as zero, two numbers that differ by less count as equal, and an iteration that
-converges quadratically ends if its relative step is smaller."""
+"""Relative rounding error of a difference of squares in double precision, 1.5e-8 (half of the digits). A difference
+below this fraction of its terms counts as zero, numbers with a smaller relative difference count as equal, and an
+iteration that converges quadratically ends at a smaller relative step."""
 MAX_SOLUTION_ROUNDING_ERROR = 1e-6
 """Relative rounding error of numbers computed from normal equations: redundancy numbers, squared fractions of an effect
-that remain in residuals, coefficients of combinations, log evidences. A smaller number counts as zero. It exceeds
-`MAX_ROUNDING_ERROR` because the condition number of normal equations is the square of that of the design."""
+that remain in residuals, coefficients of combinations, log evidences. A smaller number counts as zero. The limit
+exceeds `MAX_ROUNDING_ERROR` because the condition number of normal equations is the square of that of the design
+matrix."""
 MAX_SINGLE_ROUNDING_ERROR = 1e-3
-"""Difference up to which log evidences in single precision count as equal: the spacing of numbers near 10,000, the log
-evidence of a step of 140 standard deviations.
+"""Largest difference of log evidences in single precision that count as equal. It is the spacing of single-precision
+numbers near 10,000, the log evidence of a step of 140 standard deviations.
 """

@@ -24,7 +24,7 @@ from ltsim.core.errors import RecordError
 FILE_MODE = 0o666
 """Permissions of a new file, which the umask restricts further."""
 _PROCESS_TOKEN = secrets.token_hex(4)
-"""Random identifier of this process, because the system uses process numbers again."""
+"""Random identifier of this process, because the operating system reuses process numbers."""
 _TEMPORARY_NAME = re.compile(r"\.ltsim-(\d{1,9})-([0-9a-f]{8})-[0-9a-f]{8}\.(tmp|moves)")
 """Pattern of the names of temporary files and journals; its groups are number and random identifier of the process."""
 
@@ -32,8 +32,9 @@ _TEMPORARY_NAME = re.compile(r"\.ltsim-(\d{1,9})-([0-9a-f]{8})-[0-9a-f]{8}\.(tmp
 def write_files(folder: Path, content_by_name: Mapping[str, bytes], *, flush_to_disk: bool = False) -> None:
     """Atomic writing of files into a folder, which is created if necessary: all files are written, or none.
 
-    A name may contain folders. A device or a pipe is written to directly. With `flush_to_disk` the files and their
-    names are forced to the disk. OSError is raised, and RecordError as in `path_in_folder`.
+    A file name may contain subfolders. A device or a pipe is written directly. With `flush_to_disk`, the operating
+    system must write the files to the disk before the function returns. OSError is raised if a file cannot be written,
+    and RecordError for a link that leads out of the folder.
     """
     folder.mkdir(parents=True, exist_ok=True)
     complete_interrupted_moves(folder)
@@ -41,14 +42,14 @@ def write_files(folder: Path, content_by_name: Mapping[str, bytes], *, flush_to_
     journal = folder / _temporary_name("moves")
     try:
         for name, content in content_by_name.items():
-            place = path_in_folder(folder, name)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            if place.is_dir():
+            final_path = path_in_folder(folder, name)
+            final_path.parent.mkdir(parents=True, exist_ok=True)
+            if final_path.is_dir():
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(folder / name))
-            if is_device(place):
-                place.write_bytes(content)
+            if is_device(final_path):
+                final_path.write_bytes(content)
                 continue
-            temporary = place.parent / _temporary_name("tmp")
+            temporary = final_path.parent / _temporary_name("tmp")
             moves[os.path.relpath(temporary, folder)] = name
             _create_file(temporary, content, flush_to_disk=flush_to_disk)
         if len(moves) > 1:
@@ -90,13 +91,13 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
 
 def path_in_folder(folder: Path, file_name: str) -> Path:
     """Path of a file in a folder after resolution of links; RecordError for a link that leads out of the folder."""
-    place = Path(os.path.realpath(folder / file_name))
-    if not (place.is_relative_to(os.path.realpath(folder)) or is_device(place)):
+    final_path = Path(os.path.realpath(folder / file_name))
+    if not (final_path.is_relative_to(os.path.realpath(folder)) or is_device(final_path)):
         raise RecordError(
-            f"is a symbolic link that leads out of the folder, to {place}; remove the link, or choose another folder",
+            f"is a link that leads out of the folder, to {final_path}; remove the link, or choose another folder",
             file=folder / file_name,
         )
-    return place
+    return final_path
 
 
 def with_digest_comment(text: str) -> str:
@@ -105,7 +106,7 @@ def with_digest_comment(text: str) -> str:
 
 
 def is_unmodified(path: Path) -> bool:
-    """True for a file that was written by `with_digest_comment` and was not changed since."""
+    """True for a file with a text of `with_digest_comment` that has not been modified since it was written."""
     n_bytes = len(with_digest_comment("").encode())
     with path.open("rb") as stream:
         stream.seek(-min(n_bytes, path.stat().st_size), os.SEEK_END)
@@ -117,7 +118,7 @@ def is_unmodified(path: Path) -> bool:
 
 
 def is_device(path: Path) -> bool:
-    """True if a path is neither a file nor a folder but a device or a pipe."""
+    """True for the path of a device or pipe, which is neither a file nor a folder."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
@@ -154,7 +155,7 @@ def _temporary_name(file_suffix: str) -> str:
 
 
 def _create_file(path: Path, content: bytes, *, flush_to_disk: bool) -> None:
-    """Creation of a file with the permissions that the umask permits."""
+    """Creation of a new file with the permissions that the user's umask permits."""
     with open(path, "xb", opener=lambda name, flags: os.open(name, flags, FILE_MODE)) as stream:
         stream.write(content)
         if flush_to_disk:
@@ -163,13 +164,13 @@ def _create_file(path: Path, content: bytes, *, flush_to_disk: bool) -> None:
 
 
 def _rename_files(folder: Path, final_name_by_temporary: Mapping[str, str], *, flush_to_disk: bool) -> None:
-    """Renaming of temporary files to their final names; files that were renamed before are skipped."""
+    """Renaming of temporary files in a folder to their final names; a file that is already renamed is skipped."""
     parents = set()
     for source, name in final_name_by_temporary.items():
-        place = path_in_folder(folder, name)
+        final_path = path_in_folder(folder, name)
         with contextlib.suppress(FileNotFoundError):
-            os.replace(folder / source, place)
-        parents.add(place.parent)
+            os.replace(folder / source, final_path)
+        parents.add(final_path.parent)
     for parent in parents if flush_to_disk else ():
         handle = os.open(parent, os.O_RDONLY)
         try:
@@ -183,7 +184,7 @@ def _is_inside_folder(folder: Path, file_name: str) -> bool:
 
 
 def _abandoned_files(folder: Path, file_suffix: str) -> Iterator[Path]:
-    """Temporary files in a folder and its subfolders whose processes have ended."""
+    """Temporary files, with the suffix `file_suffix`, in a folder and its subfolders, whose processes have ended."""
     for path in [*folder.glob(f".ltsim-*.{file_suffix}"), *folder.glob(f"*/.ltsim-*.{file_suffix}")]:
         match = _TEMPORARY_NAME.fullmatch(path.name)
         if match and not _is_running(int(match[1]), match[2]):

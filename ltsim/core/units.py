@@ -86,7 +86,7 @@ _SPELLINGS_BY_UNIT = MappingProxyType(
 UNITS_BY_SPELLING = MappingProxyType(
     {word.replace("_", " "): unit for unit, words in _SPELLINGS_BY_UNIT.items() for word in words.split()}
 )
-"""Unit for each spelling in lower case; `dms` means degrees, minutes and seconds in one cell."""
+"""Unit by its spelling in lower case; `dms` means degrees, minutes and seconds in one cell."""
 ANGLE_UNITS = ("deg", "gon", "rad", "dms")
 """Units of angles."""
 LENGTH_UNITS = ("mm", "m", "in", "cm", "ft", "um")
@@ -100,34 +100,34 @@ _CIRCLE_PARTS = MappingProxyType(
         "urad": 2_000_000 * _PI, "arcsec": Decimal(1_296_000), "cc": Decimal(4_000_000), "mgon": Decimal(400_000),
     }
 )  # fmt: skip
-"""Number of units in a full circle, for each unit of an angle."""
+"""Full circle in each unit of an angle."""
 UNIT_BY_KEY_ENDING = MappingProxyType(
     {
         "_c_per_h": "°C/h", "_per_k": "1/K", "_mm": "mm", "_um": "um", "_deg": "deg", "_arcsec": "arcsec",
         "_ppm": "ppm", "_c": "°C", "_hpa": "hPa", "_pct": "%", "_percent": "%", "_s": "s", "_h": "h",
     }
 )  # fmt: skip
-"""Unit of a key by its last part: `_mm` means millimetres."""
+"""Unit of a key by the ending of its name: `_mm` means millimetres."""
 UNIT_BY_KEY_BEGINNING = MappingProxyType({"seconds": "s", "minutes": "min", "hours": "h"})
-"""Unit of a key by its first word: `seconds` means s."""
+"""Unit of a key by the first word of its name: `seconds` means s."""
 _QUANTITY_PATTERN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s]\S*)\s*")
 
 
 @functools.cache
 def permitted_units_text() -> str:
-    """List of the units for a message; a number without a unit has the empty text."""
+    """List of all permitted units for a message; the unit of a pure number is the empty text."""
     return f"{', '.join(filter(None, SI_PER_UNIT))}, or '' for a number without a unit"
 
 
 def unit_ratio(numerator_unit: str, denominator_unit: str) -> Decimal:
-    """Exact size of `numerator_unit` divided by that of `denominator_unit`: units of angle, of length or of time."""
+    """Exact ratio of two units of the same quantity (angle, length or time): `numerator_unit` / `denominator_unit`."""
     if numerator_unit in _CIRCLE_PARTS:
         return _CIRCLE_PARTS[denominator_unit] / _CIRCLE_PARTS[numerator_unit]
     return Decimal(repr(SI_PER_UNIT[numerator_unit])) / Decimal(repr(SI_PER_UNIT[denominator_unit]))
 
 
 def unit_of_key(key_name: str) -> str:
-    """Unit that the name of a key contains; empty for a key without a unit."""
+    """Unit that the name of a key contains, such as `mm` for `x_mm`; empty for a key without a unit."""
     for ending, name in UNIT_BY_KEY_ENDING.items():
         if key_name.endswith(ending):
             return name
@@ -140,9 +140,9 @@ def are_convertible_units(unit: str, other_unit: str) -> bool:
 
 
 def parse_in_unit(text: str, unit: str) -> float | None:
-    """Number in the given unit, from a text with its own unit such as ``2 urad``.
+    """Number in the unit `unit` from a text with another unit of the same quantity, such as ``2 urad``.
 
-    It is None if the text is not a quantity of the same kind.
+    The result is None if the text is not a number with such a unit.
     """
     match = _QUANTITY_PATTERN.fullmatch(text)
     if match is None:

@@ -1,1 +1,1 @@
-"""Measurands: results computed from adjusted points, with their uncertainty (GUM, Monte Carlo) and conformity."""
+"""Measurands: lengths, features and poses from adjusted points, with uncertainty (GUM, Monte Carlo) and conformity."""

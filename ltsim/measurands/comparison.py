@@ -1,7 +1,9 @@
 """Comparison of two epochs: congruence test, displaced points, comparison.json and displacements.csv.
 
-References ---------- Pelzer, Zur Analyse geodaetischer Deformationsmessungen (1971): the congruence test. Baarda, A
-testing procedure for use in geodetic networks (1968): tests of single points and their minimal detectable displacement.
+References
+----------
+Pelzer, Zur Analyse geodaetischer Deformationsmessungen (1971): the congruence test.
+Baarda, A testing procedure for use in geodetic networks (1968): tests of points, minimal detectable displacements.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,14 +31,12 @@ DISPLACEMENTS_TABLE = Table(
     (
         Column("target", "name", "text"),
         Column("moved", "True if the point moved", "flag"),
-        *number_columns(".4f", x_mm="place in the first epoch", y_mm="as x_mm", z_mm="as x_mm"),
+        *number_columns(".4f", x_mm="coordinate in the first epoch", y_mm="as x_mm", z_mm="as x_mm"),
         *(Column(f"d{a}_um", "displacement, second minus first epoch", sigma_column=f"s{a}_um") for a in "xyz"),
         *(Column(f"s{a}_um", f"standard deviation of d{a}_um") for a in "xyz"),
         *number_columns("", ".1f", a_um="semi-axis of the 95 % confidence ellipsoid", b_um="as a_um", c_um="as a_um"),
-        Column("p_value", "p-value of no motion, corrected for the number of points", "chance"),
-        *number_columns(
-            "", ".0f", detectable_um="smallest motion that is detected with a probability of 80 % in any direction"
-        ),
+        Column("p_value", "p-value of the hypothesis of no displacement, corrected for the number of points", "chance"),
+        *number_columns("", ".0f", detectable_um="displacement detected in any direction with a probability of 80 %"),
     ),
 )
 
@@ -47,7 +47,7 @@ class Displacement(Entry):
     target: str
     """Name of the target."""
     moved: bool
-    """True if the test finds a significant displacement."""
+    """True if the displacement of the target is significant."""
     place_mm: Vector
     """Position in the first epoch [mm]."""
     shift_um: Vector
@@ -59,23 +59,24 @@ class Displacement(Entry):
     semi_axes_um: Vector
     """Semi-axes of the 95 % error ellipsoid of the displacement [um], the largest first."""
     p_value: Finite
-    """p-value of the hypothesis that the point did not move, with the displacements of other points in the model. It is
-    corrected for the number of tested points."""
+    """p-value of the hypothesis that the point did not move, corrected for the number of tested points. The
+    displacements of the other displaced points are estimated together with it."""
     detectable_um: tuple[Finite, Finite]
-    """Displacement that is detected with a probability of 80 % [um], in the most and the least favourable direction."""
+    """Smallest displacements that are detected with a probability of 80 % [um]: in the most favourable direction and in
+    the least favourable one."""
     point_chi2: OptionalFloat = None
-    """Chi-square of the difference of this point alone between the epochs, in one frame; independent of other points.
-    """
+    """Chi-square of the coordinate difference of this point between the epochs, from this point alone; null if the
+    frames of the epochs are free."""
 
     @property
     def row(self) -> list[Any]:
-        """Row of the table `DISPLACEMENTS_TABLE`."""
+        """Row of this displacement in the table displacements.csv."""
         numbers = *self.place_mm, *self.shift_um, *self.sigma_um, *self.semi_axes_um
         return [self.target, self.moved, *numbers, self.p_value, self.detectable_um[1]]
 
 
 class Comparison(ResultFile):
-    """Result of `compare`, with the content of `comparison.json`; `recording` is the first epoch."""
+    """Result of `compare`, with the content of `comparison.json`; `recording` is the source of the first epoch."""
 
     FILE: ClassVar[str] = "comparison.json"
     format: Literal["ltsim-comparison/1"] = "ltsim-comparison/1"
@@ -83,31 +84,31 @@ class Comparison(ResultFile):
     second: SourceEntry | None
     """Source of the second epoch."""
     sentence: str
-    """Sentence with the result."""
+    """Result in one sentence: the points that moved."""
     level: Finite
-    """Significance level: probability that any point is reported as displaced if none is."""
+    """Significance level: probability that at least one point is reported as displaced although none is."""
     statistic: Finite
-    """Chi-square of the global test (congruence test) that no point is displaced."""
+    """Chi-square of the congruence test, the global test of the hypothesis that no point is displaced."""
     dof: int
     """Degrees of freedom of the global test."""
     p_value: Finite
     """p-value of the global test."""
     p_value_after: Finite
-    """p-value of the global test without the displaced points."""
+    """p-value of the global test of the points that are not displaced."""
     scale_ppm: OptionalFloat = None
-    """Scale of the second epoch [ppm]; null if it was not estimated."""
+    """Scale of the second epoch relative to the first [ppm]; null if it was not estimated."""
     notes: tuple[str, ...] = ()
     """Notes on the epochs: undetermined motions of the network, exchanged names, a common motion of all points."""
     is_rigid_motion: bool = False
     """True if one rigid motion of all points explains most displacements: the lists may have different frames."""
     displacements: tuple[Displacement, ...] = Field(min_length=1)
-    """Displacements, one per common point, in the order of the first recording."""
+    """Displacement and test of each common point, in the order of the first recording."""
 
     def _lines(self) -> list[str]:
         return [
             self.sentence,
             *self.notes,
-            f"p-value of no motion: {p_relation_text(self.p_value)} for all points, "
+            f"hypothesis of no displacement: {p_relation_text(self.p_value)} for all points, "
             f"{p_relation_text(self.p_value_after)} for the points that did not move",
         ]
 
@@ -121,7 +122,7 @@ class Comparison(ResultFile):
 
 
 def coordinate_rows(points: Sequence[int] | Ints, n_axes: int) -> Ints:
-    """Indices of the coordinates of the given points in a vector that lists the coordinates point by point.
+    """Indices of the coordinates of `points` (point indices) in a vector that lists the coordinates point by point.
 
     `n_axes` is the number of coordinates per point.
     """
@@ -130,10 +131,11 @@ def coordinate_rows(points: Sequence[int] | Ints, n_axes: int) -> Ints:
 
 @dataclass(frozen=True)
 class EpochDifference:
-    """Differences of the common points between two epochs after alignment, their covariance, and the free motions.
+    """Coordinate differences of the common points between two aligned epochs, their covariance, and the free motions.
 
-    T is the number of points, a the number of compared axes, f the number of free motions. A term added to the
-    covariance along the free motions does not change results. It makes the covariance of a free network regular.
+    T is the number of points, a the number of compared axes, f the number of free motions: rigid motions of all points
+    that an epoch does not determine. The covariance of a free network is singular along them. A variance added along
+    the free motions makes it regular and does not change results.
     """
 
     point_names: Sequence[str]
@@ -143,7 +145,7 @@ class EpochDifference:
     covariance: Floats
     """Covariance of the T a differences, shape (T a, T a) [m^2]."""
     free_motions: Floats
-    """Displacements of all points by each free motion of the second epoch, one column per motion, shape (T a, f)."""
+    """Displacements of the points by a unit of each free motion of the second epoch, shape (T a, f)."""
     compared_axes: Ints
     """Indices of the compared coordinate axes; 0 is x."""
     first_epoch_points: Floats
@@ -158,11 +160,14 @@ class EpochDifference:
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of the global test."""
+        """Degrees of freedom of the global test: coordinate differences minus free motions."""
         return len(self._whitening_root) - self.free_motions.shape[1]
 
     def chi2_of_point(self, point: int) -> float | None:
-        """Chi-square of the difference of one point alone; None if the frames of the epochs are free."""
+        """Chi-square of the coordinate difference of the point with index `point`, from this point alone.
+
+        The result is None if the frames of the epochs are free.
+        """
         if self.free_motions.shape[1]:
             return None
         point_rows = coordinate_rows([point], len(self.compared_axes))
@@ -180,18 +185,21 @@ class EpochDifference:
         return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
 
     def _whitened_design(self, moved_points: Sequence[int]) -> Floats:
-        """Whitened design matrix of the free motions, and of the displacements of the points `moved_points`."""
+        """Whitened design matrix: columns of the free motions, then of the displacements of the `moved_points`."""
         columns = np.eye(len(self.differences))[:, coordinate_rows(moved_points, len(self.compared_axes))]
         return self._whitening_root @ np.hstack([self.free_motions, columns])
 
     def sum_of_squares(self, moved_points: Sequence[int] = ()) -> float:
-        """Weighted sum of squared differences that neither free motions nor displacements of `moved_points` explain."""
+        """Weighted sum of squared differences after a fit of free motions and of displacements of `moved_points`."""
         remaining, design = self._whitening_root @ self.differences, self._whitened_design(moved_points)
         basis = scipy.linalg.orth(design / np.linalg.norm(design, axis=0))
         return float(remaining @ remaining - np.sum((basis.T @ remaining) ** 2))
 
     def estimate_displacements(self, moved_points: Sequence[int]) -> tuple[Floats, Floats]:
-        """Estimates of free motions and of the displacements of `moved_points`, and covariance of all estimates."""
+        """Least-squares estimates of the free motions and of the displacements of `moved_points`, and their covariance.
+
+        The shapes are (f + m a,) and (f + m a, f + m a) for m points; the free motions come first.
+        """
         design = self._whitened_design(moved_points)
         column_norms = np.linalg.norm(design, axis=0)
         inverse = np.linalg.pinv(design / column_norms) / column_norms[:, None]
@@ -204,7 +212,10 @@ def congruence_test(
     alpha: float,
     epoch_sources: tuple[SourceEntry, SourceEntry],
 ) -> Comparison:
-    """Comparison of two epochs by a congruence test; points outside `stable_mask` are tested for displacements."""
+    """Comparison of two epochs by a congruence test at the significance level `alpha`.
+
+    Points outside `stable_mask`, (T,), are tested for displacements. `epoch_sources` are the sources of the two epochs.
+    """
     tested = np.flatnonzero(~stable_mask)
     moved = _find_moved_points(difference, tested, alpha)
     displacements = tuple(
@@ -237,9 +248,10 @@ def congruence_test(
 
 
 def _find_moved_points(difference: EpochDifference, tested_indices: Ints, alpha: float) -> list[int]:
-    """Indices of the displaced points. Significant points are added one by one.
+    """Indices of the displaced points, at the significance level `alpha` for all `tested_indices` together.
 
-    After each addition all displaced points are tested again given the others.
+    Significant points are added one by one. After each addition every displaced point is tested again, with the
+    displacements of the others in the model.
     """
     moved_points: list[int] = []
     limit = special.chdtri(len(difference.compared_axes), alpha / max(len(tested_indices), 1))
@@ -262,10 +274,10 @@ def _find_moved_points(difference: EpochDifference, tested_indices: Ints, alpha:
 def _displacement_of_point(
     difference: EpochDifference, point: int, other_moved_points: list[int], n_tested: int, alpha: float
 ) -> Displacement:
-    """Displacement of a point relative to the stable points, and its test given the displacements of other points.
+    """Displacement of the point with index `point` relative to the stable points, and its test.
 
-    `other_moved_points` are the indices of these points. The p-value is corrected for `n_tested` tested points, and the
-    detectable displacement is that at the level `alpha`.
+    The displacements of `other_moved_points` (point indices) are in the model. The p-value is corrected for `n_tested`
+    tested points. The detectable displacement refers to the significance level `alpha`.
     """
     count, a = max(n_tested, 1), len(difference.compared_axes)
     others = [p for p in other_moved_points if p != point]
@@ -298,7 +310,7 @@ def _result_sentence(displacements: Sequence[Displacement]) -> str:
     size_by_target = {d.target: float(np.linalg.norm(d.shift_um)) for d in displacements if d.moved}
     if not size_by_target:
         sure = max(d.detectable_um[1] for d in displacements)
-        return f"no point moved; a motion of {sure:.0f} um at any point would be detected with a probability of 80 %"
+        return f"no point moved; a displacement of {sure:.0f} um of any point would be detected with 80 % probability"
     names_by_size = sorted(size_by_target, key=lambda name: -size_by_target[name])
     names = listing([f"{name} by {size_by_target[name]:.0f} um" for name in names_by_size])
     return f"{len(names_by_size)} of {len(displacements)} points moved: {names}"

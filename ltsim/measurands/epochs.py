@@ -1,9 +1,9 @@
 """Displacements of points between two epochs: adjustment of each epoch, alignment, and congruence test.
 
-Each epoch is adjusted separately. The second is aligned to the first by the rigid motions that are free in one of the
-epochs, and by a scale if requested. The remaining differences are compared with their full covariance. Displaced points
-are added one by one, each time the point that explains most of the remaining differences, until the other points are
-congruent. Each displaced point is then tested with the others in the model.
+Each epoch is adjusted separately. The second epoch is aligned to the first by the rigid motions that are free in one
+of the epochs, and by a scale if requested. The remaining coordinate differences are tested with their full covariance.
+Displaced points are added one by one, each time the point that explains most of the remaining differences, until the
+other points are congruent. Each displaced point is then tested with the displacements of the others in the model.
 """
 
 from __future__ import annotations
@@ -49,15 +49,12 @@ def compare_adjustments(
     same_instrument: bool = False,
     alpha: float = 0.05,
 ) -> Comparison:
-    """Comparison of two converged adjustments, each in its own frame, by their common points.
-
-    Options and errors are those of `lt.compare`.
-    """
+    """Comparison of two converged adjustments in separate frames; options and errors are explained at `lt.compare`."""
     undetermined = {*first.undetermined_targets, *second.undetermined_targets}
     common = [n for n in first.recording.targets if n in second.recording.targets and n not in undetermined]
     stable_points = _stable_point_mask("recordings", common, stable_names, n_frame_points=3)
     indices = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
-    common_groups = _common_observations(first, second, same_instrument)
+    common_groups = _common_error_sources(first, second, same_instrument)
     before, after = (_Epoch.from_adjustment(a, i, common_groups) for a, i in zip((first, second), indices, strict=True))
     sources = (SourceEntry.from_recording(first.recording), SourceEntry.from_recording(second.recording))
     return _compare_epochs(
@@ -74,15 +71,12 @@ def compare_coordinates(
     with_scale: bool = False,
     alpha: float = 0.05,
 ) -> Comparison:
-    """Comparison of two lists of coordinates, in one frame or (with `has_free_motions`) each in its own frame.
-
-    Options and errors are those of `lt.compare`.
-    """
+    """Comparison of two lists of coordinates, with separate frames if `has_free_motions`; errors as in `lt.compare`."""
     if first.axes != second.axes:
         raise ModelError(
             f"the first list has the axes {first.axes}, the second {second.axes}; the axes must be the same"
         )
-    second, renamed = _with_spelling_of(second, first.names)
+    second, renamed = _with_names_spelled_as(second, first.names)
     common_names = [name for name in first.names if name in second.names]
     open_ = [np.eye(6) if has_free_motions else free_motions_of_epoch(epoch) for epoch in (first, second)]
     is_open = with_scale or any(motions.shape[1] for motions in open_)
@@ -102,7 +96,7 @@ def compare_coordinates(
     )
     if is_open or len(first.axes) < len(ALL_AXES) or len(common_names) <= len(ALL_AXES):
         return result
-    return _with_rigid_motion(
+    return _with_rigid_motion_note(
         result,
         lambda: compare_coordinates(
             first, second, stable_names=stable_names, has_free_motions=True, with_scale=with_scale, alpha=alpha
@@ -110,11 +104,8 @@ def compare_coordinates(
     )
 
 
-def _with_spelling_of(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[EpochCoordinates, list[str]]:
-    """Epoch with the spelling of `names` for points whose names differ only in case, blanks or leading zeros.
-
-    The second element of the result is a note on these names.
-    """
+def _with_names_spelled_as(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[EpochCoordinates, list[str]]:
+    """Epoch with points renamed as in `names` if only case, blanks or leading zeros differ, and notes on them."""
     spellings = {normalised_name(name): name for name in names if name not in epoch.names}
     unmatched_names = [name for name in epoch.names if name not in names]
     normalised = [normalised_name(name) for name in unmatched_names]
@@ -130,12 +121,12 @@ def _with_spelling_of(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[Ep
     return replace(epoch, names=tuple(changed.get(name, name) for name in epoch.names)), [note]
 
 
-def _with_rigid_motion(
+def _with_rigid_motion_note(
     fixed_frame_result: Comparison, compare_with_free_motions: Callable[[], Comparison]
 ) -> Comparison:
-    """Comparison of lists in one frame, with a note if one common rigid motion explains that most points moved.
+    """Comparison of lists in one frame, with a note if one rigid motion of all points explains most displacements.
 
-    `compare_with_free_motions` compares the lists with each in its own frame.
+    `compare_with_free_motions` compares the lists in separate frames, to find such a motion.
     """
     n_points = len(fixed_frame_result.displacements)
     if 2 * len(fixed_frame_result.moved_points) <= n_points:
@@ -162,7 +153,10 @@ def _compare_epochs(
     compared_axes: Ints = ALL_AXES,
     notes: Sequence[str] = (),
 ) -> Comparison:
-    """Comparison of epochs with the same points; points whose names are exchanged are compared by their positions."""
+    """Comparison of epochs with the same points; points whose names are exchanged are compared by their positions.
+
+    The points in `stable_mask` define the frame; `is_declared_stable` is a mask of points declared stable by the user.
+    """
     gap = _align_epochs(first, second, with_scale, stable_mask, compared_axes)
     result = congruence_test(gap, is_declared_stable, alpha, epoch_sources)
     order = exchanged_names(gap, [i for i, d in enumerate(result.displacements) if d.moved])
@@ -180,15 +174,15 @@ def _compare_epochs(
 def _stable_point_mask(
     point_noun: str, common_names: Sequence[str], stable_names: Sequence[str] | None, *, n_frame_points: int
 ) -> Bools:
-    """Mask of the common points that may define the frame: all, or the points declared stable.
+    """Mask of the common points that may define the frame: all, or the `stable_names` that the user declared stable.
 
-    At least `n_frame_points` points are necessary.
+    At least `n_frame_points` are necessary. `point_noun` names the compared epochs in messages.
     """
     for name in stable_names or ():
         if name not in common_names:
             raise unknown_name_error("common point", name, common_names)
     if len(common_names) < n_frame_points + 1:
-        needed = f"at least {n_frame_points + 1} are needed to see one of them move"
+        needed = f"at least {n_frame_points + 1} are needed to detect that one of them moved"
         raise NetworkError(f"the {point_noun} share {len(common_names)} points; {needed}")
     if stable_names is not None and len(stable_names) < n_frame_points:
         raise ModelError(f"{len(stable_names)} stable points do not define a frame; name at least {n_frame_points}")
@@ -197,28 +191,28 @@ def _stable_point_mask(
 
 @dataclass(frozen=True)
 class _Epoch:
-    """Points of one epoch with their joint covariance and the rigid motions that are free."""
+    """Points of one epoch, their joint covariance, and the rigid motions that the epoch does not determine."""
 
     point_names: Sequence[str]
-    """Names of the points."""
+    """Names of the T points."""
     points: Floats
     """Coordinates of the T points, shape (T, 3) [m]."""
     covariance: Floats
-    """Joint covariance of the points along a axes, shape (T a, T a) [m^2]."""
-    common_point_shifts: Floats
-    """Shifts of the points by one standard deviation of each error that both epochs may share, shape (T a, errors)
-    [m]."""
+    """Joint covariance of the T points in the `a` compared coordinates of each, shape (T a, T a) [m^2]."""
+    shifts_per_common_error: Floats
+    """Displacements of points by one standard deviation of each error that epochs may share, (T a, errors) [m]."""
     free_motions: Floats
-    """Coefficients of each free motion in three translations and three rotations, shape (6, motions)."""
+    """Coefficients of each free motion: three translations, then three rotations about the origin, (6, motions)."""
 
     @classmethod
-    def from_adjustment(cls, adjustment: Adjustment, target_indices: Ints, target_names: Sequence[str]) -> Self:
+    def from_adjustment(cls, adjustment: Adjustment, target_indices: Ints, common_sources: Sequence[str]) -> Self:
+        """Epoch of the targets `target_indices`; `common_sources` names the errors that both epochs share."""
         columns = adjustment.problem.unknowns.target_columns[target_indices].reshape(1, -1)
         reach = displacement_per_observation(adjustment, columns[0])
         shifts_by_source = {s.name: s.displacements_per_sigma for s in observed_sources(adjustment, reach)}
         responses = [
             np.zeros((reach.shape[1], 0)),
-            *(shifts_by_source[name] for name in target_names if name in shifts_by_source),
+            *(shifts_by_source[name] for name in common_sources if name in shifts_by_source),
         ]
         names = [adjustment.recording.targets[i] for i in target_indices]
         covariance = reach.T @ reach + air_covariance(adjustment, columns)[0]
@@ -232,7 +226,7 @@ class _Epoch:
 
     @classmethod
     def from_coordinates(cls, coordinates: EpochCoordinates, point_names: Sequence[str], free_motions: Floats) -> Self:
-        """Epoch of a list of coordinates with the given free motions."""
+        """Epoch of a list of coordinates, reduced to `point_names`, with the given free motions (6, motions)."""
         indices = np.array([coordinates.names.index(name) for name in point_names])
         row_indices = coordinate_rows(indices, len(coordinates.axes))
         return cls(
@@ -244,19 +238,19 @@ class _Epoch:
         )
 
     def with_order(self, point_order: Ints, axes: int) -> Self:
-        """Epoch whose point i is the present point `point_order[i]`, for `axes` coordinates per point."""
+        """Epoch with reordered points: new point i is old point `point_order[i]`, with `axes` coordinates each."""
         row_indices = coordinate_rows(point_order, axes)
         covariance = self.covariance[np.ix_(row_indices, row_indices)]
         return replace(
             self,
             points=self.points[point_order],
             covariance=covariance,
-            common_point_shifts=self.common_point_shifts[row_indices],
+            shifts_per_common_error=self.shifts_per_common_error[row_indices],
         )
 
 
-def _common_observations(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
-    """Groups of observations whose errors are common to both epochs, because their declarations are equal."""
+def _common_error_sources(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
+    """Names of the sources of uncertainty whose errors both epochs share, because their declarations are equal."""
     earlier, later = first.recording.setup, second.recording.setup
     common = []
     if same_instrument:
@@ -280,7 +274,7 @@ def _common_observations(first: Adjustment, second: Adjustment, same_instrument:
 
 
 def _certificate_lengths(gauge: Gauge) -> Gauge:
-    """Reference lengths as on their certificate, without the temperatures during the measurement."""
+    """Gauge with its certified lengths only, without the temperatures during the measurement."""
     plain = {"measured_at_c": None, "sigma_temperature_k": None}
     lengths = tuple(line.model_copy(update=plain) for line in gauge.distance)
     return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})
@@ -289,7 +283,10 @@ def _certificate_lengths(gauge: Gauge) -> Gauge:
 def _align_epochs(
     first_epoch: _Epoch, second_epoch: _Epoch, with_scale: bool, stable_mask: Bools, axes: Ints = ALL_AXES
 ) -> EpochDifference:
-    """Differences of the points after alignment of the second epoch to the first, if their frames are free."""
+    """Coordinate differences after alignment of the second epoch to the first by their free motions.
+
+    `stable_mask`, (T,), are the points that define the alignment, `axes` the compared coordinate axes.
+    """
     before, after, turn = first_epoch.points, second_epoch.points, np.eye(3)
     centre = before[stable_mask].mean(axis=0)
     stacked = np.hstack([first_epoch.free_motions, second_epoch.free_motions])
@@ -300,12 +297,12 @@ def _align_epochs(
             turn, shift = align_rigidly(second_epoch.points, before, weights)
             after = second_epoch.points @ turn.T + shift
             off = np.linalg.norm(after - before, axis=1)
-            # A point that moved must not turn the rest.
+            # A displaced point must not rotate the other points.
             previous, weights = weights, stable_mask / (off + np.median(off[stable_mask]) + 1e-12)
             if np.abs(weights - previous).max() < MAX_ROUNDING_ERROR * weights.max():
                 break
     big = np.kron(np.eye(len(before)), turn[np.ix_(axes, axes)])
-    shared = first_epoch.common_point_shifts @ second_epoch.common_point_shifts.T @ big.T
+    shared = first_epoch.shifts_per_common_error @ second_epoch.shifts_per_common_error.T @ big.T
     covariance = first_epoch.covariance + big @ second_epoch.covariance @ big.T - shared - shared.T
     motions = rigid_motion_design(before, centre)
     motions = motions @ _motions_about_centre(free, centre) if free.shape[1] else motions[:, :0]
@@ -322,24 +319,25 @@ def _align_epochs(
 
 
 def _motions_about_centre(free_motions: Floats, centre: Floats) -> Floats:
-    """Motions (6, f) whose rotations are about a given centre, from rotations about the origin."""
+    """Coefficients (6, f) of motions with rotations about `centre`, from those with rotations about the origin."""
     about = free_motions.copy()
     about[:3] += np.cross(free_motions[3:].T, centre).T
     return about
 
 
 MAX_EXCHANGE_DISTANCE = 0.1
-"""Largest distance of two points from each other's earlier positions, relative to the distance between the points, at
-which their names count as exchanged."""
+"""Largest distance of two points from each other's first-epoch position at which their names count as exchanged, as a
+fraction of the distance between the two points."""
 MOTIONS_BY_RANK_DEFECT = {3: (0, 1, 2), 4: (0, 1, 2, 5), 6: tuple(range(6))}
-"""Free rigid motions of a network by the rank defect of its covariance; 0 to 2 are translations, 3 to 5 rotations."""
+"""Indices of the free rigid motions of a network, by the rank defect of its covariance matrix; 0 to 2 are translations
+along x, y and z, 3 to 5 are rotations about these axes."""
 
 
 def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     """Coefficients (6, motions) of the rigid motions that are free in an epoch, by the rank defect of its covariance.
 
-    With inner constraints over all points the covariance has no variance along the motions. A datum of some points has
-    the same defect in other directions; the usual motions are then used.
+    If inner constraints over all points define the datum, the variance along the free motions is zero. If only some
+    points define it, the defect is the same in other directions; `MOTIONS_BY_RANK_DEFECT` then gives the motions.
     """
     scale = np.sqrt(np.diag(epoch.covariance))
     eigenvalues = np.linalg.eigvalsh(epoch.covariance / np.outer(scale, scale))
@@ -361,14 +359,14 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     if still.shape[1] != defect:
         usual = np.array(MOTIONS_BY_RANK_DEFECT.get(defect, range(6)) if len(epoch.axes) == len("xyz") else range(6))
         free_motions = np.eye(6)[:, usual[np.isin(usual, moving)]]
-    free_motions[:3] += np.cross(centre, free_motions[3:].T).T  # turns about the middle as turns about the origin
+    free_motions[:3] += np.cross(centre, free_motions[3:].T).T  # from rotations about the centre to the origin
     return free_motions
 
 
 def exchanged_names(difference: EpochDifference, moved_points: Sequence[int]) -> Ints | None:
-    """Index of the point whose name each common point has in the second epoch; None if no names are exchanged.
+    """Index of the point whose name each common point has in the second epoch, (T,); None if no names are exchanged.
 
-    Each of the `moved_points` is at the first-epoch position of another one, far from its own.
+    Names are exchanged if each of the `moved_points` (indices) is near the first-epoch position of another one of them.
     """
     if len(moved_points) < 2:
         return None
@@ -386,14 +384,14 @@ def exchanged_names(difference: EpochDifference, moved_points: Sequence[int]) ->
 
 
 def exchanged_names_sentence(names: Sequence[str], point_order: Ints) -> str:
-    """Sentence on the names that are exchanged in the second epoch."""
+    """Sentence on the names that are exchanged in the second epoch; `point_order` is a result of `exchanged_names`."""
     changed_indices = np.flatnonzero(point_order != np.arange(len(point_order)))
     names_changed = listing([names[i] for i in changed_indices.tolist()], len(changed_indices))
     return f"the names {names_changed} are exchanged in the second epoch; these points are compared by position"
 
 
 def undetermined_motions_note(n_motions: int) -> str:
-    """Note on the number of undetermined motions of the whole network, and on the alignment that fixes them."""
+    """Note on the number `n_motions` of undetermined motions of the whole network, and on the alignment along them."""
     return (
         f"the covariances leave {n_motions} motions of the whole network undetermined (free networks): the second "
         "epoch is aligned with the first along them"

@@ -1,4 +1,4 @@
-"""Complete evaluation: results from readings, their uncertainty by two methods, budget and decisions."""
+"""Evaluation of tasks: results, uncertainty by propagation and by Monte Carlo, budgets and conformity decisions."""
 
 from dataclasses import dataclass
 
@@ -11,13 +11,13 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.measurands.inputs import TaskInputs
 from ltsim.measurands.measurands import Measurand, TaskOutput
 from ltsim.measurands.propagation import (
-    MAX_CURVATURE_RATIO,
+    MAX_NONLINEARITY_RATIO,
     LinearUncertainty,
     MonteCarloUncertainty,
-    curvature_differences,
-    expansion_of_part,
+    nonlinearity_differences,
     propagate,
     run_monte_carlo,
+    thermal_expansion_of_part,
 )
 from ltsim.measurands.spec import Task, Tasks
 from ltsim.measurands.uncertainty import (
@@ -36,9 +36,9 @@ from ltsim.solve.threads import single_threaded
 
 @dataclass(frozen=True, repr=False)
 class TaskEvaluation:
-    """Results of tasks with their uncertainty by propagation and by Monte Carlo, as arrays.
+    """Results of all tasks as arrays, with their uncertainty by propagation (GUM) and by Monte Carlo (JCGM 101).
 
-    `to_result` converts them to the result of `uncertainty`.
+    A task can have several results, such as x, y and z. `to_result` converts the arrays to the result of `uncertainty`.
     """
 
     tasks: Tasks
@@ -51,20 +51,20 @@ class TaskEvaluation:
     """Uncertainty by the law of propagation (GUM)."""
     monte_carlo: MonteCarloUncertainty
     """Uncertainty by Monte Carlo (JCGM 101)."""
-    interval_agrees: Bools
-    """Agreement of each result's interval by propagation with that by Monte Carlo (JCGM 101, clause 8), True or False.
-    """
-    curvature_ratios: Floats
-    """Difference of each result between the exact and the linearised adjustment, in standard uncertainties."""
+    intervals_agree: Bools
+    """Mask (results,): True if a result's intervals by propagation and by Monte Carlo agree (JCGM 101, clause 8)."""
+    nonlinearity_ratios: Floats
+    """Difference of each result between the exact and the linearised adjustment, divided by its standard uncertainty,
+    shape (results,)."""
 
     @property
     def outputs(self) -> list[tuple[Task, TaskOutput]]:
-        """Task and definition of each result, in the order of the results."""
+        """Task of each result, and name and unit of the result, in the order of the results."""
         return [(m.task, output) for m in self.measurands for output in m.outputs]
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings on results that are less reliable than they seem, one sentence each."""
+        """Warnings on single results (nonlinear, not normal, not stable) and on the air, one sentence each."""
         air = self.inputs.air_text
         warnings = (
             [f"all budgets include the {air}; change these values in the table [air] of the task file or of the set-up"]
@@ -73,10 +73,10 @@ class TaskEvaluation:
         )
         for i, (task, output) in enumerate(self.outputs):
             what = f"{task.name}, {output.name}"
-            if self.curvature_ratios[i] > MAX_CURVATURE_RATIO:
-                gap = f"deviation {self.curvature_ratios[i]:.2g} of the uncertainty"
+            if self.nonlinearity_ratios[i] > MAX_NONLINEARITY_RATIO:
+                gap = f"difference of {self.nonlinearity_ratios[i]:.2g} standard uncertainties"
                 warnings.append(f"{what}: the result is not linear within its uncertainty ({gap}); improve the network")
-            elif not self.interval_agrees[i] and self.monte_carlo.is_stable[i]:
+            elif not self.intervals_agree[i] and self.monte_carlo.is_stable[i]:
                 warnings.append(f"{what}: the distribution is not normal; take the interval by Monte Carlo")
         if not self.monte_carlo.is_stable.all():
             count = int(np.sum(~self.monte_carlo.is_stable))
@@ -132,10 +132,10 @@ class TaskEvaluation:
                 symmetric=(drawn.symmetric_intervals[result_index] / unit).tolist(),
                 shortest=(drawn.shortest_intervals[result_index] / unit).tolist(),
                 stable=bool(drawn.is_stable[result_index]),
-                agrees=bool(self.interval_agrees[result_index]),
+                agrees=bool(self.intervals_agree[result_index]),
             ),
-            curvature=float(self.curvature_ratios[result_index]),
-            budget=self._budget_parts(result_index, sigma),
+            curvature=float(self.nonlinearity_ratios[result_index]),
+            budget=self._budget_entries(result_index, sigma),
             hidden=self._hidden_errors(result_index, unit, sigma),
             conformity=None
             if tolerance is None
@@ -143,7 +143,10 @@ class TaskEvaluation:
         )
 
     def _hidden_errors(self, result_index: int, unit: float, sigma: float) -> tuple[HiddenErrorEntry, ...]:
-        """Errors without effect on the readings that change a result noticeably, compared with its uncertainty."""
+        """Errors that change no reading but change the result noticeably, relative to its uncertainty.
+
+        `unit` is the unit of the result in SI units, `sigma` the standard uncertainty of the result in this unit.
+        """
         change_by_target = {
             name: abs(float(self.linear.point_derivatives[result_index] @ moved)) / unit
             for name, moved in self.inputs.rms_displacements_by_shared_air_error.items()
@@ -155,10 +158,10 @@ class TaskEvaluation:
             if change_by_target[name] > MIN_RELATIVE_HIDDEN_DISPLACEMENT * sigma
         )
 
-    def _budget_parts(self, result_index: int, sigma: float) -> tuple[BudgetEntry, ...]:
-        """Budget of the result with index `result_index` and standard uncertainty `sigma`.
+    def _budget_entries(self, result_index: int, sigma: float) -> tuple[BudgetEntry, ...]:
+        """Budget of a result: fraction of its variance from each source of uncertainty, the largest first.
 
-        It is the fraction of the variance from each source, the largest first; the sum is 1.
+        The fractions sum to 1. `sigma` is the standard uncertainty of the result in its unit.
         """
         shares, kinds = (
             {name: float(share[result_index]) for name, share in self.linear.variance_by_source.items()},
@@ -177,23 +180,23 @@ class TaskEvaluation:
 
 @raise_for_singular_network
 def evaluate_tasks(recording: Recording, tasks: Tasks) -> TaskEvaluation:
-    """Results of tasks on a recording, with uncertainty by propagation and Monte Carlo; errors as `lt.uncertainty`."""
+    """Results of tasks on a recording, with uncertainty by propagation and Monte Carlo; raises as `lt.uncertainty`."""
     return _evaluate_tasks(TaskInputs.from_recording(recording, tasks), tasks)
 
 
-def evaluate_listed_tasks(coordinates: EpochCoordinates, tasks: Tasks) -> TaskEvaluation:
-    """Results of tasks on a list of coordinates with their covariance."""
+def evaluate_tasks_on_coordinates(coordinates: EpochCoordinates, tasks: Tasks) -> TaskEvaluation:
+    """Results of tasks on a list of coordinates with its covariance; raises as `lt.uncertainty`."""
     return _evaluate_tasks(TaskInputs.from_coordinates(coordinates, tasks), tasks)
 
 
 @single_threaded
 def _evaluate_tasks(task_inputs: TaskInputs, tasks: Tasks) -> TaskEvaluation:
-    """Results of tasks on points with known sources of uncertainty."""
+    """Results of tasks on points with the sources of uncertainty in `task_inputs`."""
     measurands = tuple(Measurand.from_task(task, task_inputs.target_names, task_inputs.points) for task in tasks.task)
-    stretch = expansion_of_part(tasks.growth)
+    stretch = thermal_expansion_of_part(tasks.growth)
     linear = propagate(task_inputs, measurands, stretch)
     drawn = run_monte_carlo(task_inputs, measurands, stretch, tasks.monte_carlo, linear)
-    gap = curvature_differences(task_inputs, measurands, tasks.monte_carlo.seed)
+    gap = nonlinearity_differences(task_inputs, measurands, tasks.monte_carlo.seed)
     curved = gap / np.where(linear.sigma > 0, linear.sigma, np.inf)
-    agrees = drawn.interval_agrees(linear, tasks.monte_carlo.coverage)
+    agrees = drawn.intervals_agree(linear, tasks.monte_carlo.coverage)
     return TaskEvaluation(tasks, task_inputs, measurands, linear, drawn, agrees, curved)

@@ -4,9 +4,6 @@ Line and plane have closed solutions. Circle, sphere and cylinder are Gauss-Newt
 values. Arrays of points (..., n, 3) [m] may have any leading dimensions, for example the draws of a Monte Carlo
 simulation.
 
-References ---------- Forbes, Least-squares best-fit geometric elements, NPL report DITC 140/89 (1989). Shakarji, J.
-Res. NIST 103 (1998) 633: objective functions and Gauss-Newton iterations of the same elements.
-
 References
 ----------
 Forbes, Least-squares best-fit geometric elements, NPL report DITC 140/89 (1989).
@@ -22,34 +19,35 @@ from ltsim.core.errors import ModelError
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 FEATURE_STEP_TOLERANCE = 1e-11
-"""Largest step, relative to the extent of the points, at which the iteration of a fit has converged."""
+"""Largest step of a Gauss-Newton iteration, relative to the extent of the points, at which the fit has converged."""
 N_INITIAL_AXES = 60
-"""Number of start directions of a cylinder's axis, distributed over a half sphere."""
+"""Number of start directions for the axis of a cylinder, distributed over a half sphere."""
 
 
 @dataclass(frozen=True)
 class FittedFeature:
-    """Fitted geometric feature."""
+    """Line, plane, circle, sphere or cylinder fitted to points, and the deviations of the points from it."""
 
     reference_point: Floats
-    """Centre of the feature, or the foot of the points' centroid on the line, plane or axis, shape (..., 3) [m]."""
+    """Centre of a circle or sphere, or projection of the points' centroid onto the line, plane or cylinder axis, shape
+    (..., 3) [m]."""
     direction: Floats
     """Unit vector (..., 3) along a line or axis, or normal to a plane or to the plane of a circle; NaN for a sphere."""
     radius: Floats
     """Radius [m]; NaN for a line and a plane."""
     deviations: Floats
-    """Orthogonal distance of each of n points from the feature with its sign, shape (..., n) [m]. It has no sign for a
-    line; for a circle it is the larger of radial and axial deviation."""
+    """Signed orthogonal distance of each of n points from the feature, shape (..., n) [m]. It is unsigned for a line.
+    For a circle it is the radial or the axial deviation, whichever is larger."""
 
 
 MIN_POINTS_BY_FEATURE = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}
-"""Smallest number of points that determine each feature."""
+"""Smallest number of points that determine each kind of feature."""
 
 
 def fit_feature(feature_kind: str, points: Floats, start_feature: FittedFeature | None = None) -> FittedFeature:
-    """Least-squares feature for points (..., n, 3) [m]: line, plane, circle, sphere or cylinder.
+    """Feature fitted to points (..., n, 3) [m] by least squares; `feature_kind` is a key of `MIN_POINTS_BY_FEATURE`.
 
-    `start_feature` is an approximate feature. Without it, a cylinder is fitted from many start directions. ModelError
+    `start_feature` is an approximate feature; without it, a cylinder is fitted from many start directions. ModelError
     is raised if the points do not determine the feature.
     """
     points = np.asarray(points, dtype=np.float64)
@@ -119,8 +117,8 @@ def _fit_circle(centred_points: Floats, _start_feature: FittedFeature | None) ->
         (first, second), height, x, y = _axis_coordinates(centred_points, centre, normal)
         reach = np.hypot(x, y)
         c, s, zero = x / reach, y / reach, np.zeros_like(x)
-        # The normal turns by (a, b): n + a first + b second; a point's height changes by a x + b y, its reach by
-        # minus its height times that direction.
+        # A rotation (a, b) of the normal n gives n + a first + b second. It changes the height of a point by
+        # a x + b y, and its distance from the axis by minus the height times (a x + b y) / distance.
         radial = np.stack([-c, -s, zero, -height * c, -height * s, -np.ones_like(x)], axis=-1)
         axial = np.stack([zero, zero, -np.ones_like(x), x, y, zero], axis=-1)
         gap = np.concatenate([reach - radius[..., None], height], axis=-1)
@@ -136,7 +134,7 @@ def _fit_circle(centred_points: Floats, _start_feature: FittedFeature | None) ->
 
 
 def _fit_cylinder(centred_points: Floats, initial_feature: FittedFeature | None) -> FittedFeature:
-    """Least-squares cylinder, refined from the best of many axes with an algebraic circle perpendicular to each."""
+    """Least-squares cylinder; the start axis is the one of many directions whose algebraic circle fits best."""
     if initial_feature is not None:
         return _refine_cylinder(
             centred_points, initial_feature.direction, initial_feature.reference_point, initial_feature.radius
@@ -177,7 +175,7 @@ def _refine_cylinder(
             design, reach - radius[..., None], "cylinder", raises_if_undetermined=raises_if_undetermined
         )
         size = np.abs(step).max(axis=-1, keepdims=True)
-        step = step / np.maximum(size / 0.3, 1.0)  # A far start must not turn the axis over.
+        step = step / np.maximum(size / 0.3, 1.0)  # A poor start must not reverse the axis.
         centre = centre + step[..., :1] * first + step[..., 1:2] * second
         axis_direction = _unit_vectors(axis_direction + step[..., 2:3] * first + step[..., 3:4] * second)
         radius = radius + step[..., 4]
@@ -195,7 +193,10 @@ def _refine_cylinder(
 def _axis_coordinates(
     centred_points: Floats, centre: Floats, axis_direction: Floats
 ) -> tuple[tuple[Floats, Floats], Floats, Floats, Floats]:
-    """Two directions perpendicular to an axis, and coordinates (..., n) of points along all three directions."""
+    """Two unit vectors (..., 3) perpendicular to an axis through `centre`, and coordinates of n points in this system.
+
+    The coordinates, each (..., n) [m], are the height along the axis and those along the two unit vectors.
+    """
     sides = _perpendicular_vectors(axis_direction)
     arm = centred_points - centre[..., None, :]
     height, x, y = (np.einsum("...ni,...i->...n", arm, axis) for axis in (axis_direction, *sides))
@@ -205,14 +206,17 @@ def _axis_coordinates(
 def _projected_circle(
     centred_points: Floats, axis_direction: Floats, *, raises_if_undetermined: bool = True
 ) -> tuple[Floats, Floats]:
-    """Centre (..., 3) and radius of the algebraic circle through points that are projected along an axis."""
+    """Centre (..., 3) and radius (...) [m] of an algebraic circle fitted to points that are projected along an axis."""
     (first, second), _, x, y = _axis_coordinates(centred_points, np.zeros_like(axis_direction), axis_direction)
     middle, radius = _algebraic_fit(np.stack([x, y], axis=-1), raises_if_undetermined=raises_if_undetermined)
     return middle[..., :1] * first + middle[..., 1:] * second, radius
 
 
 def _algebraic_fit(centred_points: Floats, *, raises_if_undetermined: bool = True) -> tuple[Floats, Floats]:
-    """Centre (..., d) and radius (...) that minimise |p|^2 - 2 c p - k over points p, without start values."""
+    """Centre c (..., d) and radius (...) [m] of the circle or sphere by linear least squares, without start values.
+
+    They minimise the sum over the points p of (|p|^2 - 2 c p - k)^2, with k = radius^2 - |c|^2.
+    """
     design = np.concatenate([2.0 * centred_points, np.ones((*centred_points.shape[:-1], 1))], axis=-1)
     squared_norms = np.sum(centred_points**2, axis=-1)
     solution = -_least_squares_step(

@@ -1,8 +1,8 @@
-"""Input quantities of the results: adjusted points, and all sources of their uncertainty.
+"""Input quantities of tasks: adjusted points, and all sources of their uncertainty.
 
-To first order the adjusted points change with the whitened readings by P = N^-1 A', with the normal matrix N and the
-design matrix A. Errors of observations, and effects that change readings, act on the points through this matrix P. The
-covariance of the points is therefore the sum of the contributions of the sources.
+To first order, the matrix P = N^-1 A' maps changes of the whitened readings to displacements of the adjusted points; N
+is the normal matrix and A the design matrix. Errors of observations, and effects that change readings, act on the
+points through P. The covariance of the points is therefore the sum of the contributions of the sources.
 """
 
 from dataclasses import dataclass, field, replace
@@ -40,58 +40,60 @@ SIGMA_OF_UNIT_SIZE = {
     "triangular": 1 / np.sqrt(6),
     "arcsine": 1 / np.sqrt(2),
 }
-"""Standard deviation of each distribution of size 1; the size is the half-width, for a normal distribution sigma."""
+"""Standard deviation of each distribution with the size 1. The size of a normal distribution is its standard deviation,
+the size of the others is their half-width."""
 
 
 LENGTHS_SOURCE = "known lengths"
-"""Name of the source of uncertainty: declared reference lengths."""
+"""Name, in budgets, of the source of uncertainty from declared reference lengths."""
 CONTROL_SOURCE = "control points"
-"""Name of the source of uncertainty: coordinates of control points."""
+"""Name, in budgets, of the source of uncertainty from coordinates of control points."""
 PRIOR_SOURCE = "specification"
-"""Name of the source of uncertainty: prior of the instrument's constants."""
+"""Name, in budgets, of the source of uncertainty from the prior of the instrument parameters."""
 STREAM_KEYS = {PRIOR_SOURCE: "what the maker guarantees"}
-"""Key of the random stream of a source, for sources whose key is not their name. The draws depend on the key, so that
-it must not change."""
+"""Key of the random stream of a source whose key is not its name. The draws depend on the key, which therefore must not
+change."""
 
 
 @dataclass(frozen=True)
 class UncertaintySource(ValueEquality):
-    """Source of uncertainty of the points, with one or several independent random variables."""
+    """Source of uncertainty of T points, with q independent random variables."""
 
     name: str
     """Name of the source in the budget."""
     evaluation_type: Literal["A", "B"]
-    """Type of evaluation: ``A`` for observations, ``B`` for specifications, certificates and all others."""
+    """Type of evaluation (GUM): ``A`` for observations, ``B`` for specifications, certificates and all other
+    sources."""
     displacements_per_sigma: Floats
-    """Displacement of all T points by one standard deviation of each of q random variables, shape (3 T, q) [m]."""
+    """Displacement of the points by one standard deviation of each random variable, shape (3 T, q) [m]."""
     distribution: str = "normal"
-    """Distribution of the random variables."""
+    """Distribution of each random variable: `normal`, `rectangular`, `triangular` or `arcsine`."""
 
     @property
     def covariance(self) -> Floats:
-        """Contribution of this source to the covariance matrix of the coordinates of T points, (3 T, 3 T) [m^2]."""
+        """Contribution of this source to the covariance matrix of the coordinates, shape (3 T, 3 T) [m^2]."""
         return self.displacements_per_sigma @ self.displacements_per_sigma.T
 
 
 @dataclass(frozen=True)
 class TaskInputs(ValueEquality):
-    """Points that tasks use, and the sources of their uncertainty."""
+    """T points that tasks use, and the sources of their uncertainty."""
 
     point_source: Adjustment | EpochCoordinates
     """Adjusted network, or list of coordinates with its covariance."""
     target_names: tuple[str, ...]
     """Names of the points that the tasks use."""
     points: Floats
-    """Coordinates of the T points, shape (T, 3) [m]."""
+    """Coordinates of the points, shape (T, 3) [m]."""
     displacement_per_observation: Floats
-    """Displacement of all T points per unit of each of m whitened observations, shape (m, 3 T) [m]."""
+    """Displacement of the points per unit of each of m whitened observations, shape (m, 3 T) [m]."""
     sources: tuple[UncertaintySource, ...]
     """Sources of uncertainty of the points."""
     air_text: str = ""
-    """Text on the errors of the air among the sources; empty for short ranges."""
+    """Sentence part on the errors of the air that the sources include; empty if they are negligible (short ranges)."""
     rms_displacements_by_shared_air_error: dict[str, Floats] = field(default_factory=dict)
-    """Displacement of all T points by one standard deviation of each error without effect on the readings, shape (3 T,)
-    [m]. The sources do not include these errors."""
+    """Displacement of the points, shape (3 T,) [m], by one standard deviation of each error of the air that all
+    stations share and that changes no residual, by the error's description. The sources do not include these errors."""
 
     @classmethod
     def from_recording(cls, recording: Recording, tasks: Tasks) -> Self:
@@ -117,7 +119,7 @@ class TaskInputs(ValueEquality):
         ]
         observed += smr_sources(adjustment, reach)
         further = [_type_b_source(adjustment, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
-        air = _air_of_budget(tasks, adjustment)
+        air = _air_uncertainty_of_budget(tasks, adjustment)
         counted = relevant_air_uncertainty(adjustment, air)
         further += air_sources(adjustment, reach, counted) if counted else []
         words = air_uncertainty_text(counted, longest_range(adjustment)) if counted else ""
@@ -149,21 +151,21 @@ class TaskInputs(ValueEquality):
 
     @property
     def covariance(self) -> Floats:
-        """Covariance of the coordinates of all T points from all sources, shape (3 T, 3 T) [m^2]."""
+        """Covariance of the coordinates of the points from all sources, shape (3 T, 3 T) [m^2]."""
         return np.sum([source.covariance for source in self.sources], axis=0)
 
 
 def _target_names(tasks: Tasks) -> tuple[str, ...]:
-    """Names of the points that tasks use."""
+    """Names of the points that tasks use, each once."""
     return tuple(dict.fromkeys(name for task in tasks.task for name in task.targets))
 
 
 def observed_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
-    """Sources of uncertainty from the groups of observations, without those that only define the frame.
+    """Sources of uncertainty from the groups of observations, except observations that only define the frame.
 
     `point_derivatives` (m, 3 T) [m] are the derivatives of T points with respect to the m whitened observations. Errors
-    that reference lengths share (expansion coefficient, thermometer) are separate sources. So are the errors with a
-    prior that the adjustment estimates for heads, reflectors and groups of readings.
+    that reference lengths share (expansion coefficient, thermometer) are separate sources. Errors that the adjustment
+    estimates with a prior, for tracker heads, reflectors and groups of readings, are separate sources too.
     """
     problem = adjustment.problem
     observable = np.nonzero(problem.is_used_reading)[1]
@@ -197,10 +199,10 @@ def observed_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[
 
 
 def _nuisance_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
-    """Sources of uncertainty from errors with a prior that the adjustment estimates, by kind.
+    """Sources of uncertainty, one per kind of error, from errors that the adjustment estimates with a prior.
 
-    `point_derivatives` has the derivatives of the points with respect to the estimated errors, one row for each error,
-    beginning with those of the additional effects.
+    `point_derivatives` (errors, 3 T) [m] are the derivatives of the points with respect to the whitened prior values of
+    these errors; the errors of additional effects come first.
     """
     model = adjustment.problem.model
     finite = np.isfinite(adjustment.problem.effect_sigma[: model.n_effect_parameters])
@@ -215,8 +217,8 @@ def _nuisance_sources(adjustment: Adjustment, point_derivatives: Floats) -> list
 def smr_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
     """Sources of uncertainty from the radii of SMRs with a declared standard deviation.
 
-    All pointings with an SMR share one error, along the normals of the nests. `point_derivatives` is that of
-    `observed_sources`.
+    All pointings with an SMR share the error of its radius, which acts along the normals of the nests.
+    `point_derivatives` (m, 3 T) [m] are the derivatives of T points with respect to the m whitened observations.
     """
     problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(smr_names(adjustment.recording))
     rows, columns = np.nonzero(problem.is_used_reading)
@@ -234,7 +236,7 @@ def smr_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[Uncer
     return sources
 
 
-def _air_of_budget(tasks: Tasks, adjustment: Adjustment) -> AirUncertainty:
+def _air_uncertainty_of_budget(tasks: Tasks, adjustment: Adjustment) -> AirUncertainty:
     """Uncertainty of the air for a budget, without the properties for which a task declares an effect."""
     declared_effects = {entry.effect for entry in tasks.type_b}
     effects = {"temperature_k": StationWeather.name, "gradient_k_per_m": AirGradient.name}
@@ -247,17 +249,17 @@ def air_sources(
 ) -> list[UncertaintySource]:
     """Sources of uncertainty from the unmeasured air: temperature and gradient at each station, and turbulence.
 
-    `point_derivatives` is that of `observed_sources`.
+    `point_derivatives` (m, 3 T) [m] are the derivatives of T points with respect to the m whitened observations.
     """
     responses = displacements_by_air_error(adjustment, point_derivatives, air_uncertainty)
     return [UncertaintySource(name, "B", _reduce_variates(response)) for name, response in responses.items()]
 
 
 def _reduce_variates(variate_response: Floats) -> Floats:
-    """Displacements of points by independent random variables, reduced to at most as many variables as coordinates.
+    """Displacements of points by at most as many independent random variables as coordinates, with the same covariance.
 
-    The covariance of the points is unchanged. `variate_response` (c, q) holds the displacements of c coordinates [m] by
-    one standard deviation of each of q variables.
+    `variate_response` (c, q) holds the displacements [m] of c coordinates by one standard deviation of each of q random
+    variables.
     """
     if variate_response.shape[1] <= variate_response.shape[0]:
         return variate_response
@@ -326,7 +328,10 @@ def _effect_and_sizes(recording: Recording, type_b_entry: TypeBEffect, entry_num
 
 
 def _group_of_pointing(recording: Recording, draw_scope: str) -> Ints:
-    """Group number of each pointing, shape (pointings,); pointings with the same number share one random draw."""
+    """Group number of each pointing, shape (pointings,); the pointings of a group share one random draw.
+
+    `draw_scope` is the entry `shared` of the task file: `all`, `station`, `instrument`, `target` or `pointing`.
+    """
     return {
         "all": np.zeros(len(recording), dtype=np.int64),
         "station": recording.station,

@@ -1,4 +1,4 @@
-"""Measurands: results of each kind of task in SI units, for one or many sets of points."""
+"""Measurands: results of each kind of task in SI units as functions of points, for one or many sets of points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,12 +15,12 @@ from ltsim.measurands.features import FittedFeature, fit_feature
 from ltsim.measurands.spec import Task
 
 DIFFERENCE_STEP = 1e-5
-"""Half-width [m] of central differences; errors by rounding and curvature are far below a nanometre."""
+"""Step [m] of central differences to either side; errors from rounding and curvature are far below a nanometre."""
 
 
 @dataclass(frozen=True)
 class TaskOutput:
-    """Definition of one result of a task: its name and its unit."""
+    """Name and unit of one result of a task."""
 
     name: str
     """Name of the result."""
@@ -40,18 +40,19 @@ def _outputs_in_degrees(*names: str) -> list[TaskOutput]:
 
 @dataclass(frozen=True)
 class Measurand(ValueEquality):
-    """Task that is applied to the points of a network."""
+    """Task as a function that computes its results from the points of a network."""
 
     task: Task
     """Task with its targets and options."""
     target_indices: Ints
     """Indices of the task's targets among the points of the network."""
     reference_feature: FittedFeature | None = field(default=None, repr=False)
-    """Feature fitted to the estimated points: start of all further fits, and reference for signs of directions."""
+    """Feature fitted to the estimated points: start of the fits to other points, and reference for the signs of
+    directions."""
 
     @classmethod
     def from_task(cls, task: Task, targets: Sequence[str], points: Floats) -> Self:
-        """Measurand of a task on targets at points (targets, 3) [m]."""
+        """Measurand of a task in a network with the targets `targets` at the estimated points (targets, 3) [m]."""
         for name in task.targets:
             if name not in targets:
                 raise unknown_name_error("target", name, targets)
@@ -74,7 +75,7 @@ class Measurand(ValueEquality):
 
     @property
     def outputs(self) -> list[TaskOutput]:
-        """Definitions of the results of the task, in their order."""
+        """Names and units of the results of the task, in their order."""
         kind = self.task.kind
         if kind in _OUTPUTS_BY_KIND:
             return _OUTPUTS_BY_KIND[kind]
@@ -85,11 +86,15 @@ class Measurand(ValueEquality):
         scale = [TaskOutput("scale", "ppm", PPM)] if self.task.scale else []
         return [*_outputs_in_mm("x", "y", "z"), *_outputs_in_degrees("turn-x", "turn-y", "turn-z"), *scale]
 
-    def values(self, points: Floats, scale_change: Floats | float = 1.0) -> Floats:
-        """Results (..., results) [SI] for points (..., points, 3) [m], each set scaled by `scale_change`."""
+    def values(self, points: Floats, length_ratio: Floats | float = 1.0) -> Floats:
+        """Results (..., results) [SI] for sets of points (..., points, 3) [m].
+
+        Each set is divided by its `length_ratio` about its centroid: ratio of the part's length in the measurement to
+        its length at the reference temperature, by thermal expansion.
+        """
         scaled_points = points[..., self.target_indices, :]
         centre = scaled_points.mean(axis=-2, keepdims=True)
-        scaled_points = centre + (scaled_points - centre) / np.asarray(scale_change)[..., None, None]
+        scaled_points = centre + (scaled_points - centre) / np.asarray(length_ratio)[..., None, None]
         kind = self.task.kind
         if kind == "point":
             return scaled_points[..., 0, :]
@@ -105,21 +110,24 @@ class Measurand(ValueEquality):
             return self._feature_values(scaled_points)
         return self._fit(scaled_points)
 
-    def point_derivatives(self, points: Floats, scale_change: float = 1.0) -> Floats:
-        """Derivative of the results with respect to all T points, by central differences, shape (results, 3 T)."""
+    def point_derivatives(self, points: Floats, length_ratio: float = 1.0) -> Floats:
+        """Derivative of the results with respect to the T points, by central differences, shape (results, 3 T).
+
+        `length_ratio` is the thermal length ratio of the part, as in `values`.
+        """
         n_coordinates = 3 * len(self.target_indices)
         columns = (3 * self.target_indices[:, None] + np.arange(3)).ravel()
         steps = np.zeros((2 * n_coordinates, points.size))
         steps[np.arange(n_coordinates), columns] = DIFFERENCE_STEP
         steps[n_coordinates + np.arange(n_coordinates), columns] = -DIFFERENCE_STEP
-        stepped_values = self.values(points + steps.reshape(2 * n_coordinates, *points.shape), scale_change)
+        stepped_values = self.values(points + steps.reshape(2 * n_coordinates, *points.shape), length_ratio)
         change = np.zeros((stepped_values.shape[1], points.size))
         change[:, columns] = (stepped_values[:n_coordinates] - stepped_values[n_coordinates:]).T / (2 * DIFFERENCE_STEP)
         return change
 
-    def scale_derivatives(self, points: Floats, scale_change: float = 1.0) -> Floats:
-        """Derivative of the results with respect to the scale of the points, shape (results,)."""
-        scales = np.array([scale_change + DIFFERENCE_STEP, scale_change - DIFFERENCE_STEP])
+    def scale_derivatives(self, points: Floats, length_ratio: float = 1.0) -> Floats:
+        """Derivative of the results with respect to the thermal length ratio `length_ratio`, shape (results,) [SI]."""
+        scales = np.array([length_ratio + DIFFERENCE_STEP, length_ratio - DIFFERENCE_STEP])
         stepped_values = self.values(np.broadcast_to(points, (2, *points.shape)), scales)
         return (stepped_values[0] - stepped_values[1]) / (2 * DIFFERENCE_STEP)
 
@@ -129,7 +137,7 @@ class Measurand(ValueEquality):
         normal = feature.direction
         if near is not None and task.kind != "sphere":
             normal = normal * np.sign(np.einsum("...i,i->...", normal, near.direction))[..., None]
-        # The zone that holds all deviations: a diameter for a line, peak to valley for the others.
+        # Size of the zone with all deviations: its diameter for a line, peak to valley for the other features.
         form = 2.0 * feature.deviations.max(axis=-1) if task.kind == "line" else np.ptp(feature.deviations, axis=-1)
         diameter = 2.0 * (feature.radius + task.radius_offset_mm * MILLIMETRE)
         values_by_quantity = {
@@ -168,7 +176,7 @@ def _angle_of_points(three_points: Floats) -> Floats:
 
 
 def _difference_components(difference_vectors: Floats) -> Floats:
-    """Components x, y, z and length of each of k difference vectors (..., k, 3), joined to (..., 4 k)."""
+    """Components x, y, z and length [m] of each of k difference vectors (..., k, 3), as one axis (..., 4 k)."""
     differences = np.concatenate(
         [difference_vectors, np.linalg.norm(difference_vectors, axis=-1, keepdims=True)], axis=-1
     )

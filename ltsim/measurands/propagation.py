@@ -1,13 +1,13 @@
 """Propagation of uncertainty to first order (JCGM 100, 102), and by Monte Carlo (JCGM 101, clauses 7 and 8).
 
-In the Monte Carlo simulation each source is drawn from its distribution with a separate random stream, the points are
-displaced accordingly, and the tasks are evaluated exactly. The linear model is evaluated with the same draws; its
-distribution is known exactly, because it is that of a sum of independent variables. The simulation therefore only
-estimates the difference of the two (control variate). This needs few trials for a nearly linear task and none for a
-linear one.
+In the Monte Carlo simulation each source of uncertainty is drawn from its distribution with a separate random stream,
+the points are displaced accordingly, and the tasks are evaluated exactly. The linearised tasks are evaluated with the
+same draws. The distribution of the linearised results is known exactly, because they are sums of independent variables.
+The simulation therefore only estimates the difference between exact and linearised results (control variate). This
+needs few trials for a nearly linear task and none for a linear one.
 
-Batches of trials are added until the results are known to a fifth of the tolerance, as the comparison with the interval
-by propagation requires (clause 8.2).
+Batches of trials are added until the numerical error is a fifth of the numerical tolerance, as the comparison with the
+interval by propagation requires (clause 8.2).
 """
 
 from collections.abc import Callable, Sequence
@@ -28,15 +28,15 @@ from ltsim.measurands.measurands import Measurand
 from ltsim.measurands.spec import MonteCarloSettings, PartExpansion
 from ltsim.recordings.coordinates import EpochCoordinates
 
-N_CURVATURE_CHECKS = 8
-"""Number of random draws of errors with which the nonlinearity of the adjustment is examined."""
-MAX_CURVATURE_RATIO = 0.05
-"""Difference between the exact and the linearised adjustment, in standard uncertainties, above which a warning is
-given."""
+N_NONLINEARITY_DRAWS = 8
+"""Number of random draws of errors with which the exact and the linearised adjustment are compared."""
+MAX_NONLINEARITY_RATIO = 0.05
+"""Difference of a result between the exact and the linearised adjustment, divided by its standard uncertainty, above
+which a warning is given."""
 
 
-def expansion_of_part(declared_expansion: PartExpansion | None) -> ThermalExpansion:
-    """Thermal expansion of the part from the reference temperature to the measurement, as an input quantity."""
+def thermal_expansion_of_part(declared_expansion: PartExpansion | None) -> ThermalExpansion:
+    """Thermal expansion of the part from the reference temperature to its temperature in the measurement."""
     if declared_expansion is None:
         return ThermalExpansion()
     kelvin = declared_expansion.measured_c - declared_expansion.reference_c
@@ -49,7 +49,7 @@ def expansion_of_part(declared_expansion: PartExpansion | None) -> ThermalExpans
 
 
 def expansion_errors(thermal_expansion: ThermalExpansion) -> list[tuple[str, float]]:
-    """Names of the errors of the part's expansion, and the change of scale by one standard deviation of each."""
+    """Name of each error of the part's thermal expansion, and change of the length ratio by its standard deviation."""
     error_sizes = [
         ("expansion of the part", thermal_expansion.ratio_change_per_coefficient_sigma),
         ("temperature of the part", thermal_expansion.ratio_change_per_temperature_sigma),
@@ -64,29 +64,29 @@ class LinearUncertainty(ValueEquality):
     values: Floats
     """Results of all tasks in their order, shape (results,) [SI]."""
     covariance: Floats
-    """Covariance of the results, shape (results, results)."""
+    """Covariance of the results, shape (results, results) [SI]."""
     variance_by_source: dict[str, Floats]
-    """Variance of each result from each source, by the name of the source; the sum over the sources is the total
-    variance."""
+    """Variance of each result from each source, shape (results,) [SI], by the name of the source; the sum over the
+    sources is the total variance."""
     evaluation_types: dict[str, Literal["A", "B"]]
-    """Type of evaluation of each source, ``A`` or ``B``."""
+    """Type of evaluation (GUM) of each source, ``A`` or ``B``, by the name of the source."""
     point_derivatives: Floats
-    """Derivative of the results with respect to the coordinates of all T points, shape (results, 3 T)."""
+    """Derivative of the results with respect to the coordinates of the T points, shape (results, 3 T) [SI]."""
     scale_derivatives: Floats
-    """Derivative of each result with respect to the scale of the part."""
+    """Derivative of each result with respect to the thermal length ratio of the part, shape (results,) [SI]."""
 
     @property
     def sigma(self) -> Floats:
-        """Standard uncertainty of each result, (k,)."""
+        """Standard uncertainty of each result, shape (results,) [SI]."""
         return np.sqrt(np.diag(self.covariance))
 
     def expanded_uncertainty(self, coverage_probability: float) -> Floats:
-        """Expanded uncertainty of each result for a coverage probability, for a normal distribution."""
+        """Expanded uncertainty (results,) [SI] for a coverage probability, if the results are normally distributed."""
         return float(special.ndtri(0.5 + coverage_probability / 2)) * self.sigma
 
     @property
     def correlation(self) -> Floats:
-        """Correlation matrix of the results; NaN for a result without uncertainty."""
+        """Correlation matrix of the results, shape (results, results); NaN for a result without uncertainty."""
         with np.errstate(invalid="ignore", divide="ignore"):
             correlation: Floats = self.covariance / np.outer(self.sigma, self.sigma)
         return correlation
@@ -95,7 +95,7 @@ class LinearUncertainty(ValueEquality):
 def propagate(
     task_inputs: TaskInputs, measurands: Sequence[Measurand], thermal_expansion: ThermalExpansion
 ) -> LinearUncertainty:
-    """Results of all tasks with their uncertainty, to first order through adjustment and tasks."""
+    """Results of all tasks, and their uncertainty by first-order propagation through adjustment and tasks."""
     points = task_inputs.points
     result_values = np.concatenate([m.values(points, thermal_expansion.length_ratio) for m in measurands])
     by_points = np.concatenate([m.point_derivatives(points, thermal_expansion.length_ratio) for m in measurands])
@@ -116,11 +116,11 @@ def propagate(
     return LinearUncertainty(result_values, covariance, shares, kinds, by_points, by_stretch)
 
 
-def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measurand], seed: int) -> Floats:
-    """Largest difference of each result [SI] between the exact and the linearised adjustment.
+def nonlinearity_differences(task_inputs: TaskInputs, measurands: Sequence[Measurand], seed: int) -> Floats:
+    """Largest difference of each result between the exact and the linearised adjustment, shape (results,) [SI].
 
-    The adjustment is repeated with a few draws of noise. The difference is zero for a list of coordinates, whose
-    readings are not available.
+    Both are repeated with a few draws of noise from `seed`. The difference is zero for a list of coordinates, which has
+    no readings.
     """
     point_source = task_inputs.point_source
     if isinstance(point_source, EpochCoordinates):
@@ -129,7 +129,7 @@ def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measuran
     indices = [recording.targets.index(name) for name in task_inputs.target_names]
     used, count = problem.is_used_reading, int(problem.is_used_reading.sum())
     largest_differences = np.zeros(sum(len(m.outputs) for m in measurands))
-    for i in range(N_CURVATURE_CHECKS):
+    for i in range(N_NONLINEARITY_DRAWS):
         noise = random_stream(seed, "curvature", i).standard_normal(count)
         readings = recording.readings.copy()
         readings[used] += noise * problem.sigma[used]
@@ -149,51 +149,55 @@ def curvature_differences(task_inputs: TaskInputs, measurands: Sequence[Measuran
 
 
 TRIALS_PER_BATCH = 10_000
-"""Number of trials after which the stability of the results is examined."""
+"""Number of trials in a batch; the stability of the results is checked after each batch."""
 MIN_TOLERANCE_RATIO = 5.0
-"""Ratio of the tolerance to the numerical error from which results are compared with the tolerance (clause 8.2)."""
+"""Smallest ratio of the numerical tolerance of a result to its numerical error at which intervals are compared (JCGM
+101, clause 8.2)."""
 INTEGRATION_STEP = 0.05
-"""Step, in inverse standard deviations, of the integral over the characteristic function."""
+"""Step of the numerical integral over the characteristic function, in units of the inverse standard deviation."""
 N_INTEGRATION_STEPS = 40_000
-"""Number of steps of the integral over the characteristic function."""
+"""Number of steps of the numerical integral over the characteristic function."""
 CHARACTERISTIC_FUNCTIONS: dict[str, Callable[[Floats], Floats]] = {
     "rectangular": lambda t: np.sinc(np.sqrt(3.0) * t / np.pi),
     "triangular": lambda t: np.sinc(np.sqrt(1.5) * t / np.pi) ** 2,
     "arcsine": lambda t: special.j0(np.sqrt(2.0) * t),
 }
-"""Characteristic functions of the distributions with unit standard deviation."""
+"""Characteristic function of each distribution with mean 0 and standard deviation 1."""
 
 
 @dataclass(frozen=True)
 class MonteCarloUncertainty(ValueEquality):
-    """Distribution of each result by Monte Carlo simulation."""
+    """Distribution of each result by Monte Carlo simulation, in SI units."""
 
     values: Floats
     """Results of all trials, shape (trials, results)."""
     means: Floats
-    """Mean of each result."""
+    """Mean of each result, shape (results,)."""
     sigmas: Floats
-    """Standard deviation of each result."""
+    """Standard deviation of each result, shape (results,)."""
     symmetric_intervals: Floats
     """Limits of the probabilistically symmetric coverage interval of each result, shape (results, 2)."""
     shortest_intervals: Floats
     """Limits of the shortest coverage interval of each result, shape (results, 2)."""
     numerical_errors: Floats
-    """Numerical error of the limits of each symmetric interval: two standard deviations."""
+    """Numerical error of the limits of each symmetric interval, shape (results,): two standard deviations of the
+    limits, because the number of trials is finite."""
     is_stable: Bools
-    """Mask of the results that are stable to the requested number of digits."""
+    """Mask (results,) of the results that are stable to the requested number of digits."""
     tolerances: Floats
-    """Numerical tolerance of each result: half a unit in the last requested digit of its uncertainty (clause 7.9.2)."""
+    """Numerical tolerance of each result, shape (results,): half a unit in the last requested digit of its standard
+    uncertainty (JCGM 101, clause 7.9.2)."""
 
     @property
     def n_trials(self) -> int:
         """Number of trials."""
         return len(self.values)
 
-    def interval_agrees(self, linear_uncertainty: LinearUncertainty, coverage_probability: float) -> Bools:
-        """Mask of the results whose interval by propagation agrees with that by Monte Carlo (clause 8).
+    def intervals_agree(self, linear_uncertainty: LinearUncertainty, coverage_probability: float) -> Bools:
+        """Mask (results,) of the results whose intervals by propagation and by Monte Carlo agree (JCGM 101, clause 8).
 
-        The numerical error is added to the tolerance; for stable results it is a fifth of the tolerance.
+        The limits may differ by the numerical tolerance plus the numerical error, which is at most a fifth of the
+        tolerance for stable results.
         """
         expanded = linear_uncertainty.expanded_uncertainty(coverage_probability)
         limits = np.stack([linear_uncertainty.values - expanded, linear_uncertainty.values + expanded], axis=1)
@@ -208,14 +212,18 @@ def run_monte_carlo(
     monte_carlo_settings: MonteCarloSettings,
     linear_uncertainty: LinearUncertainty,
 ) -> MonteCarloUncertainty:
-    """Distribution of the results from trials, until all are known to a fifth of their tolerance, or to a limit."""
+    """Distribution of the results by Monte Carlo trials.
+
+    Trials are added until the numerical error of each result is a fifth of its numerical tolerance, or until the
+    largest number of trials in `monte_carlo_settings` is reached.
+    """
     exact = _linear_statistics(task_inputs, linear_uncertainty, monte_carlo_settings.coverage)
     samples: list[Floats] = []
     figures: list[Floats] = []
     max_batches = max(monte_carlo_settings.most_trials // TRIALS_PER_BATCH, 1)
     uncertain = (
         linear_uncertainty.sigma > 0
-    )  # half a unit of the last digit of each standard uncertainty (clause 7.9.2)
+    )  # half a unit in the last digit of each standard uncertainty (JCGM 101, clause 7.9.2)
     power = np.floor(np.log10(np.where(uncertain, linear_uncertainty.sigma, 1.0))) - (monte_carlo_settings.digits - 1)
     tolerance = np.where(uncertain, 0.5 * 10.0**power, 0.0)
     error = np.full((4, len(linear_uncertainty.values)), np.inf)
@@ -251,7 +259,7 @@ def run_monte_carlo(
 def _draw_errors(
     task_inputs: TaskInputs, thermal_expansion: ThermalExpansion, seed: int, batch_number: int
 ) -> tuple[Floats, Floats]:
-    """Random draws of one batch of B trials: errors of all T points (B, 3 T) [m], and of the part's scale (B,)."""
+    """Random draws of one batch of B trials: errors of T points (B, 3 T) [m], and of the part's length ratio (B,)."""
     shift = np.zeros((TRIALS_PER_BATCH, task_inputs.points.size))
     for i, source in enumerate(task_inputs.sources):
         shape = TRIALS_PER_BATCH, source.displacements_per_sigma.shape[1]
@@ -264,19 +272,22 @@ def _draw_errors(
     return shift, grown
 
 
-def _evaluate_results(measurands: Sequence[Measurand], points: Floats, scale_factor: Floats) -> Floats:
-    """Results (trials, results) for points (trials, T, 3) [m] of a part that is scaled by `scale_factor` (trials,)."""
+def _evaluate_results(measurands: Sequence[Measurand], points: Floats, length_ratio: Floats) -> Floats:
+    """Results (trials, results) [SI] for points (trials, T, 3) [m] of a part.
+
+    `length_ratio` (trials,) is the thermal length ratio of the part.
+    """
     pieces = list(batches(len(points), points[0].size))
-    result_rows = [np.concatenate([m.values(points[p], scale_factor[p]) for m in measurands], axis=1) for p in pieces]
+    result_rows = [np.concatenate([m.values(points[p], length_ratio[p]) for m in measurands], axis=1) for p in pieces]
     return np.concatenate(result_rows)
 
 
 def _linear_statistics(
     task_inputs: TaskInputs, linear_uncertainty: LinearUncertainty, coverage_probability: float
 ) -> Floats:
-    """Mean, standard deviation and interval limits of each result in the linear model, shape (4, results).
+    """Mean, standard deviation and interval limits of each linearised result, shape (4, results) [SI].
 
-    They are computed without random draws.
+    They are computed from the exact distribution, without random draws.
     """
     others = [
         (s.distribution, linear_uncertainty.point_derivatives @ s.displacements_per_sigma)
@@ -300,21 +311,21 @@ def _linear_statistics(
 
 
 def _coverage_half_width(
-    normal_sigma: float, other_distributions: Sequence[tuple[str, Floats]], coverage_probability: float
+    total_sigma: float, other_distributions: Sequence[tuple[str, Floats]], coverage_probability: float
 ) -> float:
-    """Half-width of the coverage interval of a sum of independent symmetric variables.
+    """Half-width of the coverage interval of a sum of independent symmetric random variables.
 
-    One variable is normal with the standard deviation `normal_sigma`; `other_distributions` are those of the others.
-    The interval has the probability `coverage_probability`. The characteristic function of the sum, a product, is
-    inverted (Gil-Pelaez, Biometrika 38 (1951) 481).
+    `total_sigma` is the standard deviation of the sum. `other_distributions` holds the name of each distribution that
+    is not normal, and the standard deviations of the variables with it; the rest of the variance is normal. The
+    characteristic function of the sum, a product, is inverted (Gil-Pelaez, Biometrika 38 (1951) 481).
     """
     independent = sum(float(np.sum(sizes**2)) for _, sizes in other_distributions)
-    if normal_sigma == 0 or independent <= MAX_ROUNDING_ERROR * normal_sigma**2:
-        return float(special.ndtri(0.5 + coverage_probability / 2)) * normal_sigma
+    if total_sigma == 0 or independent <= MAX_ROUNDING_ERROR * total_sigma**2:
+        return float(special.ndtri(0.5 + coverage_probability / 2)) * total_sigma
     frequencies = INTEGRATION_STEP * (np.arange(N_INTEGRATION_STEPS) + 0.5)
-    damping = np.exp(-0.5 * max(1.0 - independent / normal_sigma**2, 0.0) * frequencies**2)
+    damping = np.exp(-0.5 * max(1.0 - independent / total_sigma**2, 0.0) * frequencies**2)
     for name, sizes in other_distributions:
-        for size in np.abs(sizes[sizes != 0]) / normal_sigma:
+        for size in np.abs(sizes[sizes != 0]) / total_sigma:
             damping = damping * CHARACTERISTIC_FUNCTIONS[name](size * frequencies)
 
     def excess(width: float) -> float:
@@ -323,7 +334,7 @@ def _coverage_half_width(
             - coverage_probability
         )
 
-    return normal_sigma * float(optimize.brentq(excess, 1e-3, 20.0, xtol=1e-6))
+    return total_sigma * float(optimize.brentq(excess, 1e-3, 20.0, xtol=1e-6))
 
 
 def draw_variates(
@@ -340,14 +351,20 @@ def draw_variates(
 
 
 def _batch_statistics(trial_results: Floats, coverage_probability: float) -> Floats:
-    """Mean, standard deviation and limits of the symmetric interval of each result in one batch, shape (4, results)."""
+    """Mean, standard deviation and limits of the symmetric interval of each result in one batch, (4, results) [SI].
+
+    `trial_results` has the shape (trials, results).
+    """
     tail = 50.0 * (1.0 - coverage_probability)
     limits = np.percentile(trial_results, [tail, 100.0 - tail], axis=0)
     return np.stack([trial_results.mean(axis=0), trial_results.std(axis=0, ddof=1), *limits])
 
 
 def shortest_intervals(trial_results: Floats, coverage_probability: float) -> Floats:
-    """Shortest coverage interval of each result, shape (results, 2), from trials (trials, results) (JCGM 101, 7.7)."""
+    """Limits (results, 2) of the shortest coverage interval of each result, JCGM 101, clause 7.7.
+
+    `trial_results` has the shape (trials, results).
+    """
     ordered = np.sort(trial_results, axis=0)
     n_samples = len(ordered)
     n_inside = int(np.clip(round(coverage_probability * n_samples), 1, n_samples - 1))

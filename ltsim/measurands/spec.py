@@ -1,4 +1,4 @@
-"""Task file (ltsim-tasks/1): measurands, tolerances, and errors that the readings do not show."""
+"""Task file (ltsim-tasks/1): measurands, tolerances, and errors that are not visible in the readings."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -32,16 +32,16 @@ TaskKind = Literal[
 NonEmptyNames = Annotated[tuple[str, ...], Field(min_length=1)]
 CoverageLevel = Annotated[float, Field(gt=0.5, lt=1.0)]
 N_TARGETS_BY_KIND = {"point": 1, "rod": 2, "distance": 2, "angle": 3}
-"""Number of targets that a task needs, for kinds of tasks with a fixed number."""
+"""Number of targets of a task, for the kinds of task that need a fixed number."""
 
 
 class ToleranceLimits(TomlSection):
-    """Tolerance limits of one result of a task, in its unit; each is optional."""
+    """Tolerance limits of one result of a task, in the unit of the result; one of the two limits may be missing."""
 
     lower: Finite | None = None
-    """Lower limit."""
+    """Lower tolerance limit."""
     upper: Finite | None = None
-    """Upper limit."""
+    """Upper tolerance limit."""
 
     @model_validator(mode="after")
     def _check_limit_order(self) -> Self:
@@ -55,11 +55,11 @@ class ToleranceLimits(TomlSection):
 class Task(TomlSection):
     """Task: a measurand and its targets.
 
-    `point` gives coordinates, `rod` those of a hidden point `beyond_mm` past the second of two reflectors on a rod,
-    `distance` takes two targets, `angle` three (the vertex in the middle). Features are fitted by least squares.
-    `transformation` aligns `nominal_mm` to the targets by least squares, `pose` gives the same as position and rotation
-    of a part; `deviation` compares each target with its nominal point after that alignment, or without it if ``fit =
-    false``.
+    `point` gives the coordinates of a target, `rod` the coordinates of a hidden point at the tip of a rod with two
+    reflectors. `distance` takes two targets, `angle` three, with the vertex as second. Features are fitted by least
+    squares. `transformation` and `pose` align `nominal_mm` to the targets by least squares; the results of `pose` are
+    position and rotation of a part. `deviation` compares each target with its nominal point, after this alignment or
+    (``fit = false``) without it.
     """
 
     name: str
@@ -71,15 +71,15 @@ class Task(TomlSection):
     nominal_mm: dict[str, Vector] = Field(default_factory=dict)
     """Nominal points by target, for `transformation`, `pose` and `deviation`."""
     fit: bool = True
-    """True if the targets are first aligned to their nominal points."""
+    """True if nominal points and targets are aligned before deviations are computed."""
     scale: bool = False
     """True if the alignment includes a scale."""
     beyond_mm: Finite = 0.0
-    """Distance from the second reflector of a rod to its tip."""
+    """Distance from the second reflector of a rod to the tip of the rod."""
     radius_offset_mm: Finite = 0.0
-    """Length that is added to fitted radii, such as the SMR radius."""
+    """Length that is added to the fitted radius of a circle, sphere or cylinder, such as the SMR radius."""
     tolerances: dict[str, ToleranceLimits] = Field(default_factory=dict)
-    """Tolerance limits by result, tables `[task.tolerances.RESULT]`."""
+    """Tolerance limits by name of the result, tables `[task.tolerances.RESULT]`."""
 
     @model_validator(mode="after")
     def _check_targets(self) -> Self:
@@ -98,19 +98,18 @@ class Task(TomlSection):
 
 
 class TypeBEffect(TomlSection):
-    """Effect that is not visible in the readings, with the distribution of its size.
+    """Effect that is not visible in the readings, with the distribution of its parameters.
 
-    `sizes` holds a standard deviation (`normal`) or a half-width (the others) for parameters of the effect, in their
-    units; without them each has its plausible size as standard deviation. `shared` is the scope of one draw: all
-    pointings, or those of a station, an instrument or a target, or a single pointing.
+    Parameters of the effect without an entry in `sizes` have their plausible size as standard deviation.
     """
 
     effect: str
     """Name of the effect, as listed by `ltsim effects`."""
     distribution: Literal["normal", "rectangular", "triangular", "arcsine"] = "normal"
-    """Distribution of the sizes."""
+    """Distribution of the effect's parameters."""
     sizes: dict[str, Positive] = Field(default_factory=dict)
-    """Standard deviation (or half-width, if the distribution is not normal) of each parameter, in display units."""
+    """Standard deviation (half-width, if the distribution is not normal) of the effect's parameters by name, in display
+    units."""
     shared: Literal["all", "station", "instrument", "target", "pointing"] = "all"
     """Pointings that share one random draw: all, those of one station, instrument or target, or each pointing alone."""
     stations: tuple[str, ...] = ()
@@ -118,16 +117,16 @@ class TypeBEffect(TomlSection):
     targets: tuple[str, ...] = ()
     """Names of the targets where the effect acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Constants of the effect by name, as in a scenario."""
+    """Fixed constants of the effect's formula by name, such as a time constant, as in a scenario."""
     name: str = ""
-    """Name in the budget; default the name of the effect."""
+    """Name of this source in the budget; default the name of the effect."""
 
 
 class PartExpansion(TomlSection):
     """Thermal expansion of the part from the reference temperature `reference_c` to its temperature `measured_c`."""
 
     expansion_per_k: Finite
-    """Coefficient of thermal expansion."""
+    """Coefficient of thermal expansion of the part."""
     sigma_expansion_per_k: NonNegative = 0.0
     """Standard deviation of the coefficient of expansion."""
     measured_c: Finite = 20.0
@@ -135,7 +134,7 @@ class PartExpansion(TomlSection):
     sigma_temperature_k: NonNegative = 0.0
     """Standard deviation of the temperature of the part."""
     reference_c: Finite = 20.0
-    """Temperature to which results refer."""
+    """Reference temperature, to which the results are converted."""
 
 
 class MonteCarloSettings(TomlSection):
@@ -144,7 +143,7 @@ class MonteCarloSettings(TomlSection):
     coverage: CoverageLevel = 0.95
     """Coverage probability of the intervals."""
     digits: Annotated[int, Field(ge=1, le=2)] = 2
-    """Number of significant digits of the standard uncertainty that must be stable."""
+    """Number of significant digits of the standard uncertainty to which the results must be stable."""
     most_trials: Annotated[int, Field(ge=10_000, le=5_000_000)] = 100_000
     """Largest number of trials."""
     seed: Annotated[int, Field(ge=0)] = 0
@@ -155,36 +154,37 @@ class DecisionRule(TomlSection):
     """Rule for the decision on conformity with a tolerance (JCGM 106)."""
 
     rule: Literal["guarded", "simple"] = "guarded"
-    """Decision rule: limits reduced by a guard band for the risk, or the limits themselves."""
+    """Acceptance limits: tolerance limits reduced by a guard band (`guarded`), or the tolerance limits (`simple`)."""
     risk: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.05
-    """Permitted probability of a wrong acceptance."""
+    """Permitted probability that an accepted result does not conform; it determines the guard band."""
 
 
 class Tasks(TomlSection):
-    """Tasks and settings of an evaluation of uncertainty, with the content of a task file."""
+    """Content of a task file: tasks, and options for the evaluation of their uncertainty."""
 
     format: Literal["ltsim-tasks/1"] = "ltsim-tasks/1"
     """Format and version of this file."""
     title: str = ""
     """Title, free text."""
     source: str
-    """Recording or scenario, relative to this file."""
+    """Path of the recording or scenario, relative to this file."""
     calibrate: bool = True
-    """True if the instrument's parameters are estimated too."""
+    """True if the instrument parameters are estimated together with the network."""
     datum: tuple[str, ...] = ()
     """Targets that define the datum by inner constraints."""
     robust: bool = False
-    """True if outlying readings are removed."""
+    """True if outliers among the readings are excluded."""
     task: Annotated[tuple[Task, ...], Field(min_length=1)]
     """Tasks, tables `[[task]]`."""
     type_b: tuple[TypeBEffect, ...] = ()
     """Effects that are not visible in the readings (type B), tables `[[type_b]]`."""
     air: AirUncertainty | None = None
-    """Uncertainty of the air for long ranges, without effects in `type_b`; default that of the recording."""
+    """Uncertainty of the air for long ranges, without the properties for which `type_b` has an effect; default the
+    recording's table `[air]`."""
     growth: PartExpansion | None = None
-    """Thermal expansion of the part."""
+    """Thermal expansion of the part from the reference temperature to the measurement."""
     monte_carlo: MonteCarloSettings = MonteCarloSettings()
-    """Settings of the propagation of distributions."""
+    """Options of the Monte Carlo simulation (JCGM 101)."""
     decision: DecisionRule = DecisionRule()
     """Rule of the decision on conformity."""
 

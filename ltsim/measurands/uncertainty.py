@@ -17,27 +17,27 @@ RESULTS_TABLE = Table(
     "uncertainty.csv",
     "results of the tasks",
     (
-        *text_columns(task="name", result="name", unit="of all numbers"),
+        *text_columns(task="name", result="name", unit="unit of all numbers in the row"),
         Column("value", "estimate", csv_format=".9g", precision_column="U"),
         Column("u", "standard uncertainty", csv_format=".9g", display_format=".2g"),
-        Column("U", "expanded uncertainty for the coverage", csv_format=".9g", precision_column="U"),
+        Column("U", "expanded uncertainty for the coverage probability", csv_format=".9g", precision_column="U"),
         Column("mc_u", "standard uncertainty by Monte Carlo", csv_format=".9g", display_format=".2g"),
         Column("mc_low", "lower limit of the interval by Monte Carlo", csv_format=".9g", precision_column="U"),
         Column("mc_high", "upper limit of the interval by Monte Carlo", csv_format=".9g", precision_column="U"),
         Column("agrees", "True if the interval by propagation and the one by Monte Carlo agree", "flag"),
         *text_columns(
             judgement="accepted, rejected or undecided; empty without a tolerance",
-            largest_source="largest source of uncertainty, and its part of the variance",
+            largest_source="largest source of uncertainty, and its fraction of the variance",
         ),
     ),
 )
 BUDGET_TABLE = Table(
     "budget.csv",
-    "contributions to the uncertainty",
+    "contributions of the sources to the uncertainty of each result",
     (
-        *text_columns(task="name", result="name", source="of uncertainty"),
-        *text_columns(type="A, B, or not included: no reading shows it", unit="of u"),
-        *number_columns(".6g", share="fraction of the variance", u="standard uncertainty from this source"),
+        *text_columns(task="name", result="name", source="source of uncertainty"),
+        *text_columns(type="A, B, or not included: an error that changes no reading", unit="unit of u"),
+        *number_columns(".6g", share="fraction of the result's variance", u="standard uncertainty from this source"),
     ),
 )
 CONFORMITY_TABLE = Table(
@@ -45,10 +45,10 @@ CONFORMITY_TABLE = Table(
     "results against their tolerances (JCGM 106)",
     (
         *text_columns(task="name", result="name"),
-        Column("lower", "limit of the tolerance", n_digits=6),
-        Column("upper", "limit of the tolerance", n_digits=6),
-        Column("guard_band", "between the limits of tolerance and of acceptance", n_digits=6),
-        *text_columns(unit="of limits and guard band"),
+        Column("lower", "lower limit of the tolerance", n_digits=6),
+        Column("upper", "upper limit of the tolerance", n_digits=6),
+        Column("guard_band", "difference between a tolerance limit and the acceptance limit", n_digits=6),
+        *text_columns(unit="unit of limits and guard band"),
         Column("conforms_percent", "probability that the true value lies within the tolerance", display_format=".1f"),
         *text_columns(judgement="accepted, rejected or undecided"),
     ),
@@ -57,31 +57,31 @@ HIDDEN_ERRORS_TABLE = Table(
     "hidden.csv",
     "undetectable errors that the uncertainty does not include",
     (
-        *text_columns(task="name", result="name", error="its description"),
-        Column("change", "of the result, in its unit", n_digits=3),
-        *text_columns(unit="of the change"),
+        *text_columns(task="name", result="name", error="description of the error"),
+        Column("change", "change of the result by the error", n_digits=3),
+        *text_columns(unit="unit of the change"),
     ),
 )
 NOT_INCLUDED_TEXT = "not included"
 """Text in the budget table for an error that is not part of the uncertainty."""
 NonNegativeFloat = Annotated[float, Field(ge=0)]
 MAX_SUMMARY_RESULTS = 8
-"""Largest number of results in the summary."""
+"""Largest number of results that the printed summary lists."""
 
 
 class Distribution(Entry):
     """Distribution of a result by Monte Carlo (JCGM 101), in the unit of the result."""
 
     mean: float
-    """Mean of the draws."""
+    """Mean of the result over the trials."""
     standard_uncertainty: NonNegativeFloat
-    """Standard deviation of the draws."""
+    """Standard deviation of the result over the trials."""
     symmetric: tuple[float, float]
-    """Probabilistically symmetric interval."""
+    """Limits of the probabilistically symmetric coverage interval."""
     shortest: tuple[float, float]
-    """Shortest interval."""
+    """Limits of the shortest coverage interval."""
     stable: bool
-    """True if the results are stable to the requested digits."""
+    """True if the result is stable to the requested number of digits."""
     agrees: bool
     """True if the interval by propagation agrees with that by Monte Carlo (JCGM 101, clause 8)."""
 
@@ -90,26 +90,26 @@ class BudgetEntry(Entry):
     """Contribution of one source to the uncertainty of a result."""
 
     source: str
-    """Name of the source."""
+    """Name of the source of uncertainty."""
     type: Literal["A", "B"]
     """Type of the evaluation by the GUM: A by statistics, B by other means."""
     share: float
     """Fraction of the variance of the result, 0 to 1."""
     standard_uncertainty: NonNegativeFloat
-    """Standard uncertainty in the result's unit."""
+    """Standard uncertainty of the result from this source, in the unit of the result."""
 
 
 class HiddenErrorEntry(Entry):
     """Error that does not change the readings, so that the uncertainty does not include it."""
 
     source: str
-    """Text that names the error and its size."""
+    """Description of the error with its size."""
     change: NonNegativeFloat
-    """Change of the result by this error, in the result's unit."""
+    """Absolute change of the result by this error, in the unit of the result."""
 
 
 class Conformity(Entry):
-    """Conformity of a result with its tolerance (JCGM 106); limits and guard band in its unit."""
+    """Conformity of a result with its tolerance (JCGM 106); limits and guard band are in the unit of the result."""
 
     lower: float | None
     """Lower limit of the tolerance."""
@@ -118,12 +118,12 @@ class Conformity(Entry):
     rule: Literal["guarded", "simple"]
     """Decision rule of the task file."""
     guard_band: float
-    """Width of the guard band inside each limit, between tolerance and acceptance."""
+    """Width of the guard band: distance of the acceptance limit from the tolerance limit, inside the tolerance."""
     probability: float
     """Probability that the true value lies within the tolerance."""
     judgement: Literal["accepted", "rejected", "undecided"]
-    """Decision: `accepted` within the limits reduced by the guard bands, `rejected` outside the limits extended by
-    them, else `undecided`.
+    """Decision: `accepted` within the tolerance limits reduced by the guard bands, `rejected` outside the tolerance
+    limits extended by the guard bands, else `undecided`.
     """
     wrong: float
     """Probability that the decision is wrong."""
@@ -137,7 +137,7 @@ class TaskResult(Entry):
     kind: str
     """Kind of task."""
     name: str
-    """Name of the result, because a task can have several."""
+    """Name of the result, such as `x` or `distance`; a task can have several results."""
     unit: str
     """Unit of all values of this entry."""
     value: float
@@ -147,27 +147,28 @@ class TaskResult(Entry):
     coverage_factor: float
     """Coverage factor of the expanded uncertainty."""
     expanded_uncertainty: NonNegativeFloat
-    """Expanded uncertainty for the coverage probability."""
+    """Expanded uncertainty of the result for the coverage probability."""
     monte_carlo: Distribution
     """Distribution by Monte Carlo."""
     curvature: float
-    """Difference between the exact and the linearised adjustment, in standard uncertainties."""
+    """Difference of the result between the exact and the linearised adjustment, divided by its standard uncertainty."""
     budget: tuple[BudgetEntry, ...] = Field(min_length=1)
     """Contributions of the sources to the uncertainty, the largest first."""
     hidden: tuple[HiddenErrorEntry, ...] = ()
-    """Noticeable errors that do not change the readings, the largest first; the uncertainty does not include them."""
+    """Errors that change the result noticeably but no reading, the largest first; the uncertainty does not include
+    them."""
     conformity: Conformity | None = None
-    """Conformity with the tolerance; null without one."""
+    """Conformity with the tolerance; null for a result without a tolerance."""
 
     @property
     def text(self) -> str:
-        """Text of the result with its expanded uncertainty."""
+        """Result with its expanded uncertainty as text, such as `length distance: 1.234 mm, U = 0.020 mm (k = 2)`."""
         figures = with_expanded_uncertainty(self.value, self.expanded_uncertainty, self.unit, self.coverage_factor)
         return f"{self.task}, {self.name}: {figures}"
 
     @property
     def table_row(self) -> list[Any]:
-        """Row of the table `RESULTS_TABLE`."""
+        """Row of this result in the table uncertainty.csv."""
         largest, drawn = self.budget[0], self.monte_carlo
         numbers = self.value, self.standard_uncertainty, self.expanded_uncertainty
         judgement = self.conformity.judgement if self.conformity else ""
@@ -201,7 +202,7 @@ class Uncertainty(ResultFile):
     sigma0: OptionalFloat
     """Square root of chi-square divided by the degrees of freedom of the adjustment; null for a list of coordinates."""
     results: tuple[TaskResult, ...] = Field(min_length=1)
-    """Results of all tasks, one entry per number."""
+    """Results of all tasks, one entry for each number."""
     correlation: tuple[tuple[OptionalFloat, ...], ...]
     """Correlation matrix of the results, in their order."""
     warnings: tuple[str, ...] = ()
@@ -247,8 +248,9 @@ def evaluate_conformity(
     decision_rule: DecisionRule,
     trial_results: Floats | None = None,
 ) -> Conformity:
-    """Decision on the conformity of a result with its tolerance, from its trials or from a normal distribution.
+    """Decision on the conformity of a result with its tolerance.
 
+    The distribution is that of `trial_results` (trials,), by default a normal one with the standard deviation `sigma`.
     All values are in the unit of the tolerance.
 
     References
@@ -282,7 +284,7 @@ def evaluate_conformity(
 
 
 def normalised_errors_of_files(first_result: Uncertainty, second_result: Uncertainty) -> list[tuple[str, float]]:
-    """Normalised errors E_n of the results that both files contain in the same unit, each with ``task, result``.
+    """Normalised error E_n of each result that both files contain in the same unit, after its name ``task, result``.
 
     E_n applies to independent results, for example from two recordings or two instruments.
     """
@@ -297,10 +299,9 @@ def normalised_errors_of_files(first_result: Uncertainty, second_result: Uncerta
 def normalised_error(
     value: float, expanded_uncertainty: float, other_value: float, other_expanded_uncertainty: float
 ) -> float:
-    """Normalised error E_n of two results, each a value with its expanded uncertainty.
+    """Normalised error E_n of two results: their difference divided by the root sum of squares of their uncertainties.
 
-    It is the difference of the values divided by the root sum of squares of the uncertainties. The results agree if
-    |E_n| <= 1 (ISO 13528).
+    The uncertainties are expanded uncertainties. The results agree if |E_n| <= 1 (ISO 13528).
     """
     together = float(np.hypot(expanded_uncertainty, other_expanded_uncertainty))
     gap = value - other_value

@@ -1,4 +1,4 @@
-"""Public functions `uncertainty` (of tasks on measured points) and `compare` (of two epochs)."""
+"""Public functions `uncertainty`, for tasks on measured points, and `compare`, for two epochs."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,7 +9,7 @@ from ltsim.core.arguments import check_bounds
 from ltsim.core.errors import ModelError, option_text
 from ltsim.measurands.comparison import Comparison
 from ltsim.measurands.epochs import compare_adjustments as compared, compare_coordinates
-from ltsim.measurands.evaluation import evaluate_listed_tasks, evaluate_tasks
+from ltsim.measurands.evaluation import evaluate_tasks, evaluate_tasks_on_coordinates
 from ltsim.measurands.spec import TASKS_FORMAT, Tasks, load_tasks, validate_tasks
 from ltsim.measurands.uncertainty import Uncertainty
 from ltsim.physics.effects.verbs import name_tuple
@@ -35,12 +35,12 @@ def uncertainty(
     tasks : str, Path, mapping or Tasks
         Task file, or its tables (``task``, ``type_b``, ...); tables need no `format` and `source`.
     seed : int, optional
-        Root of all random draws; default from the task file.
+        Seed of all random draws; default from the task file.
 
     Raises
     ------
     ModelError, SetupError
-        When a task names what does not exist or is not determined.
+        When a task names a target or effect that does not exist, or a target that the readings do not determine.
 
     Examples
     --------
@@ -64,7 +64,7 @@ def uncertainty(
         given = given.model_copy(update={"monte_carlo": given.monte_carlo.model_copy(update={"seed": seed})})
     coordinates = _load_coordinates(recording)
     if coordinates is not None:
-        return evaluate_listed_tasks(coordinates, given).to_result
+        return evaluate_tasks_on_coordinates(coordinates, given).to_result
     return evaluate_tasks(load_recording(recording), given).to_result  # type: ignore[arg-type]
 
 
@@ -80,34 +80,34 @@ def compare(
     robust: bool = False,
     level: float = 0.05,
 ) -> Comparison:
-    """Comparison of two epochs: displaced points, and minimal detectable displacements.
+    """Comparison of two epochs by a congruence test: displaced points, and minimal detectable displacements.
 
     Parameters
     ----------
     first, second : Recording, EpochCoordinates, str or Path
         Two recordings, or two lists of coordinates with their covariance (`ltsim.recordings.coordinates`).
     stable : str or sequence of str, optional
-        Points that have certainly not moved; they are not tested. Default: determined by the test.
+        Names of points that are certain not to have moved; they are not tested. Default: determined by the test.
     free : bool
-        True if the frames of two lists differ, so that the second may move as a whole; for lists of coordinates only.
+        True if two lists of coordinates have different frames, so that the second is aligned to the first.
     scaled : bool
-        True if the second recording may have a different scale, because of another temperature or another instrument.
+        True to estimate the scale of the second epoch, which another temperature or instrument may have changed.
     same_instrument : bool
-        True if one tracker with unchanged errors measured both recordings. Undetermined errors of the instrument then
-        shift both epochs equally and do not count as a difference.
+        True if one tracker with unchanged errors measured both recordings. Errors that the readings do not determine
+        then displace both epochs equally, and do not count as differences.
     calibrate : bool
-        True to estimate the instrument's constants in each recording.
+        True to estimate the instrument parameters in each recording.
     robust : bool
-        True to exclude outlying readings; each is tested again at the end.
+        True to exclude outliers; each excluded reading is tested again at the end.
     level : float
-        Probability that any point is reported as moved if none moved.
+        Significance level: probability that at least one point is reported as moved although none moved.
 
     Raises
     ------
     ModelError
-        When a stable point is not common, or an option of recordings is asked of lists of coordinates.
+        When a stable point is not a common point, or when lists of coordinates are given with an option for recordings.
     NetworkError
-        When too few points are common, or a network cannot be solved.
+        When the epochs have too few common points, or a network cannot be solved.
 
     Examples
     --------
@@ -149,7 +149,7 @@ def compare(
 
 
 def _load_coordinates(source: RecordingSource | EpochCoordinates) -> EpochCoordinates | None:
-    """List of coordinates of a source, read from its path if necessary; None for a recording."""
+    """List of coordinates, read from the file `source` if this is a path; None for a recording."""
     if isinstance(source, EpochCoordinates):
         return source
     return (

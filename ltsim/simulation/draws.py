@@ -1,7 +1,7 @@
-"""Random values of trials and their distributions, the same for single recordings and for campaigns.
+"""Distributions of the random values of trials, and their draws; a single recording and a campaign use the same draws.
 
-A draw depends only on the seed, its purpose and the number of the trial. An additional effect, method or worker process
-therefore does not change the other draws.
+A draw depends only on the seed, its purpose and the number of the trial. An effect, method or worker process that is
+added therefore does not change any draw for another purpose.
 """
 
 from __future__ import annotations
@@ -26,24 +26,25 @@ from ltsim.simulation.physics import reflector_error_parameters
 from ltsim.simulation.scenario import Scenario
 
 CERTIFICATE_STEP = 1e-4 * MILLIMETRE
-"""Step [m] to which a certificate rounds its lengths."""
+"""Step [m] to which a certificate rounds its reference lengths: 0.1 um."""
 
 
 @dataclass(frozen=True)
 class EffectDistribution:
     """Effect whose parameters are drawn from normal distributions.
 
-    The modulus is drawn for a parameter that is never negative.
+    For a parameter that is never negative, the absolute value of the draw is used.
     """
 
     effect: Effect
-    """Effect with its places and constants."""
+    """Effect of the catalogue, with the stations and targets where it acts."""
     mean_values: Floats
     """Mean of each parameter of the effect, shape (parameters,) [SI]."""
     value_sigmas: Floats
     """Standard deviation of each parameter of the effect, shape (parameters,) [SI]; 0 for a declared value."""
     occurrence_number: int = 1
-    """Number of this effect among identical effects at the same place, from 1."""
+    """Number of this effect, from 1, among the scenario's entries of the same effect at the same stations and
+    targets."""
 
     @property
     def is_nonnegative(self) -> Bools:
@@ -53,9 +54,9 @@ class EffectDistribution:
 
 
 def effect_distributions(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[EffectDistribution, ...]:
-    """Distributions of the parameters of the given effects, in the order of their entries in the scenario.
+    """Parameter distributions of the scenario's effects `effects`, in the order of the scenario file.
 
-    The incidence error of the reflectors is last.
+    The last one may be the incidence error of the reflectors, which the scenario's table `[smr]` defines.
     """
     counts, laws = Counter[tuple[str, str]](), []
     for i, effect in enumerate(effects):
@@ -76,28 +77,28 @@ class StandardNormalSource:
     """Source of standard normal numbers for the trials of a seed, one independent stream per purpose."""
 
     seed: int
-    """Seed of the campaign or recording."""
+    """Root seed of the campaign or recording."""
     trials: Ints
     """Numbers of the trials."""
 
     def __call__(self, n_values: int, *stream_key: str | int) -> Floats:
-        """Standard normal numbers, shape (n_values, trials); `stream_key` names their purpose."""
+        """Standard normal numbers, shape (n_values, trials), from the random stream of the purpose `stream_key`."""
         return standard_normal_trials(self.seed, self.trials, n_values, *stream_key)
 
     def single_trial_sources(self) -> list[StandardNormalSource]:
-        """Sources of single trials, one for each trial of this source; their numbers are drawn once and cached."""
+        """Sources for each trial of this source separately; they share a cache, so that each number is drawn once."""
         together = lru_cache(maxsize=None)(self.__call__)
         return [_SingleTrialSource(self.seed, self.trials[[k]], together, k) for k in range(len(self.trials))]
 
 
 @dataclass(frozen=True)
 class _SingleTrialSource(StandardNormalSource):
-    """Source of the standard normal numbers of one trial among several."""
+    """Source of the standard normal numbers of one trial, taken from the cached draws of a batch of trials."""
 
     batch_source: Callable[..., Floats] = standard_normal_trials
-    """Source of the numbers of all trials."""
+    """Function that draws the standard normal numbers of all trials of the batch."""
     trial_index: int = 0
-    """Index of the trial among all trials of the source."""
+    """Index of the trial in the batch."""
 
     def __call__(self, n_values: int, *stream_key: str | int) -> Floats:
         return self.batch_source(n_values, *stream_key)[:, self.trial_index : self.trial_index + 1]
@@ -105,7 +106,7 @@ class _SingleTrialSource(StandardNormalSource):
 
 @dataclass(frozen=True)
 class TrialDraw:
-    """Random values of several trials; the last axis of each array has one entry per trial."""
+    """Random values drawn for several trials; the last axis of each array has one entry per trial."""
 
     trials: Ints
     """Numbers of the trials."""
@@ -116,15 +117,15 @@ class TrialDraw:
     reading_errors: Floats
     """Random errors of the readings, shape (pointings, 3, trials) [m, rad, rad]."""
     certified_lengths: Floats
-    """Reference lengths on their certificates, at the temperature of their calibration, shape (lengths, trials) [m]."""
+    """Reference lengths that the certificates declare at calibration temperature, shape (lengths, trials) [m]."""
 
 
 @dataclass(frozen=True)
 class TrialDistributions:
-    """Distributions of all random values of a trial for given true positions."""
+    """Distributions of all random values of a trial, for given true positions of stations and targets."""
 
     sightings: Sightings
-    """Pointings at the true positions."""
+    """Pointings with the true positions of stations and targets."""
     construction: GeometricErrorModel
     """Instrument model that generates the readings."""
     instruments: tuple[str, ...]
@@ -134,7 +135,7 @@ class TrialDistributions:
     instrument_sigmas: Floats
     """Standard deviations of the normally distributed instrument errors, shape (instruments, parameters) [SI]."""
     noise_sigmas: Floats
-    """Standard deviations of the readings without effects on the noise, shape (pointings, 3) [m, rad, rad]."""
+    """Standard deviations of the readings before effects change the noise, shape (pointings, 3) [m, rad, rad]."""
     reference_lengths: ReferenceLengths
     """True reference lengths, with the standard deviations of their certificates."""
     length_end_names: tuple[str, ...]
@@ -142,15 +143,16 @@ class TrialDistributions:
     effects: tuple[EffectDistribution, ...] = ()
     """Effects with the distributions of their parameters."""
     certificate_error_factor: float = 1.0
-    """Ratio of the true standard deviation of a certificate's error to the declared one."""
+    """Ratio of the true to the declared standard deviation of the error of a certified length."""
 
     def draw(
         self, normal_source: StandardNormalSource, instrument_values: Floats | None = None, *, stream_key: str = ""
     ) -> TrialDraw:
-        """Random values of the trials of a source; `instrument_values` replaces the drawn instrument errors.
+        """Random values of the trials of `normal_source`.
 
-        `instrument_values` has the shape (instruments, parameters, trials) [SI]. `stream_key` separates the noise of
-        the same trials at another place. SetupError is raised if an effect makes a variance negative.
+        `instrument_values`, if given, replaces the drawn instrument errors, (instruments, parameters, trials) [SI].
+        Another `stream_key` gives the same trials independent noise, for a second measurement. SetupError is raised if
+        an effect makes a variance negative.
         """
         effect_values = tuple(self._draw_effect_values(law, normal_source) for law in self.effects)
         noise_key = (stream_key, "noise") if stream_key else ("noise",)
@@ -179,7 +181,7 @@ class TrialDistributions:
         return instrument_values
 
     def _draw_effect_values(self, distribution: EffectDistribution, normal_source: StandardNormalSource) -> Floats:
-        """True parameters of an effect, shape (parameters, trials) [SI]."""
+        """True parameters of the effect `distribution`, shape (parameters, trials) [SI]."""
         effect_values = np.repeat(distribution.mean_values[:, None], len(normal_source.trials), axis=1)
         for k in np.flatnonzero(distribution.value_sigmas):
             key = (
@@ -195,9 +197,10 @@ class TrialDistributions:
         return effect_values
 
     def noise_sigmas_with_effects(self, effect_values: tuple[Floats, ...]) -> Floats:
-        """True standard deviations of the readings, shape (pointings, 3, trials).
+        """True standard deviations of the readings, shape (pointings, 3, trials) [m, rad, rad].
 
-        The last axis has one entry if the effects on the noise are the same in all trials.
+        `effect_values` has the parameters [SI] of each effect, (parameters, trials). The last axis of the result has
+        one entry if the effects on the noise are the same in all trials.
         """
         on_noise = [
             (law.effect, amount)
@@ -211,20 +214,20 @@ class TrialDistributions:
         )
 
     def _sigmas_with_noise_effects(self, noise_effects: Sequence[tuple[NoiseEffect, Floats]]) -> Floats:
-        """Standard deviations (pointings, 3) of the readings with effects on the noise.
+        """Standard deviations of the readings in one trial with effects on the noise, (pointings, 3) [m, rad, rad].
 
-        `noise_effects` holds pairs of an effect and its sizes.
+        `noise_effects` holds pairs of an effect and its parameters, shape (parameters,) [SI].
         """
         sigma = self.noise_sigmas
         for effect, amount in noise_effects:
             variance = effect.variance(self.sightings, sigma, amount)
             if not np.all(variance >= 0.0):
-                raise SetupError(f"effects: {effect.name} makes a variance of the noise negative; give larger values")
+                raise SetupError(f"effects: {effect.name} makes a variance of readings negative; give it larger values")
             sigma = np.sqrt(variance)
         return sigma
 
     def _draw_certified_lengths(self, effect_values: tuple[Floats, ...], normal_source: StandardNormalSource) -> Floats:
-        """Lengths on the certificates, computed with the true and not the declared coefficient and temperature."""
+        """Certified lengths (lengths, trials) [m], computed with the true expansion coefficient and temperature."""
         lengths = self.reference_lengths
         expansion_factors = np.repeat(lengths.expansion_factors[:, None], len(normal_source.trials), axis=1)
         for name, change in lengths.shared_error_changes.items():
@@ -241,7 +244,10 @@ class TrialDistributions:
         return CERTIFICATE_STEP * np.round((true_lengths / expansion_factors + certificate_errors) / CERTIFICATE_STEP)
 
     def length_change(self, effect_values: tuple[Floats, ...]) -> Floats:
-        """Change of the true lengths by effects, (lengths, trials) [m], or (lengths, 1) without random effects."""
+        """Change of the true reference lengths by effects with the parameters `effect_values` [SI].
+
+        The shape is (lengths, trials) [m], or (lengths, 1) without random effects.
+        """
         lengths, total = self.reference_lengths, np.zeros((len(self.reference_lengths.lengths), 1))
         for law, amount in zip(self.effects, effect_values, strict=True):
             design = law.effect.gauge_design(

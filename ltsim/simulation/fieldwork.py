@@ -1,4 +1,4 @@
-"""True positions, and pointings in the order of measurement, which several trials can share."""
+"""True network geometry of a scenario and its pointings in the order of measurement; several trials can share both."""
 
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -22,16 +22,16 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import WorkshopLayout, make_visibility, planned_layout
 
 MAX_LISTED_PAIRS = 20
-"""Number of pairs of station and target without a line of sight up to which each pair is listed."""
+"""Largest number of pairs of station and target without a line of sight that are listed one by one."""
 MIN_LEVEL_SEPARATION = 0.5
 """Height difference [m] from which two targets belong to different height levels."""
 
 
 @dataclass(frozen=True)
 class MeasurementGeometry:
-    """Scenario with its true positions and the order of its pointings.
+    """Scenario with the true positions of its stations and targets, and its pointings in the order of measurement.
 
-    `simulator.measure_trial` draws errors and noise for it.
+    `simulator.measure_trial` draws instrument errors and noise for these pointings.
     """
 
     scenario: Scenario
@@ -41,10 +41,10 @@ class MeasurementGeometry:
     sightings: Sightings
     """Pointings to the visible targets at the true positions, with the readings of the air sensors as covariates."""
     effects: tuple[Effect, ...]
-    """Effects of the scenario."""
+    """Effects of the scenario, in addition to the instrument's errors."""
     hidden_pair_notes: tuple[str, ...]
-    """Sentences on pairs of station and target without a line of sight, with the reason; for many pairs the number by
-    reason."""
+    """Sentences on the pairs of station and target without a line of sight, with the reason of each pair. For more than
+    `MAX_LISTED_PAIRS` pairs, one sentence with the number of pairs for each reason."""
 
     @cached_property
     def construction(self) -> GeometricErrorModel:
@@ -52,13 +52,14 @@ class MeasurementGeometry:
         return make_scenario_construction(self.scenario)
 
 
-def make_geometry(
+def make_measurement_geometry(
     scenario: Scenario, seed: int, *stream_key: str | int, plan: WorkshopLayout | None = None
 ) -> MeasurementGeometry:
-    """True positions of a scenario and its visible pointings in the order of measurement; `plan` as in `place_layout`.
+    """True positions of a scenario and its visible pointings in the order of measurement.
 
+    `plan` is the planned layout, if it was computed before. `stream_key` selects the random draws of the positions.
     SetupError is raised if a station sees no target, the file of an obstacle is damaged, an effect does not exist, or
-    an SMR of another radius is in a nest without a normal.
+    an SMR of another than the reference radius is in a nest without a normal.
     """
     layout = place_layout(scenario, seed, *stream_key, plan=plan)
     table = make_visibility(scenario, layout)
@@ -80,9 +81,10 @@ def make_geometry(
 def place_layout(
     scenario: Scenario, seed: int, *stream_key: str | int, plan: WorkshopLayout | None = None
 ) -> WorkshopLayout:
-    """True poses and positions: the planned ones with random deviations by `placing`; the gauge moves as a rigid body.
+    """True poses of stations and positions of targets: the plan with random deviations by the table `[placing]`.
 
-    `plan` is the planned layout, if it was computed before. `stream_key` distinguishes the draws of several layouts.
+    The gauge is displaced as a rigid body. `plan` is the planned layout, if it was computed before. Another
+    `stream_key` gives another layout.
     """
     plan, placing = plan or planned_layout(scenario), scenario.placing
     position, rotation, points = plan.station_positions.copy(), plan.station_rotations.copy(), plan.target_points.copy()
@@ -109,7 +111,7 @@ def place_layout(
 
 
 def _hidden_pair_notes(workshop_layout: WorkshopLayout, visibility: Visibility) -> tuple[str, ...]:
-    """Sentences on the pairs of station and target without a line of sight."""
+    """Sentences on the pairs of station and target without a line of sight, as in `MeasurementGeometry`."""
     lost = visibility.invisible_pair_sentences(workshop_layout.station_names, workshop_layout.target_names)
     if len(lost) <= MAX_LISTED_PAIRS:
         return tuple(lost)
@@ -121,7 +123,7 @@ def _hidden_pair_notes(workshop_layout: WorkshopLayout, visibility: Visibility) 
 def _sightings(
     scenario: Scenario, workshop_layout: WorkshopLayout, is_visible: Bools, seed: int, *stream_key: str | int
 ) -> Sightings:
-    """Pointings in the order of measurement; targets that no station sees are left out."""
+    """Pointings in the order of measurement, of targets that at least one station sees."""
     pointed = np.flatnonzero(is_visible.any(axis=0))
     renumbered = np.full(len(workshop_layout.target_names), -1)
     renumbered[pointed] = np.arange(len(pointed))
@@ -206,7 +208,7 @@ def _height_levels(heights: Floats) -> Floats:
 
 
 def _air_sensor_readings(scenario: Scenario, time: Floats) -> dict[str, Floats]:
-    """Readings of the air sensors of the instrument by column name, rounded to 0.1 of their units."""
+    """Readings of the instrument's air sensors at the times `time` [s] by column name, rounded to 0.1 of a unit."""
     hall = scenario.workshop
     temperature = hall.temperature_c + hall.temperature_rise_c_per_h * time / 3600.0
     return {
@@ -217,7 +219,7 @@ def _air_sensor_readings(scenario: Scenario, time: Floats) -> dict[str, Floats]:
 
 
 def smr_names_of_pointings(scenario: Scenario, sightings: Sightings) -> tuple[str, ...]:
-    """Name of the SMR of each pointing: that of its station, its target, or the default; '' for no name."""
+    """Name of the SMR of each pointing, from its station, its target or the table `[smr]`; '' without a name."""
     stations = [scenario.stations[name].reflector for name in sightings.station_names]
     targets = [scenario.targets[n].reflector if n in scenario.targets else None for n in sightings.target_names]
     places = zip(sightings.station, sightings.target, strict=True)
@@ -225,10 +227,10 @@ def smr_names_of_pointings(scenario: Scenario, sightings: Sightings) -> tuple[st
 
 
 def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *stream_key: str | int) -> Floats | None:
-    """Vector from each target to the centre of the SMR, shape (pointings, 3) [m]; None in a scenario with one SMR.
+    """Vector from the target to the SMR's centre in each pointing, (pointings, 3) [m]; None in a scenario with one SMR.
 
-    SetupError is raised for an SMR without a table, an SMR of another radius in a nest without a normal, and a missing
-    reference radius.
+    SetupError is raised for an SMR without a table `[reflectors.NAME]`, for an SMR of another than the reference radius
+    in a nest without a normal, and for a missing reference radius.
     """
     reflectors = scenario.reflectors
     if not reflectors:
@@ -238,7 +240,7 @@ def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *strea
         target = sightings.target_names[sightings.target[names.index("")]]
         raise SetupError(
             f"targets.{target}.reflector is missing: with tables [reflectors.NAME] every target, every station or "
-            "[smr] names one of them"
+            "[smr] names one of these reflectors"
         )
     aimed = np.isfinite(sightings.nest_normals[:, 0])
     targets = [sightings.target_names[t] for t in sightings.target]

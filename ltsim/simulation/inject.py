@@ -1,7 +1,7 @@
-"""Injection of an effect into an existing recording: the predicted change is added to the readings.
+"""Injection of an effect into an existing recording: the change that the effect predicts is added to the readings.
 
-Noise, outliers and instrument errors of the recording remain. The change is computed at the adjusted positions; an
-error of 1 mm in these changes it by 1e-4 of its size at a range of 10 m.
+Noise, outliers and instrument errors of the recording remain. The change is computed at the adjusted positions. An
+error of 1 mm in a position changes it by 1e-4 of its size at a range of 10 m.
 """
 
 from collections.abc import Mapping
@@ -27,12 +27,12 @@ from ltsim.simulation.simulator import with_certificates
 INJECTION_FORMAT = "ltsim-injection/1"
 """Format and version of a truth file of injections."""
 NONCENTRALITY_TOLERANCE = 1e-4
-"""Relative difference from the requested noncentrality below which the scaling of the effect ends."""
+"""Relative difference between the effect's noncentrality and the requested one below which the scaling ends."""
 MAX_SCALING_STEPS = 60
-"""Largest number of steps in the scaling of an effect to a noncentrality."""
+"""Largest number of iterations in the scaling of an effect to the requested noncentrality."""
 MAX_CHANGE_SIGMAS = 30.0
-"""Largest change of a reading, in its standard deviations, divided by the square root of the requested noncentrality.
-If an injected effect needs a larger change, the unknowns of the network count as absorbing it."""
+"""Largest permitted change of a reading by an injected effect, in standard deviations of the reading, divided by the
+square root of the requested noncentrality. An effect that needs a larger change counts as absorbed by the unknowns."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -40,17 +40,17 @@ class InjectedEffect(Result):
     """Effect that was injected into a recording, with the values of its parameters."""
 
     effect: CandidateEffect
-    """Effect with its places and constants."""
+    """Effect of the catalogue, with the stations and targets where it acts."""
     request_text: str
-    """Text with which the user requested the effect."""
+    """Specification of the effect as the user wrote it, such as `range-offset:S3`."""
     parameter_values: Floats
     """Values of the parameters of the effect, shape (parameters,) [SI]."""
     noncentrality: float
-    """Noncentrality of the effect in the residuals; for an effect on the noise, the expected decrease of minus twice
-    the log-likelihood."""
+    """Noncentrality of the effect in the residuals, that is, the expected decrease of chi-square if the effect is
+    modelled; for an effect on the noise, the expected decrease of minus twice the log-likelihood."""
     largest_changes: dict[str, float]
-    """Largest change of a distance [um], azimuth and elevation [urad]; for an effect on the noise, the largest added
-    standard deviation."""
+    """Largest absolute change of a reading, by observable: distance [um], azimuth and elevation [urad]. For an effect
+    on the noise, the largest added standard deviation."""
 
     def _lines(self) -> list[str]:
         sizes_text = ", ".join(
@@ -74,7 +74,7 @@ class InjectedEffect(Result):
         }
 
     def to_json(self) -> dict[str, Any]:
-        """Entry of the effect for a truth file."""
+        """Entry of the effect in a truth file of injections."""
         cause = self.effect
         shape = display_constants(cause) if isinstance(cause, Effect) else {}
         return {
@@ -99,7 +99,7 @@ class InjectionTruth(Result):
         return [repr(cause) for cause in self.injected_effects]
 
     def to_json(self) -> dict[str, Any]:
-        """Content of a truth file."""
+        """Content of a truth file of injections."""
         return {
             "format": INJECTION_FORMAT,
             "seed": self.seed,
@@ -108,27 +108,27 @@ class InjectionTruth(Result):
 
 
 class RecordingWithInjection(NamedTuple):
-    """Recording with injected effects, and the truth on these effects."""
+    """Recording with injected effects, and the true values of these effects."""
 
     recording: Recording
     """Recording with the changed readings."""
     truth: InjectionTruth
-    """Injected effects with their values."""
+    """Injected effects with their true parameter values."""
 
 
 DETECTION_CURVE_TABLE = Table(
     "curve.csv",
-    "Injections of one cause at several strengths, each diagnosed with default settings; 95 % intervals (Wilson).",
+    "Injections of an effect at several noncentralities, each diagnosed with default options; 95 % intervals (Wilson).",
     (
         *number_columns(format_text=".4g", noncentrality="Noncentrality of the effect after the adjustment."),
-        *number_columns(format_text=".4g", largest_um="Largest change of a distance, mean of the injections."),
-        *number_columns(format_text=".4g", largest_urad="Largest change of an angle, mean of the injections."),
+        *number_columns(format_text=".4g", largest_um="Largest change of a distance, averaged over the injections."),
+        *number_columns(format_text=".4g", largest_urad="Largest change of an angle, averaged over the injections."),
         *number_columns(injections="Number of injections."),
         *number_columns(
-            detections="Number of injections with a new finding.",
-            placed="Those with a new finding at the right place.",
-            named="Those with a new finding of the right name.",
-            right="Those whose first new finding has the right name and place.",
+            detections="Number of injections after which the diagnosis reports a new finding.",
+            placed="Number of injections with a new finding at the stations or targets of the injected effect.",
+            named="Number of injections with a new finding that has the name of the injected effect.",
+            right="Number of injections whose first new finding has the name and place of the injected effect.",
         ),
         *number_columns(format_text=".3f", detections_low="", detections_high=""),
         *number_columns(format_text=".3f", placed_low="", placed_high="", named_low="", named_high=""),
@@ -138,14 +138,14 @@ DETECTION_CURVE_TABLE = Table(
 
 @dataclass(frozen=True, repr=False)
 class DetectionCurve(Result):
-    """Detection curve: fraction of injections of an effect that are detected, located and named, at each strength."""
+    """Detection curve: fractions of injections of an effect that are detected, located and named, by noncentrality."""
 
     effect_text: str
-    """Text of the effect."""
+    """Specification of the injected effect, such as `range-offset:S3`."""
     effects_without_injection: tuple[str, ...]
-    """Names of the findings in the recording without an injection."""
+    """Names of the effects that the diagnosis reports in the recording without an injection."""
     rows: tuple[Mapping[str, float], ...]
-    """Values of each strength, by column name."""
+    """Row of the curve for each noncentrality: values by column name."""
 
     def _lines(self) -> list[str]:
         reported = ", ".join(self.effects_without_injection) or "nothing"
@@ -167,7 +167,7 @@ class Injector:
     recording: Recording
     """Recording before the injection."""
     residual_space: ResidualSpace
-    """Residuals of the adjusted recording, from which the noncentrality of an effect is computed."""
+    """Space of the residuals of the adjusted recording, in which the noncentrality of an effect is computed."""
 
     @property
     def adjusted_state(self) -> NetworkState:
@@ -177,7 +177,7 @@ class Injector:
     def reading_change(self, effect: CandidateEffect, effect_sizes: Floats) -> Floats:
         """Change of the readings by an effect, shape (pointings, 3) [m, rad, rad]; 0 for effects on the noise.
 
-        Missing readings have a change of NaN.
+        `effect_sizes` (parameters,) [SI] are the effect's parameters. A missing reading has a change of NaN.
         """
         sightings, readings = self.residual_space.sightings, self.recording.readings
         if not isinstance(effect, Blunder):
@@ -198,7 +198,7 @@ class Injector:
         )
 
     def added_noise_sigma(self, effect: NoiseEffect, effect_sizes: Floats) -> Floats:
-        """Standard deviation of the noise that an effect adds to the readings, shape (pointings, 3)."""
+        """Standard deviation of the noise that an effect adds to the readings, shape (pointings, 3) [m, rad, rad]."""
         sigma = self.recording.sigma()
         added = effect.variance(self.residual_space.sightings, sigma, effect_sizes) - sigma**2
         if np.nanmin(added) < -1e-9 * np.nanmax(sigma) ** 2:
@@ -221,9 +221,10 @@ class Injector:
     def scale_to_noncentrality(
         self, effect: CandidateEffect, effect_sizes: Floats, noncentrality_goal: float
     ) -> Floats:
-        """Sizes of the effect at which it has the requested noncentrality.
+        """Parameters (parameters,) [SI] of the effect at which it has the noncentrality `noncentrality_goal`.
 
-        ModelError is raised if the unknowns of the network absorb the effect.
+        They are the start values `effect_sizes` times a common factor. ModelError is raised if the unknowns of the
+        network absorb the effect.
         """
         if isinstance(effect, Blunder):
             raise ModelError(f"{effect.name} has no size; leave out the noncentrality")
@@ -244,7 +245,7 @@ class Injector:
         )
 
     def _largest_relative_change(self, effect: CandidateEffect, effect_sizes: Floats) -> float:
-        """Largest change of a reading, or added standard deviation, divided by the reading's standard deviation."""
+        """Largest ratio of a reading's change, or of the noise added to it, to its standard deviation."""
         reading_changes = (
             self.added_noise_sigma(effect, effect_sizes)
             if isinstance(effect, NoiseEffect)
@@ -255,7 +256,11 @@ class Injector:
     def inject(
         self, effect: CandidateEffect, effect_sizes: Floats, request_text: str, random_generator: np.random.Generator
     ) -> tuple[Recording, InjectedEffect]:
-        """Recording with an injected effect, and the entry of the effect for the truth file."""
+        """Recording with an injected effect, and the entry of the effect for the truth file.
+
+        `effect_sizes` (parameters,) [SI] are the effect's parameters, `request_text` is its specification. The
+        generator draws the noise of an effect on the noise.
+        """
         if isinstance(effect, NoiseEffect):
             change = self.added_noise_sigma(effect, effect_sizes) * random_generator.standard_normal(
                 self.recording.readings.shape
@@ -266,7 +271,7 @@ class Injector:
         lengths = self.length_change(effect, effect_sizes)
         if effect_sizes.any() and not (np.nan_to_num(change).any() or lengths.any()):
             raise ModelError(
-                f"{request_text}: changes no reading; give a place that was measured, after the time if there is one"
+                f"{request_text}: changes no reading; give measured stations or targets, after the time if there is one"
             )
         if lengths.any():
             gauge = self.residual_space.adjustment.problem.gauge_rows
@@ -284,5 +289,5 @@ class Injector:
         )
 
     def with_recording(self, recording: Recording) -> Self:
-        """Injector for a recording with an injected effect, and with the adjustment of the original recording."""
+        """Injector for `recording`, which has injected effects; it uses the adjustment of the original recording."""
         return replace(self, recording=recording)

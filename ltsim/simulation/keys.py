@@ -1,4 +1,4 @@
-"""Keys of a scenario in dotted form: types and units of their values, and conversion of values with a unit."""
+"""Dotted keys of a scenario, such as `work.faces`: types and units of values, and conversion of values with a unit."""
 
 from typing import Any, Literal
 
@@ -17,13 +17,13 @@ SCALAR_TYPES: tuple[ValueType, ...] = ("number", "integer", "boolean", "string")
 
 
 def value_type_of_key(dotted_key: str) -> ValueType:
-    """Type of the value of a dotted key; `table` for lists, tables and unknown keys."""
+    """Type of the value of a dotted key; `table` for a list, a table or an unknown key."""
     kinds = {_schema_type(choice) for _, choices in schemas_at(Scenario, dotted_key.split(".")) for choice in choices}
     return next((kind for kind in SCALAR_TYPES if kind in kinds), "table")
 
 
 def key_description(dotted_key: str) -> str:
-    """Description of a dotted key in the reference; empty for a key with a user-defined name."""
+    """Description of a dotted key from the scenario's documentation; empty for a key with a user-defined name."""
     nodes = (node for node, _ in schemas_at(Scenario, dotted_key.split(".")))
     return next((node["description"].replace("\n", " ") for node in nodes if "description" in node), "")
 
@@ -34,7 +34,7 @@ def _schema_type(schema_node: dict[str, Any]) -> str:
 
 
 def unit_of_scenario_key(scenario: Scenario, dotted_key: str) -> str:
-    """Unit of the value of a dotted key, from the name of the key or of the parameter in it."""
+    """Unit of the value of a dotted key, by the key's ending (`_mm`) or by the instrument parameter that it names."""
     *parents, last = dotted_key.split(".")
     try:
         if parents[-1:] == ["errors"] or parents[-2:] == ["prior", "parameters"]:
@@ -50,9 +50,9 @@ def unit_of_scenario_key(scenario: Scenario, dotted_key: str) -> str:
 
 
 def convert_value(scenario: Scenario, dotted_key: str, value: Any, error_location: str) -> Any:
-    """Value in the unit of its key, if it is a text with a unit such as ``2 urad``; other values unchanged.
+    """Value in the unit of its key: a text with a unit such as ``2 urad`` is converted, other values are unchanged.
 
-    SetupError is raised if the text is not a quantity in a unit of the right kind; the message begins with
+    SetupError is raised if the unit of the text measures another quantity than that of the key; its message begins with
     `error_location`.
     """
     if not isinstance(value, str) or not value or value[0] not in "+-.0123456789":
@@ -68,7 +68,7 @@ def convert_value(scenario: Scenario, dotted_key: str, value: Any, error_locatio
 
 
 def value_at_key(table: dict[str, Any], dotted_key: str) -> Any:
-    """Value of a dotted key in the tables of a scenario; None for a missing key."""
+    """Value of a dotted key in the TOML tables of a scenario; None for a missing key."""
     subtable: Any = table
     for part in dotted_key.split("."):
         if isinstance(subtable, list) and part.isdecimal() and 1 <= int(part) <= len(subtable):

@@ -16,16 +16,16 @@ from ltsim.simulation.sections import EffectEntry, ScenarioInstrument
 
 
 def make_scenario_construction(scenario: Scenario) -> GeometricErrorModel:
-    """Instrument model of all trackers of a scenario."""
+    """Instrument model that all trackers of a scenario share."""
     instrument = next(iter(scenario.trackers_in_use.values()))
     return construction_with_orders(instrument.construction, instrument.harmonics, instrument.degree)
 
 
 def planned_construction(scenario: Scenario) -> GeometricErrorModel:
-    """Instrument model whose parameters a plan for the scenario is to determine.
+    """Instrument model for the planning of a scenario: its parameters are those that the measurements should determine.
 
-    Of the 78 parameters of a Denavit-Hartenberg chain only the misalignments are planned for; they represent all. A
-    scenario with ranges alone has only the parameters that change ranges.
+    For a Denavit-Hartenberg chain with 78 parameters, the misalignment model represents all of them. A scenario with
+    ranges alone has only the parameters that change ranges.
     """
     built = make_scenario_construction(scenario)
     if built.name == "steering-mirror":
@@ -37,20 +37,25 @@ def planned_construction(scenario: Scenario) -> GeometricErrorModel:
 def instrument_error_distribution(scenario: Scenario, construction: GeometricErrorModel) -> tuple[Floats, Floats]:
     """Means and standard deviations of the errors of each tracker, both of shape (instruments, parameters) [SI].
 
-    The standard deviation of a declared error is 0. SetupError is raised for a declared error that the model does not
-    have.
+    A declared error has its declared value as mean and the standard deviation 0. SetupError is raised for a declared
+    error that the instrument model does not have.
     """
-    laws = [_error_distribution(tracker, construction, name) for name, tracker in scenario.trackers_in_use.items()]
+    laws = [
+        _tracker_error_distribution(tracker, construction, name) for name, tracker in scenario.trackers_in_use.items()
+    ]
     return np.array([mean for mean, _ in laws]), np.array([sigma for _, sigma in laws])
 
 
-def _error_distribution(
-    instrument: ScenarioInstrument, construction: GeometricErrorModel, parameter_name: str
+def _tracker_error_distribution(
+    instrument: ScenarioInstrument, construction: GeometricErrorModel, tracker_name: str
 ) -> tuple[Floats, Floats]:
-    """Means and standard deviations of the errors of one tracker, both of shape (parameters,) [SI]."""
+    """Means and standard deviations of the errors of one tracker, both of shape (parameters,) [SI].
+
+    `tracker_name` is the name of the tracker, for messages.
+    """
     errors = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
     for error in errors:
-        with as_setup_error(f"{tracker_table_name(parameter_name)}.errors.{error}"):
+        with as_setup_error(f"{tracker_table_name(tracker_name)}.errors.{error}"):
             construction.index(error)
     parameters = construction.parameters
     error_means = np.array([errors.get(p.name, 0.0) * p.si_per_display_unit for p in parameters])
@@ -60,7 +65,7 @@ def _error_distribution(
 
 
 def true_noise_sigmas(scenario: Scenario, sightings: Sightings) -> Floats:
-    """True standard deviations of the noise, shape (pointings, 3) [m, rad, rad]: specification times noise factor."""
+    """True standard deviations of the readings, (pointings, 3) [m, rad, rad]: specification times `noise_factor`."""
     trackers = scenario.trackers_in_use.values()
     factor = np.array([tracker.noise_factor for tracker in trackers])[sightings.instrument]
     noise = [tracker.noise for tracker in trackers]
@@ -86,22 +91,22 @@ def round_to_resolution(readings: Floats, resolution: Floats) -> Floats:
 
 
 def scenario_effects(scenario: Scenario) -> tuple[Effect, ...]:
-    """Effects of a scenario in the order of its file; the incidence error of the reflectors, if enabled, is last.
+    """Effects of a scenario in the order of its file; the last is the incidence error of the reflectors, if enabled.
 
-    `reflector_error_parameters` gives the parameters of the incidence error. SetupError is raised for an invalid entry.
+    SetupError is raised for an invalid entry.
     """
     effects = [_effect_from_entry(entry, i + 1) for i, entry in enumerate(scenario.effects)]
     return (*effects, SmrIncidence()) if scenario.smr.incidence_error else tuple(effects)
 
 
 def reflector_error_parameters(scenario: Scenario) -> Floats:
-    """Parameters [SI] of the effect `smr-incidence` for the table of range errors in the scenario."""
+    """Parameters [SI] of the effect `smr-incidence` for the range errors `smr.table_um` of a scenario."""
     table = tuple(x * MICROMETRE for x in scenario.smr.table_um)
     return SmrIncidence(table=table, direction=scenario.smr.direction_deg * DEGREE).parameters_from_table
 
 
 def _effect_from_entry(effect_entry: EffectEntry, entry_number: int) -> Effect:
-    """Effect of the catalogue for an entry of the scenario; raises SetupError for an invalid entry."""
+    """Catalogue effect for entry number `entry_number` of the scenario; raises SetupError for an invalid entry."""
     effect = effect_entry.effect(f"effects.{entry_number}")
     names = [p.name for p in effect.parameters]
     for name in effect_entry.values:

@@ -41,7 +41,7 @@ SCENARIO_FORMAT = "ltsim-scenario/1"
 AIR_TEMPERATURE_COLUMN = "air_temperature_c"
 """Column of a simulated recording with the temperature of the air."""
 MIN_TARGETS = 3
-"""Smallest number of targets, including those of the gauge."""
+"""Smallest number of targets in a scenario, including those of the gauge."""
 MAX_NAMES_IN_ERROR = 12
 """Largest number of names that an error message lists."""
 ALWAYS_WRITTEN_KEYS = (
@@ -61,31 +61,32 @@ class Scenario(TomlSection, Result):
     title: str = ""
     """Title of the scenario, free text."""
     base: str | None = None
-    """Built-in scenario whose tables are the defaults for tables of this file; the value "none" removes a table."""
+    """Built-in scenario that supplies tables and keys that are missing in this file; the value "none" removes a key or
+    table of it."""
     workshop: Workshop = Workshop()
     """Hall, air and obstacles."""
     placing: PlacingSigmas = PlacingSigmas()
-    """Standard deviations of the true positions about the planned ones."""
+    """Standard deviations of the true positions from the planned ones."""
     instrument: ScenarioInstrument = ScenarioInstrument()
     """Tracker of all stations that name no other tracker."""
     instruments: dict[str, ScenarioInstrument] = Field(default_factory=dict)
-    """Several trackers by name, tables `[instruments.NAME]`, all of one design."""
+    """Several trackers by name, tables `[instruments.NAME]`; all have the same instrument model."""
     smr: Smr = Smr()
     """Orientation and range error of the reflectors."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
-    """SMRs with individual radii, tables `[reflectors.NAME]`, one per target or station; the offset is along the nest's
-    normal, and true radii are drawn with the positions.
+    """SMRs with individual radii, tables `[reflectors.NAME]`; each target or station names one of them. The SMR's
+    centre is displaced along the nest's normal. True radii are drawn together with the positions.
     """
     reference_radius_mm: NonNegative | None = None
-    """Radius of the SMR whose centre defines the planned positions, 0 for nest seats; it is copied to `setup.toml`."""
+    """Radius of the SMR whose centre is at the planned position, 0 for nest seats; it is copied to `setup.toml`."""
     cmm: Cmm = Cmm()
     """Coordinate measuring machine that calibrated the gauge."""
     work: MeasurementProcedure = MeasurementProcedure()
     """Order and timing of the measurements."""
     gauge: ScenarioGauge | None = None
-    """Frame of reference lengths."""
+    """Gauge, a rigid frame whose lengths between reflectors are reference lengths."""
     materials: dict[str, Material] = Field(default_factory=dict)
-    """Materials of reference lengths, tables `[materials.NAME]`; their true coefficients are drawn."""
+    """Materials of reference lengths, tables `[materials.NAME]`; their true expansion coefficients are drawn."""
     lengths: tuple[ReferenceLengthEntry, ...] = ()
     """Reference lengths between reflectors of the mesh, tables `[[lengths]]`."""
     stations: dict[str, PlannedStation]
@@ -93,13 +94,13 @@ class Scenario(TomlSection, Result):
     targets: dict[str, PlannedTarget] = Field(default_factory=dict)
     """Reflectors, tables `[targets.NAME]`."""
     air: AirUncertainty | None = None
-    """Uncertainty of the air that the recording declares, a table `[air]`; it does not change readings."""
+    """Uncertainty of the air's state that the recording declares, a table `[air]`; it does not change readings."""
     effects: tuple[EffectEntry, ...] = ()
-    """Effects in addition to the instrument's errors, tables `[[effects]]`."""
+    """Effects that change the readings in addition to the instrument's errors, tables `[[effects]]`."""
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """Names of the targets of the mesh, then of those of the gauge."""
+        """Names of the targets: reflectors of the mesh, then reflectors of the gauge."""
         return (*self.targets, *(self.gauge.targets if self.gauge else ()))
 
     @property
@@ -109,7 +110,7 @@ class Scenario(TomlSection, Result):
         return {name: self.instruments[name] if name else self.instrument for name in names}
 
     def stations_of_tracker(self, tracker: str) -> tuple[str, ...]:
-        """Names of the stations of a tracker."""
+        """Names of the stations where the tracker named `tracker` stands."""
         return tuple(name for name, station in self.stations.items() if (station.instrument or "") == tracker)
 
     def _lines(self) -> list[str]:
@@ -124,7 +125,7 @@ class Scenario(TomlSection, Result):
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """Built-in scenario of a name, or scenario from a file or from the folder of a plan; raises SetupError."""
+    """Built-in scenario with this name, or scenario in a file or in the folder of a plan; raises SetupError."""
     path, name = Path(name_or_path), str(name_or_path)
     if (path / "plan.json").is_file():
         path = path / "scenario.toml"
@@ -136,7 +137,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 
 def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
-    """Scenario from its tables after validation; `file` is named in errors, and its folder contains the CAD files."""
+    """Validated scenario from its TOML tables; errors name `file`, whose folder contains the CAD files."""
     with as_setup_error():
         whole = with_completed_instruments(_with_base(tables), lambda table, _: _with_preset(table, file))
         scenario = validate_settings(whole, Scenario, "scenario", file)
@@ -145,12 +146,12 @@ def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
 
 
 def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, error_location: str = "") -> Scenario:
-    """Scenario with new values at dotted keys, after validation; errors name `file` and `error_location`.
+    """Validated scenario with the new values `changes` by dotted key; errors name `file` and `error_location`.
 
-    A new `preset` of a tracker also sets its noise, its prior and its limits. SetupError is raised for an invalid key
-    or value.
+    A new `preset` of a tracker also sets the noise, prior and limits of the tracker. SetupError is raised for an
+    invalid key or value.
     """
-    # Checked twice: as tables with the changes, and as what a file of it would say.
+    # Validated twice: the tables with the changes, and the file that would be written from the result.
     table = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
     of_presets = sorted({section for sections in PRESETS.values() for section in sections})
     brought = [f"{key.removesuffix('preset')}{s}" for key in changes if key.endswith(".preset") for s in of_presets]
@@ -162,7 +163,7 @@ def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, 
 
 
 def _file_value(value: Any, *, effects: bool) -> Any:
-    """Value of a key in the form of the file; effects (objects or names, single or in a list) become tables."""
+    """Value of a key in the form of the file; if `effects` is true, effect objects and names become tables."""
     if isinstance(value, Effect | SizedEffect) or (effects and isinstance(value, str)):
         value = [value]
     if not isinstance(value, (list, tuple)):
@@ -197,7 +198,7 @@ def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -
 
 
 def _with_base(tables: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Tables of a scenario, completed by the tables of its base."""
+    """TOML tables of a scenario, completed by the tables of the built-in scenario that its key `base` names."""
     if tables.get("base") is None:
         return tables
     below = _with_base(read_toml(builtin_path(str(tables["base"])), "scenario"))
@@ -206,7 +207,7 @@ def _with_base(tables: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _with_preset(instrument: Any, file: Path) -> Any:
-    """Table of an instrument, completed by the values of its preset."""
+    """TOML table of an instrument, completed by the values of its preset; errors name `file`."""
     if not isinstance(instrument, dict):
         return instrument
     name = instrument.get("preset")
@@ -218,7 +219,7 @@ def _with_preset(instrument: Any, file: Path) -> Any:
 
 
 def _with_reduced_network(scenario: Scenario, file: Path) -> Scenario:
-    """Scenario with only the numbers of stations and reflectors in ``work.stations`` and ``work.targets``.
+    """Scenario reduced to ``work.stations`` stations and ``work.targets`` reflectors of the mesh; errors name `file`.
 
     Excluded stations and targets are removed from effects, and trackers without a station are removed. SetupError is
     raised if more are requested than exist, or if fewer than three targets remain.
@@ -228,7 +229,7 @@ def _with_reduced_network(scenario: Scenario, file: Path) -> Scenario:
         wanted, there = getattr(work, key), len(getattr(scenario, key))
         if wanted is not None and wanted > there:
             raise SetupError(
-                f"{file}: work.{key} is {wanted}, but the scenario has {there}; add some, or ask for fewer"
+                f"{file}: work.{key} is {wanted}, but the scenario has {there}; add {key}, or request fewer"
             )
     stations = dict(list(scenario.stations.items())[: work.stations])
     targets = scenario.targets if work.targets is None else _select_spread_targets(scenario.targets, work.targets)
@@ -251,7 +252,7 @@ def _with_reduced_network(scenario: Scenario, file: Path) -> Scenario:
 
 
 def _effects_of_network(effects: Sequence[EffectEntry], stations: set[str], targets: set[str]) -> Iterator[EffectEntry]:
-    """Effects restricted to the remaining stations and targets, without those whose places were all removed."""
+    """Effects restricted to the remaining `stations` and `targets`; an effect that acts at none of them is omitted."""
     for entry in effects:
         here = tuple(name for name in entry.stations if name in stations)
         at = tuple(name for name in entry.targets if name in targets)
@@ -260,7 +261,7 @@ def _effects_of_network(effects: Sequence[EffectEntry], stations: set[str], targ
 
 
 def _select_spread_targets(targets: Mapping[str, PlannedTarget], n_targets: int) -> dict[str, PlannedTarget]:
-    """Targets that are distributed as widely as possible, in file order (Gonzalez 1985: farthest-point selection)."""
+    """Selection of `n_targets` widely distributed targets, in file order (Gonzalez 1985: farthest-point selection)."""
     places = np.array([t.position_mm for t in targets.values()], dtype=np.float64).reshape(-1, 3)
     selected_targets = set(even_filling_order(places)[:n_targets])
     return {name: target for i, (name, target) in enumerate(targets.items()) if i in selected_targets}
@@ -298,15 +299,15 @@ def _check_scenario(scenario: Scenario, file: Path) -> None:
     for problem in chain(
         _name_errors(scenario, file),
         _instrument_errors(scenario),
-        _place_errors(scenario),
+        _position_errors(scenario),
         _length_errors(scenario),
         _effect_errors(scenario),
     ):
         raise SetupError(f"{file}: {problem}")
 
 
-def unknown_name_sentence(key: str, name: str, names: Collection[str], list_text_if_empty: str = "") -> Iterator[str]:
-    """Sentence for a name that is not in a list; `list_text_if_empty` stands for an empty list in the sentence."""
+def unknown_name_sentences(key: str, name: str, names: Collection[str], list_text_if_empty: str = "") -> Iterator[str]:
+    """Sentence if `name`, the value of `key`, is not in `names`; `list_text_if_empty` replaces an empty list."""
     if name not in names:
         listed = ", ".join([*names][:MAX_NAMES_IN_ERROR]) + (" ..." if len(names) > MAX_NAMES_IN_ERROR else "")
         yield f"{key} names '{quoted_text(name)}', which is not one of {listed or list_text_if_empty}"
@@ -328,12 +329,12 @@ def _name_errors(scenario: Scenario, file: Path) -> Iterator[str]:
 
 
 def _instrument_errors(scenario: Scenario) -> Iterator[str]:
-    """Sentences on stations with unknown trackers, trackers without stations, and trackers with different models."""
+    """Sentences on stations with unknown trackers, trackers without stations, and trackers with different designs."""
     used = {name: station.instrument for name, station in scenario.stations.items() if station.instrument is not None}
     for station, name in used.items():
         if not scenario.instruments:
             yield f"stations.{station}.instrument names '{quoted_text(name)}', which is not declared"
-        yield from unknown_name_sentence(f"stations.{station}.instrument", name, scenario.instruments)
+        yield from unknown_name_sentences(f"stations.{station}.instrument", name, scenario.instruments)
     for name in scenario.instruments:
         if name not in used.values():
             yield f"instruments.{quoted_text(name)} is used at no station; name it as the instrument of a station"
@@ -347,7 +348,7 @@ def _instrument_errors(scenario: Scenario) -> Iterator[str]:
             yield f"instruments have different constructions or orders ({designs_named}); give all the same"
 
 
-def _place_errors(scenario: Scenario) -> Iterator[str]:
+def _position_errors(scenario: Scenario) -> Iterator[str]:
     hall_size_mm = scenario.workshop.size_mm
     placed = {f"stations.{name}": station.position_mm for name, station in scenario.stations.items()}
     placed |= {f"targets.{name}": target.position_mm for name, target in scenario.targets.items()}
@@ -366,12 +367,12 @@ def _length_errors(scenario: Scenario) -> Iterator[str]:
     """Sentences on invalid reference lengths: wrong ends, undeclared material, or invalid temperature."""
     for i, length in enumerate(scenario.lengths, 1):
         for key, name in (("from", length.from_), ("to", length.to)):
-            yield from unknown_name_sentence(f"lengths.{i}.{key}", name, scenario.targets)
+            yield from unknown_name_sentences(f"lengths.{i}.{key}", name, scenario.targets)
         if length.from_ == length.to:
             yield f"lengths.{i} goes from '{quoted_text(length.to)}' to itself, expected two different targets"
         if length.material is not None:
             none_hint = "none, and a table [materials.NAME] defines one"
-            yield from unknown_name_sentence(f"lengths.{i}.material", length.material, scenario.materials, none_hint)
+            yield from unknown_name_sentences(f"lengths.{i}.material", length.material, scenario.materials, none_hint)
         if isinstance(length.measured_at_c, str) and length.measured_at_c != AIR_TEMPERATURE_COLUMN:
             given = quoted_text(length.measured_at_c)
             yield f"lengths.{i}.measured_at_c is '{given}', expected a number or '{AIR_TEMPERATURE_COLUMN}'"
@@ -380,9 +381,9 @@ def _length_errors(scenario: Scenario) -> Iterator[str]:
 def _effect_errors(scenario: Scenario) -> Iterator[str]:
     for i, entry in enumerate(scenario.effects, 1):
         for name in entry.stations:
-            yield from unknown_name_sentence(f"effects.{i}.stations", name, scenario.stations)
+            yield from unknown_name_sentences(f"effects.{i}.stations", name, scenario.stations)
         for name in entry.targets:
-            yield from unknown_name_sentence(f"effects.{i}.targets", name, scenario.target_names)
+            yield from unknown_name_sentences(f"effects.{i}.targets", name, scenario.target_names)
 
 
 def tracker_table_name(tracker_name: str) -> str:
@@ -391,7 +392,7 @@ def tracker_table_name(tracker_name: str) -> str:
 
 
 def scenario_to_toml(scenario: Scenario) -> str:
-    """Text of the file of a scenario with all settings; `load_scenario` reads the same scenario from it."""
+    """TOML text of a scenario with all its values; `load_scenario` reads the same scenario from it."""
     scenario_tables = scenario.model_dump(by_alias=True, exclude_none=True)
     brief = scenario.model_dump(by_alias=True, exclude_defaults=True)
     table: dict[str, Any] = {name: scenario_tables[name] for name in ALWAYS_WRITTEN_KEYS if name in scenario_tables}

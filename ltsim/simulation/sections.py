@@ -1,4 +1,4 @@
-"""Tables of a scenario file (ltsim-scenario/1). The names of keys contain units; other modules convert to SI."""
+"""TOML tables of a scenario file (ltsim-scenario/1). The names of keys contain units; other modules convert to SI."""
 
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
@@ -27,15 +27,15 @@ from ltsim.recordings.specification import data_sheet_names
 AngleDegrees = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 """Rotation or direction [deg]."""
 LengthSigma = Annotated[float, Field(ge=1e3 * MIN_SIGMA, le=1e9, allow_inf_nan=False)]
-"""Standard deviation of a reference length [um], with the same lower bound as in a set-up file."""
+"""Standard deviation of a reference length [um], with the lower bound that a set-up file has."""
 Percentage = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)]
-"""Ratio [%]."""
+"""Percentage, 0 to 100."""
 Celsius = Annotated[float, Field(ge=-60, le=80, allow_inf_nan=False)]
 """Temperature [deg C] of a hall or of a reference length."""
 
 PAPER_PRIOR = Prior(range_scale_ppm=1.4, range_offset_mm=0.007, angle_arcsec=2.0, offset_mm=0.014)
-"""Prior of the paper's instrument. Errors drawn from it reproduce the paper's Table 3 before calibration approximately:
-means of 48 and 24 um in experiment 01, and of 46 and 29 um in the paper."""
+"""Prior of the paper's instrument. Errors drawn from it approximately reproduce the errors before calibration in the
+paper's Table 3: the means of its two criteria are 48 and 24 um in experiment 01, and 46 and 29 um in the paper."""
 
 PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
     {
@@ -63,12 +63,12 @@ def _existing_preset(preset_name: str) -> str:
 
 
 class Obstacle(TomlSection):
-    """Obstacle in the workshop: a CAD file, or a box or an upright cylinder at a place."""
+    """Obstacle in the workshop: a CAD file, a box, or an upright cylinder, at a position in the hall."""
 
     name: str = ""
     """Name in messages and pictures."""
     file: str | None = None
-    """STL, OBJ, PLY, GLB, glTF, STEP or IGES file, relative to the scenario's folder."""
+    """Path of an STL, OBJ, PLY, GLB, glTF, STEP or IGES file, relative to the scenario's folder."""
     unit: Literal["mm", "m", "in"] | None = None
     """Unit of the file's coordinates; default metres for glTF, the declared unit for STEP and IGES,
     else millimetres.
@@ -76,16 +76,15 @@ class Obstacle(TomlSection):
     up: Literal["y", "z"] | None = None
     """Vertical axis of the file; default y for glTF, else z."""
     beyond_room: bool = False
-    """True if the obstacle may extend beyond the hall or below its floor; otherwise this is an error of the CAD file.
-    """
+    """True if the obstacle may extend beyond the hall or below its floor; if false, such an obstacle is an error."""
     box_mm: tuple[Positive, Positive, Positive] | None = None
-    """Width, depth and height of a box that replaces a file."""
+    """Width, depth and height of a box, in place of a CAD file."""
     cylinder_mm: tuple[Positive, Positive] | None = None
-    """Diameter and height of an upright cylinder that replaces a file."""
+    """Diameter and height of an upright cylinder, in place of a CAD file."""
     position_mm: Vector = (0.0, 0.0, 0.0)
-    """Position of the file's origin; for a box or cylinder, of the centre of its base."""
+    """Position of the CAD file's origin; for a box or cylinder, position of the centre of its base."""
     yaw_deg: AngleDegrees = 0.0
-    """Rotation about the vertical."""
+    """Rotation of the obstacle about the vertical."""
 
     @model_validator(mode="after")
     def _check_single_shape(self) -> Self:
@@ -95,7 +94,7 @@ class Obstacle(TomlSection):
 
 
 class Workshop(TomlSection):
-    """Hall and its air. The air is the same everywhere; its temperature may rise."""
+    """Hall, its obstacles and its air. The air is homogeneous; its temperature may rise with time."""
 
     size_mm: tuple[Positive, Positive, Positive] = (6000.0, 6000.0, 6000.0)
     """Width, depth and height of the hall; a corner is the origin, z is up."""
@@ -108,15 +107,15 @@ class Workshop(TomlSection):
     humidity_pct: Percentage = 50.0
     """Relative humidity of the air."""
     shadow_cone_deg: Annotated[float, Field(gt=0, lt=180)] | None = None
-    """Full angle of the shadow cone under each station, which contains no target; default the cone below the elevation
-    limit.
+    """Full angle of the vertical cone under each station in which the tracker sees no target; default the cone below
+    its lower elevation limit.
     """
     obstacles: tuple[Obstacle, ...] = ()
     """Obstacles in the workshop, tables `[[workshop.obstacles]]`."""
 
 
 class PlacingSigmas(TomlSection):
-    """Standard deviations of the true positions about the plan, and steps to which the recording rounds the plan."""
+    """Standard deviations of the true positions from the plan, and steps to which the recording rounds the plan."""
 
     station_mm: NonNegative = 15.0
     """Standard deviation of each coordinate of a station."""
@@ -138,13 +137,13 @@ class Resolution(TomlSection):
     """Resolution of the readings; 0 means no rounding. The default is the resolution in section 2.1.1 of the paper."""
 
     distance_um: NonNegative = 0.1
-    """Smallest step of a range."""
+    """Step to which a range is rounded."""
     angle_arcsec: NonNegative = 0.018
-    """Smallest step of both angles."""
+    """Step to which azimuth and elevation are rounded."""
 
 
 class PointingLimits(ElevationLimits):
-    """Limits of elevation and range."""
+    """Limits of elevation and range within which a tracker can point."""
 
     range_min_mm: NonNegative = 500.0
     """Shortest range that can be measured."""
@@ -162,25 +161,25 @@ class ScenarioInstrument(TomlSection):
     """Tracker: design, specification and true errors."""
 
     preset: Annotated[str, AfterValidator(_existing_preset)] = "paper"
-    """Source of all values that are not given: `paper`, `modern`, `after-transport`, or the name of a built-in data
+    """Source of the default values of this table: `paper`, `modern`, `after-transport`, or the name of a built-in data
     sheet.
     """
     construction: Literal["misalignment", "dh", "steering-mirror"] = "misalignment"
     """Kinematic chain that generates the readings: geometric misalignments, or the paper's Denavit-Hartenberg chain."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
-    """Harmonics of each joint error of the `dh` chain."""
+    """Number of harmonics of each joint error of the `dh` chain."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
-    """Degree of the polynomials in the range of the `dh` chain."""
+    """Degree of the polynomials in the range, by which the `dh` chain models errors of its linear joint."""
     corrected: bool = False
-    """True if the readings already contain the instrument's own corrections."""
+    """True if the instrument corrects its readings for its known errors."""
     noise: Noise = Noise()
-    """Standard deviations of the readings in the specification, which the recording declares."""
+    """Specified standard deviations of the readings; the recording declares them."""
     noise_factor: NonNegative = 1.0
-    """Ratio of the true noise to the specified one."""
+    """Ratio of the true to the specified standard deviations of the readings."""
     resolution: Resolution = Resolution()
-    """Smallest steps of the readings."""
+    """Steps to which the readings are rounded."""
     prior: Prior = PAPER_PRIOR
-    """Prior standard deviations of the instrument's errors from the specification; errors are drawn from them."""
+    """Specified standard deviations of the instrument's errors; the true errors are drawn with them."""
     limits: PointingLimits = PointingLimits()
     """Limits of elevation and range within which the tracker can point."""
     observables: Annotated[tuple[Literal["distance", "azimuth", "elevation"], ...], Field(min_length=1)] = (
@@ -190,11 +189,12 @@ class ScenarioInstrument(TomlSection):
     )
     """Observables of each pointing; `["distance"]` alone is multilateration."""
     errors: dict[str, StrictBool | Finite] = Field(default_factory=dict)
-    """True errors by parameter name, in units of display (`ltsim effects`); with `draw = true` all others are drawn."""
+    """True errors by parameter name, in display units (`ltsim effects`); with `draw = true` the errors not given here
+    are drawn."""
     error_factor: NonNegative = 1.0
-    """Ratio of the drawn errors' standard deviations to the prior's."""
+    """Ratio of the standard deviations with which errors are drawn to those of the prior."""
     prior_factor: Positive = 1.0
-    """Ratio of the declared prior to the true one; a value other than 1 simulates a wrong specification."""
+    """Ratio of the prior that the recording declares to `prior`; values other than 1 simulate a wrong specification."""
 
     @model_validator(mode="after")
     def _check_kinds_of_errors(self) -> Self:
@@ -205,7 +205,7 @@ class ScenarioInstrument(TomlSection):
 
     @property
     def draws(self) -> bool:
-        """True if errors that are not given are drawn."""
+        """True if the instrument errors without a given value are drawn."""
         return self.errors.get("draw") is True
 
 
@@ -217,50 +217,52 @@ class Smr(TomlSection):
     acceptance_deg: Annotated[float, Field(gt=0, le=90)] = 30.0
     """Largest incidence angle at which the beam is returned."""
     reflector: str | None = None
-    """Name of the SMR where neither the station nor the target names one."""
+    """Name of the SMR for pointings whose station and target name no SMR."""
     incidence_error: bool = False
     """True for reflectors with the incidence error of `table_um`."""
     table_um: Annotated[tuple[Finite, ...], Field(min_length=len(TABLE_ANGLES), max_length=len(TABLE_ANGLES))] = tuple(
         round(x / MICROMETRE, 6) for x in PAPER_RANGE_ERRORS
     )
-    """Range error at -30, -22.5, ... +30 deg of incidence."""
+    """Range errors at the incidence angles -30, -22.5, ... +30 deg."""
     direction_deg: AngleDegrees = 0.0
-    """Direction of positive incidence angles of the table about the nest's normal; 0 is along the horizontal."""
+    """Direction of positive incidence angles of `table_um`, as a rotation about the nest's normal; 0 is horizontal."""
 
 
 class Cmm(TomlSection):
-    """Coordinate measuring machine with the largest permitted error constant_um + L / length_divisor_mm [um]."""
+    """Coordinate measuring machine with the maximum permissible error constant_um + L / length_divisor_mm [um]."""
 
     constant_um: NonNegative = 2.3
-    """Constant part of the largest permitted error."""
+    """Constant part of the maximum permissible error."""
     length_divisor_mm: Positive = 300.0
-    """Divisor of the length L in the largest permitted error."""
+    """Divisor of the length L in the maximum permissible error."""
     coverage: Positive = 2.0
-    """Ratio of the largest permitted error to the standard deviation."""
+    """Ratio of the maximum permissible error to the standard deviation of a measured length."""
     noise_factor: NonNegative = 1.0
-    """Ratio of the true error to the specified one."""
+    """Ratio of the true to the specified standard deviation of a measured length."""
     nominal: bool = False
-    """True if the machine also measured the targets; `ltsim simulate --nominal FILE` writes them for `ltsim verify`."""
+    """True if the machine also measured the targets; `ltsim simulate --nominal FILE` writes their coordinates for
+    `ltsim verify`."""
 
 
 class MeasurementProcedure(TomlSection):
     """Numbers of stations and reflectors in use, and order and timing of the measurements."""
 
     stations: Annotated[int, Field(ge=1)] | None = None
-    """Number of stations, the first ones of the file; default all."""
+    """Number of stations in use, in the order of the file; default all."""
     targets: Annotated[int, Field(ge=0)] | None = None
-    """Number of measured reflectors in addition to the gauge's, distributed as widely as possible; a smaller selection
-    is part of every larger one. Default all.
+    """Number of measured reflectors of the mesh (the gauge's reflectors are always measured). The selection is as
+    widely distributed as possible, and contains every smaller selection. Default all.
     """
 
     order: Literal["by-station-random", "level-by-level", "as-listed"] = "by-station-random"
-    """Order of the reflectors at each station; levels go from the highest to the lowest."""
+    """Order of the reflectors at each station: random, by height from the highest level to the lowest, or as in the
+    file."""
     faces: Literal[1, 2] = 1
     """Number of faces in which each target is measured."""
     face_order: Literal["per-target", "per-station"] = "per-target"
     """Order of the faces: both faces target by target, or all targets in one face and then in the other."""
     repeats: Annotated[int, Field(ge=1, le=100)] = 1
-    """Number of rounds."""
+    """Number of rounds at each station; each round points once at every target in each face."""
     seconds_per_pointing: Positive = 15.0
     """Time from one pointing to the next."""
     minutes_per_move: NonNegative = 20.0
@@ -268,7 +270,7 @@ class MeasurementProcedure(TomlSection):
 
 
 class GaugeLength(TomlSection):
-    """True length of the gauge at its calibration temperature."""
+    """True length between two targets of the gauge, at the calibration temperature."""
 
     from_: str = Field(alias="from")
     """Target at the first end."""
@@ -279,16 +281,16 @@ class GaugeLength(TomlSection):
 
 
 class ScenarioGauge(TomlSection):
-    """Rigid frame with reflectors: its lengths at `calibrated_at_c`, and its pose.
+    """Gauge, a rigid frame with reflectors: its lengths at the temperature `calibrated_at_c`, and its pose in the hall.
 
-    Without `distance` it is the frame of the paper, with Table 2 read by columns or by rows. The axes of the frame are
-    along its two longest extents; it is rotated by roll, pitch and yaw about x, y and z in this order.
+    Without `distance` it is the gauge of the paper, whose lengths are in Table 2. The x and y axes of the frame are
+    along its two longest extents. The frame is rotated by roll, pitch and yaw about x, y and z in this order.
     """
 
     targets: tuple[str, ...] = ("T25", "T26", "T27", "T28")
     """Names of the reflectors of the gauge."""
     reading: Literal["columns", "rows"] = "columns"
-    """Direction in which the paper's Table 2 is read, because the printed table has lost its alignment."""
+    """Order in which the lengths of the paper's Table 2 are read, because the printed table is misaligned."""
     distance: tuple[GaugeLength, ...] = ()
     """Lengths of a gauge other than the paper's, tables `[[gauge.distance]]`; together they determine its shape."""
     position_mm: Vector
@@ -306,13 +308,13 @@ class ScenarioGauge(TomlSection):
     measured_at_c: Celsius | None = None
     """Temperature of the gauge that the recording declares; default the temperature of the air."""
     expansion_per_k: Finite = 23.2e-6
-    """Coefficient of thermal expansion that the recording declares."""
+    """Coefficient of thermal expansion of the gauge that the recording declares."""
     sigma_expansion_per_k: NonNegative | None = None
     """Standard deviation of the expansion coefficient, with which its true value is drawn."""
     sigma_temperature_k: NonNegative | None = None
     """Standard deviation of the declared temperature, with which the true temperature is drawn."""
     sigma_um: LengthSigma | None = None
-    """Standard deviation of each length; default that of the measuring machine."""
+    """Standard deviation of each length; by default computed from the measuring machine's maximum permissible error."""
 
 
 class ReferenceLengthEntry(LengthConditions):
@@ -338,9 +340,9 @@ class PlannedStation(TomlSection):
     pitch_deg: AngleDegrees = 0.0
     """Planned rotation about y."""
     levelled: bool = False
-    """True for a standing axis that is levelled to the vertical."""
+    """True if the tracker's standing axis is levelled to the vertical."""
     levelling_sigma_arcsec: Positive = 1.0
-    """Standard deviation of the levelling, about each horizontal axis."""
+    """Standard deviation of the standing axis' tilt about each horizontal axis after levelling."""
     instrument: str | None = None
     """Name of the tracker at this station, a table `[instruments.NAME]`; default `[instrument]`."""
     reflector: str | None = None
@@ -351,29 +353,30 @@ class PlannedTarget(TomlSection):
     """Planned reflector position."""
 
     position_mm: Vector
-    """Planned position."""
+    """Planned position of the reflector's centre."""
     nest_normal: Vector | None = None
     """Normal of the target's fixed nest; default the direction to the centre of the stations."""
     reaimed: bool | None = None
-    """True for a reflector that is turned towards each station; default by `smr.nests`."""
+    """True if the reflector is turned towards each station; default by `smr.nests`."""
     reflector: str | None = None
-    """Name of the SMR."""
+    """Name of the SMR at this target, a table `[reflectors.NAME]`; default `smr.reflector`."""
 
 
 class PlacedEffect(TomlSection):
-    """Effect of the catalogue with its places and constants."""
+    """Effect of the catalogue, with the stations and targets where it acts and the fixed constants of its formula."""
 
     name: str
     """Name of the effect, as listed by `ltsim effects`."""
     stations: tuple[str, ...] = ()
-    """Stations at which it acts; empty for all."""
+    """Names of the stations where the effect acts; empty for all."""
     targets: tuple[str, ...] = ()
-    """Targets at which it acts; empty for all."""
+    """Names of the targets where the effect acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Constants of the effect by name, in display units if the effect declares one, otherwise in SI units."""
+    """Fixed constants of the effect's formula by name, such as a time constant, in display units if the effect declares
+    them, otherwise in SI units."""
 
     def effect(self, error_location: str) -> Effect:
-        """Effect object of the entry; SetupError with the permitted values, which begins with `error_location`."""
+        """Effect object of this entry; SetupError, whose message begins with `error_location`, for an invalid value."""
         try:
             return make_effect(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
         except (ModelError, ValueError, TypeError, KeyError) as problem:
@@ -381,16 +384,16 @@ class PlacedEffect(TomlSection):
 
 
 class EffectEntry(PlacedEffect):
-    """Effect of a scenario in addition to the instrument's errors: name, places, constants and sizes."""
+    """Effect of a scenario in addition to the instrument's errors: name, stations, targets and parameter values."""
 
     draw: bool = False
-    """True if values that are not given are drawn at their plausible size; otherwise they are 0."""
+    """True if the parameters without a given value are drawn with their plausible sizes; if false they are 0."""
     values: dict[str, Finite] = Field(default_factory=dict)
-    """Values of the parameters by name, in display units."""
+    """Values of the effect's parameters by name, in display units."""
 
     @classmethod
     def from_effect(cls, source: Effect | SizedEffect) -> Self:
-        """Entry of an effect with its places, constants and sizes; the sizes are drawn if none is given."""
+        """Entry of an effect object; its parameters are drawn if the object has no sizes."""
         sized = source if isinstance(source, SizedEffect) else SizedEffect(source, {})
         effect, sizes = sized.effect, dict(sized.parameter_values)
         places = {"stations": effect.stations, "targets": effect.targets}

@@ -1,4 +1,4 @@
-"""Simulator: recording and truth of one trial of a scenario with a seed."""
+"""Simulator: recording and true values of one trial of a scenario, for a given seed."""
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
@@ -25,7 +25,7 @@ from ltsim.recordings.setup import (
     Vector,
 )
 from ltsim.simulation.draws import StandardNormalSource, TrialDistributions, effect_distributions
-from ltsim.simulation.fieldwork import MeasurementGeometry, make_geometry, smr_names_of_pointings
+from ltsim.simulation.fieldwork import MeasurementGeometry, make_measurement_geometry, smr_names_of_pointings
 from ltsim.simulation.physics import (
     instrument_error_distribution,
     instrument_resolutions,
@@ -38,21 +38,21 @@ from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth, TruthArra
 from ltsim.simulation.workshop import length_sigmas, measure_nominal_points
 
 GeometrySharing = Literal["shared", "per-trial"]
-"""Choice between one layout of stations and targets for all trials, and a separate layout for each trial."""
+"""Layout of stations and targets: one for all trials (`shared`), or another one for each trial (`per-trial`)."""
 
 
 def simulate(
     scenario: Scenario, seed: int, trial: int = 0, geometry: GeometrySharing = "shared"
 ) -> tuple[Recording, Truth]:
-    """Recording and truth of one trial of a scenario, equal to the same trial of a campaign with this seed.
+    """Recording and true values of trial number `trial` of a scenario; a campaign with this seed has the same trial.
 
     SetupError is raised for an impossible scenario.
     """
-    return measure_trial(make_geometry(scenario, seed, *placing_stream_key(trial, geometry)), seed, trial)
+    return measure_trial(make_measurement_geometry(scenario, seed, *placing_stream_key(trial, geometry)), seed, trial)
 
 
 def placing_stream_key(trial: int, geometry: GeometrySharing) -> tuple[str | int, ...]:
-    """Key of the random draws of positions, which is common to all trials or separate for each trial."""
+    """Key of the random stream for the positions of a trial: one key for all trials, or a key for each trial."""
     return ("trial", trial) if trial and geometry == "per-trial" else ()
 
 
@@ -64,10 +64,10 @@ def measure_trial(
     true_instrument_errors: Floats | None = None,
     stream_key: str = "",
 ) -> tuple[Recording, Truth]:
-    """Recording and truth of a trial at given true positions; instrument errors, certificates and noise are drawn.
+    """Recording and true values of a trial at given true positions; instrument errors and noise are drawn.
 
-    `true_instrument_errors` (instruments, parameters) [SI] replaces the drawn instrument errors. `stream_key` is
-    explained in `TrialDistributions.draw`.
+    `true_instrument_errors` (instruments, parameters) [SI] replaces the drawn instrument errors. Another `stream_key`
+    gives the trial independent noise, for a second measurement.
     """
     blank = error_free_recording(geometry)
     given = None if true_instrument_errors is None else true_instrument_errors[:, :, None]
@@ -84,7 +84,7 @@ def measure_trial(
 
 
 def error_free_recording(geometry: MeasurementGeometry) -> Recording:
-    """Recording of an ideal tracker with exact certificates, and with all declarations of the set-up."""
+    """Recording of a tracker without errors and noise, with exact certificates, and with the declared set-up."""
     s, scenario = geometry.sightings, geometry.scenario
     has_reflectors = scenario.reflectors or any(station.reflector for station in scenario.stations.values())
     bare_recording = Recording(
@@ -107,7 +107,10 @@ def error_free_recording(geometry: MeasurementGeometry) -> Recording:
 
 
 def trial_distributions(geometry: MeasurementGeometry, error_free_recording: Recording) -> TrialDistributions:
-    """Distributions of the random values of trials at given true positions, with their error-free recording."""
+    """Distributions of the random values of trials at given true positions.
+
+    `error_free_recording` is the recording at these positions without errors.
+    """
     scenario = geometry.scenario
     mean, sigma = instrument_error_distribution(scenario, geometry.construction)
     return TrialDistributions(
@@ -129,8 +132,8 @@ def simulate_readings(
 ) -> Floats:
     """Raw readings with noise and rounding, shape (pointings, 3); NaN for observables that are not recorded.
 
-    `instrument` (instruments, parameters) [SI] are the errors of the trackers, `effect_sizes` has the parameters [SI]
-    of each effect, and `noise` (pointings, 3) [m, rad, rad] is added.
+    `instrument` (instruments, parameters) [SI] are the errors of the trackers, `effect_sizes` are the parameters [SI]
+    of each effect, and `noise` (pointings, 3) [m, rad, rad] is added to the readings.
     """
     readings = exact_readings(geometry, instrument, effect_sizes) + noise
     readings[:, 1] = wrap_angle(readings[:, 1])
@@ -144,9 +147,9 @@ def simulate_readings(
 
 
 def exact_readings(geometry: MeasurementGeometry, instrument: Floats, effect_sizes: tuple[Floats, ...]) -> Floats:
-    """Raw readings without noise, shape (pointings, 3): those of the true instrument, then changed by each effect.
+    """Raw readings without noise, shape (pointings, 3), of trackers with errors; each effect changes the readings.
 
-    The arguments are those of `simulate_readings`.
+    `instrument` and `effect_sizes` have the shapes that `simulate_readings` documents.
     """
     sightings = geometry.sightings
     for mistake in occurring_blunders(geometry.effects, effect_sizes):
@@ -160,12 +163,12 @@ def exact_readings(geometry: MeasurementGeometry, instrument: Floats, effect_siz
 
 
 def occurring_blunders(effects: Sequence[Effect], effect_sizes: Sequence[Floats]) -> list[Blunder]:
-    """Blunders that occur in a trial, which are those whose parameter is not 0."""
+    """Blunders among `effects` that occur in a trial: their first parameter in `effect_sizes` is not 0."""
     return [e for e, made in zip(effects, effect_sizes, strict=True) if isinstance(e, Blunder) and np.any(made[0])]
 
 
 def ineffective_effect_notes(geometry: MeasurementGeometry) -> Iterator[str]:
-    """Notes on effects that change nothing, because a column, a time or a nest is missing."""
+    """Notes on effects that change no reading, because the recording lacks a column, a time or a nest normal."""
     yield from error_free_recording(geometry).notes[len(geometry.hidden_pair_notes) :]
 
 
@@ -266,9 +269,9 @@ def _truth_of_trial(
 
 
 def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> Recording:
-    """Recording with the declared properties of its reference lengths, and with certificates without error.
+    """Recording with reference lengths that equal the true distances between the reflectors, and their declarations.
 
-    The lengths are the true distances between the reflectors.
+    The certificates have no error.
     """
     scenario, points = geometry.scenario, geometry.sightings.target_points
     gauge, warm = scenario.gauge, scenario.workshop.temperature_c
@@ -296,9 +299,9 @@ def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> R
 
 
 def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
-    """Reference lengths of the gauge and of scale bars, all 1 mm long, each with its declared standard deviation [um].
+    """Declarations of the reference lengths of gauge and scale bars, and the declared standard deviation [um] of each.
 
-    The standard deviation is None if none is declared.
+    A standard deviation is None if none is declared. The lengths are placeholders of 1 mm.
     """
     blank = {"length_mm": 1.0, "sigma_mm": 1.0}
     if scenario.gauge:
@@ -313,7 +316,10 @@ def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDista
 def with_certificates(
     recording: Recording, reference_lengths: Floats, sigma: Sequence[float] | None = None
 ) -> Recording:
-    """Recording with other reference lengths [m] at calibration, and other standard deviations [m] if given."""
+    """Recording whose reference lengths at calibration are replaced by `reference_lengths` (lengths,) [m].
+
+    `sigma` [m] replaces their standard deviations, if given.
+    """
     if recording.setup.gauge is None:
         return recording
     lines = []

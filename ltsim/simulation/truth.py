@@ -1,4 +1,4 @@
-"""Truth of a simulated recording in a separate file (ltsim-truth/1), which calibration and diagnosis never read."""
+"""True values of a simulated recording in a separate file (ltsim-truth/1) that calibration and diagnosis never read."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from ltsim.recordings.result_file import Entry, Finite, Quaternion, ResultFile, 
 INSTRUMENT_TABLE = Table(
     "instrument.csv",
     "true errors of the instruments",
-    (*text_columns(parameter="name"), *number_columns(value="true value"), *text_columns(unit="of the value")),
+    (*text_columns(parameter="name"), *number_columns(value="true value"), *text_columns(unit="unit of the value")),
 )
 POINTS_TABLE = Table(
     "points.csv",
@@ -41,7 +41,7 @@ class AppliedEffect(ValueEquality):
     """Effect that a simulation applied, with the true values of its parameters."""
 
     effect: Effect
-    """Effect with its places and constants."""
+    """Effect of the catalogue, with the stations and targets where it acts."""
     parameter_values: Floats
     """True values of the parameters of the effect, shape (parameters,) [SI]."""
 
@@ -55,7 +55,7 @@ class TruthArrays(ValueEquality):
     station_rotations: Floats
     """Rotation matrices from instrument to hall, shape (stations, 3, 3)."""
     target_points: Floats
-    """Positions of the targets without displacements by effects, shape (targets, 3) [m]."""
+    """Positions of the targets before effects displace them, shape (targets, 3) [m]."""
     instrument_values: Mapping[str, float]
     """True parameters of the instruments by name [SI]; ``beam-tilt@NAME`` if there are several instruments."""
     effects: tuple[AppliedEffect, ...] = ()
@@ -73,23 +73,23 @@ def _checked_unit(unit: str) -> str:
 
 
 class TrackerTruth(Entry):
-    """Tracker with a name, in a truth file."""
+    """Tracker with a name: its stations and its noise, in a truth file."""
 
     name: str
     """Name of the instrument in the set-up."""
     stations: tuple[str, ...] = ()
     """Names of the stations where the tracker stood."""
     noise_factor: Finite = 1.0
-    """Ratio of the true noise of the tracker to its declared noise."""
+    """Ratio of the true to the declared standard deviations of the tracker's readings."""
 
 
 class TrueParameterValue(Entry):
-    """True value of a parameter."""
+    """True value of a parameter of an instrument or effect, in a truth file."""
 
     name: str
     """Name of the parameter."""
     value: Finite
-    """True value."""
+    """True value of the parameter, in `unit`."""
     unit: Annotated[str, AfterValidator(_checked_unit)]
     """Unit of the value."""
 
@@ -100,14 +100,14 @@ class TrueParameterValue(Entry):
 
 
 class TrueInstrumentValue(TrueParameterValue):
-    """True value of an instrument's parameter."""
+    """True value of an instrument's parameter, in a truth file."""
 
     instrument: str = ""
     """Name of the instrument; empty for a single unnamed one."""
 
     @classmethod
     def from_si(cls, parameter_name: str, si_value: float, unit: str) -> Self:
-        """Entry of a value [SI]; `parameter_name` ends in ``@`` and the name of the instrument if there are several."""
+        """Entry for the value `si_value`; `parameter_name` ends in ``@`` and the instrument's name if it has one."""
         name, _, instrument = parameter_name.partition("@")
         whose = {"instrument": instrument} if instrument else {}
         return cls(name=name, value=si_value / SI_PER_UNIT[unit], unit=unit, **whose)
@@ -124,11 +124,12 @@ class TrueEffect(Entry):
     name: str = Field(alias="effect")
     """Name of the effect in the catalogue."""
     stations: tuple[str, ...] = ()
-    """Stations at which it acts; empty for all."""
+    """Names of the stations where the effect acts; empty for all."""
     targets: tuple[str, ...] = ()
-    """Targets at which it acts; empty for all."""
+    """Names of the targets where the effect acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Constants of the effect by name, in display units if the effect declares one, otherwise in SI units."""
+    """Fixed constants of the effect's formula by name, such as a time constant, in display units if the effect declares
+    them, otherwise in SI units."""
     parameters: tuple[TrueParameterValue, ...] = ()
     """True values of the parameters of the effect."""
 
@@ -148,7 +149,7 @@ class TrueEffect(Entry):
         )
 
     def to_applied_effect(self) -> AppliedEffect:
-        """Applied effect of the entry with its values [SI]; raises LtsimError."""
+        """Effect object of this entry with its true parameters [SI]; raises LtsimError for an invalid entry."""
         effect = make_effect(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
         value_by_parameter = {p.name: p.value for p in self.parameters}
         return AppliedEffect(
@@ -191,9 +192,9 @@ class Truth(ResultFile):
     effects: tuple[TrueEffect, ...] = ()
     """Effects that the simulation applied, in addition to the errors of the instruments."""
     noise_factor: Finite = 1.0
-    """Ratio of the true noise to the declared noise, for a tracker without a name."""
+    """Ratio of the true to the declared standard deviations of the readings, for a tracker without a name."""
     instruments: tuple[TrackerTruth, ...] = ()
-    """Trackers that have names."""
+    """Trackers with names; empty for a single tracker without a name."""
     stations: tuple[TruePose, ...] = Field(min_length=1)
     """True poses of the stations."""
     targets: tuple[TruePoint, ...] = Field(min_length=1)
@@ -205,7 +206,7 @@ class Truth(ResultFile):
     @model_validator(mode="after")
     def _effects_and_nominal_points_exist(self) -> Self:
         if self.nominal is not None and [p.name for p in self.nominal] != [p.name for p in self.targets]:
-            raise ValueError("the nominal points have other names than the targets, or another order")
+            raise ValueError("the names of the nominal points differ from those of the targets, or have another order")
         try:
             for entry in self.effects:
                 entry.to_applied_effect()
@@ -222,9 +223,9 @@ class Truth(ResultFile):
         parameter_units: Sequence[str],
         **other_fields: object,
     ) -> Self:
-        """Truth from arrays, names of stations and targets, and display units of the parameters.
+        """Truth from arrays of true values, names of stations and targets, and display units of instrument parameters.
 
-        `other_fields` are the other fields of the truth.
+        `other_fields` are values of the remaining fields, such as `seed`, by name.
         """
         nominal = (
             {}
@@ -284,7 +285,7 @@ class Truth(ResultFile):
 
     @property
     def target_points(self) -> Floats:
-        """True positions of the targets without displacements by effects, shape (targets, 3) [m]."""
+        """True positions of the targets before effects displace them, shape (targets, 3) [m]."""
         return self.arrays.target_points
 
     @property
@@ -294,7 +295,7 @@ class Truth(ResultFile):
 
     @property
     def units(self) -> dict[str, str]:
-        """Display unit of each parameter by its name."""
+        """Display unit of each instrument parameter, by the name of the parameter."""
         return {p.qualified_name: p.unit for p in self.parameters}
 
     @property
@@ -327,18 +328,18 @@ class Truth(ResultFile):
 
 
 def _point_entries(names: Sequence[str], positions: Floats) -> tuple[TruePoint, ...]:
-    """Entries of the file for points with coordinates (points, 3) [m]."""
+    """Entries of a truth file for the points `names` with the coordinates `positions`, shape (points, 3) [m]."""
     places = (positions / MILLIMETRE).tolist()
     return tuple(TruePoint(name=name, position_mm=place) for name, place in zip(names, places, strict=True))
 
 
 def _entry_positions(points: Sequence[TruePoint]) -> Floats:
-    """Coordinates (points, 3) [m] of entries of the file."""
+    """Coordinates (points, 3) [m] of point entries in a truth file."""
     return np.array([p.position_mm for p in points]).reshape(-1, 3) * MILLIMETRE
 
 
 def write_truth(truth: Truth, path: Path) -> None:
-    """Writing of a truth file, completely or not at all."""
+    """Atomic writing of a truth file: completely or not at all."""
     write_text(path, truth.text())
 
 
@@ -348,10 +349,10 @@ def read_truth(path: Path) -> Truth:
 
 
 def nominal_csv(truth: Truth) -> str:
-    """Text of the table ``target,x_mm,y_mm,z_mm`` with the points from the measuring machine, for `ltsim verify`.
+    """CSV text ``target,x_mm,y_mm,z_mm`` with the points from the coordinate measuring machine, for `ltsim verify`.
 
     ModelError is raised for a scenario without a measuring machine.
     """
     if truth.nominal is None:
-        raise ModelError("the scenario measured no nominal points; set nominal = true in its table [cmm]")
+        raise ModelError("the scenario has no nominal points; set nominal = true in its table [cmm]")
     return NOMINAL_TABLE.with_rows([p.name, *p.position_mm] for p in truth.nominal).csv_text()

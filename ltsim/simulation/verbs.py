@@ -15,14 +15,14 @@ ScenarioSource = Scenario | str | Path
 
 
 class SimulatedRecording(NamedTuple):
-    """Simulated recording and its truth."""
+    """Simulated recording and its true values."""
 
     recording: Recording
     truth: Truth
 
 
 def scenario(source: ScenarioSource, changes: Mapping[str, Any] | None = None) -> Scenario:
-    """Scenario, built-in or from a file, with some of its keys changed.
+    """Scenario, built-in or from a file, with new values for the keys in `changes`.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def scenario(source: ScenarioSource, changes: Mapping[str, Any] | None = None) -
     Raises
     ------
     SetupError
-        One sentence: file, key, what was found, what would be right.
+        When the scenario does not exist or a value is invalid; the message names file, key, value and what is expected.
 
     Examples
     --------
@@ -57,20 +57,20 @@ def simulate(
     geometry: GeometrySharing = "shared",
     changes: Mapping[str, Any] | None = None,
 ) -> SimulatedRecording:
-    """Recording of a virtual hall, and its truth.
+    """Simulated recording of a scenario, and its true values.
 
     Parameters
     ----------
     source : Scenario, str or Path
     seed : int
-        Root of all random draws: equal seed and trial give the same recording.
+        Seed of all random draws: equal seed and trial give the same recording.
     trial : int
-        Number of the trial in a campaign of this scenario and seed; the calibration of the recording equals the row of
-        that trial.
+        Number of the trial in a campaign of this scenario and seed. The calibration of the recording equals the row of
+        that trial in the campaign's results.
     geometry : {`shared`, `per-trial`}
-        Stations and targets that are shared by all trials, or drawn for each trial, as in a campaign.
+        Positions of stations and targets: one draw shared by all trials, or a separate draw for each trial.
     changes : mapping of str to value, optional
-        New values, as of `scenario`.
+        New values by dotted key, as in `lt.scenario`.
 
     Returns
     -------

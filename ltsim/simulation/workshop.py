@@ -1,4 +1,4 @@
-"""Planned workshop: poses of stations, positions of targets, gauge, nests, obstacles and visibility."""
+"""Planned layout of a hall: poses of stations, positions of targets, gauge, nests, obstacles and visibility."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -31,11 +31,11 @@ PAPER_TABLE_2_LENGTHS = MappingProxyType(
         "rows": (357.6066, 590.1060, 355.9437, 388.0144, 386.7815, 454.4203),
     }
 )
-"""Lengths [mm] between the targets 25-26, 25-27, 25-28, 26-27, 26-28 and 27-28 in the paper's Table 2, if this table is
-read by columns or by rows."""
+"""Lengths [mm] between the targets 25-26, 25-27, 25-28, 26-27, 26-28 and 27-28 in the paper's Table 2, for each order
+in which this table can be read (`ScenarioGauge.reading`)."""
 MAX_RELATIVE_LENGTH_ERROR = 1e-7
-"""Relative difference between given lengths and those of the nearest frame above which the lengths contradict each
-other."""
+"""Largest relative difference between the declared lengths of a gauge and the lengths of the rigid frame that fits
+them. If it is exceeded, the declared lengths contradict each other."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,11 @@ class GaugeFrame:
     target_names: tuple[str, ...]
     """Names of the k targets of the gauge."""
     points: Floats
-    """Coordinates of the targets in the axes of the frame, relative to its centre, shape (targets, 3) [m]."""
+    """Coordinates of the k targets in the axes of the frame, relative to its centre, shape (k, 3) [m]."""
     first_targets: Ints
-    """Index of the target at the first end of each reference length."""
+    """Index of the target at the first end of each reference length, shape (lengths,)."""
     second_targets: Ints
-    """Index of the target at the second end of each reference length."""
+    """Index of the target at the second end of each reference length, shape (lengths,)."""
 
     @property
     def lengths(self) -> Floats:
@@ -58,7 +58,7 @@ class GaugeFrame:
 
 
 def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
-    """Frame with the declared lengths of a gauge.
+    """Rigid frame that has the declared lengths of a gauge.
 
     SetupError is raised if a length is missing or repeated, or if the lengths contradict each other.
     """
@@ -71,13 +71,13 @@ def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
     if abs(frame.lengths[worst_length] - lengths[worst_length]) > MAX_RELATIVE_LENGTH_ERROR:
         a, b = names[first[worst_length]], names[second[worst_length]]
         has, wanted = frame.lengths[worst_length] / MILLIMETRE, lengths[worst_length] / MILLIMETRE
-        message = f"the points that fit them best are {has:.4f} mm apart between {a} and {b}, not {wanted:.4f} mm"
+        message = f"{a}-{b} is declared as {wanted:.4f} mm, but the other lengths require {has:.4f} mm"
         raise SetupError(f"gauge: the lengths contradict each other; {message}")
     return frame
 
 
 def _declared_lengths(gauge: ScenarioGauge, target_pairs: list[tuple[int, int]]) -> list[float]:
-    """Declared length [mm] of each pair of targets; raises SetupError for missing or repeated lengths."""
+    """Declared length [mm] of each pair of target indices; raises SetupError for missing or repeated lengths."""
     names = gauge.targets
     if not gauge.distance:
         if len(names) != 4:
@@ -100,11 +100,11 @@ def _declared_lengths(gauge: ScenarioGauge, target_pairs: list[tuple[int, int]])
 
 
 def points_from_distances(n_points: int, first_points: Ints, second_points: Ints, lengths: Floats) -> Floats:
-    """Points (n_points, 3) [m] about their centre, whose mutual distances are nearest to the given `lengths` (k,) [m].
+    """Points (n_points, 3) [m], relative to their centroid, whose mutual distances fit the `lengths` (k,) [m] best.
 
-    The lengths are those from the points with the indices `first_points` to `second_points` (k,). Classical scaling
+    Length i joins the points with the indices `first_points[i]` and `second_points[i]`. Classical scaling
     (Torgerson, Psychometrika 17 (1952) 401-419): the coordinates are eigenvectors of the doubly centred squared
-    distances. The first axis is that of the largest extent; the first point determines the signs.
+    distances. The first axis is along the largest extent; the first point determines the signs of the axes.
     """
     squared = np.zeros((n_points, n_points))
     squared[first_points, second_points] = squared[second_points, first_points] = lengths**2
@@ -118,25 +118,25 @@ def points_from_distances(n_points: int, first_points: Ints, second_points: Ints
 
 
 def expansion_factor(gauge: ScenarioGauge, workshop_temperature_c: float) -> float:
-    """Ratio of the lengths at the workshop's temperature to those at the calibration temperature."""
+    """Ratio of the gauge's lengths at the hall's temperature to its lengths at the calibration temperature."""
     measured = workshop_temperature_c if gauge.measured_at_c is None else gauge.measured_at_c
     return ThermalExpansion.from_temperature(gauge.expansion_per_k, measured - gauge.calibrated_at_c).length_ratio
 
 
 def gauge_rotation(gauge: ScenarioGauge) -> Floats:
-    """Rotation matrix (3, 3) from the axes of the frame to those of the hall."""
+    """Rotation matrix (3, 3) from the axes of the gauge's frame to the axes of the hall."""
     angles = np.array([gauge.roll_deg, gauge.pitch_deg, gauge.yaw_deg]) * DEGREE
     return Rotation.from_euler("xyz", angles).as_matrix()
 
 
 def gauge_points_in_workshop(gauge: ScenarioGauge, gauge_frame: GaugeFrame, workshop_temperature_c: float) -> Floats:
-    """Coordinates (targets, 3) [m] of the gauge at its planned pose and at the workshop's temperature."""
+    """Coordinates (targets, 3) [m] of the gauge's targets at its planned pose and at the hall's temperature."""
     points: Floats = expansion_factor(gauge, workshop_temperature_c) * gauge_frame.points @ gauge_rotation(gauge).T
     return points + np.array(gauge.position_mm) * MILLIMETRE
 
 
 def length_sigmas(measuring_machine: Cmm, lengths: Floats) -> Floats:
-    """Standard deviation of each length [m]: largest permitted error of the machine divided by its coverage."""
+    """Standard deviation [m] of each length: the machine's maximum permissible error divided by its coverage factor."""
     largest = measuring_machine.constant_um + lengths / MILLIMETRE / measuring_machine.length_divisor_mm
     return largest * MICROMETRE / measuring_machine.coverage
 
@@ -146,8 +146,8 @@ def measure_nominal_points(
 ) -> Floats:
     """Coordinates (targets, 3) [m] as measured by a coordinate measuring machine, from the true `points`.
 
-    The largest permitted error A + L / K of the machine has a random part A of each length, with half of its variance
-    at either end, and a scale error L / K of each axis.
+    The maximum permissible error of a length L is A + L / K. The part A is a random error, half of whose variance is at
+    either end of the length. The part L / K is a scale error of each axis.
     """
     random = measuring_machine.constant_um * MICROMETRE / measuring_machine.coverage / np.sqrt(2.0)
     scale = MICROMETRE / MILLIMETRE / measuring_machine.length_divisor_mm / measuring_machine.coverage
@@ -160,7 +160,7 @@ def measure_nominal_points(
 
 @dataclass(frozen=True)
 class WorkshopLayout:
-    """Poses of the stations and positions of the targets in the frame of the hall, in SI units."""
+    """Poses of the stations and positions of the targets of a scenario, in the frame of the hall and in SI units."""
 
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
@@ -171,7 +171,7 @@ class WorkshopLayout:
     target_points: Floats
     """Positions of the targets, shape (targets, 3) [m]."""
     nest_normals: Floats
-    """Unit normals of the nests, shape (targets, 3); NaN for an unknown normal."""
+    """Unit normals of the nests, shape (targets, 3); NaN for a nest whose normal is not defined."""
     is_reaimed: Bools
     """Mask of the reflectors that are turned towards each station, shape (targets,)."""
 
@@ -203,9 +203,10 @@ def planned_layout(scenario: Scenario) -> WorkshopLayout:
 
 
 def _nest_normals_and_flags(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats, Bools]:
-    """Normals of the nests (targets, 3), and mask (targets,) of the reflectors that are turned towards each station.
+    """Unit normals of the nests (targets, 3), and mask (targets,) of reflectors that are turned towards each station.
 
-    A fixed nest without a declared normal faces the centre of the stations.
+    `position` (stations, 3) and `points` (targets, 3) are planned positions [m]. A fixed nest without a declared normal
+    faces the centre of the stations.
     """
     missing = (np.nan, np.nan, np.nan)
     normals = [t.nest_normal or missing for t in scenario.targets.values()]
@@ -224,7 +225,7 @@ def _nest_normals_and_flags(scenario: Scenario, position: Floats, points: Floats
 
 
 def make_sight_limits(scenario: Scenario, tracker: ScenarioInstrument) -> SightLimits:
-    """Limits of the lines of sight of a tracker to the reflectors of its scenario."""
+    """Limits of elevation, range and incidence angle for lines of sight from a tracker to the scenario's reflectors."""
     limits, cone = tracker.limits, scenario.workshop.shadow_cone_deg
     return SightLimits(
         elevation_min=limits.elevation_min_deg * DEGREE,
@@ -248,7 +249,7 @@ class PlacedObstacle:
 
     @property
     def description(self) -> str:
-        """Text on the obstacle: name, interpretation of its CAD file, size and position."""
+        """Description of the obstacle for people: name, interpretation of its CAD file, size and position."""
         file_text = f" ({self.cad_file.file.name}, {self.cad_file.interpretation_text})" if self.cad_file else ""
         return f"{self.name or 'obstacle'}{file_text}: {extent_text(self.triangles)}"
 
@@ -280,7 +281,7 @@ def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
             raise SetupError("an obstacle has no shape: expected file, box_mm or cylinder_mm")
         body = PlacedObstacle(entry.name or f"obstacle {i}", _placed_triangles(entry, triangles), cad)
         if cad is not None and (
-            asked := implausible_size_question(cad, hall) or _implausible_place_question(entry, body, cad, hall)
+            asked := implausible_size_question(cad, hall) or _implausible_position_message(entry, body, cad, hall)
         ):
             raise SetupError(asked)
         obstacle_parts.append(body)
@@ -294,10 +295,10 @@ def _placed_triangles(obstacle_entry: Obstacle, triangles: Floats) -> Floats:
     )
 
 
-def _implausible_place_question(
+def _implausible_position_message(
     obstacle_entry: Obstacle, placed_body: PlacedObstacle, cad_file: CadFile, hall_size: Floats
 ) -> str:
-    """Question to the user about an obstacle that extends beyond the hall; empty if it does not."""
+    """Message about an obstacle that extends beyond the hall, with possible corrections; empty for one inside it."""
     if obstacle_entry.beyond_room or is_inside_hall(placed_body.triangles, hall_size):
         return ""
     other_axis = "z" if cad_file.vertical_axis == "y" else "y"

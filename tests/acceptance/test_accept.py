@@ -209,7 +209,7 @@ def test_lengths_of_a_standard_that_no_open_text_has(tmp_path: Path, capsys: pyt
     text = 'standard = "iso-10360-10"\ninstrument = "leica-at500"'
     assert run(["accept", str(write(tmp_path, text))]) == 2
     said = capsys.readouterr().err
-    assert said.endswith("it should give lengths = FILE: ltsim has no positions for the lengths of iso-10360-10\n")
+    assert said.endswith("it should give lengths = FILE, because the length tests of iso-10360-10 are not built in\n")
     assert run(["accept", str(write(tmp_path, f'{text}\nlengths = "plan.csv"', plan=PLAN))]) == 0
     assert "passes all 20 tests" in capsys.readouterr().out
 
@@ -307,7 +307,7 @@ def test_errors_of_the_recording_are_no_errors_of_the_tracker(cause: str):
     )
     assert clean.corrected_causes == clean.uncorrected_causes == ()
     assert len(faulty.corrected_causes) == 1 and faulty.sentences[0].startswith(cause)
-    assert faulty.sentences[0].endswith("This is no error of the tracker, and it is removed before the tests.")
+    assert faulty.sentences[0].endswith("This is not an error of the tracker, and it is removed before the tests.")
     assert not [t.name for t in faulty.entries if t.judgement == "rejected"]
     lengths = [(a, b) for a, b in zip(clean.entries, faulty.entries, strict=True) if b.expanded_um is not None]
     assert max(abs(b.error_um - a.error_um) / (b.expanded_um or np.nan) for a, b in lengths) < 1.0
@@ -323,8 +323,8 @@ def test_possible_error_of_the_tracker_remains_in_the_tests():
     assert "possibly an error of the tracker, and it remains in the tests" in tests.sentences[0]
     rejected = [t.name for t in tests.entries if t.judgement == "rejected"]
     assert {name.partition(":")[0] for name in rejected} == {"S2"}
-    assert 0 < tests.n_rejected_without_constants <= len(rejected)
-    assert "Corrections by ltsim calibrate do not suffice" in tests.constants_action
+    assert 0 < tests.n_rejected_after_correction <= len(rejected)
+    assert "Corrections by ltsim calibrate do not suffice" in tests.action_after_rejection
 
 
 def test_centring_is_in_the_uncertainty_of_a_network_length():
@@ -380,7 +380,7 @@ def test_outlying_readings_are_neither_adjusted_nor_tested():
     tests = evaluate_network(recording.with_readings(readings), LIMITS)
     assert not [t.name for t in tests.entries if t.judgement == "rejected"]
     assert not [t.name for t in tests.entries if t.name == "S4: T10" or "S4: T10 to" in t.name]
-    assert "Pointings with outlying readings are not tested: S4 to T10 (row" in " ".join(tests.sentences)
+    assert "Pointings with outliers are not tested: S4 to T10 (row" in " ".join(tests.sentences)
 
 
 def test_several_instruments_are_refused():

@@ -215,7 +215,7 @@ def test_one_radius_for_all_moves_nothing() -> None:
 
 
 def test_trials_in_batch_refuse_balls_of_several_radii() -> None:
-    with pytest.raises(SetupError, match="trials in batch use one SMR"):
+    with pytest.raises(SetupError, match="a campaign uses one SMR radius"):
         make_cell_truth(scenario(), 1)
 
 

@@ -368,12 +368,12 @@ def test_statistics_are_those_of_the_rows(file: Path, tmp_path: Path) -> None:
     spread = results.distribution("distance_improvement_percent")[1]
     assert (spread.cell, spread.method, spread.trials) == (1, "network", 600)
     assert spread.mean == pytest.approx(improvement.mean(), rel=1e-5)
-    assert spread.deviation == pytest.approx(improvement.std(ddof=1), rel=1e-5)
+    assert spread.standard_deviation == pytest.approx(improvement.std(ddof=1), rel=1e-5)
     assert spread.quantiles == pytest.approx(np.quantile(improvement, QUANTILE_LEVELS), rel=1e-4)
     assert spread.low < spread.mean < spread.high
     z = np.array(whole["z:transit-tilt"])
     score = next(s for s in results.z_score_summaries() if s.cell == 1 and s.parameter == "transit-tilt")
-    assert (score.mean, score.deviation) == pytest.approx((z.mean(), z.std(ddof=1)), rel=1e-4, abs=1e-6)
+    assert (score.mean, score.standard_deviation) == pytest.approx((z.mean(), z.std(ddof=1)), rel=1e-4, abs=1e-6)
     assert [c.checked for c in results.solver_comparisons()] == [3, 3]
     assert all((c.largest_difference_sigma or 1) < 1e-3 for c in results.solver_comparisons())
     assert json.dumps(results.summary().model_dump(mode="json"), allow_nan=False)
@@ -388,7 +388,7 @@ def test_quantiles_of_very_many_rows_come_from_a_digest(
     monkeypatch.setattr(statistics, "MAX_ROWS_EXACT_QUANTILES", 1000)
     rough = results.distribution("target_error_um")[0]
     assert rough.mean == exact.mean and rough.quantiles != exact.quantiles
-    assert np.abs(np.subtract(rough.quantiles, exact.quantiles)).max() < 0.15 * exact.deviation
+    assert np.abs(np.subtract(rough.quantiles, exact.quantiles)).max() < 0.15 * exact.standard_deviation
 
 
 def test_paired_comparison_of_methods(file: Path, tmp_path: Path) -> None:

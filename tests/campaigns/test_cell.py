@@ -20,7 +20,7 @@ from ltsim.physics.effects.effect import Blunder, NoiseEffect
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.draws import StandardNormalSource
-from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.fieldwork import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario, load_scenario, validate_scenario
 from ltsim.simulation.simulator import measure_trial
 
@@ -47,7 +47,7 @@ def with_effect(name: str) -> Scenario:
     kind = find_effect(name)
     entry: dict[str, Any] = {"name": name, "draw": True}
     if issubclass(kind, Blunder):
-        seen = make_geometry(load_scenario("paper-workshop"), SEED).sightings
+        seen = make_measurement_geometry(load_scenario("paper-workshop"), SEED).sightings
         made = kind.possible_blunders(seen)[0]
         entry = {"name": name, "values": {made.parameters[0].name: 1.0}}
         entry |= {"stations": list(made.stations), "targets": list(made.targets)}
@@ -63,7 +63,7 @@ def test_a_trial_is_the_recording_that_simulate_writes(name: str) -> None:
     """Over the whole catalogue: readings to a thousandth of sigma or a step of the resolution, lengths to 1 nm."""
     given = with_effect(name)
     truth = make_cell_truth(given, SEED)
-    block = truth.draw_block(SEED, 0, 8)
+    block = truth.draw_batch(SEED, 0, 8)
     recording, true = lt.simulate(given, seed=SEED, trial=TRIAL)
     gap = truth.trial_readings(block, TRIAL) - recording.readings
     gap[:, 1:] = wrap_angle(gap[:, 1:])
@@ -80,7 +80,7 @@ def test_a_trial_is_the_recording_that_simulate_writes(name: str) -> None:
 def test_readings_of_every_scenario_are_those_of_simulate(name: str) -> None:
     given = load_scenario(name)
     truth = make_cell_truth(given, SEED)
-    block = truth.draw_block(SEED, 1)
+    block = truth.draw_batch(SEED, 1)
     recording, _ = lt.simulate(given, seed=SEED, trial=300)
     gap = truth.trial_readings(block, 300 - 256) - recording.readings
     gap[:, 1:] = wrap_angle(gap[:, 1:])
@@ -132,7 +132,7 @@ def test_nothing_that_is_never_negative_is_drawn_so() -> None:
 def test_drawn_noise_levels_widen_single_trials() -> None:
     truth = make_cell_truth(scenario(effects=[{"name": "noise-level", "draw": True}]), 5)
     quiet = make_cell_truth(scenario(), 5)
-    loud, still = truth.draw_block(5, 0), quiet.draw_block(5, 0)
+    loud, still = truth.draw_batch(5, 0), quiet.draw_batch(5, 0)
     extra = loud.effect_values[0][0]
     assert np.all(extra >= 0) and extra.std() > 0.1
     ratio = np.std(loud.reading_deviations[:, 0] - quiet._exact_deviations(still.instrument_values)[:, 0], axis=0)
@@ -142,7 +142,7 @@ def test_drawn_noise_levels_widen_single_trials() -> None:
 
 def test_stated_errors_are_not_drawn() -> None:
     truth = make_cell_truth(scenario(instrument={"preset": "paper", "errors": {"draw": True, "beam-tilt": 7.0}}), 6)
-    block = truth.draw_block(6, 0)
+    block = truth.draw_batch(6, 0)
     place = truth.construction.index("beam-tilt")
     assert np.all(block.instrument_values[0, place] == 7e-6)
     assert block.instrument_values[0, 0].std() > 0
@@ -164,7 +164,7 @@ def test_geometry_belongs_to_its_key() -> None:
 
 def test_variance_below_zero_is_refused_by_both() -> None:
     given = scenario(effects=[{"name": "turbulence", "values": {"turbulence-along": -1e6}}])
-    with pytest.raises(SetupError, match="makes a variance of the noise negative"):
-        make_cell_truth(given, 7).draw_block(7, 0)
-    with pytest.raises(SetupError, match="makes a variance of the noise negative"):
-        measure_trial(make_geometry(given, 7), 7)
+    with pytest.raises(SetupError, match="makes a variance of readings negative"):
+        make_cell_truth(given, 7).draw_batch(7, 0)
+    with pytest.raises(SetupError, match="makes a variance of readings negative"):
+        measure_trial(make_measurement_geometry(given, 7), 7)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.campaigns.design import SettingRange, cell_label, short_key_names
+from ltsim.campaigns.design import LevelRange, cell_label, short_key_names
 from ltsim.campaigns.spec import load_campaign, make_cells
 from ltsim.core.errors import SetupError
 
@@ -83,7 +83,7 @@ def test_a_preset_is_swept_with_all_it_stands_for(tmp_path: Path) -> None:
 
 def test_whole_numbers_of_a_range_are_equally_likely() -> None:
     shares = (np.arange(1000) + 0.5) / 1000
-    values = SettingRange(low=1, high=4).values_at(shares, is_integer=True)
+    values = LevelRange(low=1, high=4).values_at(shares, is_integer=True)
     assert np.bincount(values).tolist() == [0, 250, 250, 250, 250]
 
 
@@ -101,7 +101,7 @@ def test_names_are_as_short_as_tells_them_apart() -> None:
         ('[grid]\n"work.targets" = [0]\ngauge = ["none"]\n', "work.targets is 0, expected at least 3"),
         ('[grid]\n"effects.3.values.x" = [1]\n', "goes through 3, which is not a table"),
         ('[design]\nkind = "sobol"\ncells = 50\n[design.ranges."work.targets"]\nlow = 3\nhigh = 6\n', "such as 64"),
-        ('[design]\nkind = "sobol"\ncells = 8\n[design.ranges."work.targets"]\nlow = 6\nhigh = 3\n', "less than high"),
+        ('[design]\nkind = "sobol"\ncells = 8\n[design.ranges."work.targets"]\nlow = 6\nhigh = 3\n', "low below high"),
         (LINK + '[grid]\nnoise_arcsec = [1]\n"instrument.noise.azimuth_arcsec" = [1]\n', "vary each key once"),
         ('[stop]\nwithin = 0\n', "greater than 0"),
         ('statistics = ["errors"]\n[stop]\nwithin = 1\nstatistic = "z:beam-tilt"\n', "'z-scores' among its statistics"),

@@ -21,7 +21,7 @@ EVERY = np.arange(TRIALS_PER_STREAM)
 @pytest.mark.parametrize("faces", [1, 2])
 def test_batch_equals_single_calibrator(faces: int, make_truth: Callable[..., CellTruth]) -> None:
     batch = BatchDistance(make_truth(faces=faces), misalignment_construction())
-    block = batch.truth.draw_block(21, 0)
+    block = batch.truth.draw_batch(21, 0)
     found = batch.calibrate(block, EVERY)
     assert np.all(found.status_indices == 0)
     assert max(batch.largest_solver_difference(block, k, found) for k in (0, 90, 180)) < 1e-3
@@ -34,7 +34,7 @@ def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., Ce
     """At zero parameters: the sum of squares of eq. 9's rows."""
     truth = make_truth(faces=2)
     batch = BatchDistance(truth, misalignment_construction())
-    block = truth.draw_block(22, 0)
+    block = truth.draw_batch(22, 0)
     sets, seen, share, gauge = batch._set_membership
     clouds = np.zeros((*seen.shape, 3, TRIALS_PER_STREAM))
     for i, (s, t) in enumerate(zip(sets, truth.recording.target, strict=True)):
@@ -56,7 +56,7 @@ def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., Ce
 
 def test_gross_error_goes_to_the_single_calibrator(make_truth: Callable[..., CellTruth]) -> None:
     batch = BatchDistance(make_truth(), misalignment_construction())
-    block = batch.truth.draw_block(23, 0)
+    block = batch.truth.draw_batch(23, 0)
     block.reading_deviations[30, 0, 5] -= 8e-3
     found = batch.calibrate(block, np.array([4, 5]))
     assert [TRIAL_STATUSES[s] for s in found.status_indices[[4, 5]]] == ["converged", "full solver"]
@@ -69,7 +69,7 @@ def test_gross_error_goes_to_the_single_calibrator(make_truth: Callable[..., Cel
 def test_least_absolute_deviations_equal_single_calibrator(faces: int, make_truth: Callable[..., CellTruth]) -> None:
     """Also where some readings are wrong by more than noise, but by less than what is screened out."""
     batch = BatchDistance(make_truth(faces=faces), misalignment_construction(), method="distance-l1")
-    block = batch.truth.draw_block(24, 0)
+    block = batch.truth.draw_batch(24, 0)
     block.reading_deviations[11::60, 0, 3] += 3e-4
     found = batch.calibrate(block, np.array([2, 3, 200]))
     assert np.all(found.status_indices[[2, 3, 200]] == 0)

@@ -64,7 +64,7 @@ class Bent(Drift):
 @pytest.mark.parametrize("faces", [1, 2])
 def test_batch_equals_full_solver(faces: int, make_truth: Callable[..., CellTruth]) -> None:
     engine = BatchCalibrator(make_truth(faces=faces), misalignment_construction())
-    block = engine.truth.draw_block(11, 2)
+    block = engine.truth.draw_batch(11, 2)
     found = engine.calibrate(block)
     assert np.all(found.status_indices == 0)
     differences = [engine.largest_solver_difference(block, k, found) for k in range(0, TRIALS_PER_STREAM, 64)]
@@ -73,14 +73,14 @@ def test_batch_equals_full_solver(faces: int, make_truth: Callable[..., CellTrut
 
 def test_batch_equals_full_solver_with_errors_ten_times_as_large(make_truth: Callable[..., CellTruth]) -> None:
     engine = BatchCalibrator(make_truth(scale=10.0), misalignment_construction())
-    block = engine.truth.draw_block(11, 0)
+    block = engine.truth.draw_batch(11, 0)
     found = engine.calibrate(block)
     assert max(engine.largest_solver_difference(block, k, found) for k in range(0, TRIALS_PER_STREAM, 64)) < 1e-3
 
 
 def test_batch_equals_full_solver_for_the_paper_chain(make_truth: Callable[..., CellTruth]) -> None:
     engine = BatchCalibrator(make_truth(), dh_construction())
-    block = engine.truth.draw_block(12, 0)
+    block = engine.truth.draw_batch(12, 0)
     found = engine.calibrate(block)
     assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 1e-3
 
@@ -89,7 +89,7 @@ def test_fitted_effects_equal_full_solver(make_truth: Callable[..., CellTruth]) 
     sigma = np.array([10e-6, 10e-6]) / 3600
     truth = make_truth(effects=(EffectDistribution(Drift(), np.zeros(2), sigma),))
     engine = BatchCalibrator(truth, misalignment_construction(), (Drift(),))
-    block = truth.draw_block(13, 0)
+    block = truth.draw_batch(13, 0)
     fit = engine.batch_network.fit_trials(block.reading_deviations, block.length_errors)
     found = engine.calibrate(block)
     assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 2e-4
@@ -102,7 +102,7 @@ def test_fitted_effects_equal_full_solver(make_truth: Callable[..., CellTruth]) 
 def test_fitted_effect_on_the_known_lengths_equals_full_solver(make_truth: Callable[..., CellTruth]) -> None:
     truth = make_truth()
     engine = BatchCalibrator(truth, misalignment_construction(), (GaugeScale(),))
-    block = truth.draw_block(20, 0)
+    block = truth.draw_batch(20, 0)
     block.length_errors[:] += 1e-4 * np.array([d.length_mm * 1e-3 for d in truth.recording.gauge.distance])[:, None]
     found = engine.calibrate(block)
     assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 2e-4
@@ -111,7 +111,7 @@ def test_fitted_effect_on_the_known_lengths_equals_full_solver(make_truth: Calla
 
 
 def test_chi2_and_z_scores_are_what_the_covariance_says(engine: BatchCalibrator) -> None:
-    blocks = [engine.truth.draw_block(14, k) for k in range(4)]
+    blocks = [engine.truth.draw_batch(14, k) for k in range(4)]
     found = [engine.calibrate(block) for block in blocks]
     chi2 = np.concatenate([f.chi2 for f in found])
     dof = engine.batch_network.problem.dof
@@ -125,7 +125,7 @@ def test_chi2_and_z_scores_are_what_the_covariance_says(engine: BatchCalibrator)
 
 
 def test_gross_error_goes_to_the_full_solver_and_is_screened(engine: BatchCalibrator) -> None:
-    block = engine.truth.draw_block(15, 0)
+    block = engine.truth.draw_batch(15, 0)
     block.reading_deviations[17, 0, 3] += 5e-3
     found = engine.calibrate(block)
     assert [TRIAL_STATUSES[s] for s in found.status_indices[[2, 3]]] == ["converged", FULL_SOLVER]
@@ -136,7 +136,7 @@ def test_gross_error_goes_to_the_full_solver_and_is_screened(engine: BatchCalibr
 
 
 def test_trial_that_nothing_solves_is_a_failed_row(engine: BatchCalibrator) -> None:
-    block = engine.truth.draw_block(15, 1)
+    block = engine.truth.draw_batch(15, 1)
     block.reading_deviations[:, :, 9] = np.nan
     found = engine.calibrate(block)
     assert TRIAL_STATUSES[found.status_indices[9]] == WITHOUT_RESULT
@@ -146,7 +146,7 @@ def test_trial_that_nothing_solves_is_a_failed_row(engine: BatchCalibrator) -> N
 
 def test_judge_equals_evaluation_of_single_recordings(engine: BatchCalibrator) -> None:
     truth = engine.truth
-    block = truth.draw_block(16, 0)
+    block = truth.draw_batch(16, 0)
     found, judge = engine.calibrate(block), TrialEvaluator(truth)
     shared = judge.common_columns(block)
     columns = shared | judge.method_columns(block, found, engine.construction)
@@ -175,12 +175,12 @@ def test_judge_equals_evaluation_of_single_recordings(engine: BatchCalibrator) -
 
 def test_a_draw_depends_on_its_key_alone(make_truth: Callable[..., CellTruth]) -> None:
     plain, drifting = make_truth(), make_truth(effects=(EffectDistribution(Drift(), np.zeros(2), np.full(2, 1e-9)),))
-    one, other = plain.draw_block(17, 5), drifting.draw_block(17, 5)
+    one, other = plain.draw_batch(17, 5), drifting.draw_batch(17, 5)
     assert np.array_equal(one.instrument_values, other.instrument_values)
     assert np.array_equal(one.length_errors, other.length_errors)
     assert not np.array_equal(one.reading_deviations, other.reading_deviations)
-    assert not np.array_equal(one.instrument_values, plain.draw_block(17, 6).instrument_values)
-    assert not np.array_equal(one.instrument_values, plain.draw_block(18, 5).instrument_values)
+    assert not np.array_equal(one.instrument_values, plain.draw_batch(17, 6).instrument_values)
+    assert not np.array_equal(one.instrument_values, plain.draw_batch(18, 5).instrument_values)
 
 
 def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Callable[..., CellTruth]) -> None:
@@ -191,7 +191,7 @@ def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Cal
             distributions=replace(truth.distributions, noise_sigmas=np.full((*truth.recording.readings.shape,), 1e-15)),
             resolution=np.zeros((1, 3)),
         )
-        block = silent.draw_block(18, 0)
+        block = silent.draw_batch(18, 0)
         for k in (0, 200):
             exact = truth.construction.readings(
                 truth.sightings.local_points, truth.recording.face, block.instrument_values[0, :, k]
@@ -200,13 +200,13 @@ def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Cal
             gap = silent.trial_readings(block, k) - exact
             gap[:, 1:] = np.arctan2(np.sin(gap[:, 1:]), np.cos(gap[:, 1:]))
             assert np.abs(gap).max() < 5e-12
-    noisy = truth.draw_block(18, 0)
+    noisy = truth.draw_batch(18, 0)
     steps = noisy.reading_deviations[:, 0] + truth.recording.readings[:, 0, None]
     assert np.abs(steps / 1e-7 - np.round(steps / 1e-7)).max() < 1e-6
 
 
 def test_stated_lengths_carry_their_error_to_every_calibrator(engine: BatchCalibrator) -> None:
-    block = engine.truth.draw_block(19, 0)
+    block = engine.truth.draw_batch(19, 0)
     recording = recording_of_trial(engine.truth, block, 4)
     before, after = engine.truth.recording.gauge.distance, recording.gauge.distance
     error = [1e-3 * (b.length_mm - a.length_mm) for a, b in zip(before, after, strict=True)]

@@ -35,7 +35,7 @@ def rows(scenario: Scenario) -> dict[str, list[object]]:
 
 def test_station_that_sees_two_targets_is_left_out_of_the_error() -> None:
     truth = make_cell_truth(with_far_station(levelled=True), 0, "campaign", 2)
-    judge, block = TrialEvaluator(truth), truth.draw_block(0, 2, 1)
+    judge, block = TrialEvaluator(truth), truth.draw_batch(0, 2, 1)
     assert judge.is_measured.sum(axis=1)[-1] == 2 and judge.has_frame.tolist() == [True] * 5 + [False]
     assert not judge.has_criteria
     recording, total = truth.recording, []

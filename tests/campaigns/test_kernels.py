@@ -71,7 +71,7 @@ def test_motions_that_nothing_moves_are_dropped(make_truth: Callable[..., CellTr
 def test_gradient_is_that_of_the_cost(engine: BatchCalibrator) -> None:
     """Along random directions, by differences of the cost, at a state three sigma away in every unknown."""
     network: BatchNetwork = engine.batch_network
-    block = engine.truth.draw_block(3, 0)
+    block = engine.truth.draw_batch(3, 0)
     size = network.end_indices[-1]
     rng = np.random.default_rng(6)
     spread = np.sqrt(np.diag(network.covariance))[:, None]

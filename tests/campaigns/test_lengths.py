@@ -26,7 +26,7 @@ BARS = lt.scenario(
 
 def test_batches_are_the_single_calibrators_and_scatter_as_predicted() -> None:
     truth = make_cell_truth(BARS, 4, "campaign")
-    block = truth.draw_block(4, 0)
+    block = truth.draw_batch(4, 0)
     engine = BatchCalibrator(truth, truth.construction)
     found = engine.calibrate(block)
     assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 2e-4

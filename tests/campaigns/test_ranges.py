@@ -29,7 +29,7 @@ def truth() -> CellTruth:
 
 
 def test_the_batch_is_the_full_solver_and_scatters_as_predicted(truth: CellTruth) -> None:
-    engine, block = BatchCalibrator(truth, truth.construction), truth.draw_block(4, 0)
+    engine, block = BatchCalibrator(truth, truth.construction), truth.draw_batch(4, 0)
     found = engine.calibrate(block)
     assert (found.status_indices == 0).mean() > 0.95
     assert np.isnan(truth.trial_readings(block, 0)[:, 1:]).all()
@@ -63,7 +63,7 @@ def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: CellTruth) -> None
     assert fast.weighted_target_rms[0] == pytest.approx(slow.target_rms, rel=1e-6)
     known = np.sqrt(np.diag(np.linalg.inv(fast.information[0]))) * slow.prior_sigma
     np.testing.assert_allclose(known, slow.instrument_sigmas, rtol=1e-6)
-    found = BatchCalibrator(truth, built).calibrate(truth.draw_block(5, 0))
+    found = BatchCalibrator(truth, built).calibrate(truth.draw_batch(5, 0))
     points = truth.state.target_points
     errors = [align_to_points(points + gap, points) - points for gap in np.moveaxis(found.target_errors, 2, 0)]
     achieved = np.sqrt(np.mean(np.sum(np.square(errors), axis=2)))

@@ -156,7 +156,7 @@ def test_methods_are_compared_on_one_recording_as_the_campaign_compares_them_in_
     assert judged.column("calibration") == ["network", "distance"]
     alone = lt.compare_calibrations(scenario, found["network"], "paper-laboratory", seed=3, trial=17)
     assert alone.table().column("error_calibrated_um") == judged.column("error_calibrated_um")[:1]
-    with pytest.raises(SetupError, match="'network' calibrates another recording than that of seed 3, trial 16"):
+    with pytest.raises(SetupError, match="calibration 'network' belongs to another recording than seed 3, trial 16"):
         lt.compare_calibrations(scenario, found, "paper-laboratory", seed=3, trial=16)
     with pytest.raises(SetupError, match="no calibration is given"):
         lt.compare_calibrations(scenario, {}, "paper-laboratory", seed=3, trial=17)

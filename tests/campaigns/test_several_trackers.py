@@ -21,7 +21,7 @@ TWO = load_scenario("two-trackers")
 
 def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -> None:
     truth = make_cell_truth(TWO, 4, "campaign")
-    block = truth.draw_block(4, 0, 64)
+    block = truth.draw_batch(4, 0, 64)
     assert block.instrument_values.shape == (2, 16, 64)
     for i, name in enumerate(truth.recording.instruments):
         for k, parameter in enumerate(truth.construction.parameter_names):

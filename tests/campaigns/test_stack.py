@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.campaigns.calibrators import StackCalibrator, stack_geometries
 from ltsim.campaigns.spec import Method
-from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBlock
+from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBatch
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import CellTruth, make_cell_truth
 from ltsim.physics.model.construction import misalignment_construction
@@ -37,7 +37,7 @@ def test_side_by_side_is_as_alone(name: str) -> None:
     assert len(np.unique(stack.recording_row_of_pointing, axis=1).T) == TRIALS
     for k, truth in truths.items():
         own, engine, judge = (
-            truth.draw_block(8, k, 1),
+            truth.draw_batch(8, k, 1),
             BatchCalibrator(truth, misalignment_construction()),
             TrialEvaluator(truth),
         )
@@ -62,6 +62,6 @@ def test_trial_that_the_batch_gives_up_is_done_alone() -> None:
     block.single_trials[3].reading_deviations[11, 0] += 0.02
     block.reading_deviations[stack.recording_row_of_pointing[:, 3] == 11, 0, 3] += 0.02
     calibrator = StackCalibrator.for_stack(Method(), stack)
-    found: CalibratedBlock = calibrator.calibrate(block, np.arange(TRIALS))
+    found: CalibratedBatch = calibrator.calibrate(block, np.arange(TRIALS))
     assert found.status_indices.tolist() == [0, 0, 0, 1, 0]
     assert np.abs(found.instrument_values[:, :, 3] / found.instrument_sigmas[:, :, 3]).max() < 1e3

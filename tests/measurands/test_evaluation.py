@@ -17,7 +17,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.measurands.evaluation import TaskEvaluation, evaluate_tasks
 from ltsim.measurands.inputs import LENGTHS_SOURCE, PRIOR_SOURCE, TaskInputs, UncertaintySource
 from ltsim.measurands.measurands import Measurand
-from ltsim.measurands.propagation import expansion_of_part, propagate, run_monte_carlo, shortest_intervals
+from ltsim.measurands.propagation import propagate, run_monte_carlo, shortest_intervals, thermal_expansion_of_part
 from ltsim.measurands.spec import DecisionRule, MonteCarloSettings, Task, Tasks, ToleranceLimits, validate_tasks
 from ltsim.measurands.uncertainty import Uncertainty, evaluate_conformity, normalised_error, normalised_errors_of_files
 from ltsim.physics.model.construction import misalignment_construction
@@ -99,14 +99,14 @@ def test_budgets_add_up_and_both_ways_agree() -> None:
     assert np.allclose(total, np.diag(found.linear.covariance), rtol=1e-9)
     regular = [output.unit == "mm" and "ness" not in output.name for _, output in found.outputs]
     assert np.allclose((found.monte_carlo.sigmas / found.linear.sigma)[regular], 1.0, atol=0.03)
-    assert found.curvature_ratios[regular].max() < 0.05
+    assert found.nonlinearity_ratios[regular].max() < 0.05
 
 
 def test_it_is_said_where_linear_propagation_fails() -> None:
     """The points of the bore lie on a circle but for their noise: roundness cannot be negative."""
     found = evaluated()
     roundness = [output.name for _, output in found.outputs].index("roundness")
-    assert not found.interval_agrees[roundness]
+    assert not found.intervals_agree[roundness]
     assert any("bore, roundness" in sentence for sentence in found.warnings)
 
 
@@ -116,7 +116,7 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
     with_weather = tasks(task=TASKS["task"][:1], type_b=TASKS["type_b"][:1])
     inputs = TaskInputs.from_recording(recording, with_weather)
     measurand = Measurand.from_task(with_weather.task[0], inputs.target_names, inputs.points)
-    predicted = propagate(inputs, [measurand], expansion_of_part(None))
+    predicted = propagate(inputs, [measurand], thermal_expansion_of_part(None))
     noise = sum(share[0] for name, share in predicted.variance_by_source.items() if name.endswith("readings"))
     expected = {False: np.sqrt(noise), True: np.sqrt(noise + predicted.variance_by_source["station-weather"][0])}
     lengths = {True: [], False: []}  # type: dict[bool, list[float]]
@@ -179,14 +179,14 @@ def test_published_distributions() -> None:
         response[0] = sizes
         source = UncertaintySource("inputs", "B", response, "rectangular")
         inputs = TaskInputs(cast(Adjustment, None), ("P",), np.zeros((1, 3)), np.zeros((0, 3)), (source,))
-        linear = propagate(inputs, [measurand], expansion_of_part(None))
-        found = run_monte_carlo(inputs, [measurand], expansion_of_part(None), MonteCarloSettings(), linear)
+        linear = propagate(inputs, [measurand], thermal_expansion_of_part(None))
+        found = run_monte_carlo(inputs, [measurand], thermal_expansion_of_part(None), MonteCarloSettings(), linear)
         assert found.sigmas[0] == pytest.approx(sigma, rel=1e-3)
         assert found.symmetric_intervals[0] == pytest.approx([-half, half], abs=0.02)
         assert found.n_trials == 20_000, "the sum is linear: its distribution is known without drawing"
         expanded = {2.00: 3.92, 10.15: 19.9}[sigma]
         assert linear.expanded_uncertainty(0.95)[0] == pytest.approx(expanded, abs=0.05)
-    assert not found.interval_agrees(linear, 0.95)[0]
+    assert not found.intervals_agree(linear, 0.95)[0]
 
 
 @pytest.mark.parametrize("digits", family([1, 2]))
@@ -197,14 +197,14 @@ def test_a_normal_linear_task_is_never_told_otherwise_by_the_noise_of_trials(dig
     inputs = TaskInputs(
         cast(Adjustment, None), ("P",), np.ones((1, 3)), np.zeros((0, 3)), (UncertaintySource("in", "A", response),)
     )
-    linear = propagate(inputs, [measurand], expansion_of_part(None))
+    linear = propagate(inputs, [measurand], thermal_expansion_of_part(None))
     for seed in range(100):
         found = run_monte_carlo(
-            inputs, [measurand], expansion_of_part(None), MonteCarloSettings(digits=digits, seed=seed), linear
+            inputs, [measurand], thermal_expansion_of_part(None), MonteCarloSettings(digits=digits, seed=seed), linear
         )
         assert found.is_stable.all(), seed
         assert np.all(5 * found.numerical_errors <= found.tolerances), seed
-        assert found.interval_agrees(linear, 0.95).all(), seed
+        assert found.intervals_agree(linear, 0.95).all(), seed
 
 
 def test_a_curved_task_is_told_and_its_interval_is_the_true_one() -> None:
@@ -215,9 +215,9 @@ def test_a_curved_task_is_told_and_its_interval_is_the_true_one() -> None:
     inputs = TaskInputs(
         cast(Adjustment, None), ("A", "B"), points, np.zeros((0, 6)), (UncertaintySource("in", "A", response),)
     )
-    linear = propagate(inputs, [measurand], expansion_of_part(None))
-    found = run_monte_carlo(inputs, [measurand], expansion_of_part(None), MonteCarloSettings(), linear)
-    assert not found.interval_agrees(linear, 0.95)[0]
+    linear = propagate(inputs, [measurand], thermal_expansion_of_part(None))
+    found = run_monte_carlo(inputs, [measurand], thermal_expansion_of_part(None), MonteCarloSettings(), linear)
+    assert not found.intervals_agree(linear, 0.95)[0]
     expected = np.sqrt(stats.ncx2.ppf([0.025, 0.975], 3, 9.0))
     assert found.symmetric_intervals[0] == pytest.approx(expected, abs=2 * found.numerical_errors[0])
 

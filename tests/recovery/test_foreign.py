@@ -138,7 +138,7 @@ def test_checks_are_a_function_of_estimate_sigma_and_truth() -> None:
 @pytest.mark.parametrize(
     ("given", "reason"),
     [
-        ({}, "it has no parameter"),
+        ({}, "it contains no parameter"),
         ({"beam-tilt": (1.0, 0.0, "urad")}, "sigma of beam-tilt is 0.0, it should be greater than 0"),
         ({"beam-tilt": (float("nan"), 1.0, "urad")}, "value of beam-tilt is nan, it should be a finite number"),
         ({"beam-tilt": 3.0}, "beam-tilt is 3.0"),
@@ -260,7 +260,7 @@ def test_units_and_order_may_differ_from_trial_to_trial_but_not_the_parameters()
     answers = iter([{"beam-tilt": (8.0, 3.0, "urad")}, {"transit-tilt": (5.0, 3.0, "urad")}])
     partial = lt.recover(SCENE, trials=2, calibrator=lambda recording: next(answers))
     assert partial.converged == 1
-    assert partial.failure_sentences()[0] == "trial 1: the calibrator gives beam-tilt in a part of the trials only"
+    assert partial.failure_sentences()[0] == "trial 1: the calibrator gives beam-tilt only in some of the trials"
 
 
 @pytest.mark.parametrize("jobs", family([1, 2]))

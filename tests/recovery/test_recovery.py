@@ -18,7 +18,7 @@ from ltsim.campaigns.scoring import NetworkScore, TrialScore
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.simulation.builtin import builtin_names
-from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.fieldwork import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario
 from ltsim.simulation.simulator import measure_trial
 from tests.families import family
@@ -230,7 +230,7 @@ def test_a_trial_that_does_not_converge_fails() -> None:
 def errors_of(trials: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors (N, d) of parameters, targets and poses on one geometry, their stated sigmas, and inner-datum ratios."""
     scenario = with_errors_from_prior(load_scenario("paper-workshop-re-aimed"))
-    work = make_geometry(scenario, 5)
+    work = make_measurement_geometry(scenario, 5)
     errors, sigmas, inner = [], [], []
     for trial in range(trials):
         recording, truth = measure_trial(work, 5, trial)

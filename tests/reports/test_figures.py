@@ -224,7 +224,7 @@ def scores(z: np.ndarray) -> list[ZScoreSummary]:
 
 
 def z_scores_of(parameter: str, trials: int, coverage: float) -> ZScoreSummary:
-    values = {"mean": 0.0, "deviation": 1.0, "coverage_95": coverage}
+    values = {"mean": 0.0, "standard_deviation": 1.0, "coverage_95": coverage}
     return ZScoreSummary(cell=0, method="network", parameter=parameter, trials=trials, **values)
 
 

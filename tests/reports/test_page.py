@@ -241,7 +241,10 @@ def test_a_sweep_reads_without_its_maker(tmp_path: Path) -> None:
     tables = {block.title: block for block in section.blocks if block.kind == "table"}
     varied = tables["What was varied"].rows
     assert varied[1][:2] == ["angle noise [arcsec]", "0.2, 0.4, 0.8"]
-    assert varied[2][2:] == ["work.repeats", "Number of rounds."]
+    assert varied[2][2:] == [
+        "work.repeats",
+        "Number of rounds at each station; each round points once at every target in each face.",
+    ]
     ends = tables["Convergence of the trials"]
     assert list(ends.header[:4]) == ["targets", "angle noise [arcsec]", "repeats", "method"]
     assert len({tuple(row[:3]) for row in ends.rows}) == 27

@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 
 from ltsim.core.errors import SetupError
 from ltsim.simulation.draws import StandardNormalSource
-from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.fieldwork import make_measurement_geometry
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.sections import Cmm, ScenarioGauge
 from ltsim.simulation.simulator import error_free_recording, trial_distributions
@@ -82,7 +82,7 @@ def test_aluminium_grows_by_58_um_on_the_shortest_length() -> None:
 
 
 def test_certificate_scatters_as_the_machine_promises() -> None:
-    work = make_geometry(load_scenario("paper-workshop"), 1)
+    work = make_measurement_geometry(load_scenario("paper-workshop"), 1)
     lengths = make_gauge_frame(work.scenario.gauge).lengths
     drawn = trial_distributions(work, error_free_recording(work)).draw(StandardNormalSource(1, np.arange(400)))
     gaps = drawn.certified_lengths.T - lengths

@@ -10,7 +10,7 @@ import pytest
 import ltsim as lt
 from ltsim.core.errors import SetupError
 from ltsim.simulation.builtin import builtin_names, builtin_text
-from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.fieldwork import make_measurement_geometry
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 from ltsim.simulation.sections import PAPER_PRIOR, PRESETS
 
@@ -143,7 +143,7 @@ def test_unknown_names_are_refused_with_the_closest() -> None:
 def test_a_station_that_sees_nothing_is_refused(write: Write) -> None:
     text = MINIMAL + "[[workshop.obstacles]]\nbox_mm = [1000, 1000, 3000]\nposition_mm = [3000, 3000, 0]\n"
     with pytest.raises(SetupError, match=r"stations\.S1: sees no reflector \(A is station inside an obstacle\)"):
-        make_geometry(load_scenario(write(text)), 1)
+        make_measurement_geometry(load_scenario(write(text)), 1)
 
 
 def test_cad_files_are_found_beside_the_scenario(write: Write, tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def test_cad_files_are_found_beside_the_scenario(write: Write, tmp_path: Path) -
     scenario = load_scenario(path)
     assert scenario.workshop.obstacles[0].file == str(tmp_path / "press.stl")
     with pytest.raises(SetupError, match=r"press\.stl: cannot be read"):
-        make_geometry(scenario, 1)
+        make_measurement_geometry(scenario, 1)
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_cad_files_are_found_beside_the_scenario(write: Write, tmp_path: Path) -
 )
 def test_constants_that_mean_nothing_are_refused(write: Write, tables: str, says: str) -> None:
     with pytest.raises(SetupError, match=re.escape(says)):
-        make_geometry(load_scenario(write(f"{MINIMAL}\n{tables}\n")), 1)
+        make_measurement_geometry(load_scenario(write(f"{MINIMAL}\n{tables}\n")), 1)
 
 
 def test_effects_as_objects_are_those_of_a_file() -> None:

@@ -14,7 +14,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.search_inputs import planned_survey
 from ltsim.recordings.native import read_recording, write_recording
-from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.fieldwork import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario, scenario_to_toml, validate_scenario
 from ltsim.simulation.simulator import simulate
 from ltsim.simulation.truth import read_truth, write_truth
@@ -61,7 +61,7 @@ def test_a_tracker_with_a_name_measures_as_one_without() -> None:
 def test_each_tracker_has_noise_resolution_and_errors_of_its_own() -> None:
     quiet = {"noise_factor": 0.0, "errors": {}, "resolution": {"distance_um": 0.0, "angle_arcsec": 0.0}}
     loud = {"noise_factor": 2.0, "errors": {"range-offset": 300.0}, "resolution": {"distance_um": 100.0}}
-    work = make_geometry(two(instruments__A=quiet, instruments__B=loud), 1)
+    work = make_measurement_geometry(two(instruments__A=quiet, instruments__B=loud), 1)
     recording, truth = lt.simulate(work.scenario, seed=1)
     gap = recording.readings[:, 0] - work.sightings.range_
     at_b = np.array(recording.instruments)[recording.instrument] == "B"

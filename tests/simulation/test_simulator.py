@@ -16,7 +16,7 @@ from ltsim.physics.effects import CATALOGUE, Effect, find_effect
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.native import read_recording, write_recording
 from ltsim.recordings.recording import Recording
-from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.fieldwork import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.simulator import exact_readings, measure_trial, simulate
 from ltsim.simulation.truth import Truth
@@ -69,7 +69,9 @@ def test_face_order_per_target_and_per_station() -> None:
 
 
 def test_the_instrument_is_exact_in_both_directions() -> None:
-    work = make_geometry(with_(TWO_FACE, instrument={"errors": {"beam-tilt": 400.0, "transit-offset": 900.0}}), 2)
+    work = make_measurement_geometry(
+        with_(TWO_FACE, instrument={"errors": {"beam-tilt": 400.0, "transit-offset": 900.0}}), 2
+    )
     values = np.array(
         [{"beam-tilt": 4e-4, "transit-offset": 9e-4}.get(n, 0.0) for n in work.construction.parameter_names]
     )
@@ -93,7 +95,7 @@ def test_dh_has_its_own_errors() -> None:
 
 def test_noise_has_the_stated_size_whatever_the_place() -> None:
     scenario = with_(TWO_FACE, instrument={"resolution": SILENT["resolution"]})
-    work, z = make_geometry(scenario, 8), []
+    work, z = make_measurement_geometry(scenario, 8), []
     for trial in range(60):
         recording, truth = measure_trial(work, 8, trial)
         gap = recording.readings - exact_readings(work, np.array([list(truth.instrument_values.values())]), ())
@@ -156,7 +158,7 @@ def test_an_effect_adds_exactly_its_shift() -> None:
     entry[0]["values"] = {name: 4.0}
     plain, _ = simulate(with_(PAPER, instrument=silent), 6)
     more, truth = simulate(with_(PAPER, instrument=silent, effects=entry), 6)
-    work = make_geometry(PAPER, 6)
+    work = make_measurement_geometry(PAPER, 6)
     shift = truth.applied_effects[0].effect.reading_change(work.sightings, truth.applied_effects[0].parameter_values)
     np.testing.assert_allclose(more.readings - plain.readings, shift, atol=1e-14)
     assert np.abs(shift[:, 0]).max() == pytest.approx(4e-6, rel=0.05)
@@ -243,7 +245,7 @@ def test_the_same_seed_is_the_same_instrument_in_workshop_and_laboratory() -> No
 
 
 def test_trials_on_one_geometry_differ_in_errors_and_noise_only() -> None:
-    work = make_geometry(PAPER, 1)
+    work = make_measurement_geometry(PAPER, 1)
     (one, first), (two, second) = measure_trial(work, 1, 0), measure_trial(work, 1, 1)
     np.testing.assert_array_equal(first.target_points, second.target_points)
     np.testing.assert_array_equal(one.target, two.target)
@@ -287,7 +289,7 @@ def test_the_set_up_knows_the_plan_and_not_the_truth() -> None:
 def test_a_levelled_station_leans_as_little_as_its_level_says() -> None:
     stations = {name: {**s.model_dump(), "levelled": True} for name, s in PAPER.stations.items()}
     scenario = with_(PAPER, stations=stations)
-    lean = [make_geometry(scenario, seed).layout.station_rotations[:, 2, :2] for seed in range(60)]
+    lean = [make_measurement_geometry(scenario, seed).layout.station_rotations[:, 2, :2] for seed in range(60)]
     assert np.std(lean) / ARCSECOND == pytest.approx(1.0, rel=0.15)
 
 

@@ -72,7 +72,7 @@ def test_no_nominal_points_without_a_machine(truth: Truth) -> None:
         ({"noise_factor": "loud"}, "noise_factor"),
         ({"parameters": [{"name": "a", "value": 1.0, "unit": "furlong"}]}, "'furlong' is not a unit"),
         ({"effects": [{"effect": "ghost"}]}, "no effect called 'ghost'"),
-        ({"nominal": [{"name": "X", "position_mm": [0, 0, 0]}]}, "other names than the targets"),
+        ({"nominal": [{"name": "X", "position_mm": [0, 0, 0]}]}, "differ from those of the targets"),
     ],
 )
 def test_wrong_files_get_one_sentence(change: dict[str, object], message: str, truth: Truth, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from ltsim.core.units import DEGREE
 from ltsim.geometry.polar import to_polar
 from ltsim.scene.visibility import InvisibilityReason, best_nest_normals, shadow_radii
-from ltsim.simulation.fieldwork import make_geometry
+from ltsim.simulation.fieldwork import make_measurement_geometry
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.simulator import simulate
 from ltsim.simulation.workshop import (
@@ -76,7 +76,7 @@ def test_every_reflector_is_seen_from_every_station_outside_both_cones(cone: flo
 
 @pytest.mark.parametrize("seed", range(20))
 def test_they_are_still_seen_where_they_truly_stand(seed: int) -> None:
-    assert make_geometry(changed(PAPER, "workshop", shadow_cone_deg=110.0), seed).hidden_pair_notes == ()
+    assert make_measurement_geometry(changed(PAPER, "workshop", shadow_cone_deg=110.0), seed).hidden_pair_notes == ()
 
 
 @pytest.mark.parametrize("name", ["paper-workshop", "paper-workshop-re-aimed", "paper-workshop-two-face"])

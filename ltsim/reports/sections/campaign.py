@@ -330,7 +330,7 @@ def _statistic_tables(
     cells = results.table("summary")
     extra_fields = {
         "cell",
-        "deviation",
+        "standard_deviation",
         "least",
         "largest",
         *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5")),

@@ -6,11 +6,11 @@ from hypothesis import given, strategies as st
 from ltsim.core.units import ARCSECOND
 from ltsim.simulation.physics import round_to_resolution, true_noise_sigmas
 from ltsim.simulation.scenario import load_scenario
-from ltsim.simulation.simulator import make_geometry, measure_trial
+from ltsim.simulation.simulator import make_measurement_geometry, measure_trial
 
 
 def test_sigma_is_that_of_a_recording() -> None:
-    work = make_geometry(load_scenario("paper-workshop-two-face"), 3)
+    work = make_measurement_geometry(load_scenario("paper-workshop-two-face"), 3)
     recording, _ = measure_trial(work, 3)
     np.testing.assert_allclose(true_noise_sigmas(work.scenario, work.sightings), recording.sigma(), rtol=1e-3)
 
