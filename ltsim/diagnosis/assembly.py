@@ -41,12 +41,12 @@ def assemble_diagnosis(
     baseline, adjusted = state.baseline_adjustment, model_fit.refit.adjustment
     shift_findings = [
         model_fit.finding_of_member(i)
-        for i, finding in enumerate(model.members)
-        if finding.key not in model_fit.withheld_effect_keys
+        for i, hypothesis in enumerate(model.members)
+        if hypothesis.key not in model_fit.withheld_effect_keys
     ]
     has_clock = state.recording.has_clock
     noise_findings = [
-        noise_finding(finding, baseline.sightings, global_test, has_clock=has_clock) for finding in state.noise_changes
+        noise_finding(change, baseline.sightings, global_test, has_clock=has_clock) for change in state.noise_changes
     ]
     findings = _reported_findings(test_findings, shift_findings, noise_findings)
     before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=held_out_errors.rms_without_model)

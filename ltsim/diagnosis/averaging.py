@@ -162,10 +162,10 @@ def alternative_weights_and_changes(
     none += sum(p for h, p in zip(ranking.hypotheses, rest_of, strict=True) if _is_noise_hypothesis(h))
     p_rest = max(1.0 - none - sum(p for _, p in other_models), 0.0)
     instances = _hypotheses_at_probable_shapes(searcher, reduced_model, selected_hypothesis)
-    coordinate_changes = [expected_reading_change(searcher, reduced_model, h) for h, _ in (*instances, *other_models)]
-    coordinate_changes.append(np.zeros_like(coordinate_changes[0]))
+    reading_changes = [expected_reading_change(searcher, reduced_model, h) for h, _ in (*instances, *other_models)]
+    reading_changes.append(np.zeros_like(reading_changes[0]))
     weights = np.array([*(p_rest * p for _, p in instances), *(p for _, p in other_models), none])
-    return weights / weights.sum(), np.array(coordinate_changes)
+    return weights / weights.sum(), np.array(reading_changes)
 
 
 def _is_noise_hypothesis(hypothesis: Hypothesis) -> bool:

@@ -1,15 +1,32 @@
-"""Steps of a diagnosis: preprocessing, global test, selection of a model, refit, report."""
+"""Steps of a diagnosis: preprocessing, global test, selection of a model, refit, report.
+
+Decisions in their order, each with its criterion:
+
+1. Simple causes of the network (`identify_causes`): evidence of nonlinear adjustments with and without each cause.
+2. Blunders among these causes are corrected or rejected before the search (`adjustment_without_blunders`).
+3. Global test (`run_global_test`): the evidence of all hypotheses together, against that of simulated recordings. The
+   search goes on if its p-value is below the level.
+4. Changes of the noise or effects first (`model_selection.select_model`): whichever have the larger log evidence.
+5. Effects (`Searcher.select_model`): forward, backward and exchange steps. A further effect increases the log evidence
+   by `MIN_EFFECT_LOG_EVIDENCE` or more.
+6. Instrument constants that contradict their reference, instead of effects: the larger joint log evidence.
+7. Changes of the noise and effects in turns, while the log evidence increases.
+8. Effects that the nonlinear refit does not support are removed (`_refit_and_prune`): log Bayes factor below zero.
+9. Rejected readings that the model explains are used again, and steps 4 to 8 are repeated with them.
+10. Effects of the model with too small a probability are not reported (`SelectedModelFit.withheld_effect_keys`).
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.identification import identify_causes
+from ltsim.adjustment.identification import CauseSelection, identify_causes
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.calibration.prior_information import EarlierCalibrationPrior
+from ltsim.core.arrays import Bools
 from ltsim.core.limits import MAX_DIAGNOSED_POINTINGS, MAX_DIAGNOSED_TARGETS
 from ltsim.diagnosis.assembly import assemble_diagnosis
 from ltsim.diagnosis.catalogue_designs import CatalogueDesigns
@@ -25,7 +42,7 @@ from ltsim.diagnosis.instruments import (
     HistoryExpectation,
     find_contradictions,
 )
-from ltsim.diagnosis.model_selection import MIN_EFFECT_LOG_EVIDENCE, ConstantComparisonFunction, select_model
+from ltsim.diagnosis.model_selection import ConstantComparisonFunction, select_model
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.preprocessing import adjustment_without_blunders, identified_effects, is_consistent_when_omitted
 from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
@@ -91,32 +108,22 @@ def diagnose(
         else HistoryExpectation.from_calibrations(history, recording, construction).find_contradictions
     )
     selection = identify_causes(recording, construction)
-    if selection is None:
-        baseline, blunder_findings = adjust(recording, construction), list[Finding]()
-        use = baseline.problem.is_used_reading
-    else:
-        baseline, use, blunder_findings = adjustment_without_blunders(recording, construction, selection)
-    start_effects = () if selection is None else identified_effects(selection)
-    state = SelectionState(
-        baseline, use, seed, level, tests_ordinary_constants=history is None, identified_effects=start_effects
-    )
+    state, blunder_findings = _start_state(recording, selection, history, seed=seed, level=level)
     global_test = run_global_test(state.searcher, state.noise_hypotheses)
     is_mismatch = global_test.p_value < level
     initial_space_and_designs, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
     if selection is not None and model.members:
-        readmitted_mask = is_consistent_when_omitted(refit.adjustment, np.isfinite(recording.readings) & ~use)
+        rejected_mask = np.isfinite(recording.readings) & ~state.is_used_reading
+        readmitted_mask = is_consistent_when_omitted(refit.adjustment, rejected_mask)
         if readmitted_mask.any():  # the effects of the model explain these rejected readings
             del state, initial_space_and_designs, model, refit  # their memory is for the second search
-            baseline, use, blunder_findings = adjustment_without_blunders(
-                recording, construction, selection, readmitted_mask=readmitted_mask
-            )
-            state = SelectionState(
-                baseline, use, seed, None, tests_ordinary_constants=history is None, identified_effects=start_effects
+            state, blunder_findings = _start_state(
+                recording, selection, history, seed=seed, level=None, readmitted_mask=readmitted_mask
             )
             initial_space_and_designs, model, refit = _search_and_refit(
                 state, compare_with_reference, is_mismatch=is_mismatch
             )
-    final_adjustment = refit.adjustment if refit.adjustment.solution.has_converged else baseline
+    final_adjustment = refit.adjustment if refit.adjustment.solution.has_converged else state.baseline_adjustment
     contradictions = _contradictions_unexplained_by_model(state, model, final_adjustment, compare_with_reference)
     constant_findings = [
         contradicting_constant_finding(c)
@@ -127,7 +134,7 @@ def diagnose(
     errors = (
         HeldOutErrors()
         if state.searcher.is_large_network and not repeats_search
-        else _held_out_errors(state, model, MIN_EFFECT_LOG_EVIDENCE, repeats_search)
+        else _held_out_errors(state, model, repeats_search=repeats_search)
     )
     model_fit = SelectedModelFit(
         state,
@@ -153,6 +160,38 @@ def diagnose(
     )
 
 
+def _start_state(
+    recording: Recording,
+    selection: CauseSelection | None,
+    history: EarlierCalibrationPrior | None,
+    *,
+    seed: int,
+    level: float | None,
+    readmitted_mask: Bools | None = None,
+) -> tuple[SelectionState, list[Finding]]:
+    """State before a search, without the blunders among the simple causes, and the findings of these blunders.
+
+    `selection` contains the simple causes of the network. With a `level` (false-alarm rate) the search has a p-value.
+    `readmitted_mask` (n, 3) flags readings of blunders that are used nevertheless.
+    """
+    construction = declared_construction(recording)
+    if selection is None:
+        baseline, blunder_findings = adjust(recording, construction), list[Finding]()
+        use = baseline.problem.is_used_reading
+    else:
+        baseline, use, blunder_findings = adjustment_without_blunders(
+            recording, construction, selection, readmitted_mask=readmitted_mask
+        )
+    effects = () if selection is None else identified_effects(selection)
+    tests_constants = history is None
+    return (
+        SelectionState(
+            baseline, use, seed, level, tests_ordinary_constants=tests_constants, identified_effects=effects
+        ),
+        blunder_findings,
+    )
+
+
 def _varies_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> bool:
     """True if one of the effects makes the instrument constant with the name `constant_name` variable."""
     laws = (VARIED_CONSTANTS_BY_RESPONSE.get(e.response.name, ()) for e in effects if isinstance(e, EmpiricalLaw))
@@ -169,8 +208,8 @@ def _search_and_refit(
     The refit is a nonlinear adjustment. The model is empty unless `is_mismatch`.
     """
     initial_space_and_designs = state.space, state.searcher.catalogue_designs
-    model = select_model(state, MIN_EFFECT_LOG_EVIDENCE, compare_with_reference) if is_mismatch else state.empty_model
-    return initial_space_and_designs, *_refit_model(state, model)
+    model = select_model(state, compare_with_reference) if is_mismatch else state.empty_model
+    return initial_space_and_designs, *_refit_and_prune(state, model)
 
 
 def _contradictions_unexplained_by_model(
@@ -184,10 +223,10 @@ def _contradictions_unexplained_by_model(
     Their difference from the reference with the model is at least `MIN_REMAINING_DIFFERENCE_RATIO` times the difference
     without the model.
     """
-    with_model = compare_with_reference(final_adjustment, MIN_EFFECT_LOG_EVIDENCE).contradictions
+    with_model = compare_with_reference(final_adjustment).contradictions
     if not model.members:
         return with_model
-    contradictions = compare_with_reference(state.space.adjustment, MIN_EFFECT_LOG_EVIDENCE).contradictions
+    contradictions = compare_with_reference(state.space.adjustment).contradictions
     difference_by_constant = {
         (contradiction.instruments, contradiction.parameter.name): abs(contradiction.difference)
         for contradiction in contradictions
@@ -200,7 +239,7 @@ def _contradictions_unexplained_by_model(
     )
 
 
-def _refit_model(state: SelectionState, model: Model) -> tuple[Model, Refit]:
+def _refit_and_prune(state: SelectionState, model: Model) -> tuple[Model, Refit]:
     """Model without the effects that its nonlinear refit does not support, and the refit of this model.
 
     The search is linear. The second-order part of a large effect can therefore look like a further effect.
@@ -235,9 +274,7 @@ def _has_specific_noise_change(noise_changes: Sequence[NoiseHypothesis]) -> bool
     return any(not isinstance(change.effect, NoiseLevel) for change in noise_changes)
 
 
-def _held_out_errors(
-    state: SelectionState, model: Model, min_evidence_gain: float, repeats_search: bool
-) -> HeldOutErrors:
+def _held_out_errors(state: SelectionState, model: Model, *, repeats_search: bool) -> HeldOutErrors:
     """Prediction errors of held-out readings, divided by the larger of the declared and the estimated noise.
 
     The error with a model is computed only if `repeats_search`, by searches with `min_evidence_gain`. If `model` is
@@ -251,9 +288,7 @@ def _held_out_errors(
         before = cross_validated_errors(space, seed).rms_without_model
         return HeldOutErrors(before, before)
     return (
-        cross_validated_errors(space, seed, state.searcher, min_evidence_gain)
-        if repeats_search
-        else cross_validated_errors(space, seed)
+        cross_validated_errors(space, seed, state.searcher) if repeats_search else cross_validated_errors(space, seed)
     )
 
 

@@ -54,9 +54,7 @@ class HeldOutErrors(NamedTuple):
         return min(0.0, self.log_score_gain + MIN_SIGNIFICANT_SIGMAS * self.log_score_gain_sigma)
 
 
-def cross_validated_errors(
-    space: ResidualSpace, seed: int, searcher: Searcher | None = None, min_evidence_gain: float = 0.0
-) -> HeldOutErrors:
+def cross_validated_errors(space: ResidualSpace, seed: int, searcher: Searcher | None = None) -> HeldOutErrors:
     """Prediction errors of held-out readings by 5-fold cross-validation.
 
     Parameters
@@ -67,8 +65,6 @@ def cross_validated_errors(
         Seed of the random folds.
     searcher : Searcher, optional
         Search on the same readings. Without a search, `rms_with_model` of the result is None.
-    min_evidence_gain : float
-        Smallest increase of the log evidence for which a further effect is added to a model.
     """
     before, after, count = np.zeros(len(space.sightings)), np.zeros(len(space.sightings)), 0
     groups, pointing = fold_rows(space, seed), np.nonzero(space.is_used_reading)[0]
@@ -77,9 +73,7 @@ def cross_validated_errors(
         count += len(rows) - int(np.sum(values >= 1.0 - MAX_SOLUTION_ROUNDING_ERROR))
         if searcher is not None:
             fold_search = searcher.without_rows(rows)
-            remaining = space.residuals - space.project(
-                _reading_shift_by_selected_model(space, fold_search, min_evidence_gain)
-            )
+            remaining = space.residuals - space.project(_reading_shift_by_selected_model(space, fold_search))
             np.add.at(after, pointing[rows], _normalised_errors_on_fold(remaining[rows], values, vectors) ** 2)
     if not count:
         return HeldOutErrors()
@@ -113,9 +107,9 @@ def _normalised_errors_on_fold(residual: Floats, eigenvalues: Floats, eigenvecto
     return errors
 
 
-def _reading_shift_by_selected_model(space: ResidualSpace, searcher: Searcher, min_evidence_gain: float) -> Floats:
+def _reading_shift_by_selected_model(space: ResidualSpace, searcher: Searcher) -> Floats:
     """Change (m,) of the whitened readings by the model that the search selects; 0 for rows that are no readings."""
-    model = searcher.select_model(min_evidence_gain, requires_member=True)
+    model = searcher.select_model(requires_member=True)
     if not model.members:
         return np.zeros(space.n_rows)
     coefficient_means = wide_prior_posterior(

@@ -28,7 +28,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.probability import SIZE_PRIOR
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import normalised_probabilities
-from ltsim.diagnosis.prior import log_prior_of_each_explanation
+from ltsim.diagnosis.prior import MIN_EFFECT_LOG_EVIDENCE, log_prior_of_each_explanation
 from ltsim.diagnosis.schema import InstrumentEntry, ParameterEstimate
 from ltsim.physics.effects.effect import Parameter
 from ltsim.physics.model.construction import GeometricErrorModel
@@ -129,12 +129,12 @@ class ExpectedConstants:
     """Changes of instrument constants that are tested."""
 
 
-def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> ContradictingConstants:
+def find_contradictions(adjustment: Adjustment) -> ContradictingConstants:
     """Instrument constants that differ from those of other instruments, or from zero for a corrected instrument.
 
     If two instruments differ, the readings do not show which instrument is in error. An error of the constant that is
     farther from zero is then the more probable. An offset common to all corrected instruments is one change, possibly
-    of their reference. A contradiction has a log evidence of more than `min_log_evidence`.
+    of their reference. A contradiction has a log evidence of more than `MIN_EFFECT_LOG_EVIDENCE`.
     """
     recording = adjustment.recording
     setup, unit = recording.setup, prior_sigmas(recording, adjustment.construction)
@@ -156,14 +156,14 @@ def find_contradictions(adjustment: Adjustment, min_log_evidence: float) -> Cont
         ConstantChange(group, k, reference_texts[group]) for group in owners for k in range(unit.shape[1])
     )
     return constants_contradicting_expectation(
-        adjustment, ExpectedConstants(np.zeros(unit.size), covariance, possible_changes), min_log_evidence
+        adjustment, ExpectedConstants(np.zeros(unit.size), covariance, possible_changes)
     )
 
 
 def constants_contradicting_expectation(
-    adjustment: Adjustment, expectation: ExpectedConstants, min_log_evidence: float
+    adjustment: Adjustment, expectation: ExpectedConstants
 ) -> ContradictingConstants:
-    """Instrument constants that differ from their expectation, each with a log evidence above `min_log_evidence`.
+    """Instrument constants that differ from their expectation, with log evidences above `MIN_EFFECT_LOG_EVIDENCE`.
 
     The evidence of each is given the other selected constants. The constants are selected by forward selection with
     exchange, in which selected constants have the prior variance `CHANGED_CONSTANT_PRIOR_VARIANCE`. The readings
@@ -209,12 +209,13 @@ def constants_contradicting_expectation(
             )
         return log_evidences
 
-    odds_by_change = forward_select(log_evidences_given, min_log_evidence)
+    odds_by_change = forward_select(log_evidences_given, MIN_EFFECT_LOG_EVIDENCE)
     score, weight = score_test(likelihood.information, score_vector, expectation.covariance)
     information = change_directions @ weight @ change_directions.T
     contradictions: list[int] = []
     for k in sorted(
-        (k for k in odds_by_change if odds_by_change[k][k] > min_log_evidence), key=lambda k: -odds_by_change[k][k]
+        (k for k in odds_by_change if odds_by_change[k][k] > MIN_EFFECT_LOG_EVIDENCE),
+        key=lambda k: -odds_by_change[k][k],
     ):
         square = information[np.ix_([*contradictions, k], [*contradictions, k])]
         if np.linalg.eigvalsh(scale_to_unit_diagonal(square, np.diag(square))[0])[0] > MAX_SOLUTION_ROUNDING_ERROR:
@@ -331,8 +332,8 @@ class HistoryExpectation:
             calibrations, calibrations.replace_nominal_prior(nominal_prior, construction, names), nominal_prior.sigma
         )
 
-    def find_contradictions(self, adjustment: Adjustment, min_log_evidence: float) -> ContradictingConstants:
-        """Constants that changed after the earlier calibrations, each with a log evidence above `min_log_evidence`."""
+    def find_contradictions(self, adjustment: Adjustment) -> ContradictingConstants:
+        """Instrument constants that changed after the earlier calibrations, with log evidences above the limit."""
         parameters, unit = adjustment.construction.parameters, self.specification
         parameter_indices = [k for k, p in enumerate(parameters) if p.name in self.earlier_calibrations.parameters]
         names = [parameters[k].name for k in parameter_indices]
@@ -353,7 +354,6 @@ class HistoryExpectation:
         return constants_contradicting_expectation(
             adjustment,
             ExpectedConstants(expected_means, linalg.block_diag(*covariance), tuple(possible_changes)),
-            min_log_evidence,
         )
 
     def _additional_variances_and_log_weights(

@@ -13,60 +13,51 @@ from ltsim.diagnosis.hypotheses import Hypothesis, Model, most_probable_name, pr
 from ltsim.diagnosis.instruments import ContradictingConstants
 from ltsim.diagnosis.noise_estimation import with_estimated_sizes
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
-from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
+from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS, MIN_EFFECT_LOG_EVIDENCE
 from ltsim.diagnosis.selection_state import SelectionState
 
 MAX_NOISE_CHANGES = 3
 """Largest number of changes of the noise that are added to a model; a selection of effects follows each of them."""
-MIN_EFFECT_LOG_EVIDENCE = 2.0
-"""Smallest increase of the log evidence by an additional effect. It represents a geometric prior on the number of
-effects, with prior odds of e^-2 (1 to 7) for each additional effect."""
-ConstantComparisonFunction = Callable[[Adjustment, float], ContradictingConstants]
-"""Function whose results are the instrument constants that contradict their reference.
-
-Its arguments are an adjustment, and the smallest log evidence of a contradiction.
-"""
+ConstantComparisonFunction = Callable[[Adjustment], ContradictingConstants]
+"""Function of an adjustment whose result are the instrument constants that contradict their reference."""
 
 
-def select_model(
-    state: SelectionState, min_evidence_gain: float, compare_with_reference: ConstantComparisonFunction
-) -> Model:
+def select_model(state: SelectionState, compare_with_reference: ConstantComparisonFunction) -> Model:
     """Selected model of effects, after a selection of changes of the noise and of changed instrument constants.
 
     `state` is updated with the changes of the noise and the constants. The kind of hypothesis with the largest evidence
-    is selected first, and the selection ends when the evidence increases by less than `min_evidence_gain`. The order
+    is selected first. The selection ends when the evidence increases by less than `MIN_EFFECT_LOG_EVIDENCE`. The order
     matters, because a law that is selected with a wrong noise level absorbs noise, and noise that is estimated before a
     law absorbs the law. Noise is therefore estimated with the effects in the model that are among the simple causes of
     the network.
     """
     noise = state.ranked_noise_changes(state.empty_model)[0][0]
-    shifts = state.searcher.lower_bound_model(min_evidence_gain, noise).penalised_log_evidence
+    shifts = state.searcher.lower_bound_model(noise).penalised_log_evidence
     if noise >= shifts:
         identified = state.searcher.catalogue_designs.hypotheses_of(state.identified_effects[: MAX_MODEL_MEMBERS - 1])
-        start_hypotheses = state.searcher.model_of(identified)
+        start_model = state.searcher.model_of(identified)
         rival = max(
-            shifts - start_hypotheses.penalised_log_evidence,
-            state.searcher.ranking(start_hypotheses).log_evidence_total,
+            shifts - start_model.penalised_log_evidence,
+            state.searcher.ranking(start_model).log_evidence_total,
         )
-        _select_noise_changes(state, min_evidence_gain, rival, identified)
-        model = _select_effects_given_noise(state, min_evidence_gain, identified)
+        _select_noise_changes(state, rival, identified)
+        model = _select_effects_given_noise(state, identified)
     else:
-        model = state.searcher.select_model(min_evidence_gain, requires_member=True)
-    contradicting_constants = compare_with_reference(state.space.adjustment, MIN_EFFECT_LOG_EVIDENCE)
+        model = state.searcher.select_model(requires_member=True)
+    contradicting_constants = compare_with_reference(state.space.adjustment)
     constants = contradicting_constants.contradictions
     if (
         constants
         and contradicting_constants.joint_log_evidence - model.penalised_log_evidence
-        > (len(constants) - len(model.members)) * min_evidence_gain
+        > (len(constants) - len(model.members)) * MIN_EFFECT_LOG_EVIDENCE
     ):
         state.release_priors(constants)
-        model = state.searcher.select_model(min_evidence_gain, requires_member=False)
-    return _alternate_noise_and_effects(state, model, min_evidence_gain)
+        model = state.searcher.select_model(requires_member=False)
+    return _alternate_noise_and_effects(state, model)
 
 
 def _select_noise_changes(
     state: SelectionState,
-    min_evidence_gain: float,
     log_evidence_of_effects: float,
     start_hypotheses: Sequence[Hypothesis],
 ) -> None:
@@ -74,12 +65,12 @@ def _select_noise_changes(
 
     The noise is estimated with the effects of `start_hypotheses` in the model. The first change is always selected,
     because the global test has failed. Effects, with the log evidence `log_evidence_of_effects`, count among the
-    alternatives to it. Each further change must increase the log evidence by `min_evidence_gain`.
+    alternatives to it. Each further change must increase the log evidence by `MIN_EFFECT_LOG_EVIDENCE`.
     """
     effects = [hypothesis.effect for hypothesis in start_hypotheses]
     for further in range(MAX_NOISE_CHANGES):
         ranked = state.ranked_noise_changes(Model.from_space(start_hypotheses, state.space))
-        if further and ranked[0][0] < min_evidence_gain:
+        if further and ranked[0][0] < MIN_EFFECT_LOG_EVIDENCE:
             break
         most_probable = _most_probable_noise_change(ranked, 0.0 if further else log_evidence_of_effects)
         state.add_noise_change(
@@ -88,9 +79,7 @@ def _select_noise_changes(
         state.set_adjustment(state.estimate_variance_components(effects))
 
 
-def _select_effects_given_noise(
-    state: SelectionState, min_evidence_gain: float, start_hypotheses: Sequence[Hypothesis]
-) -> Model:
+def _select_effects_given_noise(state: SelectionState, start_hypotheses: Sequence[Hypothesis]) -> Model:
     """Model of effects in addition to the selected changes of the noise; the empty model if the latter suffice.
 
     The search begins with the hypotheses `start_hypotheses` in the model. Noise that is estimated without an effect
@@ -98,22 +87,23 @@ def _select_effects_given_noise(
     The most probable of them, with its noise, is compared with the noise alone by their evidence.
     """
     alone, searcher = copy(state), state.searcher
-    model = searcher.select_model(min_evidence_gain, requires_member=True, start_hypotheses=start_hypotheses)
+    model = searcher.select_model(requires_member=True, start_hypotheses=start_hypotheses)
     leading = searcher.ranking(searcher.empty_model).most_probable_of_each_kind()[:N_EXACTLY_EVALUATED]
     candidates = [model.members, *((h,) for h in leading)]
     best = max(candidates[:1] if searcher.is_large_network else candidates, key=state.log_evidence_with_effects)
     state.prune_variance_components([h.effect for h in best])
-    model = state.searcher.select_model(min_evidence_gain, requires_member=False, start_hypotheses=best)
+    model = state.searcher.select_model(requires_member=False, start_hypotheses=best)
     if (
         model.members
-        and state.log_evidence_of_noise + model.penalised_log_evidence > alone.log_evidence_of_noise + min_evidence_gain
+        and state.log_evidence_of_noise + model.penalised_log_evidence
+        > alone.log_evidence_of_noise + MIN_EFFECT_LOG_EVIDENCE
     ):
         return model
     state.replace_by(alone)
     return state.empty_model
 
 
-def _alternate_noise_and_effects(state: SelectionState, model: Model, min_evidence_gain: float) -> Model:
+def _alternate_noise_and_effects(state: SelectionState, model: Model) -> Model:
     """Model after alternating selections of changes of the noise and of effects, while the evidence increases.
 
     Each change of the noise is tried in addition to `model`, in place of one of the effects in the model, and in place
@@ -124,7 +114,7 @@ def _alternate_noise_and_effects(state: SelectionState, model: Model, min_eviden
         bases = [model, *(searcher.model_without(model, i) for i in range(len(members)))]
         bases += [searcher.empty_model] if len(members) > 1 else []
         ranked = [state.ranked_noise_changes(base) for base in bases]
-        least = min_evidence_gain + model.discrepancy_penalty
+        least = MIN_EFFECT_LOG_EVIDENCE + model.discrepancy_penalty
         rest = [
             min(searcher.ranking(model).log_evidence_total, least),
             *(searcher.ranking(base).log_evidence_total for base in bases[1:]),
@@ -142,7 +132,7 @@ def _alternate_noise_and_effects(state: SelectionState, model: Model, min_eviden
         space = state.space.with_effects(bases[most].effects)
         state.add_noise_change(with_estimated_sizes(space, state.space.sigma, likeliest_noise))
         state.set_adjustment(state.estimate_variance_components(bases[most].effects))
-        model = state.searcher.select_model(min_evidence_gain, requires_member=False)
+        model = state.searcher.select_model(requires_member=False)
     return model
 
 

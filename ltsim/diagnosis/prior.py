@@ -66,6 +66,9 @@ P_SINGLE_SET_UP_BY_RESPONSE_KIND = {"stand": 0.5}
 differ between set-ups more than instruments do."""
 MAX_MODEL_MEMBERS = 5
 """Largest number of effects in a model, and of reported instrument constants."""
+MIN_EFFECT_LOG_EVIDENCE = 2.0
+"""Smallest increase of the log evidence by an additional effect. It represents a geometric prior on the number of
+effects, with prior odds of e^-2 (1 to 7) for each additional effect."""
 LOG_PRIOR_ODDS_OF_REPETITION = float(np.log(0.03))
 """Log prior odds of a second effect with the same name (two glass panes, two unknown laws), relative to a second effect
 with another name. They apply to effects that rarely occur twice."""

@@ -38,7 +38,7 @@ from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, log_prior_odd
 from ltsim.diagnosis.law_batch import LawBatch, ScreenedLaw, evaluate_law_batches
 from ltsim.diagnosis.law_search_space import law_batches
 from ltsim.diagnosis.null_ensemble import NullEnsemble
-from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
+from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS, MIN_EFFECT_LOG_EVIDENCE
 from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.diagnosis.shape_constants import (
     estimates_averaged_over_shapes,
@@ -98,6 +98,7 @@ class Searcher:
         self.space = space
         self.null_ensemble = NullEnsemble.from_space(space, seed, n_trials)
         self.is_large_network = self.null_ensemble.uses_monte_carlo_gram
+        self.uses_fewer_evaluations = self.is_large_network
         if catalogue_designs is None:
             every = catalogue_candidate_effects(space.sightings, space.adjustment.recording.instruments)
             catalogue_designs = CatalogueDesigns.from_space(
@@ -119,7 +120,7 @@ class Searcher:
     @property
     def _n_exactly_evaluated(self) -> int:
         """Number of effects of the catalogue, and of laws, that a ranking evaluates without approximation."""
-        return N_EXACTLY_EVALUATED_IN_LARGE_NETWORK if self.is_large_network else N_EXACTLY_EVALUATED
+        return N_EXACTLY_EVALUATED_IN_LARGE_NETWORK if self.uses_fewer_evaluations else N_EXACTLY_EVALUATED
 
     def without_rows(self, rows: Ints) -> Searcher:
         """Search without the rows `rows` (f,) of the residual space, with as few evaluations as in large networks.
@@ -131,7 +132,7 @@ class Searcher:
         unit = np.zeros((self.space.n_rows, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         reduced = copy(self)
-        reduced.space, reduced.is_large_network = self.space.with_design_columns(unit), True
+        reduced.space, reduced.uses_fewer_evaluations = self.space.with_design_columns(unit), True
         reduced.null_ensemble = self.null_ensemble.with_model(reduced.space.residuals, self.empty_model.basis)
         reduced.empty_model = Model.from_space((), reduced.space)
         reduced._rankings, reduced._projected_designs = {}, OrderedDict()
@@ -231,7 +232,7 @@ class Searcher:
             law = EmpiricalLaw(place.stations, place.targets, hit.response, driver, place.instruments)
             key = (hit.response.name, driver.kind, driver.covariate_labels, place.stations, place.targets)
             kind = hit.response.name, driver.kind, len(place.targets) == 1
-            chosen = len(evaluated) < self._n_exactly_evaluated or not (self.is_large_network or kind in kinds)
+            chosen = len(evaluated) < self._n_exactly_evaluated or not (self.uses_fewer_evaluations or kind in kinds)
             if chosen and key not in evaluated and hit.log_evidence > min_promising_evidence(laws[0].log_evidence):
                 evaluated.add(key)
                 kinds.add(kind)
@@ -240,7 +241,7 @@ class Searcher:
                     law,
                     hit.log_prior,
                     conditioning_model,
-                    with_steps_and_switches=not self.is_large_network,
+                    with_steps_and_switches=not self.uses_fewer_evaluations,
                 )
             else:
                 entries.append(Hypothesis(law, hit.log_prior, hit.log_evidence, catalogue_name(law)))
@@ -297,10 +298,8 @@ class Searcher:
             self._projected_designs.popitem(last=False)
         return self._projected_designs[key]
 
-    def select_model(
-        self, min_evidence_gain: float, *, requires_member: bool, start_hypotheses: Sequence[Hypothesis] = ()
-    ) -> Model:
-        """Selected model, in which each additional effect increases the log evidence by at least `min_evidence_gain`.
+    def select_model(self, *, requires_member: bool, start_hypotheses: Sequence[Hypothesis] = ()) -> Model:
+        """Selected model, in which each further effect increases the log evidence by `MIN_EFFECT_LOG_EVIDENCE` or more.
 
         The search begins with the hypotheses `start_hypotheses` in the model. With `requires_member` the result has at
         least one effect. If it has a curve with many coefficients, which can imitate several effects, the search starts
@@ -308,7 +307,7 @@ class Searcher:
         selected.
         """
         begin = self.reexamined_model(self.model_of(start_hypotheses))
-        best_model = self._forward_selection(begin, min_evidence_gain, requires_member=requires_member)
+        best_model = self._forward_selection(begin, requires_member=requires_member)
         stiff = [
             h
             for h in self.ranking(self.empty_model).hypotheses
@@ -316,29 +315,27 @@ class Searcher:
         ]
         if (
             stiff
-            and not self.is_large_network
+            and not self.uses_fewer_evaluations
             and any(len(h.plausible_sizes) > MAX_COEFFICIENTS_OF_SIMPLE_EFFECT for h in best_model.members)
         ):
             made = (
                 best_model,
-                self._forward_selection(self.model_of(stiff[:1]), min_evidence_gain, requires_member=True),
+                self._forward_selection(self.model_of(stiff[:1]), requires_member=True),
             )
-            best_model = max(made, key=lambda s: s.penalised_log_evidence - min_evidence_gain * len(s.members))
-        return self._pruned_and_renamed_model(best_model, min_evidence_gain)
+            best_model = max(made, key=lambda s: s.penalised_log_evidence - MIN_EFFECT_LOG_EVIDENCE * len(s.members))
+        return self._pruned_and_renamed_model(best_model)
 
-    def lower_bound_model(self, min_evidence_gain: float, rival_log_evidence: float) -> Model:
+    def lower_bound_model(self, rival_log_evidence: float) -> Model:
         """Model from forward steps alone, whose log evidence is a lower bound of the result of a complete search.
 
         The steps end when the log evidence exceeds `rival_log_evidence`, the log evidence of an alternative. They also
         end when the log evidence would not exceed `rival_log_evidence` even if all further effects increased the
         evidence as much as the last effect did.
         """
-        return self._forward_selection(
-            self.empty_model, min_evidence_gain, requires_member=True, rival_log_evidence=rival_log_evidence
-        )
+        return self._forward_selection(self.empty_model, requires_member=True, rival_log_evidence=rival_log_evidence)
 
     def _forward_selection(
-        self, model: Model, min_evidence_gain: float, *, requires_member: bool, rival_log_evidence: float | None = None
+        self, model: Model, *, requires_member: bool, rival_log_evidence: float | None = None
     ) -> Model:
         """Model after a forward selection that starts with `model`.
 
@@ -346,12 +343,12 @@ class Searcher:
         """
         again = rival_log_evidence is None
         for depth in range(len(model.members), MAX_MODEL_MEMBERS):
-            ranking, least = self.ranking(model), min_evidence_gain + model.discrepancy_penalty
+            ranking, least = self.ranking(model), MIN_EFFECT_LOG_EVIDENCE + model.discrepancy_penalty
             if ranking.log_evidence_total < least and (depth or not requires_member):
                 break
             grown = _best_model([self.model_of((*model.members, h)) for h in ranking.hypotheses[:3]])
-            grown = self.reexamined_model(grown) if again and not self.is_large_network else grown
-            if depth and grown.penalised_log_evidence < model.penalised_log_evidence + min_evidence_gain:
+            grown = self.reexamined_model(grown) if again and not self.uses_fewer_evaluations else grown
+            if depth and grown.penalised_log_evidence < model.penalised_log_evidence + MIN_EFFECT_LOG_EVIDENCE:
                 break
             gain, model = grown.penalised_log_evidence - model.penalised_log_evidence, grown
             if (
@@ -361,14 +358,14 @@ class Searcher:
                 < model.penalised_log_evidence + gain * (MAX_MODEL_MEMBERS - 1 - depth)
             ):
                 break
-        return self.reexamined_model(model) if again and self.is_large_network else model
+        return self.reexamined_model(model) if again and self.uses_fewer_evaluations else model
 
-    def _pruned_and_renamed_model(self, model: Model, min_evidence_gain: float) -> Model:
+    def _pruned_and_renamed_model(self, model: Model) -> Model:
         """Model without the effects that its other effects explain, and with the most probable name of each effect."""
         for member in model.members[::-1]:
             others = self.model_without(model, model.members.index(member))
             ranking = self.ranking(others)
-            if others.members and ranking.log_evidence_total < min_evidence_gain + others.discrepancy_penalty:
+            if others.members and ranking.log_evidence_total < MIN_EFFECT_LOG_EVIDENCE + others.discrepancy_penalty:
                 model = others
             elif (likeliest := ranking.most_probable_name()) != member.name:
                 better = next(h for h in ranking.hypotheses if h.name == likeliest)
@@ -379,7 +376,7 @@ class Searcher:
         """Model after backward and exchange steps, in which its effects are replaced, removed or merged."""
         for turn in range(2):
             before = model.penalised_log_evidence
-            for size in (1,) if turn or self.is_large_network else (1, 2):
+            for size in (1,) if turn or self.uses_fewer_evaluations else (1, 2):
                 for dropped in combinations(range(len(model.members)), size):
                     if len(model.members) < 2 or max(dropped) >= len(model.members):
                         continue

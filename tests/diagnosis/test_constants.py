@@ -77,7 +77,7 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
 def test_an_index_that_one_face_shows_only_with_the_circle_is_told_as_that():
     """Three trackers in one face: 10 urad of one are far within the prior, and far from what the others share."""
     found = find_contradictions(
-        adjust(trackers(3, "vertical-index", 10e-6, 1), misalignment_construction()), 2.0
+        adjust(trackers(3, "vertical-index", 10e-6, 1), misalignment_construction())
     ).contradictions
     assert found
     first = found[0]
@@ -110,7 +110,7 @@ def test_a_scale_against_known_points_is_told_of_both_trackers():
     recording = recording.with_readings(
         exact + recording.sigma() * random_stream(8, "noise").standard_normal(exact.shape)
     )
-    found = find_contradictions(adjust(recording, built), 2.0).contradictions
+    found = find_contradictions(adjust(recording, built)).contradictions
     (both,) = found
     assert (both.instruments, both.parameter.name) == (("A", "B"), "range-scale")
     assert abs(both.difference - 20e-6) < 4 * both.sigma
@@ -118,13 +118,11 @@ def test_a_scale_against_known_points_is_told_of_both_trackers():
 
 def test_trackers_alike_contradict_nothing_and_chances_are_bounded():
     assert (
-        find_contradictions(
-            adjust(trackers(3, "vertical-index", 0.0, 1), misalignment_construction()), 2.0
-        ).contradictions
+        find_contradictions(adjust(trackers(3, "vertical-index", 0.0, 1), misalignment_construction())).contradictions
         == ()
     )
     found = find_contradictions(
-        adjust(trackers(3, "vertical-index", 40e-6, 2), misalignment_construction()), 2.0
+        adjust(trackers(3, "vertical-index", 40e-6, 2), misalignment_construction())
     ).contradictions
     assert [(c.instruments, c.parameter.name) for c in found] == [(("B",), "vertical-index")]
     assert 0.0 <= found[0].p_value < 1e-6

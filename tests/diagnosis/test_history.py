@@ -22,7 +22,6 @@ from ltsim.cli.main import run
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.instruments import ConstantContradiction, HistoryExpectation
-from ltsim.diagnosis.model_selection import MIN_EFFECT_LOG_EVIDENCE
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import write
 from ltsim.recordings.result_file import write_result
@@ -88,7 +87,7 @@ def against(
         problem=adjustment.problem,
     )
     expectation = HistoryExpectation.from_calibrations(known, recording, BUILT)
-    return expectation.find_contradictions(other, MIN_EFFECT_LOG_EVIDENCE).contradictions
+    return expectation.find_contradictions(other).contradictions
 
 
 @pytest.mark.long

@@ -50,13 +50,11 @@ def test_a_tracker_that_is_off_is_told_with_its_constant_and_size():
 
 
 def test_trackers_alike_contradict_nothing():
-    assert find_contradictions(adjust(trackers(0.0), misalignment_construction()), 2.0).contradictions == ()
+    assert find_contradictions(adjust(trackers(0.0), misalignment_construction())).contradictions == ()
 
 
 def test_a_corrected_tracker_is_held_to_its_word():
-    found = find_contradictions(
-        adjust(trackers(60e-6, corrected=True), misalignment_construction()), 2.0
-    ).contradictions
+    found = find_contradictions(adjust(trackers(60e-6, corrected=True), misalignment_construction())).contradictions
     assert [(c.instruments, c.parameter.name) for c in found] == [(("B",), "beam-offset-lateral")]
     assert "correction" in found[0].reference_text
 

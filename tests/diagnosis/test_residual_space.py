@@ -95,7 +95,7 @@ def test_held_out_readings_contradict_a_law_that_they_do_not_follow(space):
     effect = Hypothesis(law("distance", Regressor("wave", ("azimuth",), constant=3.0)), 0.0, 0.0, "unknown")
     model = Model((effect,), (space.project(wave),), np.linalg.norm(wave, axis=0)[None], follows.residuals)
     search = SimpleNamespace(without_rows=lambda _: SimpleNamespace(select_model=lambda *_, **__: model))
-    supported, contradicted = (cross_validated_errors(data, 0, search, 2.0) for data in (follows, opposes))
+    supported, contradicted = (cross_validated_errors(data, 0, search) for data in (follows, opposes))
     assert supported.log_odds_of_model == 0.0
     assert contradicted.log_odds_of_model < -10.0
     for error in (supported, contradicted):
@@ -111,7 +111,7 @@ def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
     for seed in range(6):
         recording, _ = network(seed=seed, stations=3)
         clean = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
-        error = cross_validated_errors(clean, seed, Searcher(clean, seed), 2.0)
+        error = cross_validated_errors(clean, seed, Searcher(clean, seed))
         falls += error.rms_with_model < error.rms_without_model
     assert falls <= 3
 
@@ -120,6 +120,6 @@ def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
 def test_a_real_finding_predicts_what_its_search_has_not_seen(space):
     wave = space.whitened_design(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))[:, 0]
     hidden = replace(space, residuals=space.residuals + 8e-6 * space.project(wave))
-    error = cross_validated_errors(hidden, 0, Searcher(hidden, 0), 2.0)
+    error = cross_validated_errors(hidden, 0, Searcher(hidden, 0))
     assert error.rms_with_model < 0.97 * error.rms_without_model
     assert error.log_odds_of_model == 0.0
