@@ -166,7 +166,9 @@ class ResidualSpace:
 
     def with_effects(self, effects: Sequence[LinearEffect]) -> ResidualSpace:
         """Residual space of the adjustment if the parameters of effects or empirical laws are estimated too."""
-        return self.with_design_columns(np.hstack([self.whitened_design(law) for law in effects])) if effects else self
+        if not effects:
+            return self
+        return self.with_design_columns(np.hstack([self.whitened_design(effect) for effect in effects]))
 
     def target_shifts(self, design_columns: Floats) -> Floats:
         """Shifts (T, 3) [m] of the adjusted targets by a whitened change `design_columns` (m,) of the observations."""

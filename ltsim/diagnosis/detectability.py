@@ -83,7 +83,7 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, detectable_size_ra
     """
     plausible_changes = np.diag([p.prior_sigma for p in effect.parameters])
     distortion = round(
-        max(target_distortion(space, space.whitened_design(effect) @ size_text) for size_text in plausible_changes),
+        max(target_distortion(space, space.whitened_design(effect) @ sizes) for sizes in plausible_changes),
         DISTORTION_DECIMALS,
     )
     size_text = (

@@ -39,7 +39,7 @@ MAX_SINGLE_OUTLIERS = 2
 """Largest number of outliers of one observable at a station, or at a target, that count as single errors."""
 
 
-def blunders_to_correct(selection: CauseSelection) -> list[Hypothesis]:
+def causes_corrected_before_search(selection: CauseSelection) -> list[Hypothesis]:
     """Selected simple causes with sufficient evidence that are corrected before the search for effects.
 
     They are blunders in rows of the recording, and reference values that contradict the readings. Shifts of readings
@@ -60,7 +60,7 @@ def blunders_to_correct(selection: CauseSelection) -> list[Hypothesis]:
 
 def identified_effects(selection: CauseSelection) -> tuple[CandidateEffect, ...]:
     """Catalogue effects among the simple causes that are not corrected before the search, the most certain first."""
-    corrected = blunders_to_correct(selection)
+    corrected = causes_corrected_before_search(selection)
     changes = (
         c.hypothesis.model_change
         for c in selection.selected_hypotheses
@@ -77,11 +77,11 @@ def is_single_error(fit: NetworkFit) -> Bools:
     station or at one target, an effect may be the cause.
     """
     error = np.where(fit.is_outlier, np.abs(fit.whitened_residuals), 0.0) / fit.outlier_prediction_sigmas
-    far, single = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_SIGMAS)
+    isolated, gross = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_SIGMAS)
     for place in (fit.recording.station, fit.recording.target):
         count = np.stack([np.bincount(place, fit.is_outlier[:, k], place.max() + 1) for k in range(3)], axis=1)
-        far &= count[place] <= MAX_SINGLE_OUTLIERS
-    return single | far
+        isolated &= count[place] <= MAX_SINGLE_OUTLIERS
+    return gross | isolated
 
 
 def is_consistent_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Bools:
@@ -102,7 +102,7 @@ def adjustment_without_blunders(
     The readings are corrected by the estimated blunders, whose uncertainty is in the model. `selection` has the simple
     causes of the recording. `readmitted_mask` (n, 3) flags readings that are used although they count as single errors.
     """
-    fit, mistakes = selection.fit, blunders_to_correct(selection)
+    fit, mistakes = selection.fit, causes_corrected_before_search(selection)
     errors = is_single_error(fit)
     if readmitted_mask is not None:
         errors &= ~readmitted_mask
