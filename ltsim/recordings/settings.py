@@ -245,6 +245,9 @@ def validation_sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
         return f"the key {quoted_text(key, 100)} is missing"
     message = error["msg"][0].lower() + error["msg"][1:]
     expected = quoted_text(_reworded_message(message), 120)
+    if choices := re.findall("'([^']*)'", message) if error["type"] == "literal_error" else []:
+        near = difflib.get_close_matches(str(error["input"]), choices, n=1, cutoff=0.5)
+        expected = f"it should be {', '.join(choices)}" + (f"; did you mean {near[0]}?" if near else "")
     return f"{quoted_text(key, 100)} is {value}, but {expected}" if key else expected
 
 

@@ -313,3 +313,10 @@ digits = 1
     (tmp_path / "tasks.toml").write_text(text.replace('"recording"', '"nowhere"'))
     assert run(["uncertainty", str(tmp_path / "tasks.toml")]) == 2
     assert "neither a recording nor a scenario" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("kind", "near"), [("angl", "; did you mean angle?"), ("zzzz", "")])
+def test_a_wrong_kind_lists_all_kinds_and_the_one_that_was_meant(kind: str, near: str) -> None:
+    with pytest.raises(SetupError, match=r"it should be point, .*, pose, deviation") as refused:
+        tasks(task=[{"name": "a", "kind": kind, "targets": ["T01", "T02", "T03"]}])
+    assert str(refused.value).endswith(f"deviation{near}")
