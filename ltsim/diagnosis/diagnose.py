@@ -277,7 +277,7 @@ def _has_specific_noise_change(noise_changes: Sequence[NoiseHypothesis]) -> bool
 def _held_out_errors(state: SelectionState, model: Model, *, repeats_search: bool) -> HeldOutErrors:
     """Prediction errors of held-out readings, divided by the larger of the declared and the estimated noise.
 
-    The error with a model is computed only if `repeats_search`, by searches with `min_evidence_gain`. If `model` is
+    The error with a model is computed only if `repeats_search`, by a search without each fold. If `model` is
     empty, it equals the error without a model.
     """
     nominal = state.recording.sigma()

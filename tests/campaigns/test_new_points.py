@@ -130,7 +130,7 @@ def test_an_effect_of_the_session_is_checked() -> None:
     assert SlowWarp in CATALOGUE and CATALOGUE.session_effects == (SlowWarp,)
     with pytest.raises(ModelError, match="not a class derived from"):
         lt.add_effect(int)
-    with pytest.raises(ModelError, match="has an effect 'head-sag' already"):
+    with pytest.raises(ModelError, match="already has an effect 'head-sag'"):
         lt.add_effect(type("Mine", (SlowWarp,), {"name": "head-sag"}))
 
 

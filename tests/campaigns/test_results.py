@@ -182,7 +182,7 @@ def test_no_trials_and_no_workers_are_no_answer(tmp_path: Path) -> None:
             lt.recover("paper-workshop", trials=trials)
     with pytest.raises(SetupError, match="jobs is 0, expected a whole number, 1 to 256"):
         lt.campaign({"trials": 2}, out=tmp_path / "rows", jobs=0)
-    with pytest.raises(ModelError, match="at least one injection"):
+    with pytest.raises(ModelError, match="at least one strength"):
         lt.injection_curve(lt.simulate("paper-workshop", seed=1).recording, "index-drift", strengths=[])
 
 

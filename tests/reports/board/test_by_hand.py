@@ -139,7 +139,7 @@ def test_what_is_saved_is_planned_and_simulated_where_it_stands(hall: Path, tmp_
     assert len(recording.stations) == 3
     elsewhere = (tmp_path / "moved" / "plan.toml").read_text().replace("x_mm = 4710", "x_mm = 4711", 1)
     (tmp_path / "moved" / "plan.toml").write_text(elsewhere)
-    with pytest.raises(SetupError, match="'M00' is the name of a target at another place"):
+    with pytest.raises(SetupError, match="'M00' is the name of a target at another position"):
         load_plan(tmp_path / "moved" / "plan.toml")
 
 
