@@ -11,8 +11,9 @@ from from_code.pictures import Pictures
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
-from ltsim.core.units import DEGREE, MICROMETRE, SI_PER_UNIT
-from ltsim.physics.effects import CATALOGUE, Effect, ShapeParameter, catalogue_entry
+from ltsim.core.units import DEGREE, MICROMETRE
+from ltsim.physics.effects import CATALOGUE, Effect, catalogue_entry, find_effect
+from ltsim.physics.effects.descriptions import EffectDescription
 from ltsim.reports.style import (
     BLUE,
     INK_COLOUR,
@@ -48,23 +49,20 @@ def cards(pictures: Pictures, _lines: list[str]) -> str:
         if entry.group != group:
             group = entry.group
             lines += ["", f"## {group[0].upper()}{group[1:]}", ""]
-        lines += _card(entry.effect_class, pictures)
+        lines += _card(EffectDescription.from_listed_effect(entry))
+        lines += _signature(entry.effect_class, pictures)
     return "\n".join(lines)
 
 
-def _card(kind: type[Effect], pictures: Pictures) -> list[str]:
-    card = catalogue_entry(kind)
-    lines = ["", f"### {kind.name}", "", f"**{card.title}**: {_text(card.cause_description)}.", ""]
-    lines += [_law(card.equation), ""]
-    sections = [*card.sections(), ("Base rate", f"{kind.base_rate:g} (relative frequency in service; 1 is occasional)")]
+def _card(effect: EffectDescription) -> list[str]:
+    lines = ["", f"### {effect.name}", "", f"**{effect.title}**: {_text(effect.cause)}.", "", _law(effect.law), ""]
+    rate = f"{effect.base_rate:g} (relative frequency in service; 1 is occasional)"
+    sections = [*catalogue_entry(find_effect(effect.name)).sections(), ("Base rate", rate)]
     lines += [f"{name}\n: {_text(text)}\n" for name, text in sections]
-    sizes = [
-        [f"`{p.name}`", f"{p.prior_sigma / p.si_per_display_unit:.3g}", p.unit, _text(p.description)]
-        for p in kind.parameters
-    ]
+    sizes = [[f"`{p.name}`", f"{p.plausible_size:.3g}", p.unit, _text(p.meaning)] for p in effect.parameters]
     lines += ["", *markdown(["parameter", "plausible size", "unit", "meaning"], sizes)]
-    lines += ["", *markdown(["constant", "searched", "unit", "meaning"], [_constant(s) for s in kind.shape_parameters])]
-    return lines + _signature(kind, pictures)
+    constants = [[f"`{s.name}`", f"{s.low:.4g} to {s.high:.4g}", s.unit, _text(s.meaning)] for s in effect.shape]
+    return [*lines, "", *markdown(["constant", "searched", "unit", "meaning"], constants)]
 
 
 def _law(law: str) -> str:
@@ -72,11 +70,6 @@ def _law(law: str) -> str:
     if any(line.startswith(" ") for line in law.splitlines()):
         return f"```text\n{law}\n```"
     return _text(law)
-
-
-def _constant(shape: ShapeParameter) -> list[str]:
-    low, high = shape.lower_bound / SI_PER_UNIT[shape.unit], shape.upper_bound / SI_PER_UNIT[shape.unit]
-    return [f"`{shape.name}`", f"{low:.4g} to {high:.4g}", shape.unit, _text(shape.description)]
 
 
 def _text(text: str) -> str:

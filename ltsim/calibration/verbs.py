@@ -22,8 +22,8 @@ from ltsim.calibration.history import History
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.prior_information import EarlierCalibrationPrior, ParameterSelection
 from ltsim.calibration.reported_uncertainty import with_reported_uncertainty
-from ltsim.core.arguments import check_mapping
-from ltsim.core.errors import LtsimError, ModelError, RecordError, option_text, unknown_name_error
+from ltsim.core.arguments import check_choice, check_mapping
+from ltsim.core.errors import LtsimError, ModelError, RecordError, option_text
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import SizedEffect, effect_tuple, make_effect, name_tuple
 from ltsim.physics.laws.text_form import parse_law
@@ -111,8 +111,7 @@ def calibrate(
     ['parameter', 'instrument', 'value', 'sigma', 'unit', 'prior_sigma', 'held', 'applied']
     """
     check_mapping("hold", hold)
-    if method not in ("network", *NORM_BY_DISTANCE_METHOD):
-        raise unknown_name_error("method", method, ("network", *NORM_BY_DISTANCE_METHOD))
+    check_choice("method", method, ("network", *NORM_BY_DISTANCE_METHOD))
     if isinstance(construction, GeometricErrorModel):
         if harmonics is not None or degree is not None:
             raise ModelError("harmonics and degree can be set only if construction is a name, such as 'dh'")

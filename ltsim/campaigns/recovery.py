@@ -21,10 +21,11 @@ does not pass unless this is permitted. Chi-square, targets and stations are che
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self, get_args
 
 from pydantic import Field, PrivateAttr
 
+from ltsim.calibration.distance import NORM_BY_DISTANCE_METHOD
 from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.campaigns.external_calibrator import ExternalCalibrator, split_command
 from ltsim.campaigns.recovery_checks import CHECKS_TABLE, RecoveryCheck
@@ -41,8 +42,8 @@ from ltsim.campaigns.recovery_trials import (
 )
 from ltsim.campaigns.schema import ErrorOrigin, NonNegativeInt
 from ltsim.campaigns.scoring import TrialScore
-from ltsim.core.arguments import check_bounds, check_mapping
-from ltsim.core.errors import ModelError, SetupError, option_text, unknown_name_error
+from ltsim.core.arguments import check_bounds, check_choice, check_mapping
+from ltsim.core.errors import ModelError, SetupError, option_text
 from ltsim.core.notation import listing
 from ltsim.core.results import Table
 from ltsim.core.units import parse_in_unit
@@ -251,12 +252,14 @@ def recover(
     """
     check_bounds(trials=trials, seed=seed, jobs=jobs, required_argument="trials seed jobs")
     check_mapping("tolerance", tolerance)
+    check_choice("method", method, ("network", *NORM_BY_DISTANCE_METHOD))
+    check_choice("errors", errors, get_args(ErrorOrigin), allow_none=True)
+    if calibrator is not None and not (isinstance(calibrator, str) or callable(calibrator)):
+        raise SetupError(f"{option_text('calibrator')} is {calibrator!r}, expected a command or a function")
     scenario, given = scenario_of(source), tolerance or {}
     true_construction, mode = make_scenario_construction(scenario), errors or suggested_error_origin(scenario)
     if true_construction.name == "dh" and construction not in (None, "dh"):
         raise SetupError(f"the scenario's instrument has the construction dh: set {option_text('construction')} to dh")
-    if mode not in ("drawn", "stated"):
-        raise unknown_name_error("mode of errors", mode, ("drawn", "stated"))
     if isinstance(calibrator, str):
         split_command(calibrator)
     elif calibrator is not None:

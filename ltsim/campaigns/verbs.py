@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ltsim.campaigns import require_packages
-from ltsim.core.arguments import check_mapping, source_path
+from ltsim.core.arguments import check_mapping, path_argument, source_path
 from ltsim.core.errors import SetupError
 
 if TYPE_CHECKING:
@@ -79,6 +79,7 @@ def campaign(
     require_packages()
     from ltsim.campaigns.campaign import WorkerSettings, run_campaign
     from ltsim.campaigns.results import CampaignResults
+    from ltsim.campaigns.store import MANIFEST_FILE
 
     workers = WorkerSettings(jobs, backend, scheduler)
     check_mapping("changes", changes)
@@ -86,9 +87,10 @@ def campaign(
     if tables is not None and out is None:
         raise SetupError("a campaign without a file needs a folder for its rows: out=...")
     path = Path("the campaign") if isinstance(source, Mapping) else source_path(source)
-    if tables is None and path.is_dir() and out is None and not (resume or force or changes):
+    is_finished = tables is None and (path / MANIFEST_FILE).is_file()
+    if is_finished and out is None and not (resume or force or changes):
         return CampaignResults(path)
-    folder = path.with_suffix("") if out is None else Path(out)
+    folder = rows_folder(path, out)
     run_campaign(
         path,
         folder,
@@ -99,3 +101,10 @@ def campaign(
         tables=tables,
     )
     return CampaignResults(folder)
+
+
+def rows_folder(campaign_file: Path, out: str | Path | None) -> Path:
+    """Folder for the rows of a campaign: `out`, by default the name of the file without its suffix."""
+    if out is not None:
+        return path_argument("out", out)
+    return campaign_file.with_suffix("") if campaign_file.name else campaign_file

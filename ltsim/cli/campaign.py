@@ -78,11 +78,12 @@ def campaign(
     from ltsim.campaigns.results import CampaignResults
     from ltsim.campaigns.spec import load_campaign
     from ltsim.campaigns.store import CampaignFolder
+    from ltsim.campaigns.verbs import rows_folder
     from ltsim.reports.sections.campaign import campaign_section
 
     workers = WorkerSettings(*(options.pop(name) for name in ("jobs", "backend", "scheduler")))
     path = source_path(file)
-    folder = out or path.with_suffix("")
+    folder = rows_folder(path, out)
     settings, scenarios = load_campaign(path, options["changes"])
     n_trials = settings.trials * len(settings.methods) * len(scenarios)
     terminal.print_note_on_compilation()

@@ -1,17 +1,20 @@
 """Command `effects`: the catalogue of physical effects."""
 
-import inspect
+from __future__ import annotations
+
 import textwrap
-from typing import Annotated, Any
+from itertools import groupby
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import ltsim as lt
 from ltsim.cli.terminal import Terminal
 from ltsim.core.notation import align_columns
-from ltsim.core.units import SI_PER_UNIT
-from ltsim.physics.effects import CATALOGUE, Effect, catalogue_entry, find_effect
-from ltsim.physics.effects.catalogue import BUILTIN_PROVIDER
-from ltsim.physics.effects.effect import ShapeParameter
+
+if TYPE_CHECKING:
+    from ltsim.core.results import Table
+    from ltsim.physics.effects.descriptions import EffectDescription
 
 EffectNameArgument = Annotated[
     str | None, typer.Argument(metavar="[NAME]", help="Name of an effect; default a list of all.")
@@ -21,6 +24,8 @@ TEXT_WIDTH = 110
 """Largest length of a line of a catalogue entry [characters]."""
 LABEL_WIDTH = 13
 """Width of the column of labels of a catalogue entry [characters]."""
+BUILTIN_ORIGIN = "ltsim"
+"""Origin of built-in effects, which is not printed."""
 CONVENTIONS_TEXT = (
     "Delta is the true value - the reading. az is positive counter-clockwise, el upward; d is the range; f is +1 on\n"
     "face 1 and -1 on face 2; D_r, D_t, D_v are lengths along the beam, to its left and upward. The correlations are\n"
@@ -37,106 +42,60 @@ def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
 
     Example: ltsim effects station-settling
     """
+    listed = lt.catalogue() if name is None else lt.catalogue(name)
+    entries = [effect.model_dump(mode="json") for effect in listed.descriptions]
     if name is not None:
-        effect = find_effect(name)
-        terminal.print_json(catalogue_entry_json(effect))
-        terminal.print_text(catalogue_entry_text(effect))
+        terminal.print_json(entries[0])
+        tables = [listed.table(kind) for kind in ("parameters", "constants")]
+        terminal.print_text(catalogue_entry_text(listed.descriptions[0], tables))
         return
-    terminal.print_json([catalogue_entry_json(effect) for effect in CATALOGUE])
-    group = ""
-    name_and_text_rows = [[effect.name, _title_and_cause(effect)] for effect in CATALOGUE]
-    width = max(len(name) for name, _ in name_and_text_rows)
-    for (name, text), registration in zip(name_and_text_rows, CATALOGUE.entries.values(), strict=True):
-        if registration.group != group:
-            group = registration.group
-            terminal.print_text(f"\n{group}" if name != name_and_text_rows[0][0] else group)
-        terminal.print_text(
-            f"  {name:<{width}}  {text}"
-            + (f" [{registration.provider}]" if registration.provider != BUILTIN_PROVIDER else "")
-        )
-    terminal.print_text(f"\n{len(name_and_text_rows)} effects. Details of an effect: ltsim effects NAME")
+    terminal.print_json(entries)
+    width = max(len(effect.name) for effect in listed.descriptions)
+    groups = groupby(listed.descriptions, lambda effect: effect.group)
+    terminal.print_text(
+        "\n\n".join("\n".join([group, *(_line(effect, width) for effect in members)]) for group, members in groups)
+    )
+    terminal.print_text(f"\n{len(entries)} effects. Details of an effect: ltsim effects NAME")
 
 
-def _title_and_cause(effect: type[Effect]) -> str:
-    """Title and physical cause of an effect, from its catalogue entry."""
-    entry = catalogue_entry(effect)
-    return f"{entry.title}: {entry.cause_description}"
+def _line(effect: EffectDescription, name_width: int) -> str:
+    """Line of the list: name, title, cause, and the package that provides an effect that is not built-in."""
+    origin = "" if effect.origin == BUILTIN_ORIGIN else f" [{effect.origin}]"
+    return f"  {effect.name:<{name_width}}  {effect.title}: {effect.cause}{origin}"
 
 
-def catalogue_entry_json(effect: type[Effect]) -> dict[str, Any]:
-    """Catalogue entry of an effect as data for JSON."""
-    registration, entry = CATALOGUE.entries[effect.name], catalogue_entry(effect)
-    return {
-        "name": effect.name,
-        "group": registration.group,
-        "origin": registration.provider,
-        "title": entry.title,
-        "cause": entry.cause_description,
-        "law": entry.equation,
-        **{name.lower().replace(" ", "_"): text for name, text in entry.sections()},
-        "stage": effect.stage.name.lower(),
-        "scope": effect.scope,
-        "observables": list(effect.observables),
-        "covariates": list(effect.covariates),
-        "meaning": inspect.cleandoc(effect.__doc__ or "").partition("\n")[0],
-        "parameters": [
-            {
-                "name": p.name,
-                "unit": p.unit,
-                "meaning": p.description,
-                "plausible_size": p.prior_sigma / p.si_per_display_unit,
-            }
-            for p in effect.parameters
-        ],
-        "shape": [
-            {
-                "name": s.name,
-                "unit": s.unit,
-                "meaning": s.description,
-                "low": _to_display_unit(s.lower_bound, s),
-                "high": _to_display_unit(s.upper_bound, s),
-            }
-            for s in effect.shape_parameters
-        ],
+def catalogue_entry_text(effect: EffectDescription, tables: list[Table]) -> str:
+    """Catalogue entry of an effect as text, with the tables of its parameters and constants."""
+    lines = [f"{effect.name}: {effect.title} ({effect.group})", "", f"{effect.cause[0].upper()}{effect.cause[1:]}."]
+    lines += ["", effect.law, ""]
+    sections = {
+        "Size": effect.size,
+        "Like": effect.like,
+        "Separate by": effect.separate_by,
+        "Valid": effect.valid,
+        "Source": effect.source,
+        "Status": effect.status,
+        "Acts on": effect.observables_text,
+        "Scope": effect.scope,
+        "Stage": effect.stage,
+        "Base rate": f"{effect.base_rate:g} (1 is occasional)",
+        "Depends on": ", ".join(effect.covariates),
+        "Comes from": "" if effect.origin == BUILTIN_ORIGIN else effect.origin,
     }
-
-
-def _to_display_unit(si_value: float, shape_parameter: ShapeParameter) -> float:
-    """Value [SI] of a shape constant, converted to its display unit."""
-    return si_value / SI_PER_UNIT[shape_parameter.unit]
-
-
-def catalogue_entry_text(effect: type[Effect]) -> str:
-    """Catalogue entry of an effect as text."""
-    entry, registration = catalogue_entry(effect), CATALOGUE.entries[effect.name]
-    lines = [
-        f"{effect.name}: {entry.title} ({registration.group})",
-        "",
-        f"{entry.cause_description[0].upper()}{entry.cause_description[1:]}.",
-    ]
-    lines += ["", entry.equation, ""]
-    sections = [*entry.sections(), ("Acts on", ", ".join(effect.observables)), ("Scope", effect.scope)]
-    sections += [("Stage", effect.stage.name.lower()), ("Base rate", f"{effect.base_rate:g} (1 is occasional)")]
-    sections += [("Depends on", ", ".join(effect.covariates))] if effect.covariates else []
-    sections += [("Comes from", registration.provider)] if registration.provider != BUILTIN_PROVIDER else []
-    for name, text in sections:
+    for name, text in sections.items():
         lines += textwrap.wrap(
-            f"{name:<{LABEL_WIDTH}}{text}", TEXT_WIDTH, subsequent_indent=" " * LABEL_WIDTH, break_on_hyphens=False
+            f"{name:<{LABEL_WIDTH}}{text}" if text else "",
+            TEXT_WIDTH,
+            subsequent_indent=" " * LABEL_WIDTH,
+            break_on_hyphens=False,
         )
-    if effect.parameters:
-        rows = [
-            [p.name, f"{p.prior_sigma / p.si_per_display_unit:.3g}", p.unit, p.description] for p in effect.parameters
-        ]
-        lines += ["", align_columns(["parameter", "plausible size", "unit", "meaning"], rows, n_text_columns=4)]
-    if effect.shape_parameters:
-        rows = [
-            [
-                s.name,
-                f"{_to_display_unit(s.lower_bound, s):.4g} to {_to_display_unit(s.upper_bound, s):.4g}",
-                s.unit,
-                s.description,
-            ]
-            for s in effect.shape_parameters
-        ]
-        lines += ["", align_columns(["constant", "searched", "unit", "meaning"], rows, n_text_columns=4)]
+    for table in tables:
+        if table.rows:
+            lines += ["", _text_without_effect(table)]
     return "\n".join([*lines, "", CONVENTIONS_TEXT])
+
+
+def _text_without_effect(table: Table) -> str:
+    """Text of a table without its first column, the name of the effect."""
+    rows = [cells[1:] for cells in table.cells()]
+    return align_columns(table.headings[1:], rows, n_text_columns=len(table.headings) - 1)

@@ -208,8 +208,8 @@ def _write_and_print_plan(terminal: Terminal, plan_result: Plan, folder: Path | 
 def _picture_files(plan_result: Plan) -> dict[str, bytes]:
     """Contents of the files with pictures, by name: work order, floor plan, trade-off of duration and quality."""
     from ltsim.reports.figures.parameters import trade_off_figure
-    from ltsim.reports.page import work_order_page
     from ltsim.reports.style import png_bytes
+    from ltsim.reports.work_order_page import work_order_page
 
     content_by_name = {
         WORK_ORDER_FILE: work_order_page(plan_result).encode(),

@@ -97,7 +97,19 @@ def source_path(path_or_name: object) -> Path:
 
     Raises SetupError for an empty text, and for an object that is neither text nor path.
     """
-    text = fspath(path_or_name) if isinstance(path_or_name, str | PathLike) else None
-    if not isinstance(text, str) or not text or "\0" in text:
+    if not (text := _path_text(path_or_name)):
         raise SetupError(f"the source is {path_or_name!r}, expected the name of a built-in source, or a file path")
     return Path(text)
+
+
+def path_argument(argument_name: str, path: object) -> Path:
+    """Path in an argument; raises SetupError for an object that is neither text nor path."""
+    if (text := _path_text(path)) is None:
+        raise SetupError(f"{option_text(argument_name)} is {path!r}, expected a path")
+    return Path(text)
+
+
+def _path_text(path: object) -> str | None:
+    """Text of a path; None for an object that is no path."""
+    text = fspath(path) if isinstance(path, str | PathLike) else None
+    return text if isinstance(text, str) and "\0" not in text else None

@@ -46,15 +46,21 @@ def quaternion_from_matrix(matrix: Floats) -> Floats:
     return Rotation.from_matrix(matrix).as_quat()
 
 
+MIN_ROTATION_SINE = 1e-12
+"""Smallest sine of a rotation between two directions; below it they are parallel, or opposite."""
+
+
 def smallest_rotation(start_axis: Floats, goal_axis: Floats) -> Floats:
     """Rotation matrix (3, 3) of the smallest rotation that turns the unit vector `start_axis` into `goal_axis`."""
-    rotation_axis, cosine = np.cross(start_axis, goal_axis), float(start_axis @ goal_axis)
-    sine = float(np.linalg.norm(rotation_axis))
-    if sine < 1e-12 and cosine > 0:
-        return np.eye(3)
-    if sine < 1e-12:
-        rotation_axis = np.cross(start_axis, np.eye(3)[np.argmin(np.abs(start_axis))])
-    return matrix_from_rotation_vector(rotation_axis / np.linalg.norm(rotation_axis) * np.arctan2(sine, cosine))
+    axis, cosine = np.cross(start_axis, goal_axis), float(start_axis @ goal_axis)
+    squared_sine = float(axis @ axis)
+    if squared_sine < MIN_ROTATION_SINE**2:
+        if cosine > 0:
+            return np.eye(3)
+        axis = np.cross(start_axis, np.eye(3)[np.argmin(np.abs(start_axis))])
+        return 2.0 * np.outer(axis, axis) / (axis @ axis) - np.eye(3)
+    factor = 1.0 / (1.0 + cosine) if cosine > 0 else (1.0 - cosine) / squared_sine  # both are the same
+    return cosine * np.eye(3) + cross_matrix(axis) + factor * np.outer(axis, axis)
 
 
 VERTICAL = np.array([0.0, 0.0, 1.0])

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from ltsim.core.arguments import check_choice, source_path
+from ltsim.core.arguments import check_choice, path_argument, source_path
 from ltsim.core.errors import require_extra
 from ltsim.core.results import Result
 from ltsim.core.storage import check_writable
@@ -102,9 +102,10 @@ def view(
     check_choice("cad_unit", cad_unit, tuple(UNIT_NAMES), allow_none=True)
     check_choice("cad_up", cad_up, ("y", "z"), allow_none=True)
     check_choice("colour", colour, ("incidence", "residual"))
+    cad_path = None if cad is None else path_argument("cad", cad)
     require_extra(("pyvista", "trame_vtk"), "3D views", "view")
     workshop = _workshop_of(source).with_sights_coloured_by(colour)
-    return View(workshop if cad is None else workshop_with_cad(workshop, Path(cad), cad_unit, cad_up))
+    return View(workshop if cad_path is None else workshop_with_cad(workshop, cad_path, cad_unit, cad_up))
 
 
 def _workshop_of(source: Recording | Scenario | str | Path) -> WorkshopScene:

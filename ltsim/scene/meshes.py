@@ -2,7 +2,7 @@
 
 The library Embree (the extra `cad`) casts rays in single precision. Rays that pass close to an edge, where its result
 may be wrong, are cast again in double precision by this module. Without Embree this module casts all rays, which is
-slow for large CAD files only.
+slow for large CAD files only: in a hall of boxes the rays of trimesh alone take 1.5 to 3.5 times as long.
 """
 
 from collections.abc import Iterable

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import inspect
+import json
 import pkgutil
 import sys
 from typing import Any
@@ -15,8 +16,10 @@ import ltsim
 import ltsim as lt
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.summary import CampaignSummary, SolverComparison, StatisticSummary, ZScoreSummary
+from ltsim.cli.main import run
 from ltsim.core.descriptions import field_descriptions
 from ltsim.core.results import Result
+from ltsim.physics.effects.descriptions import ConstantDescription, EffectDescription, ParameterDescription
 from ltsim.recordings.result_file import ResultFile
 from ltsim.reports.schemas import FILE_MODELS, RESULT_MODELS
 
@@ -38,6 +41,24 @@ FILE_OF: dict[str, str] = {
     "verify": "criteria.json",
 }
 """Verbs whose result is the model of its file."""
+WITHOUT_FILE: dict[str, str] = {
+    "add_effect": "class of the user",
+    "campaign": "rows on the disk; their summary is one model",
+    "catalogue": "one model, which no command writes",
+    "compare_calibrations": "table",
+    "convert": "recording",
+    "correct": "recording",
+    "inject": "recording and the injected effects",
+    "injection_curve": "table",
+    "read": "any of the results",
+    "recovery_checks": "entries of a recovery",
+    "report": "page",
+    "scenario": "file of the user",
+    "station_alternatives": "layouts",
+    "view": "picture",
+    "write": "files",
+}
+"""Public functions whose result is no model of a file, with what it is."""
 SHARED = 3
 """Names of fields that a data class may have in common with a result without repeating it."""
 
@@ -68,12 +89,22 @@ def test_the_summary_of_a_campaign_is_one_model() -> None:
     assert signature.return_annotation in (CampaignSummary, "CampaignSummary")
 
 
+def test_the_catalogue_of_effects_is_one_model(capsys: pytest.CaptureFixture[str]) -> None:
+    """`ltsim effects --json` prints the descriptions that `lt.catalogue` returns."""
+    kinds = EffectDescription, ParameterDescription, ConstantDescription
+    assert all(field_descriptions(kind).keys() == kind.model_fields.keys() for kind in kinds)
+    assert run(["effects", "station-settling", "--json"]) == 0
+    (effect,) = lt.catalogue("station-settling").descriptions
+    assert json.loads(capsys.readouterr().out) == effect.model_dump(mode="json")
+
+
 def test_every_verb_with_a_file_is_listed() -> None:
     """A verb that returns a model of a file is in the list, and a file has one model."""
     verbs = [name for name in lt.__all__ if inspect.isfunction(getattr(lt, name))]
     kinds = {name: returned(name) for name in verbs if name != "simulate"}
     models = {name for name, kind in kinds.items() if inspect.isclass(kind) and issubclass(kind, ResultFile)}
     assert models | {"simulate"} == set(FILE_OF)
+    assert set(verbs) - {"Effect"} == {*FILE_OF, *WITHOUT_FILE}
     assert len({model.FILE for model in RESULT_MODELS}) == len(RESULT_MODELS)
 
 

@@ -89,8 +89,8 @@ def test_warnings_do_not_reach_the_user(inputs: Path) -> None:
         "import warnings; from ltsim.cli import effects, terminal; from ltsim.cli.main import run\n"
         "import numpy as np\n"
         "terminal.prepare_streams()\n"
-        "warning = lambda effect: np.float64(1.0) / np.zeros(1) and warnings.warn('for developers')\n"
-        "effects.catalogue_entry_json = warning\n"
+        "warning = lambda *_: np.float64(1.0) / np.zeros(1) and warnings.warn('for developers') or ''\n"
+        "effects._line = warning\n"
         "run(['effects'])"
     )
     asked = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -21,7 +21,7 @@ from ltsim.planning.search_space import SearchSpace, StationPlacement
 from ltsim.planning.tolerances import PointTolerances, ToleranceCheck, error_radius, plan_verdict
 from ltsim.planning.work_order import TapeDistance, station_instructions, tape_deficiency_sentence
 from ltsim.recordings.air import AirUncertainty
-from ltsim.reports.page import work_order_page
+from ltsim.reports.work_order_page import work_order_page
 from ltsim.scene.floor import Floor, areas_and_keep_outs, invalid_outline_reason, is_allowed_position, is_inside_outline
 from ltsim.scene.meshes import cylinder_triangles, join_obstacles
 from ltsim.scene.visibility import compute_visibility

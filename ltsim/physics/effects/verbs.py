@@ -1,14 +1,13 @@
 """Public functions of the catalogue: list of effects, registration, and construction of an effect by name."""
 
 import dataclasses
-import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from ltsim.core.errors import ModelError
-from ltsim.core.results import ColumnValues, Result
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects import CATALOGUE, find_effect
+from ltsim.physics.effects.descriptions import EffectDescription, EffectList
 from ltsim.physics.effects.effect import Effect as AnyEffect, LinearEffect
 
 PLACE_FIELDS = ("stations", "targets")
@@ -160,39 +159,6 @@ def display_constants(effect: AnyEffect) -> dict[str, Any]:
     return {name: value / units[name] if name in units else value for name, value in value_by_name.items()}
 
 
-@dataclasses.dataclass(frozen=True, repr=False)
-class EffectList(Result):
-    """List of effects of the catalogue, printable and convertible to a data frame."""
-
-    effect_classes: tuple[type[AnyEffect], ...]
-    """Classes of the listed effects."""
-
-    def _lines(self) -> list[str]:
-        return [f"{effect.name}: {_summary_sentence(effect)}" for effect in self.effect_classes]
-
-    def _tables(self) -> Mapping[str, Callable[[], ColumnValues]]:
-        return {"effects": self._effects_table, "parameters": self._parameters_table}
-
-    def _effects_table(self) -> ColumnValues:
-        return {
-            "effect": [e.name for e in self.effect_classes],
-            "observables": [", ".join(e.observables) for e in self.effect_classes],
-            "scope": [str(e.scope) for e in self.effect_classes],
-            "base_rate": [e.base_rate for e in self.effect_classes],
-            "meaning": [_summary_sentence(e) for e in self.effect_classes],
-        }
-
-    def _parameters_table(self) -> ColumnValues:
-        effects_and_parameters = [(e, p) for e in self.effect_classes for p in e.parameters]
-        return {
-            "effect": [e.name for e, _ in effects_and_parameters],
-            "parameter": [p.name for _, p in effects_and_parameters],
-            "plausible_size": [p.prior_sigma / p.si_per_display_unit for _, p in effects_and_parameters],
-            "unit": [p.unit for _, p in effects_and_parameters],
-            "meaning": [p.description for _, p in effects_and_parameters],
-        }
-
-
 def catalogue(*names: str) -> EffectList:
     """Physical effects that can be simulated, calibrated and diagnosed: all, or a selection.
 
@@ -213,11 +179,9 @@ def catalogue(*names: str) -> EffectList:
        parameter  unit
     0  beam-tilt  urad
     """
-    return EffectList(tuple(find_effect(name) for name in names) if names else tuple(CATALOGUE))
-
-
-def _summary_sentence(effect_class: type[AnyEffect]) -> str:
-    return (inspect.getdoc(effect_class) or "").partition("\n")[0]
+    listed = CATALOGUE.entries
+    chosen = [listed[find_effect(name).name] for name in names] if names else listed.values()
+    return EffectList(tuple(EffectDescription.from_listed_effect(effect) for effect in chosen))
 
 
 def add_effect(effect_class: type[AnyEffect]) -> type[AnyEffect]:

@@ -7,12 +7,12 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.errors import NetworkError
-from ltsim.core.units import DEGREE, EARTH_RADIUS, MILLIMETRE
-from ltsim.geometry.rigid import align_rigidly, pose_design, rotation_about_z, smallest_rotation
+from ltsim.core.units import EARTH_RADIUS, MILLIMETRE
+from ltsim.geometry.rigid import pose_design
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel
+from ltsim.physics.model.declared_plan import DeclaredPlan
 from ltsim.physics.model.incidence import IncidenceErrors, incidence_errors, incidence_reading_change
 from ltsim.physics.model.nuisances import (
     CentringErrors,
@@ -31,10 +31,11 @@ from ltsim.scene.sightings import Sightings
 def sightings_at_state(recording: Recording, state: NetworkState) -> Sightings:
     """Sightings of a recording's pointings with stations and targets at the poses and coordinates of `state`.
 
-    Nest normals are transformed from the floor plan to the network frame (`plan_rotation`).
+    Nest normals are transformed from the floor plan to the network frame.
     """
+    plan = DeclaredPlan.from_recording(recording)
     return _sightings_with_rotated_nests(
-        recording, state, plan_rotation(recording, state.station_positions, state.station_rotations)
+        recording, state, plan.rotation(state.station_positions, state.station_rotations)
     )
 
 
@@ -142,7 +143,7 @@ class MeasurementModel:
     def incidence_errors(self) -> tuple[IncidenceErrors, ...]:
         """Incidence errors of reflectors in fixed nests; none if `effects` contain them already."""
         free = any(isinstance(effect, SmrIncidence) and not effect.place_text for effect in self.effects)
-        return () if free or not has_plan(self.recording) else incidence_errors(self.recording)
+        return () if free or not self._declared_plan.determines_rotation else incidence_errors(self.recording)
 
     @property
     def incidence_parameter_slices(self) -> tuple[slice, ...]:
@@ -204,6 +205,11 @@ class MeasurementModel:
         return state.instrument_parameters[self.recording.instrument]
 
     @cached_property
+    def _declared_plan(self) -> DeclaredPlan:
+        """Floor plan of the set-up."""
+        return DeclaredPlan.from_recording(self.recording)
+
+    @cached_property
     def _static_sightings(self) -> Sightings:
         """Sightings without poses and coordinates, computed once; nest normals are in the floor plan's frame."""
         stations, targets = len(self.recording.stations), len(self.recording.targets)
@@ -223,7 +229,7 @@ class MeasurementModel:
 
     def _with_effect_data(self, geometry: Sightings, state: NetworkState, readings: Floats) -> Sightings:
         """Sightings `geometry` with nest normals in the network frame and raw readings (n, 3), which effects need."""
-        turn = plan_rotation(self.recording, state.station_positions, state.station_rotations)
+        turn = self._declared_plan.rotation(state.station_positions, state.station_rotations)
         return replace(geometry, nest_normals=geometry.nest_normals @ turn.T, encoder_readings=readings)
 
     def _instrument_readings(self, geometry: Sightings, state: NetworkState) -> Floats:
@@ -268,8 +274,18 @@ class MeasurementModel:
             change += linear_effect.reading_change(sightings, values)
         return change
 
+    @cached_property
+    def _latest_prediction(self) -> list[tuple[NetworkState, Floats]]:
+        """State of the last call of `predict` and its readings: several tests need the readings at the solution."""
+        return []
+
     def predict(self, state: NetworkState) -> Floats:
         """Predicted raw readings (n, 3) [m, rad] at `state`."""
+        if not self._latest_prediction or self._latest_prediction[0][0] is not state:
+            self._latest_prediction[:] = [(state, self._predicted_readings(state))]
+        return self._latest_prediction[0][1].copy()
+
+    def _predicted_readings(self, state: NetworkState) -> Floats:
         sightings = self.sightings_without_covariates(state)
         raw_readings = self._instrument_readings(sightings, state)
         if self.extra_effects:
@@ -325,72 +341,3 @@ def reduce_to_horizontal(readings: Floats, derivatives: tuple[Floats, ...], is_h
             :, None
         ] * by[is_horizontal, 2]
     readings[is_horizontal, 0] = range_ * np.abs(cosine)
-
-
-MAX_AXIS_SPREAD = 5 * DEGREE
-"""Largest angle [rad] between the standing axes of the instruments and their mean direction, up to which all
-instruments count as upright."""
-MIN_PLAN_POSITIONS = 3
-"""Smallest number of approximate station positions that determine the rotation from floor plan to network frame."""
-PLAN_DIRECTION_SIGMA = 3 * DEGREE
-"""Accuracy [rad] of directions on a floor plan. A smaller rotation between plan and network counts as zero."""
-
-
-def has_plan(recording: Recording) -> bool:
-    """True if the set-up determines the rotation from floor plan to network frame (`plan_rotation`)."""
-    stations = [recording.station_setup(name) for name in recording.stations]
-    has_control = any(recording.target_setup(name).known_mm is not None for name in recording.targets)
-    n_placed = sum(station.position_mm is not None for station in stations)
-    return has_control or n_placed >= MIN_PLAN_POSITIONS or any(station.yaw_deg is not None for station in stations)
-
-
-def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> Floats:
-    """Rotation matrix (3, 3) from the set-up's frame (floor plan) to the network frame.
-
-    The rotation is computed from the approximate positions of three or more stations that are not collinear, otherwise
-    from their yaws. It is the identity for a set-up with control points, and for one without positions and yaws.
-    `position` (S, 3) [m] and `rotation` (S, 3, 3) are the poses of the stations in the network frame.
-    """
-    if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
-        return np.eye(3)
-    setups = [recording.station_setup(name) for name in recording.stations]
-    turn = _plan_rotation_from_positions([s.position_mm for s in setups], position, rotation)
-    if turn is None:
-        turn = _plan_rotation_from_yaws([s.yaw_deg for s in setups], rotation)
-    if turn is None or np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)) < PLAN_DIRECTION_SIGMA:
-        return np.eye(3)
-    return turn
-
-
-def _plan_rotation_from_positions(
-    places: list[tuple[float, float, float] | None], position: Floats, rotation: Floats
-) -> Floats | None:
-    """Rotation (3, 3) from approximate positions `places` [m] of three or more stations; None if undetermined.
-
-    For upright instruments their standing axes define the vertical, because they are far more accurate.
-    """
-    given = [i for i, p in enumerate(places) if p is not None]
-    if len(given) < MIN_PLAN_POSITIONS:
-        return None
-    plan = np.array([places[i] for i in given], dtype=np.float64) * MILLIMETRE
-    axis = rotation[given, :, 2].mean(axis=0)
-    level, here = np.eye(3), position[given]
-    if np.linalg.norm(axis) > np.cos(MAX_AXIS_SPREAD):
-        level = smallest_rotation(axis / np.linalg.norm(axis), np.array([0.0, 0.0, 1.0]))
-        here, plan = here @ level.T * [1.0, 1.0, 0.0], plan * [1.0, 1.0, 0.0]
-    try:
-        turn, _ = align_rigidly(plan, here)
-    except NetworkError:
-        return None
-    return level.T @ turn
-
-
-def _plan_rotation_from_yaws(yaws: list[float | None], rotation: Floats) -> Floats | None:
-    """Mean (3, 3) of the rotations that follow from the yaw [deg] of each upright station; None without yaws."""
-    station_rotations_to_plan = [
-        r @ rotation_about_z(yaw * DEGREE).T for yaw, r in zip(yaws, rotation, strict=True) if yaw is not None
-    ]
-    if not station_rotations_to_plan:
-        return None
-    u, _, vt = np.linalg.svd(np.sum(station_rotations_to_plan, axis=0))
-    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

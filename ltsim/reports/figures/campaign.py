@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from scipy.stats import binomtest
 
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.results import CampaignResults
@@ -364,6 +363,8 @@ ALLOWED_COVERAGE = (0.935, 0.965)
 
 def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
     """Lower and upper limit of the 95 % interval of an observed coverage (Wilson 1927)."""
+    from scipy.stats import binomtest  # slow to load
+
     interval = binomtest(round(row.coverage_95 * row.trials), row.trials).proportion_ci(0.95, method="wilson")
     return float(interval.low), float(interval.high)
 

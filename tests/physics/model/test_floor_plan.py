@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ltsim.geometry.rigid import matrix_from_rotation_vector, rotation_about_z
-from ltsim.physics.model.measurement import NetworkState, plan_rotation, sightings_at_state
+from ltsim.physics.model.declared_plan import DeclaredPlan
+from ltsim.physics.model.measurement import NetworkState, sightings_at_state
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Station
 from ltsim.simulation.scenario import load_scenario
@@ -52,20 +53,22 @@ def test_incidences_are_those_of_the_room(stated: set[str]) -> None:
 def test_a_frame_that_is_the_plan_s_is_left_alone() -> None:
     recording, _ = recording_with(position_mm=None, yaw_deg=None)
     stations = np.stack([rotation_about_z(float(y)) for y in YAWS])
-    np.testing.assert_array_equal(plan_rotation(recording, STATIONS, stations), np.eye(3))
+    np.testing.assert_array_equal(DeclaredPlan.from_recording(recording).rotation(STATIONS, stations), np.eye(3))
 
 
 def test_without_a_plan_nothing_is_turned() -> None:
     recording, state = recording_with()
-    np.testing.assert_array_equal(plan_rotation(recording, state.station_positions, state.station_rotations), np.eye(3))
+    np.testing.assert_array_equal(
+        DeclaredPlan.from_recording(recording).rotation(state.station_positions, state.station_rotations), np.eye(3)
+    )
 
 
 def test_rough_places_do_not_lean_the_room() -> None:
     """Heights that are rough by a decimetre turn nothing but the yaw: instruments on tripods know the vertical."""
     recording, truth = simulate(load_scenario("paper-workshop"), seed=1)
     first = truth.station_rotations[0]
-    turn = plan_rotation(
-        recording, (truth.station_positions - truth.station_positions[0]) @ first, first.T @ truth.station_rotations
+    turn = DeclaredPlan.from_recording(recording).rotation(
+        (truth.station_positions - truth.station_positions[0]) @ first, first.T @ truth.station_rotations
     )
     leaned = (first @ turn)[2, 2]
     assert np.degrees(np.arccos(min(1.0, leaned))) < 0.1
