@@ -1,4 +1,4 @@
-"""Network adjustment: from a recording to poses, targets and parameters with their covariance."""
+"""Network adjustment: poses, target coordinates and parameters with their covariances, computed from a recording."""
 
 from ltsim.adjustment.adjustment import Adjustment as Adjustment, FlaggedReading as FlaggedReading
 from ltsim.adjustment.estimate import adjust as adjust

@@ -55,7 +55,7 @@ class FlaggedReading:
     normalised_residual: float
     """Normalised residual, the statistic of the w-test."""
     p_value: float
-    """Probability that a recording without gross errors contains a test statistic at least as large as this one."""
+    """Probability of a test statistic at least as large as that of this reading in a recording without gross errors."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -67,21 +67,20 @@ class Adjustment(Result):
     solution: Solution[NetworkState]
     """Solution of the problem, with its convergence status."""
     is_gross_pointing: Bools
-    """Flags (n,) of the pointings rejected as gross errors before the adjustment."""
+    """Flags (n,) of those of the n pointings that were rejected as gross errors before the adjustment."""
     variance_components: tuple[VarianceComponent, ...] = ()
-    """Estimated noise of groups of readings; empty if not requested. `problem.sigma` contains these estimates."""
+    """Estimated noise of groups of readings, which `problem.sigma` contains; empty if no estimate was requested."""
     unconnected_targets: tuple[str, ...] = ()
     """Names of targets without start coordinates, which are not adjusted; their coordinates in `state` have no
     meaning."""
     rejected_references: tuple[ReferenceTest, ...] = ()
     """Reference values that contradict the other observations and were removed; `recording` does not contain them."""
     axes_point_tests: tuple[ReferenceTest, ...] = ()
-    """Tests of the declared coordinates that only define the axes (datum), including coordinates removed from the
-    datum."""
+    """Tests of the declared coordinates that only define the axes (datum), also of those removed from the datum."""
     n_duplicate_rows: int = 0
     """Number of pointings that repeat another pointing in every digit and are not used."""
     cause_sentences: tuple[str, ...] = ()
-    """Sentences on identified errors; with these errors in the model the network is consistent."""
+    """Sentences on identified errors that are part of the model, and with which the network is consistent."""
     noise_sentences: tuple[str, ...] = ()
     """Sentences on noise larger than declared (not part of `problem.sigma`), with which the network is consistent."""
     datum: InnerDatum | None = None
@@ -140,7 +139,7 @@ class Adjustment(Result):
 
     @property
     def effects(self) -> tuple[LinearEffect, ...]:
-        """Additional effects that were estimated."""
+        """Effects whose parameters were estimated in addition to the parameters of the instrument."""
         return self.problem.model.effects
 
     @property
@@ -160,7 +159,7 @@ class Adjustment(Result):
 
     @property
     def sigma0(self) -> float:
-        """Standard deviation of unit weight; NaN without redundancy."""
+        """Standard deviation of unit weight, sqrt(chi2 / dof); NaN without redundancy."""
         return float(np.sqrt(self.chi2 / self.dof)) if self.dof > 0 else float("nan")
 
     @property
@@ -202,29 +201,30 @@ class Adjustment(Result):
 
     @cached_property
     def sightings(self) -> Sightings:
-        """Range, direction and regressors of each pointing, computed from the adjusted network."""
+        """Range, direction and regressors (time and so on) of each pointing, computed from the adjusted network."""
         return self.problem.model.sightings(self.state)
 
     @cached_property
     def residuals(self) -> Floats:
-        """Observed minus adjusted readings (n, 3) [m, rad, rad]; NaN if not measured."""
+        """Observed minus adjusted readings (n, 3) [m, rad, rad] of n pointings; NaN if not measured."""
         return self.problem.reading_residuals(self.problem.model.predict(self.state))
 
     @cached_property
     def redundancy(self) -> Floats:
-        """Redundancy numbers (n, 3): derivatives of residuals by errors of their readings; NaN for unused readings."""
+        """Redundancy numbers (n, 3) of n pointings: derivatives of residuals by errors of readings; NaN if unused."""
         return redundancy_numbers(self.problem, self.factorised_normals)
 
     @cached_property
     def normalised_residuals(self) -> Floats:
-        """Normalised residuals (n, 3), standard normal for a correct model (Baarda 1968)."""
+        """Residuals (n, 3) of n pointings divided by their standard deviations, standard normal for a correct model."""
         return standardised_residuals(self.problem, self.residuals, self.redundancy)
 
     @cached_property
     def noisy_targets_and_scatter(self) -> tuple[Ints, float, float]:
-        """Indices (k,) of noisy targets, scatter of the readings to these targets, and scatter of all other readings.
+        """Indices (k,) of k noisy targets, scatter of the readings to these targets, and scatter of all other readings.
 
-        Both scatters are observed standard deviations divided by the declared ones.
+        Noisy targets are those with much larger scatter. A scatter is an observed divided by a declared standard
+        deviation.
         """
         return detect_noisy_targets(self.normalised_residuals, self.redundancy, self.recording.target)
 
@@ -250,7 +250,7 @@ class Adjustment(Result):
 
     @cached_property
     def is_rejected(self) -> Bools:
-        """Flags (n, 3) of rejected readings, without readings to targets that the usable readings do not determine."""
+        """Flags (n, 3) of the rejected readings of n pointings; False for readings to undetermined targets."""
         problem = replace(self.problem, is_used_reading=self.recording.is_usable)
         return drop_undetermined_targets(problem, self.state).is_used_reading & ~self.problem.is_used_reading
 
@@ -261,8 +261,8 @@ class Adjustment(Result):
 
         `alpha` is the false-alarm rate for the whole recording. Outliers are detected one after another, because an
         outlier also changes residuals of correct readings. Readings that no test distinguishes from an outlier follow
-        this outlier. The test uses the declared noise (w-test), or with `uses_estimated_noise` the noise estimated from
-        the residuals (tau-test), separately for each target if some targets are noisy.
+        this outlier in the list. The test uses the declared noise (w-test), or with `uses_estimated_noise` the noise
+        estimated from the residuals (tau-test), separately for each target if some targets are noisy.
         """
         use, target = self.problem.is_used_reading, self.recording.target
         count = int(use.sum())
@@ -304,7 +304,7 @@ class Adjustment(Result):
 
         Columns of targets that the factorisation eliminates are not permitted.
         """
-        covariance = self.factorised_normals.inverses_of_sets(columns)
+        covariance = self.factorised_normals.covariances_of_sets(columns)
         return covariance if self.datum is None else self.datum.transform_covariance(covariance, columns)
 
     @cached_property
@@ -317,7 +317,7 @@ class Adjustment(Result):
 
     @property
     def instrument_covariance(self) -> Floats:
-        """Covariance (p, p) of the first instrument's parameters [SI]."""
+        """Covariance (p, p) [SI] of the p parameters of the first instrument."""
         return self.instrument_covariance_of(0)
 
     def instrument_covariance_of(self, instrument: int) -> Floats:
@@ -359,7 +359,7 @@ class Adjustment(Result):
         unknowns = self.problem.unknowns
         covariance = np.empty((len(unknowns.target_columns), 3, 3))
         is_reduced = unknowns.target_columns[:, 0] < unknowns.n_reduced
-        covariance[is_reduced] = self.factorised_normals.inverses_of_sets(unknowns.target_columns[is_reduced])
+        covariance[is_reduced] = self.factorised_normals.covariances_of_sets(unknowns.target_columns[is_reduced])
         blocks = self.factorised_normals.block_covariance()
         covariance[~is_reduced] = blocks[(unknowns.target_columns[~is_reduced][:, 0] - unknowns.n_reduced) // 3]
         if self.datum is not None:
@@ -372,9 +372,9 @@ class Adjustment(Result):
 
     @cached_property
     def is_height_undetermined(self) -> Bools:
-        """Flags (T,) of the targets whose height is undetermined."""
+        """Flags (T,) of those of the T targets whose height is undetermined."""
         plan = [self.recording.target_setup(name).in_plan for name in self.recording.targets]
-        return np.asarray(self.problem.undetermined_unknowns.is_height_free_target | np.array(plan, dtype=bool))
+        return np.asarray(self.problem.undetermined_unknowns.is_height_undetermined_target | np.array(plan, dtype=bool))
 
     @single_threaded
     def with_effects(self, effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
@@ -391,7 +391,7 @@ class Adjustment(Result):
         """Adjustment whose covariances have inner constraints over some targets as datum; its state is unchanged.
 
         `datum_names` are the targets, by default all determined ones. Raises ModelError for an unknown target, and for
-        targets that do not fix the free motions.
+        targets that do not fix the rigid motions which no observation determines.
         """
         every = [name for name in self.recording.targets if name not in self.undetermined_targets]
         datum_names = every if datum_names is None else datum_names

@@ -29,10 +29,11 @@ from ltsim.recordings.setup import MIN_SIGMA, Axes, Target
 
 MAX_RELATIVE_MISCLOSURE = 0.05
 """Largest permitted median misclosure of declared coordinates, divided by the median distance between the points.
-Nominal coordinates of a drawing differ less. The same number limits the difference of their scale from 1.
+Nominal coordinates of a drawing differ less from a network. Coordinates whose scale differs from 1 by more than the
+same number are rejected too.
 """
 NO_EXCLUDED_AXES: Mapping[str, Axes] = MappingProxyType({})
-"""Empty mapping from target names to axes: all three coordinates of every target define the datum."""
+"""Empty mapping from target names to axes: every target defines the datum with all three coordinates."""
 
 
 def with_axes_from_points(recording: Recording, points_by_target: Mapping[str, Floats], source_text: str) -> Recording:
@@ -85,8 +86,8 @@ def scale_error_of_declared_axes(adjustment: Adjustment) -> tuple[float, float] 
 def _with_plumb_lines(recording: Recording, names: Sequence[str], declared_points: Floats) -> Recording:
     """Recording with declared directions of the plumb lines at levelled stations, for a curved earth.
 
-    The directions refer to the axes of the declared points (k, 3) [m]. They follow from the adjusted network after its
-    alignment to these points, because axes of any orientation are permitted.
+    The directions refer to the axes of the k points `names`, `declared_points` (k, 3) [m]. They follow from the
+    adjusted network after its alignment to these points, because axes of any orientation are permitted.
     """
     adjustment = adjust(recording)
     indices = np.array([recording.targets.index(name) for name in names])
@@ -177,7 +178,7 @@ def _require_free_frame(recording: Recording, source: str | None = None) -> None
 
 
 def _require_same_shape(network_points: Floats, declared_points: Floats, source: str) -> None:
-    """Check that declared points (k, 3) [m] have the shape of the network; raises RecordError.
+    """Check that k declared points (k, 3) [m] have the shape of the network; raises RecordError.
 
     Points are rejected if they are collinear, mirrored, in another scale, or far from the network points (k, 3).
     `source` is the file name in the error.

@@ -33,8 +33,8 @@ comparison takes a millisecond. Also the largest number of stations whose units 
 the whole file is wrong.
 """
 MIN_CLOUD_MISFIT = 5e-3
-"""Median misfit [m] between the points of two stations from which another unit or convention is suspected; neither
-tracker errors nor a single blunder cause as much.
+"""Median misfit [m] between the points of two stations, above which another unit or convention of a station is
+suspected; neither tracker errors nor a single blunder cause such a misfit.
 """
 
 
@@ -45,7 +45,7 @@ class IdentifiedBlunder:
     effect_name: str
     """Kind of the blunder: target-swap, wrong-unit, face-confusion or outlier."""
     rows: Ints
-    """Indices of the pointings, (k,)."""
+    """Indices (k,) of the k pointings with the blunder."""
     stations: tuple[str, ...]
     """Names of the stations of the pointings; empty if the station does not matter."""
     targets: tuple[str, ...]
@@ -85,7 +85,7 @@ def detect_blunders(adjustment: Adjustment) -> list[BlunderWithCorrection]:
 
 
 def _points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
-    """Points (k, 3) [m] in the network frame, from readings (k, 3) that replace those of the pointings `rows` (k,)."""
+    """Points (k, 3) [m] in the network frame, from readings (k, 3) that replace those of k pointings `rows` (k,)."""
     station, instrument = adjustment.recording.station[rows], adjustment.recording.instrument[rows]
     local_points = adjustment.construction.points_from_readings(
         readings, adjustment.state.instrument_parameters[instrument]
@@ -97,7 +97,7 @@ def _points_from_readings(adjustment: Adjustment, readings: Floats, rows: Ints) 
 
 
 def _target_distances(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
-    """Distances (k,) [m] of the measured points from their targets, for readings (k, 3) of pointings `rows` (k,)."""
+    """Distances (k,) [m] of the measured points from their targets, for readings (k, 3) of k pointings `rows` (k,)."""
     goal = adjustment.state.target_points[adjustment.recording.target[rows]]
     return np.asarray(np.linalg.norm(_points_from_readings(adjustment, readings, rows) - goal, axis=1))
 
@@ -105,7 +105,7 @@ def _target_distances(adjustment: Adjustment, readings: Floats, rows: Ints) -> F
 def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderWithCorrection]:
     """Blunders of exchanged targets: two targets exchanged at a station, or one target mistaken for another.
 
-    `is_gross` (n,) flags the pointings with gross errors.
+    `is_gross` (n,) flags those of the n pointings that have gross errors.
     """
     recording, points = adjustment.recording, adjustment.state.target_points
     indices = np.flatnonzero(is_gross & recording.is_measured.all(axis=1))
@@ -141,7 +141,7 @@ def _swapped_targets(adjustment: Adjustment, is_gross: Bools) -> Iterator[Blunde
 
 
 def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderWithCorrection]:
-    """Blunders of heights: pointings directly above or below their target. `is_gross` (n,) flags gross errors."""
+    """Blunders of heights: points directly above or below their target. `is_gross` flags gross pointings."""
     recording = adjustment.recording
     indices = np.flatnonzero(is_gross & recording.is_measured.all(axis=1))
     if not len(indices):
@@ -182,7 +182,7 @@ def _wrong_heights(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderW
 
 
 def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[BlunderWithCorrection]:
-    """Blunders of unit and face among the pointings with gross errors, `is_gross` (n,).
+    """Blunders of unit and face among the pointings with gross errors, which `is_gross` flags.
 
     These pointings agree with their target after a correction of the unit or face.
     """
@@ -237,7 +237,7 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
 
 
 def _mirror_image_blunders(recording: Recording) -> list[IdentifiedBlunder]:
-    """Blunder of two stations that measured mirror images of each other; empty if they did not.
+    """Blunder of two stations that measured mirror images of each other, as a list; empty without mirror images.
 
     One of the stations has clockwise azimuths, but the readings do not show which one.
     """
@@ -283,7 +283,7 @@ def correct_faces(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
 
 
 def _cloud_misfits(recording: Recording, stations: Collection[int] | None = None) -> Floats:
-    """Misfit (S,) [m] of each station's points to the points of the other stations; 0 without common targets.
+    """Misfit (S,) [m] of the points of each of S stations to those of the other stations; 0 without common targets.
 
     The misfit of two stations is the median distance of their common points after a rigid alignment. The misfit of one
     station is the median of its misfits to the stations that share most targets with it. `stations` restricts the

@@ -25,7 +25,7 @@ from ltsim.solve.gauss_newton import solve
 MAX_N_CENTRING_ERRORS = 6
 """Largest number of centring errors that are estimated; a network with more of them must be measured again."""
 CENTRING_EFFECT_NAME = "target-moved"
-"""Catalogue effect that represents a centring error: the equipment on a mark was displaced."""
+"""Name of the catalogue effect that represents a centring error: the equipment on a mark was displaced."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +52,10 @@ class CentringErrors:
     occupations: tuple[MarkOccupation, ...]
     """Occupations with a centring error."""
     shifts: Floats
-    """Shift of each occupation [m], (k, 3); in plan only, (k, 2), if the model contains errors of instrument
+    """Shifts of the k occupations [m], (k, 3); in plan only, (k, 2), if the model contains errors of instrument
     heights."""
     covariance: Floats
-    """Covariance of the components of each shift [m^2], (k, 3, 3) or (k, 2, 2)."""
+    """Covariance of the components of each of the k `shifts` [m^2], (k, 3, 3) or in plan (k, 2, 2)."""
     chi2: float
     """Chi-square of the adjustment with the centring errors."""
     dof: int

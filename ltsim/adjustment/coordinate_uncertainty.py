@@ -18,7 +18,7 @@ from ltsim.physics.effects.air import reading_changes_per_sigma, turbulence_vari
 from ltsim.physics.effects.rays import relative_index_decrease_per_kelvin
 from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.coordinates import AXIS_NAMES, covariance_text
-from ltsim.solve.design import ROWS_PER_PIECE, DesignMatrix, to_dense, weight_rows
+from ltsim.solve.design import DESIGN_ROWS_PER_BATCH, DesignMatrix, to_dense, weight_rows
 
 COVARIANCE_FILE_NAME = "targets.covariance.csv"
 """Name of the file with the joint covariance of the coordinates in `targets.csv`."""
@@ -197,10 +197,10 @@ def air_covariance(adjustment: Adjustment, columns: Ints, air: AirUncertainty | 
 
 
 def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[Floats, DesignMatrix]:
-    """Right-hand sides A' s (u, q) of the normal equations, and the matrix A' S A (u, u) of turbulence.
+    """Right-hand sides A' s (u, q) of the normal equations for q air errors, and the matrix A' S A (u, u).
 
-    s are the shifts of the whitened observations by temperature and gradient of each station, S is their covariance due
-    to turbulence, A the design matrix of u unknowns.
+    s are the shifts of the whitened observations by the errors, which are temperature and gradient at each station; S
+    is the covariance of the observations due to turbulence, A the design matrix of u unknowns.
     """
     common, station = _reading_shifts_by_shared_air_errors(adjustment, air)
     turbulence, design = _turbulence_sigma_ratios(adjustment, air), adjustment.solution.system.design[: len(station)]
@@ -208,15 +208,15 @@ def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[
     columns, rows = np.stack([place, len(stations) + place]).ravel(), np.tile(np.arange(len(station)), 2)
     shifts = sp.csr_array((common.ravel(), (rows, columns)), (len(station), 2 * len(stations)))
     normal_matrix_parts = []
-    for first in range(0, len(station), ROWS_PER_PIECE):
-        row_slice = slice(first, first + ROWS_PER_PIECE)
+    for first in range(0, len(station), DESIGN_ROWS_PER_BATCH):
+        row_slice = slice(first, first + DESIGN_ROWS_PER_BATCH)
         turbulent_design = weight_rows(design[row_slice], turbulence[row_slice])
         normal_matrix_parts.append(turbulent_design.T @ turbulent_design)
     return to_dense(design.T @ shifts), sum(normal_matrix_parts)
 
 
 def joint_covariance_due_to_air(adjustment: Adjustment, air: AirUncertainty | None = None) -> Floats:
-    """Joint covariance (3 T, 3 T) [m^2] of the T targets due to errors of the air; zero for short ranges."""
+    """Joint covariance (3 T, 3 T) [m^2] of the coordinates of T targets due to air errors; zero for short ranges."""
     columns = adjustment.problem.unknowns.target_columns.reshape(1, -1)
     return air_covariance(adjustment, columns, air)[0]
 

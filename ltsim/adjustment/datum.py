@@ -25,16 +25,17 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 @dataclass(frozen=True)
 class DatumPoints:
-    """The k points that define a datum."""
+    """Points that define a datum, k in number."""
 
     columns: Ints
-    """Indices (k, 3) of the coordinates of the points in the vector of unknowns."""
+    """Indices (k, 3) of the coordinates of the k points in the vector of unknowns."""
     points: Floats
-    """Coordinates (k, 3) [m] of the points."""
+    """Coordinates (k, 3) [m] of the k points."""
     approximate_points: Floats
-    """Approximate coordinates (k, 3) [m]; NaN if not declared, and along axes outside the datum."""
+    """Approximate coordinates (k, 3) [m] of the k points; NaN if not declared or if the axis is not part of the
+    datum."""
     defines_datum: Bools
-    """Flags (k, 3) of the coordinates that define the datum."""
+    """Flags (k, 3) of those coordinates of the k points that define the datum."""
 
     @classmethod
     def from_names(cls, problem: NetworkProblem, state: NetworkState, names: Sequence[str]) -> DatumPoints:
@@ -109,8 +110,9 @@ def move_to_datum(problem: NetworkProblem, state: NetworkState, names: Sequence[
 class InnerDatum:
     """S-transformation of covariances to an inner datum.
 
-    The transformed covariance is C' = C - G U^T - U G^T + G M G^T. It equals S C S^T with S = I - G (B^T G)^-1 B^T,
-    where B contains the rows of G of the datum points and zeros elsewhere.
+    The columns of G are the free motions, B contains the rows of G of the datum points and zeros elsewhere. The
+    covariance C becomes C' = S C S^T with S = I - G (B^T G)^-1 B^T. The equal sum C' = C - G U^T - U G^T + G M G^T is
+    computed from the matrices U (`transformation`) and M (`motion_covariance`).
 
     References
     ----------
@@ -119,11 +121,13 @@ class InnerDatum:
     """
 
     free_motions: Floats
-    """Matrix G, (u, f): changes of the u unknowns by the f free motions."""
+    """Matrix G, (u, f): changes of the u unknowns by the f rigid motions that no observation determines."""
     transformation: Floats
-    """Matrix U = C B (G^T B)^-1 of the transformation, (u, f)."""
+    """Matrix U = C B (G^T B)^-1, (u, f), from the covariance C (u, u) of the u unknowns, the matrix G (u, f) of the f
+    free motions, and the matrix B of its rows for the datum points, with zeros elsewhere."""
     motion_covariance: Floats
-    """Matrix M = (B^T G)^-1 B^T C B (G^T B)^-1 of the transformation, (f, f)."""
+    """Covariance M = (B^T G)^-1 B^T C B (G^T B)^-1, (f, f), of the amounts of the f free motions; C, G and B are the
+    covariance, the free motions and their rows for the datum points, as for `transformation`."""
     point_names: tuple[str, ...] = ()
     """Names of the datum points."""
 
@@ -131,7 +135,7 @@ class InnerDatum:
     def from_columns(
         cls, free_motions: Floats, columns: Ints, multiply_covariance: Callable[[Floats], Floats]
     ) -> InnerDatum:
-        """Datum in which some unknowns, with the indices `columns`, fix the free motions.
+        """Datum in which some unknowns, with the indices `columns`, fix the motions that no observation determines.
 
         `free_motions` (u, f) contains the changes of all u unknowns by the f free motions. `multiply_covariance`
         multiplies a matrix from the left by the covariance (u, u) of the unknowns. Raises ModelError if the selected
@@ -152,7 +156,7 @@ class InnerDatum:
     ) -> InnerDatum | None:
         """Datum defined by the points `names`; None if the observations determine all rigid motions.
 
-        Raises ModelError if these points do not fix the free motions.
+        Raises ModelError if these points do not fix the motions that no observation determines.
         """
         if not problem.free_motions.shape[1]:
             return None
@@ -194,7 +198,7 @@ def _scale_displacement_function(problem: NetworkProblem) -> Callable[[Floats], 
 
 
 def motions_about_centre(free_motions: Floats, centre: Floats) -> Floats:
-    """Orthonormal basis (6, f) of the f free motions, as translations of the point `centre` and rotations about it."""
+    """Orthonormal basis (6, f) of f rigid motions, as translations of the point `centre` and rotations about it."""
     about = free_motions.copy()
     about[:3] += np.cross(free_motions[3:].T, centre).T
     return np.linalg.qr(about)[0]

@@ -175,9 +175,9 @@ def adjust(
 
 
 def _is_over_wrong_mark(recording: Recording, is_gross: Bools) -> Bools:
-    """Flags (n,) of the pointings from set-ups whose declared mark may be wrong.
+    """Flags (n,) of those of n pointings that are from set-ups whose declared mark may be wrong.
 
-    Most pointings of such a set-up have gross errors, which `is_gross` (n,) flags.
+    Most pointings of such a set-up have gross errors; `is_gross` (n,) flags the pointings with gross errors.
     """
     n_stations = len(recording.stations)
     has_mark = np.array([recording.station_setup(name).over is not None for name in recording.stations])
@@ -203,7 +203,7 @@ def _require_fixed_smr_offsets(problem: NetworkProblem) -> None:
 
 
 def _solve(problem: NetworkProblem, start_state: NetworkState) -> tuple[NetworkProblem, Solution[NetworkState]]:
-    """Unchanged problem, and its least-squares solution without outlier tests."""
+    """Problem, unchanged, and its least-squares solution without a rejection of outliers."""
     return problem, solve(problem, start_state)
 
 
@@ -319,11 +319,11 @@ def _axes_point_test(
 ) -> ReferenceTest:
     """Test of one of the points that define the axes.
 
-    `misclosure` (3,) [m] is declared minus adjusted coordinates, `covariance` (3, 3) [m^2] that of the adjusted point.
-    `hat_block` (3, 3) is the block of the hat matrix of the alignment for this point. The misclosure of a point in use
-    is (1 - `hat_block`) times its error; that of an excluded point is its full error. `scatter_dof_and_level` contains
-    the sum of squared misclosures of the points in use, its degrees of freedom, and the significance level of this
-    test.
+    `misclosure` (3,) [m] is declared minus adjusted coordinates, `covariance` (3, 3) [m^2] the covariance of the
+    latter. `hat_block` (3, 3) is the block of the hat matrix of the alignment for this point. The misclosure of a point
+    in use is (1 - `hat_block`) times its error; that of an excluded point is its full error. `scatter_dof_and_level`
+    contains the sum of squared misclosures of the points in use, its degrees of freedom, and the significance level of
+    this test.
     """
     share, turned = np.linalg.eigh(np.eye(3) - hat_block if is_used else np.eye(3) + hat_block)
     is_checked = share > MAX_SOLUTION_ROUNDING_ERROR

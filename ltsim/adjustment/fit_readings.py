@@ -23,12 +23,12 @@ class FitReadings:
     """Readings of k pointings for the fit of one pose or point."""
 
     readings: Floats
-    """Readings converted to the front face, (k, 3) [m, rad, rad]; NaN if not measured."""
+    """Readings of k pointings converted to the front face, (k, 3) [m, rad, rad]; NaN if not measured."""
     is_horizontal: Bools
-    """Flags (k,) of the pointings whose distance is horizontal."""
+    """Flags (k,) of those of the k pointings whose distance is horizontal."""
     sight_vector_offsets: Floats
-    """Offsets (k, 3) [m] of the sight vectors in the network frame: offset of the reflector from its point minus offset
-    of the instrument from its point."""
+    """Offsets (k, 3) [m] of the k sight vectors in the network frame: offset of the reflector from its point minus
+    offset of the instrument from its point."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> Self:
@@ -69,10 +69,10 @@ class FitReadings:
         return thinned_rows, self.select_rows(thinned_rows)
 
     def residuals(self, local_points: Floats) -> tuple[Floats, Floats]:
-        """Whitened residuals (b, 3 k) of b trial solutions, and their derivatives (b, 3 k, 3) by the local points.
+        """Whitened residuals (b, 3 k) of b trial solutions for k pointings, and derivatives by the local points.
 
         `local_points` (b, k, 3) [m] are the positions of the reflectors in the instrument frame, for each trial
-        solution.
+        solution. The derivatives have the shape (b, 3 k, 3).
         """
         size, rows = local_points.shape[:2]
         polar = to_polar(local_points.reshape(-1, 3))

@@ -20,11 +20,11 @@ from ltsim.geometry.rigid import cross_matrix, matrix_from_rotation_vector, rota
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MAX_SOLUTION_DISTANCE = 1e-3
-"""Largest relative distance of positions plus distance of rotation matrices of two solutions that count as the same."""
+"""Largest difference of two solutions that count as the same: relative distance of positions plus that of rotations."""
 MIN_SUM_OF_SQUARES_RATIO = 4.0
 """Smallest ratio of the second smallest to the smallest sum of squared residuals at which a solution is unique."""
 MAX_RMS_MISFIT_SIGMAS = 300.0
-"""Largest rms residual of a solution, in standard deviations of the readings."""
+"""Largest rms residual of an accepted solution, in standard deviations of the readings."""
 N_ITERATED_STARTS = 150
 """Number of start values that are iterated: those with the smallest sums of squared residuals."""
 MAX_STARTS = 400
@@ -34,7 +34,7 @@ EIGHT_AZIMUTHS = np.arange(8) * np.pi / 4
 START_COORDINATE_GRIDS = np.geomspace(0.3, 300.0, 12), EIGHT_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
 """Grids of start values for the unmeasured polar coordinates of a point: range [m], azimuth [rad], elevation [rad]."""
 MIN_TARGETS_OF_RANGE_NETWORK = 10
-"""Smallest number of targets of a network of ranges only: their differences determine nine affine coefficients."""
+"""Smallest number of targets of a network of ranges only: nine differences to one target give nine coefficients."""
 
 ResidualFunction = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Function that evaluates b trial solutions at once, from positions (b, 3) [m] and rotations (b, 3, 3). It returns the
@@ -111,7 +111,7 @@ def _unique_solution(
 ) -> tuple[Floats, Floats] | None:
     """Position (3,) and rotation (3, 3) of the first of the `solutions`; None if it fits poorly or is not unique.
 
-    `solutions` are the sums of squares (b,) in ascending order, positions (b, 3) [m] and rotations (b, 3, 3).
+    `solutions` of b fits are sums of squares (b,) in ascending order, positions (b, 3) [m], rotations (b, 3, 3).
     """
     cost, x, rotation = solutions
     if not cost[0] < MAX_RMS_MISFIT_SIGMAS**2 * n_readings:
@@ -127,7 +127,7 @@ def _iterate_best_starts(
 ) -> tuple[Floats, Floats, Floats]:
     """Sums of squares (b,) in ascending order, positions (b, 3) and rotations (b, 3, 3) of b iterated solutions.
 
-    Levenberg-Marquardt iterations start at those of the start positions (s, 3) and rotations (s, 3, 3) that fit best.
+    Levenberg-Marquardt iterations start at the best of the s positions (s, 3) and the s rotations (s, 3, 3).
     `is_free_unknown` (6,) flags the components of translation and rotation that are estimated.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -169,7 +169,7 @@ def _replace_where_better(is_better: Bools, new_values: Floats, old_values: Floa
 
 
 def _candidate_positions(points: Floats) -> Floats:
-    """Start positions (c, 3) [m] of a station, between and around the points (k, 3) that it measured."""
+    """Start positions (19, 3) [m] of a station, between and around the k points (k, 3) [m] that it measured."""
     centre = points.mean(axis=0)
     radius = max(float(np.linalg.norm(points - centre, axis=1).max()), 1.0)
     circle = radius * np.stack([np.cos(EIGHT_AZIMUTHS), np.sin(EIGHT_AZIMUTHS), np.zeros(len(EIGHT_AZIMUTHS))], axis=1)
@@ -178,7 +178,7 @@ def _candidate_positions(points: Floats) -> Floats:
 
 
 def _candidate_rotations(is_levelled: bool) -> Floats:
-    """Start rotations (c, 3, 3) of a station: eight yaws, combined with six tilts unless the station is levelled."""
+    """Start rotations of a station, (8, 3, 3) for eight yaws, or (48, 3, 3) with six tilts unless it is levelled."""
     yaws = np.stack([rotation_about_z(a) for a in EIGHT_AZIMUTHS])
     if is_levelled:
         return yaws
@@ -187,7 +187,7 @@ def _candidate_rotations(is_levelled: bool) -> Floats:
 
 
 def _start_points(readings: Floats, position: Floats, rotation: Floats) -> Floats:
-    """Start points (c, 3) [m] along measured directions, and on spheres about stations that measured only the range."""
+    """Start points, one per row [m], along measured directions, and on spheres about stations with ranges only."""
     starts = []
     for reading, place, turn in zip(readings, position, rotation, strict=True):
         if np.isfinite(reading).any():
@@ -268,11 +268,11 @@ def fit_plan(
     Parameters
     ----------
     setup_indices, start_indices, end_indices : (n,) int
-        Upright set-up of each direction, index of its point, and index of the point of the target.
+        Indices of the (upright) set-up of each of n directions, of the point of this set-up, and of the target's point.
     azimuths : (n,) float, [rad]
-        Reading of the horizontal circle in each direction.
+        Reading of the horizontal circle of each direction.
     control_coordinates : (P, 2) float, [m]
-        Known coordinates of the points; NaN for other points.
+        Known coordinates of the P points; NaN for unknown ones.
     lengths : HorizontalLengths
         Measured lengths. A length is used if the direction of its line was measured from at least one end.
     """
@@ -299,7 +299,7 @@ def fit_plan(
 
 
 def _measured_lengths_of_directions(lines: HorizontalLengths, starts: Ints, ends: Ints) -> tuple[Ints, Floats]:
-    """Indices (k,) of directions along lines with a measured length, and these lengths (k,) [m]."""
+    """Indices (k,) of the k directions along lines with a measured length, and these lengths (k,) [m]."""
     lengths: dict[tuple[int, int], float] = {}
     for start_place, end_place, length in zip(
         lines.start_indices.tolist(), lines.end_indices.tolist(), lines.lengths.tolist(), strict=True
@@ -343,7 +343,7 @@ def lines_of_undetermined_length(
 
 
 def _plan_design(start_indices: Ints, end_indices: Ints, bearings: Floats, length_rows: Ints, n_points: int) -> Floats:
-    """Design matrix of the equations for x and y of all points in plan except the first.
+    """Design matrix of the equations for x and y of `n_points` points in plan, without the first point.
 
     Each direction gives an equation perpendicular to its bearing, and a second one along its bearing if its length is
     measured (indices `length_rows`). Zero rows are added so that the matrix has at least as many rows as columns.
@@ -381,7 +381,7 @@ def _plan_shape(
 
 
 def _setup_yaws(setup: Ints, starts: Ints, ends: Ints, azimuths: Floats) -> Floats:
-    """Yaws (S,) [rad] of the set-ups that are connected to the first set-up; NaN for other set-ups.
+    """Yaws (S,) [rad] of S set-ups, if they are connected to the first set-up; NaN for other set-ups.
 
     Two set-ups are connected if they measured the direction of the same line, from the same end or from both ends.
     """

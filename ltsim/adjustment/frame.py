@@ -20,7 +20,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
 
 MAX_FLOOR_PLAN_ERROR = 0.5
-"""Distance [m] of an adjusted station from its position on the floor plan, from which the floor plan is ignored."""
+"""Smallest distance [m] of an adjusted station from its position on a floor plan at which the plan is ignored."""
 UNKNOWN_POINT = (np.nan, np.nan, np.nan)
 """Coordinates of a point without declared coordinates."""
 
@@ -33,24 +33,24 @@ class DeclaredFrame:
     """
 
     declared_points: Floats
-    """Coordinates (T, 3) [m] of the targets that define the frame: known, or approximate for targets of the datum."""
+    """Coordinates (T, 3) [m] of T targets, if they define the frame: known ones, or approximate ones of the datum."""
     declared_station_positions: Floats
-    """Positions (S, 3) [m] of the instruments over marks that are no targets, from declared coordinates of the
-    marks."""
+    """Positions (S, 3) [m] of the instruments of S stations, if over marks that are no targets, from declared
+    coordinates of the marks."""
     is_levelled: Bools
-    """Flags of the levelled stations, (S,)."""
+    """Flags (S,) of those of the S stations that are levelled."""
     marks: StationMarks
     """Marks under the stations."""
     plan_positions: Floats
-    """Approximate positions of the stations on a floor plan, (S, 3) [m]."""
+    """Approximate positions of S stations on a floor plan, (S, 3) [m]."""
     plan_yaws: Floats
-    """Direction of azimuth zero of each station in the floor plan, (S,) [rad]."""
+    """Direction of azimuth zero of each of S stations in the floor plan, (S,) [rad]."""
     has_declared_yaw: Bools
-    """Flags of the stations whose yaw is known and not only approximate, (S,)."""
+    """Flags (S,) of those of the S stations whose yaw (direction of azimuth zero) is known and not only approximate."""
     approximate_points: Floats
-    """Known or approximate coordinates of the targets, (T, 3) [m]."""
+    """Known or approximate coordinates of T targets, (T, 3) [m]."""
     plan_points: Floats
-    """Coordinates (T, 3) [m] of the targets with known x and y, with height 0."""
+    """Coordinates (T, 3) [m] of those of T targets whose x and y are known, with height 0."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> DeclaredFrame:
@@ -89,8 +89,8 @@ class DeclaredFrame:
     def network_and_declared_points(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
         """Coordinates (k, 3) [m] of k stations and targets in a network, and their declared coordinates (k, 3).
 
-        `position` (S, 3) [m] are the stations and `points` (T, 3) [m] the targets of the network. Stations and targets
-        without declared coordinates are left out.
+        `position` (S, 3) [m] are the S stations and `points` (T, 3) [m] the T targets of the network. Stations and
+        targets without declared coordinates are left out.
         """
         here, there = (
             np.concatenate([position, points]),
@@ -154,8 +154,8 @@ class DeclaredFrame:
     def mirror_factors(self, network_points: Floats, declared_points: Floats) -> Floats | None:
         """Factors (3,) on the coordinates of a network of ranges alone: (1, 1, -1) mirrors it, (1, 1, 1) does not.
 
-        Ranges do not determine the handedness of the network points (k, 3) [m]. Declared points (k, 3) [m], NaN if not
-        declared, determine the handedness unless they are coplanar; then the result is None.
+        Ranges do not determine the handedness of the k network points (k, 3) [m]. Declared points (k, 3) [m], NaN if
+        not declared, determine the handedness unless they are coplanar; then the result is None.
         """
         has_place = np.isfinite(declared_points).all(axis=1)
         network_points, declared_points = network_points[has_place], declared_points[has_place]
@@ -175,7 +175,7 @@ class DeclaredFrame:
     def resolves_mirror(self, position: Floats, points: Floats) -> bool:
         """True if approximate coordinates distinguish a network of ranges from its mirror image.
 
-        The network has stations at `position` (S, 3) [m] and targets at `points` (T, 3) [m].
+        The network has S stations at `position` (S, 3) [m] and T targets at `points` (T, 3) [m].
         """
         return (
             self.mirror_factors(
@@ -187,10 +187,11 @@ class DeclaredFrame:
     def place_range_network(
         self, stations: Ints, position: Floats, targets: Ints, points: Floats
     ) -> tuple[Floats, bool]:
-        """Targets (t, 3) [m] of a network of ranges, with the handedness and frame of the approximate coordinates.
+        """Targets (t, 3) [m] of a network of ranges, s stations and t targets, in the frame of the approximate points.
 
-        The second element is True if the targets are in this frame, which requires three approximate points that are
-        not collinear. `stations` and `targets` are indices; `position` (s, 3), `points` (t, 3) [m] their coordinates.
+        The handedness too is that of the approximate points. The second element is True if the targets are in this
+        frame, which requires three approximate points that are not collinear. `stations` and `targets` are indices;
+        `position` (s, 3), `points` (t, 3) [m] their coordinates.
         """
         here, there = (
             np.concatenate([position, points]),
@@ -208,13 +209,13 @@ class DeclaredFrame:
     def agrees_with_floor_plan(self, position: Floats, rotation: Floats) -> bool:
         """True if a network lies on the floor plan: its motion to the floor plan is less than `MAX_FLOOR_PLAN_ERROR`.
 
-        `position` (S, 3) [m] and `rotation` (S, 3, 3) are the poses of the stations.
+        `position` (S, 3) [m] and `rotation` (S, 3, 3) are the poses of the S stations.
         """
         motion = self.motion_to_floor_plan(position, rotation)
         return motion is not None and bool(alignment_distances(position, position, motion).max() < MAX_FLOOR_PLAN_ERROR)
 
     def rotation_to_declared_yaws(self, rotation: Floats, is_joined_station: Bools) -> Floats | None:
-        """Rotation (3, 3) about z that brings upright stations to their known yaws; None without known yaws."""
+        """Rotation (3, 3) about z that brings upright stations to known yaws; None if no joined station has one."""
         mask = self.has_declared_yaw & is_joined_station
         if not mask.any():
             return None
@@ -224,7 +225,7 @@ class DeclaredFrame:
         )
 
     def levelling_rotation(self, rotation: Floats, is_joined_station: Bools) -> Floats:
-        """Smallest rotation (3, 3) that brings the axes of levelled stations to their plumb lines."""
+        """Smallest rotation (3, 3) that brings the axes of levelled joined stations to their plumb lines."""
         mask = self.is_levelled & is_joined_station
         if not mask.any():
             return np.eye(3)
@@ -276,28 +277,28 @@ def _declared_plan_coordinates(target: Target) -> tuple[float, ...]:
 
 
 def _points_in_metres(coordinates_mm: list[tuple[float, ...]]) -> Floats:
-    """Points (k, 3) [m] from coordinates in millimetres."""
+    """Points (k, 3) [m] from the coordinates of k points in millimetres."""
     return np.array(coordinates_mm, dtype=np.float64).reshape(-1, 3) * MILLIMETRE
 
 
 def _rms_distance_from_plane(points: Floats) -> float:
-    """Root-mean-square distance [m] of points (k, 3) from their best-fit plane."""
+    """Root-mean-square distance [m] of k points (k, 3) from their best-fit plane."""
     return float(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] / np.sqrt(len(points)))
 
 
 def are_collinear(points: Floats) -> bool:
-    """True if points (k, 3) are collinear: their extent across the best-fit line is at most 0.1 % of that along it."""
+    """True if k points (k, 3) are collinear: extent across the best-fit line at most 0.1 % of the extent along it."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[1] <= 1e-3 * spread[0])
 
 
 def alignment_distances(points: Floats, goal_points: Floats, motion: tuple[Floats, Floats]) -> Floats:
-    """Distances (k,) [m] of points (k, 3) from goal points (k, 3) after a motion: rotation (3, 3), translation (3,)."""
+    """Distances (k,) [m] of k points (k, 3) from their goals after a motion: rotation (3, 3), translation (3,)."""
     return np.asarray(np.linalg.norm(points @ motion[0].T + motion[1] - goal_points, axis=1))
 
 
 def upright_alignment(source: Floats, goal_points: Floats) -> tuple[Floats, Floats]:
-    """Rotation about the vertical (3, 3) and translation (3,) that align `source` (k, 3) to goal points (k, 3).
+    """Rotation about the vertical (3, 3) and translation (3,) [m] that align k points `source` (k, 3) to their goals.
 
     Raises NetworkError if all points lie on one vertical line.
     """
@@ -314,17 +315,17 @@ class StationTargetPairs:
     """List of the m pairs of a station and a target that it measured completely, in the order of the stations."""
 
     station_indices: Ints
-    """Index of the station of each pair, (m,)."""
+    """Index of the station of each of m pairs, (m,)."""
     target_indices: Ints
-    """Index of the target of each pair, (m,)."""
+    """Index of the target of each of m pairs, (m,)."""
     local_points: Floats
-    """Coordinates of the target in the station's frame, (m, 3) [m]."""
+    """Coordinates of the target of each of m pairs in the frame of its station, (m, 3) [m]."""
     first_pair_of_station: Ints
-    """Index of the first pair of each of S stations, and m at the end, (S + 1,)."""
+    """Index of the first pair of each of S stations, and the number of pairs at the end, (S + 1,)."""
     pair_order_by_target: Ints
-    """Indices of the pairs in the order of their targets, (m,)."""
+    """Indices of the m pairs in the order of their targets, (m,)."""
     first_pair_of_target: Ints
-    """Index in `pair_order_by_target` of the first pair of each of T targets, and m at the end, (T + 1,)."""
+    """Index in `pair_order_by_target` of the first pair of each of T targets, and the number of pairs, (T + 1,)."""
 
     @classmethod
     def from_recording(cls, recording: Recording, points: Floats | None = None) -> StationTargetPairs:
@@ -358,7 +359,7 @@ class StationTargetPairs:
         return slice(int(self.first_pair_of_station[station]), int(self.first_pair_of_station[station + 1]))
 
     def values_by_pair(self, recording: Recording, pointing_values: Floats) -> Floats:
-        """Values (m, 3) of the m pairs: for each pair the value of its last pointing in `pointing_values` (n, 3)."""
+        """Values (m, 3) of m pairs: for each pair that of its last pointing, from values (n, 3) of n pointings."""
         by_pair = np.zeros((len(self), 3))
         keys = self.station_indices * len(recording.targets) + self.target_indices
         pair_keys = recording.station * len(recording.targets) + recording.target
@@ -367,7 +368,7 @@ class StationTargetPairs:
         return by_pair
 
     def medians_by_target(self, pair_values: Floats, targets: Ints) -> Floats:
-        """Medians (k, 3), for k targets, of the values (m, 3) of their pairs; NaN if all values of a target are NaN."""
+        """Medians (k, 3), for k targets, of the values (m, 3) of the m pairs by target; NaN if all values are NaN."""
         medians = np.full((len(targets), 3), np.nan)
         for part in batches(len(targets), 3 * int(np.diff(self.first_pair_of_target).max(initial=1))):
             first, end = self.first_pair_of_target[targets[part]], self.first_pair_of_target[targets[part] + 1]
@@ -378,7 +379,7 @@ class StationTargetPairs:
 
 
 def _nan_median(values: Floats) -> Floats:
-    """Medians (t, 3) over the second axis of values (t, k, 3), without NaN; NaN if all values are NaN."""
+    """Medians (t, 3) of the k values of each of t targets, (t, k, 3), without NaN; NaN if all values are NaN."""
     if not values.shape[1]:
         return np.full((len(values), 3), np.nan)
     sorted_values = np.sort(values, axis=1)
@@ -388,7 +389,7 @@ def _nan_median(values: Floats) -> Floats:
 
 
 def points_with_slope_distances(recording: Recording) -> Floats | None:
-    """Measured points (n, 3) [m], with horizontal converted to slope distances; None without horizontal distances."""
+    """Points (n, 3) [m] of n pointings, with horizontal converted to slope distances; None without horizontal ones."""
     is_horizontal = recording.is_horizontal
     if not is_horizontal.any():
         return None

@@ -18,16 +18,16 @@ class StationMarks:
     """Marks under the S set-ups of a recording."""
 
     target_indices: Ints
-    """Index of the target under each set-up, -1 for none, (S,)."""
+    """Index of the target under each of S set-ups, -1 for none, (S,)."""
     first_setup_on_mark: Ints
-    """Index of the first set-up over the same mark, (S,); index of the set-up itself if its mark is a target or if it
-    is not over a mark."""
+    """Index of the first set-up over the mark of each of S set-ups, (S,); index of the set-up itself if its mark is a
+    target or if it is not over a mark."""
     mark_names: tuple[str, ...]
     """Name of the mark under each set-up, '' for none."""
     plumb_directions: Floats
-    """Unit vector of the plumb line at each set-up, upward, (S, 3)."""
+    """Unit vector of the plumb line at each of S set-ups, upward, (S, 3)."""
     instrument_offsets: Floats
-    """Vector from the mark to the instrument, (S, 3) [m]."""
+    """Vector from the mark to the instrument at each of S set-ups, (S, 3) [m]."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> StationMarks:
@@ -46,8 +46,8 @@ class StationMarks:
     def position_from_mark(self, station: int, position: Floats, points: Floats) -> Floats:
         """Position (3,) [m] of a set-up, derived from the position of its mark; NaN if the mark has no coordinates.
 
-        The coordinates of the mark are those of a target, `points` (T, 3) [m], or follow from another set-up over the
-        same mark, `position` (S, 3) [m]. Undetermined targets and set-ups are NaN.
+        The coordinates of the mark are those of one of T targets, `points` (T, 3) [m], or follow from another of S
+        set-ups over the same mark, `position` (S, 3) [m]. Undetermined targets and set-ups are NaN.
         """
         if self.target_indices[station] >= 0:
             return np.asarray(points[self.target_indices[station]] + self.instrument_offsets[station])
@@ -57,10 +57,10 @@ class StationMarks:
         return next(positions, np.full(3, np.nan))
 
     def positions_on_marks(self, position: Floats, points: Floats) -> Floats:
-        """Positions (S, 3) [m] of set-ups that are consistent with their marks.
+        """Positions (S, 3) [m] of S set-ups that are consistent with their marks.
 
-        The position of a set-up over a target follows from `points` (T, 3) [m], that of another set-up over a mark from
-        `position` (S, 3) [m] of the first set-up over the same mark.
+        The position of a set-up over a target follows from the T target coordinates `points` (T, 3) [m], that of
+        another set-up over a mark from `position` (S, 3) [m] of the first set-up over the same mark.
         """
         mark_positions = (
             position[self.first_setup_on_mark]
@@ -77,7 +77,7 @@ class StationMarks:
 def _require_sights_above_marks(recording: Recording, mark_targets: Ints) -> None:
     """Check that no set-up measures the target under it from the same height; raises NetworkError.
 
-    `mark_targets` (S,) are the indices of the targets under the set-ups, -1 for none.
+    `mark_targets` (S,) are the indices of the targets under the S set-ups, -1 for none.
     """
     is_at_mark = (recording.target == mark_targets[recording.station]) & recording.is_measured.any(axis=1)
     for row in np.flatnonzero(is_at_mark).tolist():

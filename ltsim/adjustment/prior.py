@@ -25,26 +25,32 @@ class ParameterPrior:
     """Normal prior of the p parameters of each of I instruments; instruments are independent."""
 
     mean: Floats
-    """Prior mean of each parameter, (I, p) [SI]."""
+    """Prior mean of each of p parameters of each of I instruments, (I, p) [SI]."""
     covariance: Floats
-    """Prior covariance of the parameters of each instrument, (I, p, p) [SI]."""
+    """Prior covariance of the p parameters of each of I instruments, (I, p, p) [SI]."""
     is_fixed: Bools
-    """Flags of the parameters that are fixed at their mean, (I, p)."""
+    """Flags (I, p) of those of the p parameters of each of I instruments that are fixed at their mean."""
 
     @classmethod
     def independent(cls, sigma: Floats) -> ParameterPrior:
-        """Independent priors with mean zero and standard deviations `sigma` (I, p) [SI]; infinite for no prior."""
+        """Uncorrelated priors of p parameters of each of I instruments, with mean zero and standard deviations `sigma`.
+
+        `sigma` (I, p) [SI] is infinite for parameters without a prior.
+        """
         covariance = np.where(np.eye(sigma.shape[1], dtype=bool), sigma[:, :, None] ** 2, 0.0)
         return cls(np.zeros(sigma.shape), covariance, np.zeros(sigma.shape, dtype=bool))
 
     def with_widened_sigmas(self, widened_mask: Bools) -> ParameterPrior:
-        """Prior with `WIDENED_SIGMA_FACTOR` times larger standard deviations of parameters in `widened_mask` (I, p)."""
+        """Prior with `WIDENED_SIGMA_FACTOR` times larger standard deviations of the parameters in `widened_mask`.
+
+        The mask (I, p) has one flag for each of p parameters of each of I instruments.
+        """
         factor = np.where(widened_mask, WIDENED_SIGMA_FACTOR, 1.0)
         return ParameterPrior(self.mean, self.covariance * factor[:, :, None] * factor[:, None, :], self.is_fixed)
 
     @property
     def sigma(self) -> Floats:
-        """Prior standard deviations (I, p) [SI] of the parameters; infinite without a prior."""
+        """Prior standard deviations (I, p) [SI] of p parameters of each of I instruments; infinite without a prior."""
         return np.sqrt(np.einsum("ipp->ip", self.covariance))
 
     @cached_property
@@ -54,14 +60,17 @@ class ParameterPrior:
 
     @cached_property
     def whitening_matrices(self) -> Floats:
-        """Matrices (I, p, p) that transform deviations from the mean to standard normal variables."""
+        """Matrices (I, p, p), one of p parameters for each of I instruments, that whiten deviations from the mean."""
         sigma = self.sigma
         correlation = self.covariance / (sigma[:, :, None] * sigma[:, None, :])
         lower_factor = np.linalg.cholesky(correlation)
         return np.linalg.inv(lower_factor) / sigma[:, None, :]
 
     def whitened_residuals(self, parameter_values: Floats) -> Floats:
-        """Whitened deviations (m,) of parameter values (I, p) from the means of the m parameters with a prior."""
+        """Whitened deviations (m,) of the m parameters with a prior from their prior means.
+
+        `parameter_values` (I, p) [SI] are the values of the p parameters of all I instruments.
+        """
         gap = self.mean - parameter_values
         if self.has_correlations:
             return np.einsum("iqp,ip->iq", self.whitening_matrices, gap).ravel()
@@ -77,7 +86,7 @@ def prior_sigmas(recording: Recording, construction: GeometricErrorModel) -> Flo
 
 
 def expected_error_sigmas(recording: Recording, construction: GeometricErrorModel) -> Floats:
-    """Expected standard deviations (I, p) [SI] of the instrument errors that are present in the readings.
+    """Expected standard deviations (I, p) [SI] of those p errors of I instruments that are present in the readings.
 
     They are equal to `prior_sigmas`. For a corrected instrument those of parameters without a declared prior are
     multiplied by `CORRECTED_INSTRUMENT_SIGMA_FRACTION`.

@@ -26,7 +26,7 @@ from ltsim.geometry.polar import wrap_angle
 from ltsim.geometry.rigid import cross_matrix
 from ltsim.physics.model.construction import declared_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, Prediction
-from ltsim.solve.design import ROWS_PER_PIECE, DesignMatrix, SparsityPattern, to_dense
+from ltsim.solve.design import DESIGN_ROWS_PER_BATCH, DesignMatrix, SparsityPattern, to_dense
 from ltsim.solve.elimination import BlockSystem
 
 DATUM_SIGMA = np.full(6, 1e-8)
@@ -49,7 +49,7 @@ class NetworkProblem(NetworkRows):
     """
 
     sigma: Floats
-    """Standard deviations of the readings, (n, 3) [m, rad, rad]."""
+    """Standard deviations of the readings of n pointings, (n, 3) [m, rad, rad]."""
     prior: ParameterPrior
     """Prior of the instrument parameters."""
     effect_sigma: Floats
@@ -69,10 +69,10 @@ class NetworkProblem(NetworkRows):
     ) -> NetworkProblem:
         """Problem of a measurement model, with the reference values of its recording.
 
-        `sigma` (n, 3) [m, rad, rad] are the standard deviations of the readings, by default the declared ones, and
-        `reading_mask` (n, 3) selects readings. `effect_prior_sigma` is the standard deviation of the weak prior of each
-        parameter of additional effects, divided by its plausible size. `prior` is the prior of the instrument
-        parameters, by default that of the set-up.
+        `sigma` (n, 3) [m, rad, rad] are the standard deviations of the readings of n pointings, by default the declared
+        ones, and `reading_mask` (n, 3) selects readings. `effect_prior_sigma` is the standard deviation of the weak
+        prior of each parameter of additional effects, divided by its plausible size. `prior` is the prior of the
+        instrument parameters, by default that of the set-up.
         """
         recording = model.recording
         marks = StationMarks.from_recording(recording)
@@ -144,20 +144,25 @@ class NetworkProblem(NetworkRows):
         return moved
 
     def is_undetermined_difference(self, is_undetermined_target: Bools) -> Bools:
-        """Flags (k,) of the known differences with an undetermined end, which give no information.
+        """Flags (k,) of those of the k known differences with an undetermined end, which give no information.
 
         An end is undetermined if it is an undetermined target or a station without readings, or if its height is
-        undetermined and part of the difference. `is_undetermined_target` (T,) flags targets.
+        undetermined and part of the difference. `is_undetermined_target` (T,) has a flag for each of T targets.
         """
         structure, stations = self.undetermined_unknowns, len(self.unknowns.pose_columns)
         stands, heights = np.zeros((2, stations + 1), dtype=bool)
-        stands[structure.unread_stations], heights[structure.height_free_stations] = True, True
+        stands[structure.unread_stations], heights[structure.height_undetermined_stations] = True, True
         is_undetermined = np.concatenate([is_undetermined_target, stands])[self.difference_rows.ends].any(axis=0)
-        open_ = np.concatenate([structure.is_height_free_target, heights])[self.difference_rows.ends].any(axis=0)
+        open_ = np.concatenate([structure.is_height_undetermined_target, heights])[self.difference_rows.ends].any(
+            axis=0
+        )
         return np.asarray(is_undetermined | (open_ & self.difference_rows.declared_components[:, 2]))
 
     def reading_residuals(self, readings: Floats) -> Floats:
-        """Observed minus predicted `readings` (n, 3) [m, rad, rad], angles in +-180 deg; NaN if not measured."""
+        """Observed minus predicted `readings` (n, 3) [m, rad, rad] of n pointings; NaN if not measured.
+
+        Angles are within +-180 deg.
+        """
         gap = self.model.recording.readings - readings
         gap[:, 1:] = wrap_angle(gap[:, 1:])
         return gap
@@ -167,7 +172,7 @@ class NetworkProblem(NetworkRows):
         return self._whitened_residuals_of(state, self.model.predict(state))
 
     def _whitened_residuals_of(self, state: NetworkState, readings: Floats) -> Floats:
-        """Whitened residuals (m,) of all m equations at a state with the predicted readings (n, 3)."""
+        """Whitened residuals (m,) of all m equations at a state, with predicted `readings` of n pointings (n, 3)."""
         pointings = (self.reading_residuals(readings) / self.sigma)[self.is_used_reading]
         gauge = self.gauge_rows.decorrelate(self.length_residuals(state))
         control = self.control_rows.whitened_residuals(state.target_points[self.control_rows.place_indices])
@@ -187,7 +192,7 @@ class NetworkProblem(NetworkRows):
         return np.concatenate([*references, fixed_residuals, prior, effect_residuals, datum])
 
     def length_residuals(self, state: NetworkState) -> Floats:
-        """Declared minus adjusted reference lengths (g,) [m] at a state."""
+        """Declared minus adjusted lengths (g,) [m] of the g reference lengths at a state."""
         return (
             self.gauge_rows.lengths
             - self.gauge_rows.predict(state.target_points)
@@ -195,7 +200,7 @@ class NetworkProblem(NetworkRows):
         )
 
     def retract(self, state: NetworkState, step: Floats) -> NetworkState:
-        """State after a step (u,) of all unknowns."""
+        """State after a step (u,) of all u unknowns."""
         unknowns = self.unknowns
         return state.with_increments(
             step[unknowns.pose_columns],
@@ -286,7 +291,7 @@ class NetworkProblem(NetworkRows):
         yield self.difference_rows.derivatives()
         yield self.level_rows.tilt_derivatives(state.station_rotations) / self.level_rows.sigma[:, None, None]
         yield self.yaw_rows.derivative(state.station_rotations) / self.yaw_rows.sigma[:, None]
-        yield self.undetermined_unknowns.fixed_directions(state) / DATUM_SIGMA[0]
+        yield self.undetermined_unknowns.fixing_coefficients(state) / DATUM_SIGMA[0]
         yield (
             self.prior.whitening_matrices
             if self.prior.has_correlations
@@ -304,7 +309,7 @@ class NetworkProblem(NetworkRows):
             prediction.extra_derivatives,
         ]
         held = self.prior.is_fixed[self.model.recording.instrument][:, None]
-        step = ROWS_PER_PIECE // 3
+        step = DESIGN_ROWS_PER_BATCH // 3
         for first in range(0, len(self.is_used_reading), step):
             piece = slice(first, first + step)
             parts = [part[piece] for part in derivatives]

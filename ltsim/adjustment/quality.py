@@ -97,7 +97,7 @@ def _require_consistent_control(adjustment: Adjustment) -> None:
 
 
 def _control_difference_text(network_points: Floats, control_points: Floats) -> str:
-    """Text on the usual cause of differences of control points (k, 3) [m] from network points (k, 3) [m].
+    """Text on the usual cause of differences of k control points (k, 3) [m] from network points (k, 3) [m].
 
     The cause is another scale, a mirror image, equal coordinates, or single wrong points.
     """
@@ -122,7 +122,7 @@ def _control_difference_text(network_points: Floats, control_points: Floats) -> 
 
 
 def _rigid_fit_misfit(points: Floats, goal_points: Floats) -> float:
-    """Root of the sum of squared distances [m] of points (k, 3) from goal points (k, 3) after a rigid alignment."""
+    """Root of the sum of squared distances [m] of k points (k, 3) from goal points (k, 3) after a rigid alignment."""
     try:
         return float(np.linalg.norm(alignment_distances(points, goal_points, align_rigidly(points, goal_points))))
     except NetworkError:
@@ -130,7 +130,7 @@ def _rigid_fit_misfit(points: Floats, goal_points: Floats) -> float:
 
 
 def _is_unused(adjustment: Adjustment) -> Bools:
-    """Flags (m,) of those m measured pointings of which no reading is in use."""
+    """Flags (m,) of those of the m measured pointings of which no reading is in use."""
     measured, used = (
         np.asarray(adjustment.recording.is_measured.any(axis=1)),
         adjustment.problem.is_used_reading.any(axis=1),

@@ -146,7 +146,7 @@ def _tests_with_final_errors(
 def _contradicting_group(
     wrong_values: Sequence[ReferenceTest], all_tests: Sequence[ReferenceTest]
 ) -> tuple[ReferenceTest, ...]:
-    """Test, as a tuple, of a reference value that contradicts others of its kind; empty if one value is clearly wrong.
+    """Tuple with the test of a value that contradicts others of its kind; empty if one value is clearly the wrong one.
 
     The test names the other values among which the data do not identify the wrong value.
     """
@@ -186,9 +186,10 @@ def _most_contradicting_observation(
     kinds: Collection[ReferenceKind],
     exempt_values: Collection[tuple[ReferenceKind, str]],
 ) -> ReferenceTest | Bools | None:
-    """Test of the most contradicting reference value, or flag (n, 3) of a reading that contradicts more.
+    """Test of the most contradicting reference value, or mask with the flag of a reading that contradicts more.
 
-    The result is None if no reference value contradicts significantly.
+    The mask (n, 3) contains all readings of n pointings. The result is None if no reference value contradicts
+    significantly.
     """
     tests = [test for test in reference_tests(problem, solution, MIN_TESTED_RESIDUAL) if test.rank]
     tests = [test for test in tests if test.kind in {*kinds, "scale"} and (test.kind, test.name) not in exempt_values]

@@ -44,7 +44,7 @@ SCALE_DEPENDENT_KINDS: tuple[ReferenceKind, ...] = TESTED_REFERENCE_KINDS[:-1]
 """Kinds of reference values that may be excluded if reference lengths determine the scale of the network. A common
 scale error of the lengths is then only reported."""
 MIN_TESTED_REDUNDANCY = 1e-3
-"""Redundancy above which the other observations test a component of a reference value."""
+"""Redundancy number of a component of a reference value, above which the other observations of the network test it."""
 MAX_HORIZONTAL_TO_VERTICAL_RATIO = 0.01
 """Largest ratio of horizontal to vertical error of a point whose error counts as a height error."""
 
@@ -57,15 +57,16 @@ class ReferenceTest(ReferenceValue):
     """Estimated error of each of q components, (q,) [m, rad or 1]: declared value minus estimate by other
     observations."""
     sigma_error: Floats
-    """Standard deviations of the errors, (q,); infinite for components that the other observations do not test."""
+    """Standard deviations (q,) of the errors of the q components; infinite if other observations do not test a
+    component."""
     chi2_drop: float
-    """Decrease of chi-square if the value is excluded."""
+    """Decrease of chi-square by the exclusion of the reference value."""
     rank: int
-    """Number of components that the other observations test."""
+    """Number of components of the reference value that the other observations of the network test."""
     is_excluded: bool = False
     """True if the value contradicts the other observations and is excluded from the adjustment."""
     critical_value: float = MIN_CLEAR_SIGMAS
-    """Value of `normalised_error` above which the reference value is excluded."""
+    """Critical value of the test: value of `normalised_error` above which the reference value is excluded."""
     indistinguishable_from: tuple[str, ...] = ()
     """Names of other reference values whose errors would explain the misfit equally well. Neither this value nor the
     named values are excluded, unless all are set-ups over marks."""
@@ -131,12 +132,12 @@ class ReferenceTest(ReferenceValue):
 
     @property
     def redundancy(self) -> Floats:
-        """Redundancy numbers (q,): derivative of the residual of each component with respect to its error."""
+        """Redundancy numbers (q,) of q components: derivative of the residual of each with respect to its error."""
         return np.where(self.sigma_error > 0, np.minimum((self.sigma / self.sigma_error) ** 2, 1.0), 0.0)
 
     @property
     def minimal_detectable_errors(self) -> Floats:
-        """Minimal detectable errors (q,) of the components at a power of 80 %; infinite for untested components."""
+        """Minimal detectable errors (q,) of the q components at a power of 80 %; infinite for untested components."""
         return np.sqrt(noncentrality(alpha=FAMILY_WISE_LEVEL)) * self.sigma_error
 
 

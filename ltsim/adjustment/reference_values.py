@@ -36,9 +36,9 @@ class ReferenceValue:
     declared_components: str
     """Axes of the declared coordinates of a point or difference, for example `xy`; empty for other kinds."""
     sigma: Floats
-    """Declared standard deviations of the components, (q,) [m, rad or 1]."""
+    """Declared standard deviations of the q components, (q,) [m, rad or 1]."""
     residual: Floats
-    """Declared minus adjusted value of each component, (q,) [m, rad or 1]."""
+    """Declared minus adjusted value of each of q components, (q,) [m, rad or 1]."""
     occupied_by: str = field(default="", kw_only=True)
     """Name of the set-up over the known point, if the point is not measured as a target; else empty."""
 
@@ -48,9 +48,10 @@ class ReferenceValueRows(ReferenceValue):
     """Reference value with its equations in an adjustment."""
 
     rows: Ints
-    """Indices (r,) of the equations whose residuals an error of the value changes."""
+    """Indices (r,) of the r equations whose residuals an error of the reference value changes."""
     design_columns: Floats
-    """Derivatives (r, q) of the whitened residuals of these equations with respect to errors of the q components."""
+    """Derivatives (r, q) of the whitened residuals of the r equations `rows` with respect to errors of the q
+    components."""
 
 
 def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[ReferenceValueRows]:

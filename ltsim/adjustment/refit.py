@@ -33,7 +33,7 @@ divided by the largest change of a reading by the whole effect.
 
 
 @dataclass(frozen=True)
-class ShapeDirection(LinearEffect):
+class LinearisedShapeConstant(LinearEffect):
     """Linearised effect of a change of one shape constant of an effect, for the estimation of this constant.
 
     The parameter is the relative change of the shape constant.
@@ -82,7 +82,8 @@ class FirstOrderEffect(CandidateEffect):
     exact_effect: CandidateEffect
     """Effect that is linearised; the fields below are copied from it."""
     design_at_state: Floats = field(compare=False, repr=False)
-    """Change (n, 3, p) of the readings per unit of each of the p parameters, at the state of the linearisation."""
+    """Change (n, 3, p) of the readings of n pointings per unit of each of p parameters, at the state of
+    linearisation."""
     name: str = ""
     """Name of the effect."""
     parameters: tuple[Parameter, ...] = ()
@@ -110,7 +111,7 @@ class FirstOrderEffect(CandidateEffect):
         return cls(effect, effect.design(sightings), *identity)
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, p) of the readings per unit of each parameter, which does not depend on the sightings."""
+        """Change (n, 3, p) of the readings of n pointings per unit of p parameters, the same for all sightings."""
         return self.design_at_state
 
     def gauge_design(self, first_targets: Ints, second_targets: Ints, points: Floats) -> Floats:
@@ -118,20 +119,20 @@ class FirstOrderEffect(CandidateEffect):
         return self.exact_effect.gauge_design(first_targets, second_targets, points)
 
 
-def _shape_directions(
+def _linearised_shape_constants(
     effect: CandidateEffect, parameter_values: Floats, sightings: Sightings, fixed_constants: Collection[str]
-) -> list[ShapeDirection]:
+) -> list[LinearisedShapeConstant]:
     """Linearised effects of those shape constants of an effect that influence readings and are not fixed."""
-    directions = []
+    linearised_constants = []
     largest_change = float(np.abs(effect.design(sightings) @ parameter_values).max())
     for shape in type(effect).shape_parameters:
         now = getattr(effect, shape.name)
         if shape.name in fixed_constants or not isinstance(now, float) or now == 0.0 or shape.n_grid_values < 2:
             continue
-        direction = ShapeDirection(effect, tuple(parameter_values), shape)
-        if float(np.abs(direction.design(sightings)).max()) > MIN_SHAPE_INFLUENCE * largest_change:
-            directions.append(direction)
-    return directions
+        linearised_constant = LinearisedShapeConstant(effect, tuple(parameter_values), shape)
+        if float(np.abs(linearised_constant.design(sightings)).max()) > MIN_SHAPE_INFLUENCE * largest_change:
+            linearised_constants.append(linearised_constant)
+    return linearised_constants
 
 
 class ParameterEstimate(NamedTuple):
@@ -177,7 +178,7 @@ def refit_with_effects(
     start_state : NetworkState
         Start state of the network.
     fixed_constants : sequence of collections of str, optional
-        Names, for each effect, of the shape constants that are neither estimated nor reported.
+        Names, for each effect, of shape constants that are fixed: neither estimated nor reported.
     """
     fixed_names = fixed_constants or [()] * len(effects)
     current = list(effects)
@@ -186,12 +187,14 @@ def refit_with_effects(
         sightings = fitted.problem.model.sightings(start_state)
         current = [FirstOrderEffect.from_effect(effect, sightings) for effect in current]
         fitted = joint = adjust_function(effects=current, start_state=start_state)
-    directions: list[list[ShapeDirection]] = [[] for _ in current]
+    linearised_constants: list[list[LinearisedShapeConstant]] = [[] for _ in current]
     for _ in range(MAX_ALTERNATIONS if any(type(e).shape_parameters for e in current) else 0):
         values = _values_by_effect(current, fitted.state.extra_parameters)
         each = zip(current, values, fixed_names, strict=True)
-        directions = [_shape_directions(effect, sizes, fitted.sightings, out) for effect, sizes, out in each]
-        flat = [d for group in directions for d in group]
+        linearised_constants = [
+            _linearised_shape_constants(effect, sizes, fitted.sightings, out) for effect, sizes, out in each
+        ]
+        flat = [d for group in linearised_constants for d in group]
         if not flat:
             break
         joint = adjust_function(effects=[*current, *flat], start_state=fitted.state)
@@ -201,28 +204,28 @@ def refit_with_effects(
         changes = joint.state.extra_parameters[first : first + len(flat)]
         if np.all(np.abs(changes) < SHAPE_CHANGE_TOLERANCE):
             break
-        step = _damped_step(adjust_function, current, directions, changes, fitted)
+        step = _damped_step(adjust_function, current, linearised_constants, changes, fitted)
         if step is None:
             break
         current, fitted = step
     named = tuple(e.exact_effect if isinstance(e, FirstOrderEffect) else e for e in current)
-    return Refit(fitted, named, _estimates_with_uncertainty(fitted, joint, current, directions))
+    return Refit(fitted, named, _estimates_with_uncertainty(fitted, joint, current, linearised_constants))
 
 
 def _damped_step(
     adjust_function: Callable[..., Adjustment],
     effects: list[CandidateEffect],
-    directions: list[list[ShapeDirection]],
+    linearised_constants: list[list[LinearisedShapeConstant]],
     changes: Floats,
     last_adjustment: Adjustment,
 ) -> tuple[list[CandidateEffect], Adjustment] | None:
     """Effects with changed shape constants, and the adjustment with these effects; None if chi-square increases.
 
-    `changes` are the relative changes of all shape constants, in the order of the `directions`. They are halved, at
-    most `MAX_HALVINGS` times, until chi-square is not larger than in `last_adjustment`.
+    `changes` are the relative changes of all shape constants, in the order of the `linearised_constants`. They are
+    halved, at most `MAX_HALVINGS` times, until chi-square is not larger than in `last_adjustment`.
     """
     for share in 0.5 ** np.arange(1 + MAX_HALVINGS):
-        moved = _effects_with_changed_shapes(effects, directions, share * changes)
+        moved = _effects_with_changed_shapes(effects, linearised_constants, share * changes)
         tried = adjust_function(effects=moved, start_state=last_adjustment.state)
         if tried.solution.has_converged and tried.chi2 <= last_adjustment.chi2 * (1.0 + MAX_SOLUTION_ROUNDING_ERROR):
             return moved, tried
@@ -236,11 +239,11 @@ def _values_by_effect(effects: Sequence[LinearEffect], parameter_values: Floats)
 
 
 def _effects_with_changed_shapes(
-    effects: list[CandidateEffect], directions: list[list[ShapeDirection]], changes: Floats
+    effects: list[CandidateEffect], linearised_constants: list[list[LinearisedShapeConstant]], changes: Floats
 ) -> list[CandidateEffect]:
-    """Effects whose shape constants are changed by the relative `changes`, in the order of the directions."""
+    """Effects whose shape constants are changed by the relative `changes`, in the order of `linearised_constants`."""
     change = iter(changes.tolist())
-    moves = [{d.shape_parameter.name: d.changed_value(next(change)) for d in group} for group in directions]
+    moves = [{d.shape_parameter.name: d.changed_value(next(change)) for d in group} for group in linearised_constants]
     return [effect.with_constants(**moved) if moved else effect for effect, moved in zip(effects, moves, strict=True)]
 
 
@@ -248,7 +251,7 @@ def _estimates_with_uncertainty(
     adjustment: Adjustment,
     joint_adjustment: Adjustment,
     effects: Sequence[CandidateEffect],
-    directions: list[list[ShapeDirection]],
+    linearised_constants: list[list[LinearisedShapeConstant]],
 ) -> tuple[tuple[ParameterEstimate, ...], ...]:
     """Estimates of the parameters and shape constants of each effect, with standard deviations.
 
@@ -266,8 +269,8 @@ def _estimates_with_uncertainty(
         zip(effects, _values_by_effect(effects, adjustment.state.extra_parameters), strict=True)
     ):
         row = [ParameterEstimate(*estimate) for estimate in zip(effect.parameters, values, sigma[i], strict=True)]
-        for direction in directions[i]:
-            now = float(getattr(effect, direction.shape_parameter.name))
-            row.append(ParameterEstimate(direction.shape_parameter, now, float(next(relative)[0]) * abs(now)))
+        for linearised_constant in linearised_constants[i]:
+            now = float(getattr(effect, linearised_constant.shape_parameter.name))
+            row.append(ParameterEstimate(linearised_constant.shape_parameter, now, float(next(relative)[0]) * abs(now)))
         estimates.append(tuple(row))
     return tuple(estimates)

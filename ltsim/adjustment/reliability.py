@@ -29,7 +29,7 @@ MIN_NOISY_SCATTER_RATIO = 2.0
 
 
 def redundancy_numbers(problem: NetworkProblem, normal_equations: BlockFactor) -> Floats:
-    """Redundancy numbers (n, 3) of the readings; NaN for unused readings.
+    """Redundancy numbers (n, 3) of the readings of n pointings; NaN for unused readings.
 
     A redundancy number is the derivative of a residual with respect to an error of its reading.
     """
@@ -39,7 +39,7 @@ def redundancy_numbers(problem: NetworkProblem, normal_equations: BlockFactor) -
 
 
 def standardised_residuals(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
-    """Normalised residuals (n, 3): residuals divided by their standard deviations.
+    """Normalised residuals (n, 3) of n pointings: `residuals` (n, 3) divided by their standard deviations.
 
     The standard deviation of a residual is that of its reading times the square root of its redundancy number
     (`redundancy` (n, 3)). The result is 0 for readings that no other observation checks, and NaN for unused readings.
@@ -51,9 +51,10 @@ def standardised_residuals(problem: NetworkProblem, residuals: Floats, redundanc
 
 
 def noise_factor_from_residuals(normalised_residuals: Floats, redundancy: Floats) -> float:
-    """Factor on the declared noise, estimated from the normalised residuals (n, 3); 1 if the estimate is at most 1.25.
+    """Factor on the declared noise, estimated from normalised residuals; 1 if the estimate is at most 1.25.
 
-    The noise is never reduced, so that a reading that is consistent with the declared noise is no outlier.
+    `normalised_residuals` and `redundancy` (n, 3) are those of n pointings. The noise is never reduced, so that a
+    reading that is consistent with the declared noise is no outlier.
     """
     scale = robust_sigma(normalised_residuals[np.nan_to_num(redundancy) > MIN_CHECKED_REDUNDANCY])
     return scale if scale > MAX_SIGMA0_DECLARED_NOISE else 1.0
@@ -75,10 +76,11 @@ def noise_factor(problem: NetworkProblem, solution: Solution[NetworkState]) -> f
 
 
 def detect_noisy_targets(normalised_residuals: Floats, redundancy: Floats, target: Ints) -> tuple[Ints, float, float]:
-    """Indices (k,) of noisy targets, scatter of the readings to these targets, and scatter of all other readings.
+    """Indices (k,) of k noisy targets, scatter of the readings to these targets, and scatter of all other readings.
 
     A target is noisy if its readings scatter `MIN_NOISY_SCATTER_RATIO` times more than those of the other targets. A
-    scatter is a robust standard deviation of normalised residuals (n, 3). `target` (n,) is the target of each pointing.
+    scatter is a robust standard deviation of normalised residuals. `normalised_residuals` and `redundancy` (n, 3)
+    belong to n pointings; `target` (n,) is the target of each.
     """
     testable = np.where(np.nan_to_num(redundancy) > MIN_CHECKED_REDUNDANCY, normalised_residuals, np.nan)
 
@@ -192,8 +194,8 @@ def noncentrality(dof: int = 1, *, alpha: float = SINGLE_TEST_LEVEL, n_tests: in
 def neg_log_p_chi2(chi2_drop: Floats | float, rank: Ints | int) -> Floats:
     """Negative logarithm of the p-value of a decrease of chi-square with `rank` degrees of freedom; 0 for rank 0.
 
-    For p-values below the range of floating-point numbers, the incomplete gamma function is approximated by
-    Gamma(a, x) ~ x^(a - 1) e^-x (1 + (a - 1) / x).
+    For p-values below the range of floating-point numbers, the incomplete gamma function of a = `rank` / 2 and
+    x = `chi2_drop` / 2 is approximated by Gamma(a, x) ~ x^(a - 1) e^-x (1 + (a - 1) / x).
     """
     a, x = np.maximum(rank, 1) / 2.0, np.maximum(chi2_drop, 0.0) / 2.0
     is_far = x > 300.0

@@ -1,7 +1,8 @@
 """Residual space of an adjustment: projection of errors of observations onto the residuals.
 
-An effect that changes the whitened observations by g per unit changes the whitened residuals by P g, where P is the
-projector onto the residual space. The tests of a diagnosis and the detectability of effects in a plan use P.
+An effect that changes the whitened observations by a vector g per unit of its parameter changes the whitened residuals
+by P g, where P is the projector onto the residual space. The tests of a diagnosis and the detectability of effects in a
+plan use P.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class ResidualSpace:
     """Projector onto the orthogonal complement of the whitened design matrix, including columns of additional
     effects."""
     residuals: Floats
-    """Whitened residuals of the m equations, (m,)."""
+    """Whitened residuals of the m equations of the adjustment, (m,)."""
     adjustment: Adjustment
     """Adjustment to which the residuals belong."""
 
@@ -48,17 +49,17 @@ class ResidualSpace:
 
     @property
     def sightings(self) -> Sightings:
-        """Range, direction and regressors of each pointing, computed from the adjusted network."""
+        """Range, direction and regressors (time and so on) of each pointing, computed from the adjusted network."""
         return self.adjustment.sightings
 
     @property
     def is_used_reading(self) -> Bools:
-        """Flags (n, 3) of the readings in use, which are the first equations."""
+        """Flags (n, 3) of the readings of n pointings that are in use; their equations are the first ones."""
         return self.adjustment.problem.is_used_reading
 
     @property
     def sigma(self) -> Floats:
-        """Standard deviations of the readings, (n, 3) [m, rad, rad]."""
+        """Standard deviations of the readings of n pointings, (n, 3) [m, rad, rad]."""
         return self.adjustment.problem.sigma
 
     @property
@@ -68,19 +69,20 @@ class ResidualSpace:
 
     @cached_property
     def redundancy(self) -> Floats:
-        """Redundancy numbers (m,): derivative of each residual by an error of its observation."""
+        """Redundancy numbers (m,) of m equations: derivative of each residual with respect to its observation."""
         return 1.0 - self.projector.leverage()
 
     @cached_property
     def _used_reading_weights(self) -> tuple[Ints, Floats]:
-        """Indices (r,) of the readings in use, and their inverse standard deviations (r, 1)."""
+        """Indices (r,) of the r readings in use, and their inverse standard deviations (r, 1)."""
         place = np.flatnonzero(self.is_used_reading)
         return place, 1.0 / self.sigma.reshape(-1)[place, None]
 
     def whiten(self, design: Floats, gauge_changes: Floats | None = None) -> Floats:
-        """Whitened design columns (m, q) from the changes of readings (n, 3, q) and of reference lengths (g, q).
+        """Whitened design columns (m, q) of m equations, from changes of the readings and reference lengths.
 
-        Each of the q columns is the change per unit of one parameter, 0 for equations of other observations.
+        `design` (n, 3, q) contains the changes of the readings of n pointings per unit of q parameters, `gauge_changes`
+        (g, q) those of g reference lengths. Equations of other observations do not change.
         """
         whitened_rows = np.zeros((self.n_rows, design.shape[2]))
         place, weight = self._used_reading_weights
@@ -95,7 +97,7 @@ class ResidualSpace:
         return whitened_rows
 
     def unwhiten(self, whitened_change: Floats) -> Floats:
-        """Changes (n, 3) [m, rad, rad] of the readings from whitened changes (m,); 0 for readings not in use."""
+        """Changes (n, 3) [m, rad, rad] of n pointings from whitened changes (m,) of m equations; 0 if unused."""
         readings = np.zeros(self.is_used_reading.shape)
         readings[self.is_used_reading] = (
             whitened_change[: int(self.is_used_reading.sum())] * self.sigma[self.is_used_reading]
@@ -103,30 +105,37 @@ class ResidualSpace:
         return readings
 
     def whitened_design(self, effect: LinearEffect) -> Floats:
-        """Whitened design matrix (m, q) of an effect (or empirical law) with q parameters, before the projection."""
+        """Whitened design matrix (m, q) of m equations for an effect or empirical law with q parameters."""
         gauge = self.adjustment.problem.gauge_rows
         lengths = effect.gauge_design(gauge.first_targets, gauge.second_targets, self.adjustment.state.target_points)
         return self.whiten(effect.design(self.sightings), lengths)
 
     def project(self, design_columns: Floats) -> Floats:
-        """Projection of whitened design columns (m, q), or of one vector (m,), onto the residual space."""
+        """Projection of q whitened columns (m, q), or of one vector (m,), for m equations, onto the residual space."""
         return self.projector.project(design_columns if design_columns.ndim > 1 else design_columns[:, None]).reshape(
             design_columns.shape
         )
 
     def chi2_drop(self, design_columns: Floats) -> tuple[float, int]:
-        """Decrease of chi-square, and its rank, if parameters with whitened design columns (m, q) are estimated too."""
+        """Decrease of chi-square, and its rank, if parameters with whitened `design_columns` are estimated too.
+
+        The columns (m, q) are the changes of m equations per unit of q parameters.
+        """
         scores = self._projected_basis(design_columns).T @ self.residuals
         return float(scores @ scores), len(scores)
 
     def _projected_basis(self, design_columns: Floats) -> Floats:
-        """Orthonormal basis (m, r) of the space that the projections of design columns (m, q) span."""
+        """Orthonormal basis (m, r) of the space that the projections of design columns span, of dimension r.
+
+        `design_columns` (m, q) are the whitened changes of m equations per unit of q parameters.
+        """
         return orthonormal_columns(self.project(design_columns), self.norms_without_centring(design_columns))
 
     def norms_without_centring(self, design_columns: Floats) -> Floats:
-        """Lengths (q,) of design columns (m, q) without the part that centring errors in the model absorb.
+        """Lengths (q,) of q `design_columns` without the part that centring errors in the model absorb.
 
-        Centring errors with a large standard deviation absorb nearly all of an effect. The projected effect counts as
+        The columns (m, q) are whitened changes of m equations. Centring errors with a large standard deviation absorb
+        nearly all of an effect. The projected effect counts as
         visible if it is large compared with these lengths, which replace the lengths of the original columns.
         """
         squares = lowest = np.sum(design_columns**2, axis=0)
@@ -143,10 +152,11 @@ class ResidualSpace:
 
     @cached_property
     def _centring_normals(self) -> list[tuple[Ints, Ints, Floats, Floats]]:
-        """Pointings (r,), occupations (r,), slopes and normal matrices of each of the centring errors in the model.
+        """Indices (r,) of r pointings and of their occupations, slopes, and normal matrices, of each centring error.
 
-        The slopes (r, 3, 3) are the whitened changes of the readings per unit of the displacement. The normal matrices
-        (k, 3, 3) of k occupations include the prior of the displacements.
+        There is one tuple for each of the centring errors in the model. The slopes (r, 3, 3) are the whitened changes
+        of the readings per unit of the displacement. The normal matrices (k, 3, 3) of k occupations include the prior
+        of the displacements.
         """
         entries = []
         for errors in self.adjustment.problem.model.centring_errors:
@@ -159,7 +169,7 @@ class ResidualSpace:
         return entries
 
     def with_design_columns(self, design_columns: Floats) -> ResidualSpace:
-        """Residual space of the adjustment if q parameters with whitened design columns (m, q) are estimated too."""
+        """Residual space of the adjustment if q parameters with design columns (m, q) for m equations are added."""
         basis = self._projected_basis(design_columns)
         residual = self.residuals - basis @ (basis.T @ self.residuals)
         return ResidualSpace(self.projector.with_removed_columns(basis), residual, self.adjustment)
@@ -171,7 +181,7 @@ class ResidualSpace:
         return self.with_design_columns(np.hstack([self.whitened_design(effect) for effect in effects]))
 
     def target_shifts(self, design_columns: Floats) -> Floats:
-        """Shifts (T, 3) [m] of the adjusted targets by a whitened change `design_columns` (m,) of the observations."""
+        """Shifts (T, 3) [m] of T adjusted targets by a whitened change `design_columns` (m,) of m observations."""
         adjustment = self.adjustment
         normal_side = (adjustment.solution.system.design.T @ design_columns)[:, None]
         change: Floats = adjustment.factorised_normals.covariance_columns(normal_side)[:, 0][
@@ -181,10 +191,10 @@ class ResidualSpace:
 
 
 def orthonormal_columns(projected_columns: Floats, norms: Floats) -> Floats:
-    """Orthonormal basis (m, r) of the space that projected design columns (m, q) span.
+    """Orthonormal basis (m, r) of the space that q projected design columns of m equations (m, q) span.
 
-    `norms` (q,) are the lengths of the columns before the projection. Directions with a length that is negligible
-    relative to `norms` are omitted.
+    The space has the dimension r. `norms` (q,) are the lengths of the columns before the projection. Directions with a
+    length that is negligible relative to `norms` are omitted.
     """
     unit = projected_columns / np.where(norms > 0, norms, 1.0)
     strength, turn = np.linalg.eigh(unit.T @ unit)

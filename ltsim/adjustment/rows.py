@@ -25,17 +25,17 @@ class GaugeRows(ReferenceLengths):
     """Observation equations of g reference lengths, converted to the temperature of the hall."""
 
     is_unweighted: Bools | bool = False
-    """Flags (g,) of lengths that have no weight, because an end is undetermined; their equations remain in the
-    system."""
+    """Flags (g,) of those of the g lengths that have no weight, because an end is undetermined; their equations remain
+    in the system."""
 
     @cached_property
     def sigma(self) -> Floats:
-        """Standard deviation of each length, (g,) [m]; infinite for lengths without weight."""
+        """Standard deviation of each of g lengths, (g,) [m]; infinite for lengths without weight."""
         return np.where(self.is_unweighted, np.inf, super().sigma)
 
     @cached_property
     def correlation_root(self) -> Floats | None:
-        """Cholesky factor (g, g), lower triangular, of the correlation matrix of the lengths; None if uncorrelated."""
+        """Lower Cholesky factor (g, g) of the correlation matrix of g lengths; None for uncorrelated lengths."""
         if not self.shared_error_changes:
             return None
         shared_errors = np.array([*self.shared_error_changes.values()]) / self.sigma
@@ -49,12 +49,12 @@ class GaugeRows(ReferenceLengths):
         return np.diag(self.sigma) if self.correlation_root is None else self.sigma[:, None] * self.correlation_root
 
     def decorrelate(self, length_changes: Floats) -> Floats:
-        """Changes (g,) or (g, q) [m] of lengths, transformed to independent errors with standard deviation 1."""
+        """Changes of g lengths (g,) [m], or per unit of q parameters (g, q), transformed to independent unit errors."""
         scaled_values = length_changes / (self.sigma if length_changes.ndim == 1 else self.sigma[:, None])
         return self.decorrelate_scaled(scaled_values)
 
     def decorrelate_scaled(self, scaled_changes: Floats) -> Floats:
-        """Changes (g,) or (g, q), in standard deviations of the lengths, transformed to independent unit errors."""
+        """Changes of g lengths (g,), or for q parameters (g, q), in their sigmas, transformed to independent errors."""
         return (
             scaled_changes
             if self.correlation_root is None
@@ -65,11 +65,11 @@ class GaugeRows(ReferenceLengths):
         return len(self.lengths)
 
     def predict(self, points: Floats) -> Floats:
-        """Lengths (g,) [m] between targets at `points` (T, 3) [m]."""
+        """Lengths (g,) [m] of the g lines, for T targets at `points` (T, 3) [m]."""
         return np.linalg.norm(points[self.first_targets] - points[self.second_targets], axis=1)
 
     def unit_vectors(self, points: Floats) -> Floats:
-        """Unit vectors (g, 3) from the second to the first target of each length; zero if both targets coincide.
+        """Unit vectors (g, 3) from the second to the first target of each of g lengths; zero if both targets coincide.
 
         These vectors are the derivatives of the lengths with respect to the first target.
         """
@@ -83,14 +83,14 @@ class ControlRows:
     """Observation equations of k known points: targets, or instruments over known marks that are no targets."""
 
     place_indices: Ints
-    """Index of the target, or of the station, of each known point, (k,)."""
+    """Index of the target, or of the station, of each of k known points, (k,)."""
     declared_points: Floats
-    """Known coordinates, (k, 3) [m]; values of unknown coordinates have no meaning."""
+    """Known coordinates of k points, (k, 3) [m]; values of unknown coordinates have no meaning."""
     declared_components: Bools
-    """Flags of the coordinates that are known, (k, 3)."""
+    """Flags (k, 3) of those coordinates of k points that are known."""
     whitening_matrices: Floats
-    """Matrices R that whiten the misclosures, (k, 3, 3) [1 / m]: R' R is the inverse covariance of the known
-    coordinates. Rows and columns of unknown coordinates are 0.
+    """Matrices R that whiten the misclosures of k points, (k, 3, 3) [1 / m]: R' R is the inverse covariance of the
+    known coordinates. Rows and columns of unknown coordinates are 0.
     """
 
     @classmethod
@@ -142,17 +142,17 @@ class ControlRows:
         return self if np.array_equal(roots, self.whitening_matrices) else replace(self, whitening_matrices=roots)
 
     def whitened_residuals(self, places: Floats) -> Floats:
-        """Whitened residuals (c,) of the c known coordinates, for adjusted points `places` (k, 3) [m]."""
+        """Whitened residuals (c,) of the c known coordinates, for the adjusted k points `places` (k, 3) [m]."""
         gap = np.where(self.declared_components, self.declared_points - places, 0.0)
         return np.einsum("kij,kj->ki", self.whitening_matrices, gap)[self.declared_components]
 
     def derivatives(self) -> Floats:
-        """Derivatives (c, 3) of the c whitened coordinates with respect to the adjusted coordinates of their points."""
+        """Derivatives (c, 3) of the c known coordinates, whitened, with respect to the coordinates of their points."""
         return self.whitening_matrices[self.declared_components]
 
 
 def _declared_coordinates(places: Sequence[Target | ReferenceDifference]) -> tuple[Floats, Bools, Floats]:
-    """Coordinates (k, 3) [m] of points or differences, flags (k, 3) if known, whitening matrices (k, 3, 3) [1 / m]."""
+    """Coordinates (k, 3) [m] of k points or differences, flags (k, 3) of known ones, whitening matrices (k, 3, 3)."""
     axes = np.array([[axis in entry.known_axes for axis in "xyz"] for entry in places], dtype=bool).reshape(-1, 3)
     roots = np.array(
         [_whitening_matrix(entry, given_axes) for entry, given_axes in zip(places, axes, strict=True)]
@@ -180,9 +180,10 @@ class DifferenceRows(ControlRows):
     """
 
     start_indices: Ints
-    """Index (k,) of the start of each difference in the list; `place_indices` (k,) is the index of its end."""
+    """Index (k,) of the start of each of k differences in the list of T targets, S instruments and the origin;
+    `place_indices` (k,) is the index of its end."""
     origin_index: int
-    """Index of the origin in the list: T + S."""
+    """Index of the origin in the list of T targets, S instruments and the origin: T + S."""
     names: tuple[str, ...]
     """Name of each difference, from the names of both ends."""
 
@@ -216,11 +217,11 @@ class DifferenceRows(ControlRows):
 
     @property
     def ends(self) -> Ints:
-        """Indices (2, k) of the start and the end of each difference in the list of targets, instruments and origin."""
+        """Indices (2, k) of start and end of each of k differences in the list of targets, instruments and origin."""
         return np.stack([self.start_indices, self.place_indices])
 
     def subset(self, mask: Bools) -> DifferenceRows:
-        """Equations of those differences that `mask` (k,) flags."""
+        """Equations of those of the k differences that `mask` (k,) flags."""
         return DifferenceRows(
             self.place_indices[mask],
             self.declared_points[mask],
@@ -232,19 +233,20 @@ class DifferenceRows(ControlRows):
         )
 
     def predict(self, points: Floats, position: Floats) -> Floats:
-        """Differences (k, 3) [m] for targets at `points` (T, 3) [m] and instruments at `position` (S, 3) [m]."""
+        """Vectors (k, 3) [m] of k differences between T targets `points` (T, 3) and S instruments `position` (S, 3)."""
         places = np.concatenate([points, position, np.zeros((1, 3))])
         return places[self.place_indices] - places[self.start_indices]
 
     def derivatives(self) -> Floats:
-        """Derivatives (c, 6) of the c whitened differences with respect to start and end point; 0 for the origin."""
+        """Derivatives (c, 6) of c whitened components of differences by start and end point; 0 for the origin."""
         signs = np.where(self.ends == self.origin_index, 0.0, [[-1.0], [1.0]])[:, :, None, None]
         return np.concatenate([*(signs * self.whitening_matrices)], axis=2)[self.declared_components]
 
     def is_height_undetermined(self, is_undetermined: Bools) -> Bools:
-        """Flags (T + S + 1,) of targets, instruments and origin whose heights are undetermined with the differences.
+        """Flags of T targets, S instruments and the origin whose heights are undetermined also with the differences.
 
-        `is_undetermined` (T + S + 1,) flags the heights that are undetermined without the known differences.
+        The array has the length T + S + 1, as `is_undetermined`, which flags the heights that are undetermined without
+        the known differences.
         """
         is_undetermined, ends = is_undetermined.copy(), self.ends[:, self.declared_components[:, 2]]
         while (half := is_undetermined[ends[0]] != is_undetermined[ends[1]]).any():
@@ -252,7 +254,7 @@ class DifferenceRows(ControlRows):
         return is_undetermined
 
     def motion_derivatives(self, centre: Floats, length_unit: float) -> Floats:
-        """Derivatives (c, 6) of the c known differences by translation and rotation of the network.
+        """Derivatives (c, 6) of the c known components of differences by translation and rotation of the network.
 
         Rotations are about `centre` (3,) [m], and lengths are in the unit `length_unit` [m]. A difference to the origin
         is a known point. A difference between two unknown points depends on the rotation alone.
@@ -272,20 +274,23 @@ class DifferenceRows(ControlRows):
 
 @dataclass(frozen=True)
 class LevelRows:
-    """Observation equations of l levelled stations: both tilts of the standing axis from the plumb line are zero."""
+    """Observation equations of k levelled stations: both tilts of the standing axis from the plumb line are zero."""
 
     station_indices: Ints
-    """Index of each levelled station, (l,)."""
+    """Index of each of k levelled stations, (k,)."""
     sigma: Floats
-    """Standard deviation of each tilt, (l,) [rad]."""
+    """Standard deviation of both tilts of each of k levelled stations, (k,) [rad]."""
     plumb_directions: Floats
-    """Unit vector of the plumb line at each station, (l, 3)."""
+    """Unit vector of the plumb line at each of k levelled stations, (k, 3)."""
     horizontal_axes: Floats
-    """Two horizontal unit vectors at each station, (l, 2, 3)."""
+    """Two horizontal unit vectors at each of k levelled stations, (k, 2, 3)."""
 
     @classmethod
     def from_recording(cls, recording: Recording, is_used_reading: Bools) -> LevelRows:
-        """Equations of those levelled stations whose readings in use (n, 3) contain angles."""
+        """Equations of those levelled stations whose readings in use contain angles.
+
+        `is_used_reading` (n, 3) flags the readings in use of n pointings.
+        """
         angles = np.bincount(recording.station, is_used_reading[:, 1:].any(axis=1), len(recording.stations)) > 0
         setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
         levelled_setups = [(i, s) for i, s in setups if s.levelled and angles[i]]
@@ -303,29 +308,32 @@ class LevelRows:
         return self if np.all(self.sigma >= min_sigma) else replace(self, sigma=np.maximum(self.sigma, min_sigma))
 
     def axis_tilts(self, rotation: Floats) -> Floats:
-        """Horizontal components (l, 2) of standing axes relative to the plumb line, from `rotation` (S, 3, 3)."""
+        """Horizontal components (k, 2) of k standing axes relative to plumb lines, from S rotations (S, 3, 3)."""
         axis = rotation[self.station_indices] @ VERTICAL
         return np.einsum("lij,lj->li", self.horizontal_axes, axis)
 
     def tilt_derivatives(self, rotation: Floats) -> Floats:
-        """Derivatives (l, 2, 3) of the tilts with respect to the rotation vector in the network frame."""
+        """Derivatives (k, 2, 3) of two tilts of k stations by the rotation vectors in the network frame."""
         return -self.horizontal_axes @ cross_matrix(rotation[self.station_indices] @ VERTICAL)
 
 
 @dataclass(frozen=True)
 class YawRows:
-    """Observation equations of y stations with known yaws (directions of azimuth zero, as measured by a gyroscope)."""
+    """Observation equations of k stations with known yaws (directions of azimuth zero, as measured by a gyroscope)."""
 
     station_indices: Ints
-    """Index of each station with a known yaw, (y,)."""
+    """Index of each of k stations with a known yaw, (k,)."""
     sigma: Floats
-    """Standard deviation of each yaw, (y,) [rad]."""
+    """Standard deviation of each of k known yaws, (k,) [rad]."""
     yaws: Floats
-    """Known yaws, counter-clockwise from x, (y,) [rad]."""
+    """Known yaws of k stations, counter-clockwise from x, (k,) [rad]."""
 
     @classmethod
     def from_recording(cls, recording: Recording, is_used_reading: Bools) -> YawRows:
-        """Equations of those stations with a known yaw whose readings in use (n, 3) contain azimuths."""
+        """Equations of those stations with a known yaw whose readings in use contain azimuths.
+
+        `is_used_reading` (n, 3) flags the readings in use of n pointings.
+        """
         n_azimuths = np.bincount(recording.station, is_used_reading[:, 1], len(recording.stations)) > 0
         setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
         yaw_setups = [(i, s.yaw_sigma_arcsec, s.yaw_deg) for i, s in setups if s.yaw_sigma_arcsec and n_azimuths[i]]
@@ -340,12 +348,12 @@ class YawRows:
         return self if np.all(self.sigma >= min_sigma) else replace(self, sigma=np.maximum(self.sigma, min_sigma))
 
     def yaw_residuals(self, rotation: Floats) -> Floats:
-        """Declared minus adjusted yaws (y,) [rad] of stations with `rotation` (S, 3, 3)."""
+        """Declared minus adjusted yaws (k,) [rad] of the k stations, from the rotations (S, 3, 3) of all S stations."""
         headings = rotation[self.station_indices, :, 0]
         return wrap_angle(self.yaws - np.arctan2(headings[:, 1], headings[:, 0]))
 
     def derivative(self, rotation: Floats) -> Floats:
-        """Derivatives (y, 3) of the adjusted yaws with respect to the rotation vector in the network frame."""
+        """Derivatives (k, 3) of the k adjusted yaws by the rotation vectors in the network frame."""
         headings = rotation[self.station_indices, :, 0]
         horizontal = headings * [1.0, 1.0, 0.0]
         return np.cross(headings, np.cross(VERTICAL, horizontal) / np.sum(horizontal**2, axis=1, keepdims=True))
@@ -359,7 +367,7 @@ it corresponds to 64 km on the earth."""
 def free_motions(
     control: ControlRows, marks: ControlRows, differences: DifferenceRows, level_rows: LevelRows, yaw_rows: YawRows
 ) -> Floats:
-    """Rigid motions (6, f) that no known point, difference, level or yaw fixes, as columns of translation and rotation.
+    """Rigid motions (6, f) that no known point, difference, level or yaw fixes: columns of translation and rotation.
 
     The number f depends on the constraints: 0 with three known points that are not collinear, 4 with levels alone, 6
     without constraints.

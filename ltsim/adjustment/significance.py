@@ -17,7 +17,7 @@ FAMILY_WISE_LEVEL = 0.01
 """Joint significance level of all tests of single hypotheses: probability that a recording without errors fails at
 least one of them (correction by Sidak, Bonferroni or Holm)."""
 SINGLE_TEST_LEVEL = 0.001
-"""Significance level of a test of one hypothesis that was selected in advance."""
+"""Significance level of a test of one hypothesis that was selected before the data were seen."""
 TEST_POWER = 0.8
 """Power of a test: probability that it detects an error of the minimal detectable size."""
 
@@ -28,12 +28,12 @@ MIN_SIGNIFICANT_SIGMAS = 2.0
 MAX_CHANCE_SIGMAS = 4.0
 """Largest ratio of an error to its standard deviation that counts as chance: 1 of 16,000 normal variates is larger."""
 MIN_CLEAR_SIGMAS = 5.0
-"""Ratio of an error to its standard deviation from which the error is significant in any number of tests: 1 of 1.7
-million normal variates exceeds it.
+"""Smallest ratio of an error to its standard deviation at which the error is significant among any number of tests: 1
+of 1.7 million normal variates exceeds it.
 """
 MIN_GROSS_SIGMAS = 30.0
-"""Residual, in robust standard deviations, from which a reading has a gross error if the residual also exceeds
-`MAX_TRACKER_ERROR` [m]. In a large hall noise alone exceeds the latter limit.
+"""Smallest residual of a reading with a gross error, in robust standard deviations. The residual must also exceed
+`MAX_TRACKER_ERROR` [m], a limit that in a large hall noise alone exceeds.
 """
 MAX_TRACKER_ERROR = 1e-3
 """Largest displacement [m] of a measured point by errors of a tracker, for ranges up to `MAX_WORKSHOP_RANGE`. A
@@ -41,7 +41,8 @@ pointing with a larger error has a gross error. """
 MAX_WORKSHOP_RANGE = 10.0
 """Range [m] above which the limit `MAX_TRACKER_ERROR` grows in proportion to the range."""
 MIN_RESIDUAL_BEYOND_NOISE = 50.0
-"""Residual, in declared standard deviations, that noise does not explain, even noise ten times as large as declared."""
+"""Residual, in declared standard deviations, above which noise is no explanation, even if it is ten times as large as
+declared."""
 MIN_CHECKED_REDUNDANCY = 0.05
 """Redundancy number above which other observations check a reading, a level or a mean. At this limit an error has 20
 times the size of its residual.

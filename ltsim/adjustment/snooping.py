@@ -61,7 +61,7 @@ def without_copied_rows(recording: Recording) -> tuple[Recording, int]:
 
 
 def _is_copied_row(recording: Recording) -> Bools:
-    """Flags (n,) of the rows that are exact copies of an earlier row with equal time, set-up, target and face.
+    """Flags (n,) of those of n rows that are exact copies of an earlier row with equal time, set-up, target and face.
 
     Two pointings may be equal by chance. Without a clock, rows count as copies only if all repeated pointings are
     equal.
@@ -80,7 +80,7 @@ def _is_copied_row(recording: Recording) -> Bools:
 
 
 def _equals_earlier_row(array_rows: np.ndarray) -> Bools:
-    """Flags (n,) of the rows of an array that equal an earlier row."""
+    """Flags (n,) of those of the n rows of an array that equal an earlier row."""
     is_later = np.ones(len(array_rows), dtype=bool)
     is_later[np.unique(array_rows, axis=0, return_index=True)[1]] = False
     return is_later
@@ -116,7 +116,7 @@ def drop_undetermined_targets(problem: NetworkProblem, state: NetworkState) -> N
 
 
 def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bools:
-    """Flags (T,) of the targets whose position the observations in use do not determine, for known stations."""
+    """Flags (T,) of those of T targets whose position the observations do not determine, even for known stations."""
     recording, count = problem.model.recording, len(problem.model.recording.targets)
     n_complete = np.bincount(recording.target, problem.is_used_reading.all(axis=1), count) > 0
     is_doubtful = ~n_complete & ~problem.undetermined_unknowns.is_unmeasured_target
@@ -139,8 +139,8 @@ def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bool
         np.add.at(
             normal, end[end < count], np.swapaxes(rows_at_end.whitening_matrices, 1, 2) @ rows_at_end.whitening_matrices
         )
-    normal[problem.undetermined_unknowns.is_height_free_target, 2, 2] += np.trace(
-        normal[problem.undetermined_unknowns.is_height_free_target], axis1=1, axis2=2
+    normal[problem.undetermined_unknowns.is_height_undetermined_target, 2, 2] += np.trace(
+        normal[problem.undetermined_unknowns.is_height_undetermined_target], axis1=1, axis2=2
     )
     # Scaled to unit diagonal: a coordinate determined to 1 um does not hide another that is determined to 1 m.
     scaled, _ = scale_to_unit_diagonal(normal, np.diagonal(normal, axis1=1, axis2=2))
@@ -179,9 +179,9 @@ class ScreenedNetwork(NamedTuple):
     start_poses_and_points: tuple[Floats, Floats, Floats]
     """Positions (S, 3) [m] and rotations (S, 3, 3) of S stations, and positions (T, 3) [m] of T targets."""
     is_gross_pointing: Bools
-    """Flags (n,) of the pointings with gross errors, larger than any error of a tracker."""
+    """Flags (n,) of those of n pointings with gross errors, larger than any error of a tracker."""
     is_unconnected_target: Bools
-    """Flags (T,) of the targets that are not connected to the network."""
+    """Flags (T,) of those of the T targets that are not connected to the network."""
 
 
 @raise_for_singular_network
@@ -210,7 +210,7 @@ def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
 
 
 def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats:
-    """Misclosures (n,) of n pointings as displacements of the point, divided by the limit for a gross error."""
+    """Misclosure of each of n pointings as a displacement of the point, divided by the limit of a gross error, (n,)."""
     readings, predicted = model.recording.readings, model.predict(state)
     gap = readings - predicted
     gap[:, 1:] = wrap_angle(gap[:, 1:])
@@ -230,7 +230,7 @@ def _relaxed_step(
 ) -> tuple[NetworkState, float]:
     """State after one Gauss-Newton step, and the squared step length in standard deviations; 0 for a singular system.
 
-    The standard deviations of the readings are multiplied by `sigma_factors` (n, 1).
+    The standard deviations of the readings of n pointings are multiplied by `sigma_factors` (n, 1).
     """
     try:
         system = replace(problem, sigma=problem.sigma * sigma_factors).linear_system(state, prediction)
@@ -301,7 +301,7 @@ def snoop_readings(
 
 
 def _is_newly_rejected(problem: NetworkProblem, state: NetworkState, limit: float) -> Bools:
-    """Flags (n, 3) of the readings in use whose normalised residual exceeds `limit` times the noise factor.
+    """Flags (n, 3) of used readings of n pointings whose normalised residual exceeds `limit` times the noise factor.
 
     Raises SingularSystemError if unknowns are undetermined.
     """
@@ -313,7 +313,7 @@ def _is_newly_rejected(problem: NetworkProblem, state: NetworkState, limit: floa
 
 
 def _is_mostly_rejected_setup(is_rejected: Bools, problem: NetworkProblem) -> Bools:
-    """Flags (S,) of the set-ups of which more than half of the readings in use are rejected, `is_rejected` (n, 3)."""
+    """Flags (S,) of those of the S set-ups with more than half of their used readings rejected, as `is_rejected`."""
     recording = problem.model.recording
     out, used = (
         np.bincount(recording.station, rows.sum(axis=1), len(recording.stations))
@@ -323,12 +323,12 @@ def _is_mostly_rejected_setup(is_rejected: Bools, problem: NetworkProblem) -> Bo
 
 
 def absolute_whitened_residuals(problem: NetworkProblem, state: NetworkState) -> Floats:
-    """Absolute residuals (n, 3) in standard deviations of the readings; 0 if not measured."""
+    """Absolute residuals (n, 3) of n pointings in standard deviations of the readings; 0 if not measured."""
     return _absolute_whitened_residuals(problem, problem.model.predict(state))
 
 
 def _absolute_whitened_residuals(problem: NetworkProblem, readings: Floats) -> Floats:
-    """Absolute residuals (n, 3), in standard deviations, from the predicted readings (n, 3); 0 if not measured."""
+    """Absolute residuals (n, 3) of n pointings in standard deviations, from predicted `readings`; 0 if unmeasured."""
     return np.nan_to_num(np.abs(problem.reading_residuals(readings) / problem.sigma))
 
 
@@ -337,8 +337,8 @@ def prediction_sigmas(
 ) -> Floats:
     """Standard deviations (k,) of k rejected readings minus their predictions, divided by the declared ones.
 
-    `is_omitted` (n, 3) flags the rejected readings. `prediction` contains the predicted readings at the solution and
-    their derivatives; it is computed by default.
+    `is_omitted` (n, 3) flags the rejected readings of n pointings. `prediction` contains the predicted readings at the
+    solution and their derivatives; it is computed by default.
     """
     assert solution.factor is not None
     system = problem.linear_system(solution.x, prediction or problem.model.linearise(solution.x))
@@ -350,7 +350,7 @@ def prediction_sigmas(
 def _test_readings(
     problem: NetworkProblem, reduced_problem: NetworkProblem, readings: Floats, normal_equations: BlockFactor
 ) -> tuple[Floats, float, Floats]:
-    """Absolute normalised residuals (n, 3) of readings of `reduced_problem`, noise factor, redundancy numbers (n, 3).
+    """Absolute normalised residuals (n, 3) of n pointings in `reduced_problem`, noise factor, redundancy (n, 3).
 
     `readings` (n, 3) are the predicted readings, `normal_equations` the factorised normal equations at the same state.
     """
@@ -366,7 +366,7 @@ def _test_rejected_again(
     is_rejected: Bools,
     limit: float,
 ) -> Bools:
-    """Flags (n, 3) of the rejected readings after a test of all rejected and used readings."""
+    """Flags (n, 3) of rejected readings of n pointings, after a test of all rejected and used readings."""
     assert solution.factor is not None
     out = is_rejected & problem.is_used_reading
     targets, stations = problem.model.recording.target, problem.model.recording.station

@@ -28,12 +28,12 @@ INITIALISATION_METHODS = ("frame", "cloud", "ranges", "places", "bearings")
 
 
 def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats], Bools]:
-    """Start values: positions (S, 3) [m], rotations (S, 3, 3), targets (T, 3) [m]; flags (T,) of unconnected targets.
+    """Start positions (S, 3), rotations (S, 3, 3) of S stations; T targets (T, 3); flags (T,) of unconnected targets.
 
     Levels and known points define the frame if there are any, otherwise the first station. The station with most known
     targets is joined next. If too few targets were measured with range and both angles, beams are intersected and
     stations resected. A network of ranges alone starts with a closed-form solution. Unconnected targets get the mean
-    position of the other targets and must be removed.
+    position of the other targets and must be removed. Coordinates are in metres.
 
     Raises NetworkError if a station is not connected to the others, or if there are elevations alone.
     """
@@ -106,7 +106,7 @@ class NetworkInitialiser:
     # --- present coordinates ---------------------------------------------------------------------------------------
 
     def _target_points(self) -> Floats:
-        """Present target positions (T, 3) [m]: median of the positions from joined stations, or located positions."""
+        """Present positions (T, 3) [m] of T targets: medians over joined stations, or fitted or declared positions."""
         places = self._located_targets.copy()
         complete_rows = np.flatnonzero(self._is_covered)
         places[complete_rows] = self._pairs.medians_by_target(self._pair_points, complete_rows)
@@ -117,7 +117,7 @@ class NetworkInitialiser:
         return self._is_covered | np.isfinite(self._located_targets[:, 0])
 
     def _shared_target_counts(self) -> Ints:
-        """Number (S,) of targets with coordinates that each station measured completely."""
+        """Number (S,) of targets with coordinates that each of S stations measured completely."""
         stations = self._pairs.station_indices[self._has_coordinates[self._pairs.target_indices]]
         return np.bincount(stations, minlength=len(self._is_joined))
 
@@ -137,7 +137,7 @@ class NetworkInitialiser:
             self._located_targets[mark] = position - self._frame.marks.instrument_offsets[station]
 
     def _join_by_cloud(self) -> bool:
-        """True if a station was joined, that with most known targets: at least three, or two if it is levelled."""
+        """True if the station with most known targets was joined: at least three targets, or two if it is levelled."""
         have = self._has_coordinates
         shared = np.where(self._is_joined, -1, self._shared_target_counts())
         for station in np.argsort(-shared, kind="stable").tolist():
@@ -169,7 +169,7 @@ class NetworkInitialiser:
         return False
 
     def _target_coordinates(self, targets: Ints) -> Floats:
-        """Approximate positions (k, 3) [m] of the targets with the indices `targets` (k,)."""
+        """Approximate positions (k, 3) [m] of the k targets with the indices `targets` (k,)."""
         placed = self._pairs.medians_by_target(self._pair_points, targets)
         return np.where(np.isnan(placed), self._located_targets[targets], placed)
 
@@ -185,7 +185,7 @@ class NetworkInitialiser:
         return has_new
 
     def _is_worth_trying(self, key: int, n_neighbours: int) -> bool:
-        """True unless a fit failed with as many neighbours; `key` is a station index, or -1 minus a target index."""
+        """True unless a fit failed with as many neighbours; `key` is a station index, or -1 minus the target index."""
         tried, self._failed_attempts[key] = self._failed_attempts.get(key), n_neighbours
         return tried != n_neighbours
 

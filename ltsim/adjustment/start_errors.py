@@ -16,9 +16,9 @@ def require_connected_stations(recording: Recording, is_joined: Bools, points: F
     ----------
     recording : Recording
     is_joined : array of bool (S,)
-        Flags of the stations with coordinates.
+        Flags of those of the S stations with coordinates.
     points : array (k, 3)
-        Positions [m] of the targets that one of the other stations, the best connected one, shares with the network.
+        Positions [m] of the k targets that one of the other stations, the best connected one, shares with the network.
     undetermined_lines : str
         Text on lines whose length no reading determines, for the end of the message; may be empty.
     """
@@ -40,7 +40,7 @@ def require_connected_stations(recording: Recording, is_joined: Bools, points: F
 
 
 def require_located_target(recording: Recording, has_coordinates: Bools) -> None:
-    """Check that at least one target has approximate coordinates, flagged by `has_coordinates` (T,).
+    """Check that at least one of T targets has approximate coordinates, flagged by `has_coordinates` (T,).
 
     Raises NetworkError if no target has.
     """

@@ -38,7 +38,8 @@ class UniformMotion(StationMotion):
     scope = "station"
     """Kind of object that moves."""
     parameters = StationBump.parameters
-    """Components of the final translation and rotation, as of a sudden motion."""
+    """Components of the translation and rotation at the end of the occupation, with the names as for a sudden
+    motion."""
 
     def motion(self, sightings: Sightings) -> Floats:
         """Derivatives (n, 6, 6) of the motion at each of n pointings by the six components of the final motion."""

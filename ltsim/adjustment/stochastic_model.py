@@ -95,7 +95,7 @@ def iterate_reweighted(
 
 
 def has_many_residuals_beyond_noise(whitened_residuals: Floats) -> bool:
-    """True if the fraction of residuals above `MIN_RESIDUAL_BEYOND_NOISE` exceeds `MAX_FRACTION_BEYOND_NOISE`."""
+    """True if too many residuals exceed `MIN_RESIDUAL_BEYOND_NOISE`: more than `MAX_FRACTION_BEYOND_NOISE`."""
     n_beyond = np.count_nonzero(np.abs(whitened_residuals) > MIN_RESIDUAL_BEYOND_NOISE)
     return bool(n_beyond > MAX_FRACTION_BEYOND_NOISE * len(whitened_residuals))
 
@@ -185,8 +185,9 @@ def estimate_variance_components(
 ) -> tuple[NetworkProblem, Solution[NetworkState], tuple[VarianceComponent, ...]]:
     """Problem with standard deviations scaled by group to agree with the residuals, its solution, and the estimates.
 
-    `reject_outliers` is a function that solves a problem and may reject readings. It is called with all readings of
-    `reading_mask` (n, 3) and the new noise, until the set of rejected readings does not change.
+    `reject_outliers` is a function that solves a problem and may reject readings. It is called with all readings that
+    `reading_mask` (n, 3) selects among those of n pointings and with the new noise, until the set of rejected readings
+    does not change.
 
     References
     ----------
@@ -239,9 +240,9 @@ def _secant_step(change: Floats, last_change: Floats, last_step: Floats) -> Floa
 
 
 def _scale_sigmas(problem: NetworkProblem, factor: Floats, group_indices: Ints, reading_mask: Bools) -> NetworkProblem:
-    """Problem with the readings of `reading_mask` (n, 3), and with standard deviations multiplied by group factors.
+    """Problem with the readings that `reading_mask` selects, and with standard deviations multiplied by group factors.
 
-    `group_indices` (n, 3) is the group of each reading. The last factor is that of the levels.
+    `group_indices` (n, 3) is the group of each reading of n pointings. The last factor is that of the levels.
     """
     levels = replace(problem.level_rows, sigma=problem.level_rows.sigma * factor[-1])
     return replace(

@@ -27,17 +27,17 @@ class UnknownColumns:
     """
 
     pose_columns: Ints
-    """Columns of translation and rotation of each of S stations, (S, 6)."""
+    """Columns in the design matrix of translation and rotation of each of S stations, (S, 6)."""
     target_columns: Ints
-    """Columns of the coordinates of each of T targets, (T, 3). All targets are eliminated from the normal equations one
-    by one, except targets of reference lengths and differences, and targets under a set-up.
+    """Columns in the design matrix of the coordinates of each of T targets, (T, 3). All targets are eliminated from the
+    normal equations one by one, except targets of reference lengths and differences, and targets under a set-up.
     """
     instrument_columns: Ints
-    """Columns of the p parameters of each of I instruments, (I, p)."""
+    """Columns in the design matrix of the p parameters of each of I instruments, (I, p)."""
     effect_columns: Ints
-    """Columns of the q parameters of additional effects, (q,)."""
+    """Columns in the design matrix of the q parameters of additional effects, (q,)."""
     n_reduced: int
-    """Number K of columns of the unknowns that are not eliminated."""
+    """Number K of columns of the unknowns that are not eliminated from the normal equations."""
     n_columns: int
     """Number of columns of all unknowns."""
 
@@ -97,7 +97,7 @@ class NetworkRows:
     model: MeasurementModel
     """Measurement model that predicts the readings."""
     is_used_reading: Bools
-    """Flags of the readings in use, (n, 3)."""
+    """Flags (n, 3) of those readings of n pointings that are in use."""
     gauge_rows: GaugeRows
     """Equations of the reference lengths."""
     control_rows: ControlRows
@@ -143,22 +143,23 @@ class UndeterminedUnknowns:
 
     unknowns: UnknownColumns
     """Columns of all unknowns in the design matrix."""
-    yaw_free_stations: Ints
-    """Stations without azimuths, whose rotation about the standing axis is undetermined."""
-    tilt_free_stations: Ints
-    """Stations without angles and level, whose tilts are undetermined."""
-    height_free_stations: Ints
-    """Stations with undetermined height: levelled stations with only azimuths and horizontal distances."""
+    yaw_undetermined_stations: Ints
+    """Indices of stations without azimuths, whose rotation about the standing axis is undetermined."""
+    tilt_undetermined_stations: Ints
+    """Indices of stations without angles and level, whose tilts are undetermined."""
+    height_undetermined_stations: Ints
+    """Indices of stations with undetermined height: levelled stations with only azimuths and horizontal distances."""
     unread_stations: Ints
-    """Stations without any reading."""
+    """Indices of stations without any reading."""
     is_unmeasured_target: Bools
-    """Flags (T,) of the targets without a reading in use, without known coordinates and without a set-up on them."""
-    is_height_free_target: Bools
-    """Flags (T,) of the targets with undetermined height: levelled set-ups measured only azimuths and horizontal
+    """Flags (T,) of those of T targets without a used reading, without known coordinates and without a set-up on
+    them."""
+    is_height_undetermined_target: Bools
+    """Flags (T,) of those of T targets with undetermined height: levelled set-ups measured only azimuths and horizontal
     distances to them.
     """
     oriented_stations: Ints
-    """Stations with azimuths, whose yaw is determined."""
+    """Indices of stations with azimuths, whose yaw (direction of azimuth zero) is determined."""
     n_coordinates_of_unmeasured_targets: int
     """Number of known coordinates of unmeasured targets, which do not count as observations."""
     scale_target: Ints
@@ -210,12 +211,12 @@ class UndeterminedUnknowns:
                 network.control_rows.declared_components[~is_read[network.control_rows.place_indices]].sum()
             ),
             unknowns=network.unknowns,
-            yaw_free_stations=np.flatnonzero(~azimuth),
-            tilt_free_stations=np.flatnonzero(~azimuth & ~elevation & ~level),
-            height_free_stations=np.flatnonzero(height_free[len(n_rows) : -1]),
+            yaw_undetermined_stations=np.flatnonzero(~azimuth),
+            tilt_undetermined_stations=np.flatnonzero(~azimuth & ~elevation & ~level),
+            height_undetermined_stations=np.flatnonzero(height_free[len(n_rows) : -1]),
             unread_stations=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
             is_unmeasured_target=~is_read,
-            is_height_free_target=height_free[: len(n_rows)],
+            is_height_undetermined_target=height_free[: len(n_rows)],
             oriented_stations=np.flatnonzero(azimuth),
             scale_target=_scale_target(network) if _has_approximate_scale(network) else np.zeros(0, dtype=np.int64),
             fixes_heights=bool(stands.all() and (height_free[: len(n_rows)] | ~is_read).all() and not has_height.any()),
@@ -223,24 +224,24 @@ class UndeterminedUnknowns:
 
     @property
     def fixed_columns(self) -> Ints:
-        """Columns (h, 3) of the unknowns in each of the h equations that fix undetermined unknowns."""
+        """Columns (h, 3) of the unknowns in each of the h equations that fix undetermined unknowns at their values."""
         unknowns = self.unknowns
         single = [unknowns.target_columns[self.is_unmeasured_target], unknowns.pose_columns[self.unread_stations, :3]]
         single += [
-            unknowns.pose_columns[self.height_free_stations, 2:3],
-            unknowns.target_columns[self.is_height_free_target, 2:3],
+            unknowns.pose_columns[self.height_undetermined_stations, 2:3],
+            unknowns.target_columns[self.is_height_undetermined_target, 2:3],
         ]
         column_groups = [
-            unknowns.pose_columns[self.yaw_free_stations, 3:],
-            np.repeat(unknowns.pose_columns[self.tilt_free_stations, 3:], 2, axis=0),
+            unknowns.pose_columns[self.yaw_undetermined_stations, 3:],
+            np.repeat(unknowns.pose_columns[self.tilt_undetermined_stations, 3:], 2, axis=0),
         ]
         column_groups.append(unknowns.target_columns[self.scale_target])
         return np.concatenate([*column_groups, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
 
-    def fixed_directions(self, state: NetworkState) -> Floats:
+    def fixing_coefficients(self, state: NetworkState) -> Floats:
         """Coefficients (h, 3) of the unknowns `fixed_columns` in the h equations that fix undetermined unknowns."""
-        yaw = state.station_rotations[self.yaw_free_stations] @ VERTICAL
-        tilt = np.swapaxes(state.station_rotations[self.tilt_free_stations], 1, 2)[:, :2].reshape(-1, 3)
+        yaw = state.station_rotations[self.yaw_undetermined_stations] @ VERTICAL
+        tilt = np.swapaxes(state.station_rotations[self.tilt_undetermined_stations], 1, 2)[:, :2].reshape(-1, 3)
         arm = (
             state.target_points[self.scale_target]
             - state.station_positions[self.oriented_stations[: len(self.scale_target)]]
@@ -252,14 +253,14 @@ class UndeterminedUnknowns:
 
     @property
     def fixed_pose_components(self) -> Bools:
-        """Flags (S, 6) of the fixed components of poses.
+        """Flags (S, 6) of the fixed components of the poses of S stations: translation, then rotation.
 
         All three rotations of a station are flagged if its rotation about the standing axis is undetermined.
         """
         is_fixed = np.zeros(self.unknowns.pose_columns.shape, dtype=bool)
-        is_fixed[self.yaw_free_stations, 3:] = True
-        is_fixed[self.tilt_free_stations, 3:] = True
-        is_fixed[self.height_free_stations, 2] = True
+        is_fixed[self.yaw_undetermined_stations, 3:] = True
+        is_fixed[self.tilt_undetermined_stations, 3:] = True
+        is_fixed[self.height_undetermined_stations, 2] = True
         is_fixed[self.unread_stations, :3] = True
         return is_fixed
 
@@ -267,13 +268,13 @@ class UndeterminedUnknowns:
     def n_fixed(self) -> int:
         """Number h of equations that fix undetermined unknowns."""
         n_tilts = (
-            len(self.yaw_free_stations)
-            + 2 * len(self.tilt_free_stations)
+            len(self.yaw_undetermined_stations)
+            + 2 * len(self.tilt_undetermined_stations)
             + len(self.scale_target)
-            + len(self.height_free_stations)
+            + len(self.height_undetermined_stations)
             + 3 * len(self.unread_stations)
         )
-        return n_tilts + int(self.is_height_free_target.sum()) + 3 * int(self.is_unmeasured_target.sum())
+        return n_tilts + int(self.is_height_undetermined_target.sum()) + 3 * int(self.is_unmeasured_target.sum())
 
     @property
     def datum_stations(self) -> Ints:
@@ -282,7 +283,7 @@ class UndeterminedUnknowns:
 
     @property
     def fixes_datum_rotations(self) -> bool:
-        """True if the datum fixes the rotation of its station and not only translations."""
+        """True if the datum fixes the rotation of its defining station, and not only translations."""
         return len(self.oriented_stations) > 0
 
 
@@ -308,20 +309,22 @@ def _has_approximate_scale(network: NetworkRows) -> bool:
 
 
 def _scale_target(network: NetworkRows) -> Ints:
-    """Index (1,) of a target whose azimuth was measured from the first station with azimuths."""
+    """Index (1,) of a target whose azimuth the first station with azimuths measured; empty without azimuths."""
     recording, rows = network.model.recording, np.flatnonzero(network.is_used_reading[:, 1])
     first_row = rows[np.argsort(recording.station[rows], kind="stable")][:1]
     return recording.target[first_row]
 
 
 DecoratedParameters = ParamSpec("DecoratedParameters")
+"""Parameters of a decorated function of a recording, after the recording."""
 DecoratedReturn = TypeVar("DecoratedReturn")
+"""Type of the result of a decorated function of a recording."""
 
 
 def raise_for_singular_network(
     function: Callable[Concatenate[Recording, DecoratedParameters], DecoratedReturn],
 ) -> Callable[Concatenate[Recording, DecoratedParameters], DecoratedReturn]:
-    """Function of a recording that raises NetworkError instead of numpy's error for singular matrices (decorator)."""
+    """Decorator: the function of a recording raises NetworkError instead of numpy's error for singular matrices."""
 
     @wraps(function)
     def wrapper(

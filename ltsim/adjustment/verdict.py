@@ -33,7 +33,7 @@ class VerdictCase(Enum):
     UNCHECKED = "nothing to test"
     """Network without redundancy."""
     IN_DOUBT = "in doubt"
-    """Passed tests, but warnings on the network."""
+    """Passed tests of an adjustment with warnings on its network."""
 
 
 @dataclass(frozen=True)

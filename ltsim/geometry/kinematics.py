@@ -59,13 +59,13 @@ KinematicChain = tuple[ElementaryMotion, ...]
 
 @dataclass(frozen=True)
 class ConstantAmount:
-    """Nominal angle [rad] or length [m] of an elementary motion that does not depend on the readings."""
+    """Nominal angle [rad] or length [m] of an elementary motion that is the same for all readings."""
 
     value: float
-    """The angle [rad] or length [m]."""
+    """Nominal angle [rad] or length [m] of the motion."""
 
     def __call__(self, raw_readings: Floats) -> Floats:
-        """The constant angle [rad] or length [m], repeated for each of n raw readings, (n,)."""
+        """Constant angle [rad] or length [m], repeated for each of the n pointings of `raw_readings` (n, 3), (n,)."""
         return np.full(len(raw_readings), self.value)
 
 
@@ -79,7 +79,7 @@ class ReadingAmount:
     """Offset [m or rad] that is added to the reading."""
 
     def __call__(self, raw_readings: Floats) -> Floats:
-        """The selected reading plus `offset`, (n,), for n raw readings of range, azimuth and elevation, (n, 3)."""
+        """Selected reading plus `offset`, (n,), for n raw readings of range, azimuth and elevation, (n, 3)."""
         return raw_readings[:, self.reading_index] + self.offset
 
 
@@ -100,7 +100,7 @@ def _motion_amount(
 
 
 def _rotate(axis: int, angle: Floats, *vectors: Floats) -> None:
-    """Rotation in place of vectors (..., n, 3) about a coordinate axis by angles (n,)."""
+    """Rotation in place of arrays of vectors (..., n, 3) about a coordinate axis, by n angles (n,)."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     c, s = np.cos(angle), np.sin(angle)
     for v in vectors:
@@ -188,6 +188,10 @@ in the exact form (not the first-order one), from the base outwards:
     p = Rz(azimuth_t) { [tau, 0, 0] + Rx(kappa) [ Ry(-elevation_t) ( [0, b_y, b_z] + range_t * u ) ] }
     u = (cos c, sin c, 0)
 
+Here p is the point, azimuth_t, elevation_t and range_t are the readings plus their errors, tau is the transit offset,
+kappa the transit tilt, b_y and b_z are the lateral and vertical beam offsets, and c is the beam tilt. Motions of the
+bearing of the standing axis (keys `standing-...`) come before these terms and are omitted in the formula.
+
 Signs: every error is a correction (true value minus reading), added to the raw reading or to the nominal zero. Raw
 face-2 readings are used unchanged; the signs of the two faces follow from the geometry.
 """
@@ -233,11 +237,12 @@ target is the image of a point straight up the beam:
     C' = Rz(azimuth) Dx(forward) Dy(left) Rz(azimuth)^-1          the cover plate's offset, which turns with the head
     B = Dx(O_x) Dy(O_y) Rx(I_x) Ry(I_y)                           the beam in the base
 
-with e the transit offset, i the transit tilt, f the mirror offset, c the mirror tilt. A reflection F before a turn or a
-shift is the reflected turn or shift before F, and F leaves the origin, where the target sits, as it is: so F moves
-through T^-1, C' and B to the end and vanishes. Turns about x and shifts along y and z stay, turns about y and z and
-shifts along x change their sign. The result is a chain of turns and shifts like any other, in which each motion of the
-mirror occurs twice.
+with e the transit offset, i the transit tilt, f the mirror offset, c the mirror tilt, O_x and O_y the offset and I_x
+and I_y the tilts of the beam in the base. Rx, Ry and Rz are turns about, Dx and Dy shifts along the axes. A reflection
+F before a turn or a shift is the reflected turn or shift before F, and F leaves the origin, where the target sits, as
+it is: so F moves through T^-1, C' and B to the end and vanishes. Turns about x and shifts along y and z stay, turns
+about y and z and shifts along x change their sign. The result is a chain of turns and shifts like any other, in which
+each motion of the mirror occurs twice.
 
 Source: Loser and Kyle 1998, Alignment and field check procedures for the Leica laser tracker LTD 500, Boeing Large
 Scale Optical Metrology Seminar (the parameters); Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35,
@@ -270,13 +275,19 @@ DH_CHAIN: KinematicChain = (
 """The paper's Denavit-Hartenberg chain (Sensors 2021, 21, 7479, eq. 1 to 8) with all its error functions.
 
     0T3 = A1 E_Rot1 A2 E_Rot2 A3 E_Trans,   A = Tz(d) Rz(theta) Tx(a) Rx(alpha)
-    E_Rot   = T(dX, dY, dZ) Rx(eX) Ry(eY) Rz(eZ)                        (eq. 2; theta_RZ there is our eZ)
+    E_Rot   = T(dX, dY, dZ) Rx(eX) Ry(eY) Rz(eZ)                        (eq. 2, with theta_RZ for eZ)
     E_Trans = T(dX, dY, dZ) (I + [e]_x)                                   (eq. 5)
 
-In the printed form E follows the complete A: frame 1 has y along the standing axis and z along the transit axis, so the
-azimuth encoder's error is J1.eY and the elevation encoder's J2.eY; the paper's words "axial" and "radial" do not fit
-these frames. E_Trans is last and acts on a point, so that its rotation has no effect; it is included so that the 78
-coefficients of the paper are complete.
+0T3 is the transformation from the frame of the beam to the base, A_i that of joint i with the Denavit-Hartenberg
+parameters d, theta, a and alpha; T are shifts along and R rotations about the axes, and [e]_x is the cross-product
+matrix of (eX, eY, eZ). In the printed form E follows the complete A: frame 1 has y along the standing axis and z along
+the transit axis, so the azimuth encoder's error is J1.eY and the elevation encoder's J2.eY; the paper's words "axial"
+and "radial" do not fit these frames. E_Trans is last and acts on a point, so that its rotation has no effect; it is
+included so that the 78 coefficients of the paper are complete.
+
+A coefficient is named by the joint (J1 azimuth, J2 elevation, T range), the error motion (shift d along or rotation e
+about an axis of the frame after the joint) and the term of its error function: c, sin, cos, sin2 and cos2 for the
+constant and the first two harmonics of the joint's angle; 0, 1 and 2 for powers of the range.
 
 Of the 78 coefficients 64 have an effect on a point: J2.eZ turns about the beam (5), T.eX, T.eY and T.eZ turn the point
 about itself (9). Of the 64, 53 have distinct effects if stations and targets are known; the others repeat them:

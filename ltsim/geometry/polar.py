@@ -10,19 +10,19 @@ from ltsim.core.arrays import Floats, Ints, stack_columns
 
 
 def wrap_angle(angle: Floats) -> Floats:
-    """Angles [rad] reduced by full turns to the interval (-pi, pi]."""
+    """Angles [rad] reduced by full turns to the interval (-pi, pi], with the shape of `angle`."""
     return np.pi - np.mod(np.pi - angle, 2 * np.pi)
 
 
 def to_polar(points: Floats) -> Floats:
-    """Front-face range [m], azimuth and elevation [rad], (n, 3), of points (n, 3) [m] in the instrument frame."""
+    """Front-face range [m], azimuth and elevation [rad], (n, 3), of n points (n, 3) [m] in the instrument frame."""
     x, y, z = points.T
     horizontal = np.hypot(x, y)
     return stack_columns(np.hypot(horizontal, z), np.arctan2(y, x), np.arctan2(z, horizontal))
 
 
 def from_polar(readings: Floats) -> Floats:
-    """Points (n, 3) [m] in the instrument frame from range [m], azimuth and elevation [rad], (n, 3).
+    """Points (n, 3) [m] in the instrument frame from n readings of range [m], azimuth and elevation [rad], (n, 3).
 
     Raw face-2 values give the same point as face-1 values.
     """
@@ -32,7 +32,7 @@ def from_polar(readings: Floats) -> Floats:
 
 
 def to_face(polar_coordinates: Floats, face: Ints) -> Floats:
-    """Raw readings (n, 3) in the face of each pointing, `face` (n,) with 1 or 2, from front-face coordinates (n, 3).
+    """Raw readings (n, 3) of n pointings in the faces `face` (n,), 1 or 2, from front-face coordinates (n, 3).
 
     The function is its own inverse: it also converts raw readings to front-face values.
     """
@@ -44,7 +44,7 @@ def to_face(polar_coordinates: Floats, face: Ints) -> Floats:
 
 
 def unit_vectors(azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats, Floats]:
-    """Unit vectors of the beam (outwards), to its left and upwards, each (n, 3), for front-face angles [rad]."""
+    """Unit vectors along n beams (outwards), to their left and upwards, each (n, 3), from front-face angles [rad]."""
     ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
     zero = np.zeros_like(ca)
     beam = stack_columns(ce * ca, ce * sa, se)
@@ -54,7 +54,7 @@ def unit_vectors(azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats, Fl
 
 
 def components_across_beam(vectors: Floats, points: Floats) -> Floats:
-    """Components (n, 2) of vectors (n, 3) perpendicular to the beam: to the left of it, and upwards across it.
+    """Components (n, 2) of n vectors (n, 3) perpendicular to the beam: to the left of it, and upwards across it.
 
     The beam of each vector goes from the origin of the instrument to its point (n, 3) [m].
     """
@@ -64,9 +64,10 @@ def components_across_beam(vectors: Floats, points: Floats) -> Floats:
 
 
 def polar_jacobian(polar_coordinates: Floats, face: Ints) -> Floats:
-    """Derivative (n, 3, 3) of raw readings with respect to the coordinates of the measured point, instrument frame.
+    """Derivative (n, 3, 3) of n raw readings with respect to the points measured, in the instrument frame.
 
-    `polar_coordinates` (n, 3) are the front-face range [m], azimuth and elevation [rad], `face` (n,) the face used.
+    `polar_coordinates` (n, 3) are the front-face range [m], azimuth and elevation [rad] of the n points, `face` (n,) is
+    the face of each pointing.
 
     Axis 1 of the result is the reading (range, azimuth, elevation), axis 2 the coordinate. On face 2 the raw elevation
     is 180 deg minus the elevation, so that its row has the opposite sign.

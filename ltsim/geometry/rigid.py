@@ -19,7 +19,7 @@ def cross_matrix(vectors: Floats) -> Floats:
 
 
 def perpendicular_vectors(vectors: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors (n, 3) that are perpendicular to each of the given unit vectors (n, 3) and to each other."""
+    """Two arrays (n, 3) of unit vectors that are perpendicular to n unit vectors (n, 3) and to each other."""
     helper = np.where(np.abs(vectors[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     first_perpendicular = np.cross(vectors, helper)
     first_perpendicular /= np.linalg.norm(first_perpendicular, axis=1, keepdims=True)
@@ -73,7 +73,7 @@ MIN_RIGID_POINTS = 3
 
 
 def rigid_motion_design(points: Floats, centre: Floats | None = None) -> Floats:
-    """Displacement (3 k, 6) of k points (k, 3) [m] by unit translations and unit small rotations about `centre` (3,).
+    """Displacement (3 k, 6) of k points (k, 3) [m] per unit of translation and small rotation about `centre` (3,) [m].
 
     Without `centre` the rotations are about the origin.
     """
@@ -121,7 +121,7 @@ def determines_pose(
     Parameters
     ----------
     points : (T, 3) float, [m]
-        Coordinates of the targets.
+        Coordinates of the T targets.
     is_sighted : (..., T) bool
         Targets that each station measures with range and both angles.
     plumb_direction : (..., 3) float, optional
@@ -146,13 +146,13 @@ MAX_ROBUST_PASSES = 8
 """Largest number of reweighted least-squares fits in `align_robustly`."""
 MAX_NOISE_DISTANCE_RATIO = 8.0
 """Ratio of the largest to the median distance between aligned points and their goals, below which the alignment is not
-reweighted: the distances then contain noise only and no outlier."""
+reweighted, because the distances then contain noise only and no outlier."""
 MAX_OUTLIER_FREE_MISFIT = 1e-4
 """Mean distance [m] between points and their goals after a least-squares alignment, above which `align_robustly` also
 starts from triples of points: an outlier may have distorted the least-squares alignment. Start values of an adjustment
 need no smaller distance than this 0.1 mm."""
 MAX_POINTS_FOR_ALL_TRIPLES = 6
-"""Number of points up to which every triple of points is a start of a robust alignment."""
+"""Largest number of points of which every triple is a start of a robust alignment."""
 MAX_TRIPLES = 30
 """Number of random triples of points at which a robust alignment starts if there are too many triples to try all. With
 30 triples at least one has no outlier with a probability of 98 % if half of the points are outliers, and of 99.999 % if
@@ -160,7 +160,7 @@ a third are."""
 
 
 def align_rigidly(points: Floats, goal_points: Floats, weights: Floats | None = None) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and translation (3,) [m] that move `points` (n, 3) onto `goal_points` (n, 3) by least squares.
+    """Rotation (3, 3) and translation (3,) [m] that move n `points` (n, 3) onto `goal_points` by least squares.
 
     The fit is ``goal_points ~ points @ rotation.T + translation``. `weights` (n,) are non-negative weights of the
     points, by default equal. Raises NetworkError for fewer than three points, or for points on one line.
@@ -179,7 +179,7 @@ def align_with_scale(
     Parameters
     ----------
     points : (..., n, 3) float, [m]
-        Points to move, at least three that are not on one line.
+        The n points to move, at least three that are not on one line.
     goal_points : (..., n, 3) float, [m]
         Points onto which they are moved, in the same order.
     weights : (n,) float, optional
@@ -228,7 +228,7 @@ def _weighted_alignment(
 
 
 def align_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and translation (3,) [m] that move points (n, 3) onto their goals, insensitive to a few outliers.
+    """Rotation (3, 3) and translation (3,) [m] that move n points (n, 3) onto their goals despite a few outliers.
 
     The alignment minimises the sum of the distances by iterative reweighting. If one distance is large, this sum has
     several local minima. Reweighting therefore starts at the least-squares alignment or at the alignment of three of
@@ -261,7 +261,7 @@ def align_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats]
 
 
 def largest_alignment_distance(points: Floats, goal_points: Floats) -> float:
-    """Largest distance [m] between corresponding points of two sets (n, 3) [m] after their least-squares alignment.
+    """Largest distance [m] between corresponding points of two sets of n points (n, 3) [m] after their alignment.
 
     Raises NetworkError for fewer than three points, or for points on one line.
     """
@@ -269,7 +269,7 @@ def largest_alignment_distance(points: Floats, goal_points: Floats) -> float:
 
 
 def _alignment_residual_distances(points: Floats, goal_points: Floats, rigid_motion: tuple[Floats, Floats]) -> Floats:
-    """Distances (..., n) [m] between points (..., n, 3), moved by a rigid motion, and their goals (..., n, 3).
+    """Distances (..., n) [m] between n points (..., n, 3), moved by a rigid motion, and their goals (..., n, 3).
 
     `rigid_motion` is a pair: rotations (..., 3, 3) and shifts (..., 3) [m].
     """
@@ -279,7 +279,7 @@ def _alignment_residual_distances(points: Floats, goal_points: Floats, rigid_mot
 
 
 def _sum_of_log_distances(distances: Floats) -> Floats:
-    """Sum (...) of the logarithms of distances (..., n) [m], each at least `MAX_OUTLIER_FREE_MISFIT`.
+    """Sum (...) of the logarithms of n distances (..., n) [m], each at least `MAX_OUTLIER_FREE_MISFIT`.
 
     An alignment with a few large and many small distances has a smaller sum than one with all distances of medium size.
     """

@@ -17,7 +17,8 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from ltsim.core.arrays import Floats, Ints
 
 MAX_SINGLE_BLOCK = 240
-"""Number of columns up to which a matrix is treated as one block, because an ordering would cost more than it saves."""
+"""Largest number of columns of a matrix that is treated as one block, because an ordering would cost more than it
+saves."""
 MIN_BORDER_COLUMN_DENSITY = 0.6
 """Fraction of non-zero entries in a column of the matrix above which the column belongs to the border."""
 MIN_BLOCK_COLUMNS = 48
@@ -28,7 +29,7 @@ INVERSE_COLUMNS_PER_BATCH = 512
 
 
 def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
-    """Order (K,) of the columns of a symmetric matrix as a chain of b blocks and a border, and their limits (b + 2,).
+    """Order (K,) of K columns of a symmetric matrix as a chain of b blocks and a border, and their limits (b + 2,).
 
     In the new order block i has the positions from limit i to before limit i + 1. The border is last.
     """
@@ -56,9 +57,10 @@ class InverseSubmatrix:
     """Submatrix of the inverse matrix on the w columns of two neighbouring blocks and the border."""
 
     positions_of_columns: Ints
-    """Position in the submatrix of each column of the whole matrix, (K,); -1 for columns that are not in it."""
+    """Position in the submatrix of each of the K columns of the whole matrix, (K,); -1 for columns that are not in
+    it."""
     inverse: Floats
-    """Submatrix (w, w) of the inverse matrix."""
+    """Submatrix (w, w) of the inverse matrix, on w columns and the rows with the same indices."""
 
 
 class BlockChainFactor:
@@ -69,7 +71,7 @@ class BlockChainFactor:
     Parameters
     ----------
     matrix : (K, K) sparse
-        Symmetric matrix.
+        Symmetric matrix of K columns.
 
     Attributes
     ----------
@@ -119,7 +121,7 @@ class BlockChainFactor:
         )
 
     def solve(self, right_hand_sides: Floats) -> Floats:
-        """Solutions (K, c) of the linear systems with this matrix and c right-hand sides (K, c)."""
+        """Solutions (K, c) of the linear systems of the factorised matrix (K, K) with c right-hand sides (K, c)."""
         x = right_hand_sides[self._column_order]
         border = self._block_limits[-2]
         for i, (root, after) in enumerate(zip(self._diagonal_factors, self._off_diagonal_factors, strict=True)):
@@ -142,7 +144,7 @@ class BlockChainFactor:
         return solved
 
     def inverse(self) -> Floats:
-        """Complete inverse (K, K) of the matrix."""
+        """Complete inverse (K, K) of the factorised matrix, which has K columns."""
         if self.n_blocks == 1:
             return self.inverse_submatrices[0].inverse
         n_unknowns = len(self._column_order)
@@ -198,7 +200,7 @@ class BlockChainFactor:
 
 
 def inverse_from_cholesky(lower_factor: Floats) -> Floats:
-    """Inverse (k, k) of a symmetric matrix from its lower Cholesky factor (k, k)."""
+    """Inverse (k, k) of a symmetric matrix of k columns from its lower Cholesky factor (k, k)."""
     if not len(lower_factor):
         return lower_factor
     lower, _ = scipy.linalg.lapack.dpotri(lower_factor, lower=1)

@@ -15,11 +15,12 @@ import scipy.sparse as sp
 from ltsim.core.arrays import Bools, Floats, Ints, median
 
 MAX_DENSE_ENTRIES = 600_000
-"""Number of entries up to which a design matrix is stored as a dense array, which is then faster than a sparse one."""
+"""Largest number of entries of a design matrix that is stored as a dense array, which is then faster than a sparse
+one."""
 
-ROWS_PER_PIECE = 30_000
+DESIGN_ROWS_PER_BATCH = 30_000
 """Number of rows of a sparse design matrix that are processed at a time."""
-ENTRIES_PER_PIECE = 1_000_000
+DESIGN_ENTRIES_PER_BATCH = 1_000_000
 """Number of entries of a sparse design matrix that are processed at a time."""
 
 DesignMatrix: TypeAlias = Floats | sp.csr_array
@@ -52,7 +53,10 @@ class SparsityPattern:
             self._column_indices, self._row_pointers = indices, pointers.astype(small)
 
     def fill(self, design_entries: Iterable[Floats]) -> DesignMatrix:
-        """Design matrix (m, n_columns) with these entries: one array (r, w) per group of rows, as in `columns`."""
+        """Design matrix (m, n_columns) of m rows with the entries `design_entries`: an array (r, w) per group of rows.
+
+        Each of the r rows of a group has w entries, in the order of the indices `columns`.
+        """
         entries, end = np.empty(self._n_entries), 0
         for kind in design_entries:
             begin, end = end, end + kind.size
@@ -72,29 +76,29 @@ def to_dense(design: DesignMatrix) -> Floats:
 
 
 def inverse_column_norms(design: DesignMatrix) -> Floats:
-    """Reciprocal norms (u,) of the columns of a design matrix (m, u); 1 for a column of zeros."""
+    """Reciprocal norms (u,) of the u columns of a design matrix with m rows (m, u); 1 for a column of zeros."""
     if isinstance(design, np.ndarray):
         squares = np.einsum("mu,mu->u", design, design)
     else:
         squares = np.zeros(design.shape[1])
-        for first in range(0, len(design.data), ENTRIES_PER_PIECE):
-            piece = slice(first, first + ENTRIES_PER_PIECE)
+        for first in range(0, len(design.data), DESIGN_ENTRIES_PER_BATCH):
+            piece = slice(first, first + DESIGN_ENTRIES_PER_BATCH)
             squares += np.bincount(design.indices[piece], design.data[piece] ** 2, design.shape[1])
     return 1.0 / np.sqrt(np.where(squares > 0, squares, 1.0))
 
 
 def scale_columns(matrix_rows: sp.csr_array, column_factors: Floats) -> sp.csr_array:
-    """Sparse matrix (m, u) with each column multiplied by its factor (u,)."""
+    """Sparse matrix of m rows (m, u) with each of its u columns multiplied by a factor, `column_factors` (u,)."""
     return sp.csr_array(
         (matrix_rows.data * column_factors[matrix_rows.indices], matrix_rows.indices, matrix_rows.indptr),
         matrix_rows.shape,
     )
 
 
-def iterate_row_pieces(design: sp.csr_array, column_factors: Floats) -> Iterator[sp.csr_array]:
-    """Iterator over batches of `ROWS_PER_PIECE` rows of a sparse design (m, u), columns multiplied by factors (u,)."""
-    for first in range(0, design.shape[0], ROWS_PER_PIECE):
-        yield scale_columns(design[first : first + ROWS_PER_PIECE], column_factors)
+def iterate_row_batches(design: sp.csr_array, column_factors: Floats) -> Iterator[sp.csr_array]:
+    """Iterator over batches of rows of a sparse design of m rows (m, u), with its u columns multiplied by factors."""
+    for first in range(0, design.shape[0], DESIGN_ROWS_PER_BATCH):
+        yield scale_columns(design[first : first + DESIGN_ROWS_PER_BATCH], column_factors)
 
 
 def gram_matrix(row_batches: Iterable[sp.csr_array], n_columns: int) -> sp.csr_array:
@@ -106,7 +110,7 @@ def gram_matrix(row_batches: Iterable[sp.csr_array], n_columns: int) -> sp.csr_a
 
 
 def weight_rows(design: DesignMatrix, weight: Floats) -> DesignMatrix:
-    """Design matrix (m, u) with each row multiplied by its weight (m,)."""
+    """Design matrix (m, u) of u columns with each of its m rows multiplied by its weight, `weight` (m,)."""
     if isinstance(design, np.ndarray):
         return np.asarray(design * weight[:, None])
     entry_weights = np.repeat(weight, np.diff(design.indptr))
@@ -118,15 +122,15 @@ MIN_RELIABLE_PIVOT = 1e-8
 """Pivot of a normal matrix with unit diagonal below which the pivot may be a rounding error. The weakest direction is
 then tested separately (`RANK_TOLERANCE`)."""
 RANK_TOLERANCE = 1e-14
-"""Squared length of the product of the design, scaled to unit columns, and a unit vector, at or below which the
-direction of this vector is undetermined.
+"""Squared length of the product of a design matrix, scaled to unit columns, and a unit vector of unknowns, at or below
+which the combination of unknowns along this vector is undetermined.
 
 The tolerance is fifty times the rounding error of a Cholesky factorisation. The weakest direction of a chain of 2,000
 set-ups, which is determined, has the squared length 1e-13.
 """
 NORMAL_RANK_TOLERANCE = 1e-12
-"""Eigenvalue of a reduced normal matrix with unit diagonal, at or below which the direction of its eigenvector is
-undetermined. Rounding errors of the eigenvalues are about 1e-15.
+"""Eigenvalue of a reduced normal matrix with unit diagonal, at or below which the combination of unknowns along its
+eigenvector is undetermined. Rounding errors of the eigenvalues are about 1e-15.
 """
 
 POINT_RANK_TOLERANCE = 1e-10
@@ -135,7 +139,7 @@ undetermined in one direction: the standard deviation in it is 100,000 times the
 
 
 def scale_to_unit_diagonal(symmetric_matrices: Floats, diagonals: Floats) -> tuple[Floats, Floats]:
-    """Symmetric matrices (..., k, k) scaled to unit diagonal, and the scale factors (..., k).
+    """Symmetric matrices of k columns (..., k, k) scaled to unit diagonal, and the scale factors (..., k).
 
     `diagonals` (..., k) are the diagonals of the matrices. A scale factor is the reciprocal square root of a diagonal
     entry, or 1 for an entry of zero.
@@ -146,9 +150,10 @@ def scale_to_unit_diagonal(symmetric_matrices: Floats, diagonals: Floats) -> tup
 
 
 def cholesky_where_determined(normal_matrices: Floats) -> tuple[Floats, Bools]:
-    """Lower Cholesky factors (b, k, k) of b normal matrices with unit diagonal, and flags (b,) of the regular ones.
+    """Lower Cholesky factors of b normal matrices (b, k, k) with unit diagonal, and flags (b,) of regular ones.
 
-    Factors of singular matrices are NaN. Eigenvalues are computed only if a pivot is below `MIN_RELIABLE_PIVOT`.
+    Each matrix has k columns. Factors of singular matrices are NaN. Eigenvalues are computed only if a pivot is below
+    `MIN_RELIABLE_PIVOT`.
     """
     try:
         roots: Floats = np.asarray(np.linalg.cholesky(normal_matrices), dtype=np.float64)

@@ -31,7 +31,7 @@ from ltsim.solve.design import (
     DesignMatrix,
     gram_matrix,
     inverse_column_norms,
-    iterate_row_pieces,
+    iterate_row_batches,
     scale_columns,
     scale_to_unit_diagonal,
 )
@@ -39,9 +39,10 @@ from ltsim.solve.threads import single_threaded
 
 
 class DenseElimination:
-    """Elimination with dense matrices, for a design (m, K + 3 E) with K reduced columns and E eliminated blocks.
+    """Elimination with dense matrices, for a design of m rows (m, K + 3 E).
 
-    `damping` is added to the diagonal of the normal matrix; raises LinAlgError if it is not positive definite.
+    The first K columns are reduced, the others are E eliminated blocks of three. `damping` is added to the diagonal of
+    the normal matrix; raises LinAlgError if it is not positive definite.
     """
 
     def __init__(self, design: Floats, n_reduced: int, damping: float) -> None:
@@ -59,7 +60,7 @@ class DenseElimination:
         return float(np.diag(self._cholesky_factor).min(initial=1.0) ** 2)
 
     def solve(self, right_hand_sides: Floats) -> Floats:
-        """Solutions (K + 3 E, c) of the normal equations for c right-hand sides (K + 3 E, c)."""
+        """Solutions of the normal equations of K + 3 E unknowns (K reduced) for c right-hand sides (K + 3 E, c)."""
         return scipy.linalg.lapack.dpotrs(self._cholesky_factor, right_hand_sides, lower=1)[0]
 
     @cached_property
@@ -68,16 +69,16 @@ class DenseElimination:
 
     @property
     def reduced_inverse(self) -> Floats:
-        """Part (K, K) of the inverse normal matrix for the reduced unknowns."""
+        """Part (K, K) of the inverse normal matrix for the K reduced unknowns."""
         return self._inverse[: self._n_reduced, : self._n_reduced]
 
     def inverses_of_sets(self, columns: Ints) -> Floats:
-        """Parts (c, k, k) of the inverse normal matrix for c sets of k reduced unknowns, given by `columns` (c, k)."""
+        """Parts (c, k, k) of the inverse normal matrix for c sets of k reduced unknowns, indices `columns` (c, k)."""
         return self._inverse[columns[:, :, None], columns[:, None, :]]
 
     @cached_property
     def inverse_blocks_and_leverage(self) -> tuple[Floats, Floats]:
-        """Part of the inverse normal matrix for every eliminated block, (E, 3, 3), and leverage (m,) of every row."""
+        """Parts (E, 3, 3) of the inverse normal matrix for E eliminated blocks, and leverages (m,) of m rows."""
         block_indices = np.arange(self._n_reduced, len(self._cholesky_factor)).reshape(-1, 3)
         scaled_rows = (self._design * self.column_scales).T
         whitened = scipy.linalg.solve_triangular(self._cholesky_factor, scaled_rows, lower=True, check_finite=False)
@@ -103,7 +104,7 @@ class SparseElimination:
     def __init__(self, design: sp.csr_array, n_reduced: int, damping: float) -> None:
         self.column_scales = inverse_column_norms(design)
         self._design, self._n_reduced = design, n_reduced
-        normal = gram_matrix(iterate_row_pieces(design, self.column_scales), design.shape[1])
+        normal = gram_matrix(iterate_row_batches(design, self.column_scales), design.shape[1])
         n_blocks = (normal.shape[0] - n_reduced) // 3
         blocks = _diagonal_blocks(normal[n_reduced:, n_reduced:], n_blocks) + damping * np.eye(3)
         self._block_inverses, self._smallest_block_pivot = block_inverse(blocks)
@@ -120,7 +121,7 @@ class SparseElimination:
         return min(self._smallest_block_pivot, self._schur_factor.smallest_pivot)
 
     def solve(self, right_hand_sides: Floats) -> Floats:
-        """Solutions (K + 3 E, c) of the normal equations for c right-hand sides (K + 3 E, c)."""
+        """Solutions of the normal equations of K + 3 E unknowns (K reduced) for c right-hand sides (K + 3 E, c)."""
         front, back = right_hand_sides[: self._n_reduced], right_hand_sides[self._n_reduced :]
         reduced = self._schur_factor.solve(front - self._elimination_coefficients @ back)
         blocks = back.reshape(len(back) // 3, 3, right_hand_sides.shape[1])  # of no columns too
@@ -130,11 +131,11 @@ class SparseElimination:
 
     @cached_property
     def reduced_inverse(self) -> Floats:
-        """Part (K, K) of the inverse normal matrix for the reduced unknowns."""
+        """Part (K, K) of the inverse normal matrix for the K reduced unknowns."""
         return self._schur_factor.inverse()
 
     def inverses_of_sets(self, columns: Ints) -> Floats:
-        """Parts (c, k, k) of the inverse normal matrix for c sets of k reduced unknowns, given by `columns` (c, k)."""
+        """Parts (c, k, k) of the inverse normal matrix for c sets of k reduced unknowns, indices `columns` (c, k)."""
         inverses = np.full((*columns.shape, columns.shape[1]), np.nan)
         lowest = self._first_chain_block(columns, axis=1)
         for i in np.unique(lowest):
@@ -154,7 +155,7 @@ class SparseElimination:
 
     @cached_property
     def inverse_blocks_and_leverage(self) -> tuple[Floats, Floats]:
-        """Part of the inverse normal matrix for every eliminated block, (E, 3, 3), and leverage (m,) of every row.
+        """Parts (E, 3, 3) of the inverse normal matrix for E eliminated blocks, and leverages (m,) of m rows.
 
         Rows with entries in the same eliminated block are processed together, because all columns that this block
         couples are in one `InverseSubmatrix`. Rows without entries in eliminated blocks are processed singly.
@@ -201,10 +202,10 @@ class SparseElimination:
 
 
 def _rows_sorted_by_block(design: sp.csr_array, n_reduced: int, n_blocks: int) -> tuple[Ints, Ints, Floats]:
-    """Row indices (m,) sorted by eliminated block, limits of the groups of rows in this order, and entries (m, 3).
+    """Row indices (m,) of m rows sorted by eliminated block, limits of the groups of rows, and entries (m, 3).
 
-    A group has the rows of one block. The entries are those of each row in the three columns of its block. Rows without
-    entries in an eliminated block are last, each as a group.
+    A group has the rows of one block, in the sorted order. The entries are those of each row in the three columns of
+    its block. Rows without entries in an eliminated block are last, each as a group.
     """
     rows, behind = np.repeat(np.arange(design.shape[0]), np.diff(design.indptr)), design.indices >= n_reduced
     block, back = np.full(design.shape[0], -1), np.zeros((design.shape[0], 3))
@@ -217,7 +218,7 @@ def _rows_sorted_by_block(design: sp.csr_array, n_reduced: int, n_blocks: int) -
 
 
 def dense_rows(matrix: sp.csr_array, first_row: int, end_row: int, columns: Ints | None = None) -> tuple[Floats, Ints]:
-    """Dense array (r, k) of the rows from `first_row` to before `end_row`, and the column indices (k,) of the array.
+    """Dense array (r, k) of the r rows from `first_row` to before `end_row`, and the indices (k,) of its k columns.
 
     By default the array has the columns with entries in these rows. If sorted column indices `columns` are given, it
     has these columns, and entries in other columns are ignored.
@@ -237,7 +238,7 @@ def dense_rows(matrix: sp.csr_array, first_row: int, end_row: int, columns: Ints
 
 
 def block_inverse(blocks: Floats) -> tuple[Floats, float]:
-    """Inverses (E, 3, 3) of symmetric blocks (E, 3, 3), and the smallest pivot of their Cholesky factorisations.
+    """Inverses (E, 3, 3) of E symmetric blocks (E, 3, 3), and the smallest pivot of their Cholesky factorisations.
 
     Raises LinAlgError if a block is not positive definite.
     """
@@ -250,7 +251,7 @@ def block_inverse(blocks: Floats) -> tuple[Floats, float]:
 
 
 def _diagonal_blocks(matrix: sp.csr_array, n_blocks: int) -> Floats:
-    """Dense diagonal blocks (E, 3, 3) of a sparse block-diagonal matrix (3 E, 3 E)."""
+    """Dense diagonal blocks (E, 3, 3) of a sparse matrix (3 E, 3 E) with E blocks on its diagonal."""
     nonzero_entries = matrix.tocoo()
     blocks = np.zeros((n_blocks, 3, 3))
     np.add.at(
@@ -260,7 +261,7 @@ def _diagonal_blocks(matrix: sp.csr_array, n_blocks: int) -> Floats:
 
 
 def _block_diagonal(blocks: Floats) -> sp.csr_array:
-    """Sparse matrix (3 E, 3 E) with the blocks (E, 3, 3) on its diagonal."""
+    """Sparse matrix (3 E, 3 E) with E blocks (E, 3, 3) on its diagonal."""
     n_blocks = len(blocks)
     if not n_blocks:
         return sp.csr_array((0, 0))
@@ -281,9 +282,10 @@ class BlockSystem:
     """Whitened linear least-squares problem with m observations: minimise |design @ step - whitened_residuals|^2."""
 
     design: DesignMatrix
-    """Whitened design matrix (m, K + 3 E): K columns of reduced unknowns, then E blocks of eliminated unknowns."""
+    """Whitened design matrix of m rows (m, K + 3 E): K columns of reduced unknowns, then E blocks of three columns of
+    eliminated unknowns."""
     whitened_residuals: Floats
-    """Observed minus predicted values, divided by their standard deviations, (m,)."""
+    """Observed minus predicted values of m observations, divided by their standard deviations, (m,)."""
     n_reduced: int
     """Number K of unknowns that are not eliminated, the size of the Schur complement."""
 
@@ -343,20 +345,20 @@ class BlockFactor:
         return float(image @ image)
 
     def step(self, residual: Floats | None = None) -> Floats:
-        """Damped Gauss-Newton step (K + 3 E,) for whitened residuals (m,), by default those of the system."""
+        """Damped step of K reduced and 3 E eliminated unknowns (K + 3 E,), by default for the system's residuals."""
         right_side = self._system.design.T @ (self._system.whitened_residuals if residual is None else residual)
         return self.covariance_columns(right_side[:, None])[:, 0]
 
     @single_threaded
     def reduced_covariance(self) -> Floats:
-        """Covariance matrix (K, K) of the reduced unknowns."""
+        """Covariance matrix (K, K) of the K reduced unknowns."""
         scale = self._column_scales[: self._system.n_reduced]
         covariance: Floats = np.outer(scale, scale)
         covariance *= self._elimination.reduced_inverse
         return covariance
 
     @single_threaded
-    def inverses_of_sets(self, columns: Ints) -> Floats:
+    def covariances_of_sets(self, columns: Ints) -> Floats:
         """Covariances (c, k, k) of c sets of k reduced unknowns, given by their columns (c, k).
 
         The computation is efficient if the unknowns of each set occur together in a row of the design.
@@ -366,13 +368,13 @@ class BlockFactor:
 
     @single_threaded
     def block_covariance(self) -> Floats:
-        """Covariance matrices (E, 3, 3) of the three unknowns of each eliminated block."""
+        """Covariance matrices (E, 3, 3) of the three unknowns of each of E eliminated blocks."""
         scale = self._column_scales[self._system.n_reduced :].reshape(-1, 3)
         return self._elimination.inverse_blocks_and_leverage[0] * scale[:, :, None] * scale[:, None, :]
 
     @single_threaded
     def covariance_columns(self, vectors: Floats) -> Floats:
-        """Product (K + 3 E, c) of the covariance matrix of all unknowns and c `vectors` (K + 3 E, c)."""
+        """Product of the covariance matrix of all unknowns (K reduced, 3 E eliminated) and c `vectors` (K + 3 E, c)."""
         return self._column_scales[:, None] * self._elimination.solve(self._column_scales[:, None] * vectors)
 
     @property
@@ -383,14 +385,14 @@ class BlockFactor:
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
         """Covariance matrices R N^-1 R' of groups R of linear functions of the unknowns.
 
-        `function_rows` (q, K + 3 E) are the coefficients of q functions, N is the normal matrix. Group i has the rows
-        from entry i of `group_boundaries` to before entry i + 1.
+        `function_rows` (q, K + 3 E) are the coefficients of q functions of K reduced and 3 E eliminated unknowns, N is
+        the normal matrix. Group i has the rows from entry i of `group_boundaries` to before entry i + 1.
         """
         return self._elimination.covariances_of_functions(function_rows, group_boundaries)
 
     @single_threaded
     def leverage(self) -> Floats:
-        """Leverage (m,) of each row: derivative of its fitted value with respect to its observation.
+        """Leverage (m,) of each of m rows: derivative of its fitted value with respect to its observation.
 
         The redundancy of a row is one minus its leverage.
         """

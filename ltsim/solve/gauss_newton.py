@@ -52,10 +52,10 @@ class LeastSquaresProblem(Protocol[PointT]):
         """Whitened linear system (design matrix and residuals) at the point x."""
 
     def whitened_residuals(self, x: PointT) -> Floats:
-        """Whitened residuals (m,) at the point x, computed without the design matrix."""
+        """Whitened residuals (m,) of m observations at the point x, computed without the design matrix."""
 
     def retract(self, point: PointT, step: Floats) -> PointT:
-        """Point that results from `point` by a step (K + 3 E,) of the unknowns."""
+        """Point that results from `point` by a step (u,) of all u unknowns."""
 
 
 class TerminationStatus(Enum):
@@ -165,7 +165,7 @@ def solve(problem: LeastSquaresProblem[PointT], start_point: PointT, *, max_iter
 
 
 def _squared_step_length(block_system: BlockSystem, step: Floats) -> float:
-    """Squared length of a `step` (K + 3 E,) of the unknowns, in units of their standard deviations."""
+    """Squared length of a `step` (u,) of all u unknowns, in units of their standard deviations."""
     prediction_change = block_system.design @ step
     return float(prediction_change @ prediction_change)
 
@@ -186,7 +186,7 @@ def _step_with_previous_design(
 
 
 def _system_after_step(block_system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
-    """Linear system after a `step` with the same design matrix, and `residual` (m,) minus its linear change."""
+    """Linear system with the same design matrix after a `step`; its residuals are `residual` minus design @ step."""
     return BlockSystem(block_system.design, residual - block_system.design @ step, block_system.n_reduced)
 
 

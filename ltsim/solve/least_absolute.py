@@ -29,7 +29,7 @@ the vertex as optimal."""
 
 
 def solve_least_absolute(design: Floats, observations: Floats, *, start_solution: Floats | None = None) -> Floats:
-    """Least-absolute-deviations solution (k,): the x that minimises ``sum |observations - design @ x|``.
+    """Least-absolute-deviations solution (k,): the k unknowns x that minimise ``sum |observations - design @ x|``.
 
     Raises NetworkError if the descent does not end, which only rounding errors can cause.
 
@@ -38,7 +38,7 @@ def solve_least_absolute(design: Floats, observations: Floats, *, start_solution
     design : (m, k) float
         Design matrix of full rank.
     observations : (m,) float
-        Observed values.
+        The m observed values.
     start_solution : (k,) float, optional
         Start point of the descent. The solution does not depend on it.
     """
@@ -61,7 +61,7 @@ def solve_least_absolute(design: Floats, observations: Floats, *, start_solution
 
 
 def _optimal_vertex(design: Floats, observations: Floats, start_solution: Floats) -> Ints:
-    """Indices (k,) of the rows with zero residual at the optimal vertex, by descent along the steepest edge.
+    """Indices (k,) of the k rows with zero residual at the optimal vertex, by descent along the steepest edge.
 
     `start_solution` (k,) is the point near which the first vertex is selected.
     """
@@ -84,7 +84,7 @@ def _optimal_vertex(design: Floats, observations: Floats, start_solution: Floats
 
 
 def _first_vertex(design: Floats, observations: Floats, start_solution: Floats) -> Ints:
-    """Indices (k,) of linearly independent rows with the smallest residuals at the point `start_solution` (k,)."""
+    """Indices (k,) of k linearly independent rows with the smallest residuals at the point `start_solution` (k,)."""
     residual, count = np.abs(observations - design @ start_solution), design.shape[1]
     order = np.argsort(residual)[: CANDIDATE_ROWS_RATIO * count]
     scaled_design = design[order] / np.maximum(residual[order], residual[order].max() * 1e-6)[:, None]
@@ -95,8 +95,9 @@ def _first_vertex(design: Floats, observations: Floats, start_solution: Floats) 
 def _entering_row(residual: Floats, residual_rates_along_edge: Floats, objective_slope: float) -> int:
     """Index of the row whose residual is zero at the point of an edge with the smallest sum of absolute residuals.
 
-    The point is a weighted median. `residual_rates_along_edge` (m,) is the decrease of each `residual` (m,) per unit of
-    length along the edge, `objective_slope` the initial decrease of the sum of absolute residuals per unit of length.
+    The point is a weighted median. `residual_rates_along_edge` (m,) is the decrease of each of the m entries of
+    `residual` per unit of length along the edge, `objective_slope` the initial decrease of the sum of absolute
+    residuals per unit of length.
     """
     ahead = np.flatnonzero(residual * residual_rates_along_edge > 0.0)
     order = ahead[np.argsort(residual[ahead] / residual_rates_along_edge[ahead])]

@@ -20,7 +20,7 @@ from ltsim.solve.design import DesignMatrix, inverse_column_norms, to_dense
 from ltsim.solve.elimination import BlockFactor, BlockSystem
 
 MAX_BASIS_ENTRIES = 2_000_000
-"""Number of entries of a design up to which an orthonormal basis is computed, because dense products are then faster. A
+"""Largest number of entries of a design whose orthonormal basis is computed, because dense products are then faster. A
 diagnosis of 1,200 pointings, whose design has 4 million entries, takes 34 to 53 s and 540 MB with a basis, and 28 to
 36 s and 330 MB with the factor.
 """
@@ -29,8 +29,8 @@ MAX_UNPROJECTED_OVERLAP = 1e-10
 Without rounding errors the product is zero.
 """
 MAX_STORED_BLOCK_ROWS = 150
-"""Number of rows up to which the submatrix of the projector on these rows is computed and stored. Many vectors that are
-non-zero on the same rows are projected.
+"""Largest number of rows for which the submatrix of the projector on these rows is computed and stored, because many of
+the projected vectors are non-zero on the same rows.
 """
 MAX_STORED_BLOCK_ENTRIES = 3_000_000
 """Largest total number of entries of the stored submatrices of the projector, 24 MB."""
@@ -50,11 +50,11 @@ class BasisResidualProjector:
 
     @classmethod
     def from_design(cls, design: DesignMatrix) -> BasisResidualProjector:
-        """Projector onto the residual space of a whitened design matrix (m, u)."""
+        """Projector onto the residual space of a whitened design matrix (m, u) with m rows and u columns."""
         return cls(np.linalg.qr(to_dense(design) * inverse_column_norms(design))[0])
 
     def project(self, vectors: Floats) -> Floats:
-        """Components (m, q) of q vectors (m, q) in the residual space, which the design does not explain."""
+        """Components in the residual space of q vectors of m observations (m, q), which the design does not explain."""
         return vectors - self.basis @ (self.basis.T @ vectors)
 
     def gram_matrices(self, columns: Floats, group_boundaries: Ints, row_selection: Ints | slice) -> list[Floats]:
@@ -70,7 +70,7 @@ class BasisResidualProjector:
         return [whole - lost for whole, lost in zip(full_grams, explained_grams, strict=True)]
 
     def leverage(self) -> Floats:
-        """Diagonal (m,) of the hat matrix."""
+        """Diagonal (m,) of the hat matrix A N^-1 A' of a design A with m rows, where N = A' A."""
         return np.einsum("mu,mu->m", self.basis, self.basis)
 
     def hat_matrix_spectra(self, row_groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
@@ -83,7 +83,7 @@ class BasisResidualProjector:
             yield _spectrum_from_root(part) if len(rows) > part.shape[1] else np.linalg.eigh(part @ part.T)
 
     def with_removed_columns(self, columns: Floats) -> BasisResidualProjector:
-        """Projector that also removes the components along orthonormal `columns` (m, e) of the residual space."""
+        """Projector that also removes components along e orthonormal vectors (m, e) of the residual space."""
         return BasisResidualProjector(np.hstack([self.basis, columns]))
 
 
@@ -92,19 +92,21 @@ class FactorResidualProjector:
     """Projector onto the residual space, from the factorised normal equations of a sparse design."""
 
     design: sp.csr_array
-    """Whitened sparse design matrix (m, u)."""
+    """Whitened sparse design matrix (m, u) with m rows and u columns."""
     factor: BlockFactor
     """Factorised normal equations of the design."""
     removed_columns: Floats
-    """Orthonormal vectors (m, e) of the residual space; components along them are removed too."""
+    """Matrix (m, e) of e orthonormal vectors of the residual space; components along these vectors are removed too."""
     _transposed_design: sp.csr_array = field(repr=False)
+    """Transposed `design`, stored by rows for fast products."""
     _inverse_column_norms: Floats = field(repr=False)
+    """Reciprocal norms (u,) of the u columns of `design`."""
     _stored_blocks: dict[bytes, Floats] = field(default_factory=dict, repr=False)
-    """Stored submatrices (r, r) of the projector, by the bytes of their row indices."""
+    """Stored submatrices (r, r) of the projector on r rows, by the bytes of the row indices."""
 
     @classmethod
     def from_design(cls, design: DesignMatrix, normal_equations: BlockFactor) -> FactorResidualProjector:
-        """Projector onto the residual space of a whitened design matrix (m, u) with factorised normal equations."""
+        """Projector onto the residual space of a design (m rows, u columns) with factorised normal equations."""
         design = sp.csr_array(design)
         return cls(
             design,
@@ -115,11 +117,11 @@ class FactorResidualProjector:
         )
 
     def project(self, vectors: Floats) -> Floats:
-        """Components (m, q) of q vectors (m, q) in the residual space, which the design does not explain."""
+        """Components in the residual space of q vectors of m observations (m, q), which the design does not explain."""
         return self._residual_part(vectors, slice(None))
 
     def gram_matrices(self, columns: Floats, group_boundaries: Ints, row_selection: Ints | slice) -> list[Floats]:
-        """Gram matrices (k, k) of groups of projected vectors, as `BasisResidualProjector.gram_matrices`.
+        """Gram matrices (k, k) of groups of k projected vectors, as `BasisResidualProjector.gram_matrices`.
 
         On at most `MAX_STORED_BLOCK_ROWS` rows they are computed from the submatrix of the projector on these rows,
         which is stored.
@@ -145,7 +147,7 @@ class FactorResidualProjector:
         return block
 
     def _residual_part(self, columns: Floats, rows: Ints | slice) -> Floats:
-        """Components (m, q) in the residual space of vectors with entries `columns` (r, q) on `rows`, 0 elsewhere.
+        """Components (m, q) in the residual space of q vectors with entries `columns` (r, q) on r `rows`, 0 elsewhere.
 
         If rounding errors of the projection exceed `MAX_UNPROJECTED_OVERLAP`, the result is projected a second time.
         """
@@ -165,7 +167,7 @@ class FactorResidualProjector:
         return residual
 
     def leverage(self) -> Floats:
-        """Diagonal (m,) of the hat matrix."""
+        """Diagonal (m,) of the hat matrix A N^-1 A' of a design A with m rows, where N = A' A."""
         return self.factor.leverage() + np.einsum("me,me->m", self.removed_columns, self.removed_columns)
 
     def hat_matrix_spectra(self, row_groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
@@ -200,11 +202,12 @@ class FactorResidualProjector:
         return _spectrum_from_root(root) if len(row_indices) > root.shape[1] else np.linalg.eigh(root @ root.T)
 
     def with_removed_columns(self, columns: Floats) -> FactorResidualProjector:
-        """Projector that also removes orthonormal vectors (m, e), as `BasisResidualProjector.with_removed_columns`."""
+        """Projector that also removes e orthonormal vectors, as `BasisResidualProjector.with_removed_columns`."""
         return replace(self, removed_columns=np.hstack([self.removed_columns, columns]), _stored_blocks={})
 
 
 ResidualProjector: TypeAlias = BasisResidualProjector | FactorResidualProjector
+"""Projector onto the residual space, with an orthonormal basis or with factorised normal equations."""
 
 
 def make_residual_projector(block_system: BlockSystem, normal_equations: BlockFactor | None) -> ResidualProjector:
@@ -225,7 +228,7 @@ def _group_gram_matrices(columns: Floats, group_boundaries: Ints) -> list[Floats
 
 
 def _spectrum_from_root(matrix_root: Floats) -> tuple[Floats, Floats]:
-    """Non-zero eigenvalues (e,) and eigenvectors (f, e) of the product R R' of a matrix root R (f, k), with k < f."""
+    """Non-zero eigenvalues (e,) and e eigenvectors (f, e) of R R', for a matrix R (f, k) of f rows, k < f columns."""
     values, vectors = np.linalg.eigh(matrix_root.T @ matrix_root)
     nonzero = values > MAX_ZERO_EIGENVALUE
     return values[nonzero], matrix_root @ (vectors[:, nonzero] / np.sqrt(values[nonzero]))

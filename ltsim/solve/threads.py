@@ -14,6 +14,7 @@ DecoratedReturn = TypeVar("DecoratedReturn")
 
 
 _IS_LIMITED: ContextVar[bool] = ContextVar("whether a caller has set the limit already", default=False)
+"""Flag of a context in which a calling function has limited the threads already."""
 
 
 @cache

@@ -147,7 +147,7 @@ class ReflectorBenchReadings:
 
 @dataclass(frozen=True)
 class ReflectorBenchEstimates:
-    """Estimates from a bench test in SI units, with range errors at a angles."""
+    """Estimates from a bench test in SI units, with range errors at k angles of incidence."""
 
     eccentricity: Floats
     """Eccentricity of the sphere at 0 deg, components forward and to the side, (2,) [m]."""
@@ -156,11 +156,12 @@ class ReflectorBenchEstimates:
     run_out: float
     """Difference of the largest and the smallest probe reading [m]."""
     uncorrected_lengths: Floats
-    """Lengths minus the length at the angle nearest 0 deg, before removal of the eccentricity, (a,) [m]."""
+    """Length at each of k angles minus that at the angle nearest 0 deg, before removal of the eccentricity, (k,)
+    [m]."""
     range_errors: Floats
-    """Range error of the reflector, relative to its error at the angle nearest 0 deg, (a,) [m]."""
+    """Range error of the reflector at each of k angles, relative to its error at the angle nearest 0 deg, (k,) [m]."""
     range_error_sigmas: Floats
-    """Standard deviation of `range_errors`, (a,) [m]."""
+    """Standard deviation of each of the k `range_errors`, (k,) [m]."""
 
 
 class VertexOffset(NamedTuple):
@@ -179,7 +180,7 @@ class VertexOffset(NamedTuple):
 
 
 def eccentricity_design(angles: Floats) -> Floats:
-    """Changes (a, 2) of the lengths at `angles` (a,) [rad] per unit of the two components of the eccentricity.
+    """Changes (k, 2) of the lengths at k `angles` (k,) [rad] per unit of the two components of the eccentricity.
 
     The components are forward (towards the interferometer) and to the side.
     """
@@ -212,7 +213,7 @@ def read_reflector_bench(path: Path, *, probe_direction: float, length_sigma: fl
 
 
 def evaluate_reflector_bench(readings: ReflectorBenchReadings) -> ReflectorBenchEstimates:
-    """Estimates from the readings of a bench test: eccentricity of the sphere, and range errors (a,) [m] at a angles.
+    """Estimates from the readings of a bench test: eccentricity of the sphere, and range error [m] at each angle.
 
     The first harmonic of the probe readings is the eccentricity, and the scatter of the readings about this harmonic
     gives its uncertainty. The effect of the eccentricity on the lengths is removed.
@@ -241,7 +242,7 @@ def evaluate_reflector_bench(readings: ReflectorBenchReadings) -> ReflectorBench
 
 
 def fit_vertex_offset(angles: Floats, range_errors: Floats, sigma: float) -> VertexOffset:
-    """Offset of the mirrors' vertex that explains the range errors [m] at the given angles [rad] best.
+    """Offset of the mirrors' vertex that explains the range errors (k,) [m] at k angles (k,) [rad] best.
 
     `sigma` [m] is the standard deviation of one range error.
     """

@@ -25,7 +25,7 @@ def measured_points(
     """Measured points in instrument frames, shape (pointings, 3) [m]; NaN for incomplete pointings.
 
     The points are corrected by the parameters `parameter_values` of the error model `construction`, (parameters,) or
-    (pointings, parameters) [SI]; by default they are not corrected.
+    (pointings, parameters) [SI]; without it the points are not corrected.
     """
     is_complete = recording.is_measured.all(axis=1)
     points = np.full((len(recording), 3), np.nan)

@@ -162,11 +162,11 @@ class Criteria(ResultFile, CriteriaEntry):
 
 
 def iterate_distances_by_target(clouds: Floats, min_observers: int = 1) -> Iterator[tuple[Ints, Floats]]:
-    """Iterator over targets: indices of the stations that measured the target, and its distances [m] to later targets.
+    """Iterator over targets: indices of the stations that measured the target, and its distances [m] to the next ones.
 
-    `clouds` (stations, targets, 3) [m] are the points of each station, NaN if not measured. The distances have the
-    shape (stations that measured the target, later targets). Pairs measured from fewer than `min_observers` stations
-    are left out, so that the memory depends only on measured pairs.
+    `clouds` (stations, targets, 3) [m] are the points of each station, NaN if not measured. The distances to
+    the following targets have the shape (stations that measured the target, following targets). Pairs measured from
+    fewer than `min_observers` stations are left out, so that the memory depends only on measured pairs.
     """
     is_measured = np.isfinite(clouds[:, :, 0])
     for point in range(clouds.shape[1]):
@@ -219,10 +219,11 @@ def evaluate_criteria(
 ) -> CriteriaEntry:
     """Disagreement of the stations of a recording in distances and coordinates, before and after correction.
 
-    The correction uses `parameter_values` (p,) or (n, p) [SI] of the error model `construction`, and subtracts
-    `reading_changes` (n, 3) [m, rad, rad], the changes of the readings by estimated effects. `row_mask` (n,) selects
-    pointings; faces and repeats are averaged by station and target. Raises NetworkError if fewer than two stations have
-    common targets, if the network is too large for a comparison of all stations, and if SMRs have several radii.
+    The correction uses the p `parameter_values` of the error model `construction`, (p,) or for each of n pointings
+    (n, p) [SI], and subtracts `reading_changes` (n, 3) [m, rad, rad], the changes by estimated effects. `row_mask` (n,)
+    selects pointings; faces and repeats are averaged by station and target. Raises NetworkError if fewer than two
+    stations have common targets, if the network is too large for a comparison of all stations, and if SMRs have several
+    radii.
     """
     require_equal_radii(recording, "the comparison of stations")
     stations, targets = len(recording.stations), len(recording.targets)
@@ -322,8 +323,9 @@ def verify_against_nominal(
 ) -> CriteriaEntry:
     """Errors of a laboratory recording relative to nominal points, before and after calibration.
 
-    `nominal_points` maps target names to coordinates (3,) [m]. The calibration uses `parameter_values` (p,) or (n, p)
-    [SI] of the error model `construction`, and subtracts `reading_changes` (n, 3) [m, rad, rad] from the readings.
+    `nominal_points` maps target names to coordinates (3,) [m]. The calibration uses the p `parameter_values` of the
+    error model `construction`, (p,) or for each of n pointings (n, p) [SI], and subtracts the changes by estimated
+    effects, `reading_changes` (n, 3) [m, rad, rad], from the readings.
     Raises NetworkError if a station measured fewer than three targets with nominal points.
     """
     nan_vector = np.full(3, np.nan)

@@ -23,11 +23,11 @@ from ltsim.adjustment.fieldcheck.network import (
 from ltsim.adjustment.fieldcheck.occupation import ColumnsFit, StationOccupation, TwoFaceDifferences
 from ltsim.adjustment.fieldcheck.result import (
     TWO_FACE_TABLE,
+    BonferroniFamily,
     Check,
     CheckArrays,
     CheckItem,
     CheckItemKind,
-    HypothesisFamily,
     SetupCheck,
 )
 from ltsim.adjustment.fieldcheck.scatter import noise_factors_by_target_scatter, repeatability_item, target_scatter_item
@@ -109,7 +109,7 @@ def check(
     paired = (
         full_recording if selection is None else selection.fit.correct_recording(full_recording, keeps_outliers=True)
     )
-    family = HypothesisFamily(level, 2 * N_SETUP_TESTS * max(len(full_recording.stations), 1))
+    family = BonferroniFamily(level, 2 * N_SETUP_TESTS * max(len(full_recording.stations), 1))
     all_indices = range(len(full_recording.stations))
     setups, network = (
         tuple(_test_setup(corrected, paired, full_recording, s, family, mpe) for s in all_indices),
@@ -127,7 +127,7 @@ def check(
             setups = tuple(
                 _test_setup(recording_to_test, recording_to_test, full_recording, s, family, mpe) for s in all_indices
             )
-        shared = HypothesisFamily(level, 2 * n_network_tests(full_recording))
+        shared = BonferroniFamily(level, 2 * n_network_tests(full_recording))
         network_tests = network_items(
             noise_scaled_recording,
             adjustment_or_error,
@@ -164,14 +164,14 @@ def _test_setup(
     paired_recording: Recording,
     recording_with_declared_noise: Recording,
     station: int,
-    test_family: HypothesisFamily,
+    test_family: BonferroniFamily,
     mpe: tuple[float, float] | None,
 ) -> SetupCheck:
     """Results of the tests of the set-up with index `station`.
 
-    The three recordings are the same except for corrections. The two-face differences are those of `paired_recording`,
-    which contains outliers; the other tests use `setup_recording`; `recording_with_declared_noise` has no estimated
-    noise.
+    The three recordings contain the same pointings with different corrections. The two-face differences are those of
+    `paired_recording`, which contains outliers; the other tests use `setup_recording`; `recording_with_declared_noise`
+    has no estimated noise.
     """
     indices = np.flatnonzero(setup_recording.station == station)
     recording, row_numbers, name = setup_recording.select(indices), indices + 1, setup_recording.stations[station]
@@ -229,11 +229,11 @@ class SetupTests:
 
 
 def _gross_and_motion_tests(
-    occupation: StationOccupation, construction: GeometricErrorModel, test_family: HypothesisFamily, row_numbers: Ints
+    occupation: StationOccupation, construction: GeometricErrorModel, test_family: BonferroniFamily, row_numbers: Ints
 ) -> SetupTests:
     """Tests of one set-up for gross errors, a bump, and drifts of the station and of the instrument's zeros.
 
-    `row_numbers` (n,) are the rows of the pointings in the whole recording, from 1.
+    `row_numbers` (n,) are the rows of the n pointings of the set-up in the whole recording, from 1.
     """
     gross, bump, occupation = _gross_pointings_and_bump(occupation, construction, test_family)
     check_items = [
@@ -259,7 +259,7 @@ def _gross_and_motion_tests(
 
 
 def _gross_pointings_and_bump(
-    occupation: StationOccupation, construction: GeometricErrorModel, test_family: HypothesisFamily
+    occupation: StationOccupation, construction: GeometricErrorModel, test_family: BonferroniFamily
 ) -> tuple[dict[int, float], StationBump | None, StationOccupation]:
     """p-values of pointings with gross errors by index, the bump or None, and the occupation without these pointings.
 
@@ -318,7 +318,7 @@ def _neg_log_p(fit: ColumnsFit) -> float:
 
 
 def _gross_item(
-    occupation: StationOccupation, p_values: Mapping[int, float], row_numbers: Ints, test_family: HypothesisFamily
+    occupation: StationOccupation, p_values: Mapping[int, float], row_numbers: Ints, test_family: BonferroniFamily
 ) -> CheckItem:
     """Result of the test for gross errors, from the p-values of the rejected pointings by index."""
     recording, name = occupation.recording, occupation.recording.stations[0]
@@ -332,7 +332,7 @@ def _gross_item(
 
 
 def _bump_item(
-    occupation: StationOccupation, bump: StationBump | None, row_numbers: Ints, test_family: HypothesisFamily
+    occupation: StationOccupation, bump: StationBump | None, row_numbers: Ints, test_family: BonferroniFamily
 ) -> CheckItem:
     """Result of the test for a sudden motion of the station; passed if `bump` is None."""
     recording, name = occupation.recording, occupation.recording.stations[0]
@@ -364,12 +364,12 @@ def _zero_drift_design(occupation: StationOccupation) -> Floats:
 
 def _drift_item(
     occupation: StationOccupation,
-    test_family: HypothesisFamily,
+    test_family: BonferroniFamily,
     kind: CheckItemKind,
     design: Floats,
     write_sentence: SentenceWriter,
 ) -> CheckItem:
-    """Result of the test for a drift whose effect on the readings is `design` (n, 3, k)."""
+    """Result of the test for a drift; `design` (n, 3, k) are the changes of n pointings per unit of k parameters."""
     fit = occupation.fit_columns(design)
     p_value = test_family.corrected_p_value(occupation.p_value(fit))
     is_passed = p_value >= test_family.false_alarm_rate

@@ -10,7 +10,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.blunders import detect_blunders
 from ltsim.adjustment.centring import estimate_centring_errors
 from ltsim.adjustment.estimate import adjust
-from ltsim.adjustment.fieldcheck.result import CheckItem, HypothesisFamily, two_sided_chi2_p_value
+from ltsim.adjustment.fieldcheck.result import BonferroniFamily, CheckItem, two_sided_chi2_p_value
 from ltsim.adjustment.quality import network_warnings, require_usable
 from ltsim.adjustment.reference_tests import scaled_reference_tests
 from ltsim.adjustment.reference_values import ReferenceKind
@@ -105,7 +105,7 @@ def with_increased_noise_at_noisy_targets(
 def network_items(
     recording: Recording,
     adjustment_or_error: Adjustment | LtsimError,
-    test_family: HypothesisFamily,
+    test_family: BonferroniFamily,
     motions: Sequence[StationMotion],
     station_motions: Sequence[FittedMotion],
     *,
@@ -202,12 +202,13 @@ def _has_instrument_errors(adjustment_without_errors: Adjustment, adjustment_wit
 
 
 def _target_agreement_items(
-    adjustment: Adjustment, is_explained: Bools, test_family: HypothesisFamily, noise_text: str
+    adjustment: Adjustment, is_explained: Bools, test_family: BonferroniFamily, noise_text: str
 ) -> list[CheckItem]:
     """Result of the test of the agreement of the stations on their common targets, as a list with one item.
 
-    A failed test names the pointing with the largest residual. `is_explained` (n,) flags pointings that other tests
-    already report; these are left out. `noise_text` states the estimated noise; it is empty for the declared noise.
+    A failed test names the pointing with the largest residual. `is_explained` (n,) flags those of n pointings that
+    other tests already report; these are left out. `noise_text` states the estimated noise; it is empty for the
+    declared noise.
     """
     recording, out = adjustment.recording, adjustment.is_rejected.any(axis=1) & ~is_explained
     alone, less = two_sided_chi2_p_value(adjustment.chi2, adjustment.dof)
@@ -237,7 +238,7 @@ def _target_agreement_items(
     ]
 
 
-def _level_items(fitted: Adjustment, test_family: HypothesisFamily) -> list[CheckItem]:
+def _level_items(fitted: Adjustment, test_family: BonferroniFamily) -> list[CheckItem]:
     """Results of the tests of each station's level against the vertical of the other stations, by common targets."""
     items, levels = [], fitted.problem.level_rows
     for test in fitted.reference_tests if len(levels) > 1 else ():
@@ -249,7 +250,7 @@ def _level_items(fitted: Adjustment, test_family: HypothesisFamily) -> list[Chec
     return items
 
 
-def _length_items(fitted: Adjustment, test_family: HypothesisFamily) -> list[CheckItem]:
+def _length_items(fitted: Adjustment, test_family: BonferroniFamily) -> list[CheckItem]:
     """Results of the test of the common scale of the known lengths, or of a single length, against the distances.
 
     The uncertainty includes the specification of the instrument. The list is empty after a rejection of a length or

@@ -50,9 +50,9 @@ class ColumnsFit:
     rank: int
     """Number of linearly independent columns that were fitted."""
     estimates: Floats
-    """Estimated parameter (c,) of each column."""
+    """Estimated parameter of each of c columns, (c,)."""
     covariance: Floats
-    """Covariance (c, c) of the estimates; the variance of an undetermined parameter is infinite."""
+    """Covariance (c, c) of the c estimates; the variance of an undetermined parameter is infinite."""
 
     def estimate_length_and_sigma(self, columns: slice) -> tuple[float, float]:
         """Length of the vector of the estimates that `columns` selects, and the standard deviation of the length."""
@@ -73,17 +73,17 @@ class StationOccupation:
     sightings: Sightings
     """Sightings of the pointings, in the instrument frame."""
     row_mask: Bools
-    """Flags (n,) of the pointings in use."""
+    """Flags (n,) of those of the n pointings that are in use."""
     whitened_residuals: Floats
     """Residuals of the readings of n pointings divided by their standard deviations, (n, 3); 0 for unused readings."""
     target_basis: Floats
-    """Orthonormal basis, (n, 3, 3), of the changes of the readings by the coordinates of each pointing's target. The
+    """Orthonormal basis, (n, 3, 3), of the changes of the readings of n pointings by their target's coordinates. The
     last axis counts the three basis vectors.
     """
     instrument_basis: Floats
-    """Orthonormal basis, (n, 3, k), of the changes of the readings by the k determined errors of the instrument."""
+    """Orthonormal basis, (n, 3, k), of the changes of the readings of n pointings by k determined instrument errors."""
     sigma: Floats
-    """Standard deviations of the readings, (n, 3)."""
+    """Standard deviations of the readings of n pointings, (n, 3) [m, rad, rad]."""
     dof: int
     """Degrees of freedom: number of readings in use minus number of determined unknowns."""
 
@@ -97,7 +97,8 @@ class StationOccupation:
     ) -> StationOccupation:
         """Occupation of the only station of a recording, with the errors of the model `construction` as unknowns.
 
-        `row_mask` (n,) selects pointings, `sigma` (n, 3) [m, rad, rad] replaces the declared standard deviations.
+        `row_mask` (n,) selects some of the n pointings, `sigma` (n, 3) [m, rad, rad] replaces the declared standard
+        deviations of their readings.
         """
         mask = np.ones(len(recording), dtype=bool) if row_mask is None else row_mask
         weight = recording.is_usable & mask[:, None]
@@ -130,11 +131,11 @@ class StationOccupation:
 
     @property
     def inverse_sigmas(self) -> Floats:
-        """Inverse standard deviations (n, 3) of the readings; 0 for readings that are not in use."""
+        """Inverse standard deviations (n, 3) of the readings of n pointings; 0 for readings that are not in use."""
         return np.where(self.recording.is_usable & self.row_mask[:, None], 1.0 / self.sigma, 0.0)
 
     def project_columns(self, columns: Floats) -> Floats:
-        """Whitened columns (n, 3, c) without the part that target coordinates and instrument errors explain."""
+        """Part of c whitened columns (n, 3, c), for n pointings, that targets and instrument errors do not explain."""
         target_coefficients = np.einsum("nij,nic->njc", self.target_basis, columns)
         target_sums = np.zeros((len(self.recording.targets), *target_coefficients.shape[1:]))
         np.add.at(target_sums, self.recording.target, target_coefficients)
@@ -145,9 +146,10 @@ class StationOccupation:
         return np.asarray(remainder)
 
     def _unit_columns(self, design: Floats) -> tuple[Floats, Floats]:
-        """Projected columns (3 n, c) of a suspected cause, scaled to unit length, and their lengths (c,).
+        """Projected columns (3 n, c) of a suspected cause, scaled to unit length, and the original lengths (c,).
 
-        Column and length are 0 if target coordinates and instrument errors explain the cause.
+        Column and length are 0 if target coordinates and instrument errors explain the cause. `design` (n, 3, c) is the
+        change of the readings of n pointings per unit of the c parameters of the cause.
         """
         whitened = design * self.inverse_sigmas[:, :, None]
         columns = self.project_columns(whitened).reshape(-1, design.shape[2])
@@ -156,7 +158,7 @@ class StationOccupation:
         return np.where(column_norms > 0, columns / np.where(column_norms > 0, column_norms, 1.0), 0.0), column_norms
 
     def fit_columns(self, design: Floats) -> ColumnsFit:
-        """Fit of a suspected cause; `design` (n, 3, c) is the change of the readings per unit of its c parameters."""
+        """Fit of a suspected cause; `design` (n, 3, c) is the change of n pointings per unit of its c parameters."""
         unit, length = self._unit_columns(design)
         u, size, right = np.linalg.svd(unit, full_matrices=False)
         is_valid = size > np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * max(float(size.max(initial=0.0)), 1e-12)
@@ -177,7 +179,10 @@ class StationOccupation:
         return max(by_declared, float(special.fdtrc(fit.rank, dof, ratio)))
 
     def with_fitted_columns(self, design: Floats) -> StationOccupation:
-        """Occupation whose model also contains the c columns of a suspected cause, `design` (n, 3, c)."""
+        """Occupation whose model also contains a suspected cause with c parameters.
+
+        `design` (n, 3, c) is the change of the readings of n pointings per unit of each parameter.
+        """
         u, size, _ = np.linalg.svd(self._unit_columns(design)[0], full_matrices=False)
         added = u[:, size > np.sqrt(MAX_SOLUTION_ROUNDING_ERROR) * max(float(size.max(initial=0.0)), 1e-12)]
         residuals = self.whitened_residuals.ravel() - added @ (added.T @ self.whitened_residuals.ravel())
@@ -197,7 +202,7 @@ class StationOccupation:
         return np.asarray(sums[0], dtype=np.float64), np.asarray(sums[1], dtype=np.float64)
 
     def distance_from_mean(self, row: int) -> float:
-        """Distance [m] of the point measured in `row` from the mean of the other points of its target, or NaN."""
+        """Distance [m] of the point measured in `row` from the mean of the target's other points; NaN without any."""
         points = from_polar(self.recording.readings)
         is_complete = np.isfinite(points).all(axis=1)
         others: Bools = np.logical_and(is_complete & self.row_mask, self.recording.target == self.recording.target[row])
@@ -242,9 +247,10 @@ def _initial_state(recording: Recording, row_mask: Bools) -> NetworkState:
 
 
 def _orthonormal_by_target(columns: Floats, target: Ints, n_targets: int) -> tuple[Floats, int]:
-    """Orthonormal bases (n, 3, 3) of the design columns of each target over its pointings, and the sum of their ranks.
+    """Orthonormal bases of the design columns of each target, as one array (n, 3, 3), and the sum of their ranks.
 
-    `columns` (n, 3, 3) are the whitened changes of the readings per unit of the target's coordinates.
+    The rows (n, 3) are the readings of n pointings, the last axis counts the basis vectors of the target of the
+    pointing. `columns` (n, 3, 3) are the whitened changes of the readings per unit of the target's coordinates.
     """
     bases, ranks = np.zeros_like(columns), 0
     for t in range(n_targets):
@@ -266,11 +272,11 @@ class TwoFaceDifferences:
     motion_corrected_pairs: TwoFacePairs
     """Pairs of readings corrected for detected motions of the station and drifts of the instrument."""
     half_difference_sigmas: Floats
-    """Standard deviations (m, 3) [m, rad, rad] of the half differences that follow from the declared noise."""
+    """Standard deviations (m, 3) [m, rad, rad] of the half differences of m pairs, from the declared noise."""
     exceeds_limit: Bools
-    """Flags (m, 3) of the half differences that exceed their limits, after the correction for motions."""
+    """Flags (m, 3) of the half differences of m pairs that exceed their limits, after the correction for motions."""
     max_half_differences: Floats
-    """Largest permitted half differences, (m, 3) [m, rad, rad]."""
+    """Largest permitted half differences of m pairs, (m, 3) [m, rad, rad]."""
 
     @classmethod
     def from_recordings(
@@ -284,8 +290,9 @@ class TwoFaceDifferences:
         """Differences of a recording with one station; None if no target was measured on both faces.
 
         `motion_corrected_recording` is the recording without the effects of detected motions. `alpha` is the
-        probability of any false alarm among the differences. `mpe` (A, B) is the maximum permissible full difference,
-        A um + B um per metre of range; None for the limit by noise and specification of `construction`.
+        probability of any false alarm among the differences. `mpe`, the pair of numbers A and B, is the maximum
+        permissible full difference, A um + B um per metre of range; None for the limit by noise and specification of
+        `construction`.
         """
         if not len(face_pair_rows(recording)):
             return None
@@ -311,15 +318,15 @@ class TwoFaceDifferences:
 
 @dataclass(frozen=True)
 class TwoFacePairs:
-    """Pairs of pointings of one station to one target on both faces."""
+    """Pairs of pointings, each from one station to one target on both faces."""
 
     rows: Ints
-    """Indices (m, 2) of the pointings on face 1 and face 2 in the recording."""
+    """Indices (m, 2) in the recording of the pointings on face 1 and face 2 of m pairs."""
     front_face_readings: Floats
-    """Mean range, azimuth and elevation of both faces, as front-face readings, (m, 3) [m, rad, rad]."""
+    """Mean range, azimuth and elevation of both faces of m pairs, as front-face readings, (m, 3) [m, rad, rad]."""
     half_differences: Floats
-    """Half of face 1 minus face 2, (m, 3) [m, rad, rad]: of the range, of the azimuth times the cosine of the elevation
-    (perpendicular to the beam), and of the elevation.
+    """Half of face 1 minus face 2 of m pairs, (m, 3) [m, rad, rad]: of the range, of the azimuth times the cosine of
+    the elevation (perpendicular to the beam), and of the elevation.
     """
 
     def __len__(self) -> int:
@@ -336,7 +343,7 @@ class TwoFacePairs:
         return np.median(np.abs(self.half_differences), axis=0)
 
     def select(self, is_selected: Bools) -> Self:
-        """Selection of the pairs by flags (m,)."""
+        """Pairs that `is_selected` (m,) flags among the m pairs."""
         return replace(
             self,
             rows=self.rows[is_selected],
@@ -346,7 +353,7 @@ class TwoFacePairs:
 
 
 def face_pair_rows(recording: Recording) -> Ints:
-    """Indices (m, 2) of complete pointings on face 1 and face 2 of the same station, target and repeat."""
+    """Indices (m, 2) of the m pairs of complete pointings on face 1 and face 2 of one station, target and repeat."""
     is_complete = np.all(recording.is_usable, axis=1)
     rows_by_key: dict[tuple[int, int, int], dict[int, int]] = {}
     keys = zip(recording.station.tolist(), recording.target.tolist(), recording.repeat.tolist(), strict=True)

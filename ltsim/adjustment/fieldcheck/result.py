@@ -113,7 +113,7 @@ TWO_FACE_TABLE = Table(
 
 @dataclass(frozen=True)
 class SetupCheck(ValueEquality):
-    """Tests of one set-up with their results."""
+    """Results of the tests of one set-up, with the data from which they were computed."""
 
     station: str
     """Name of the station."""
@@ -124,7 +124,7 @@ class SetupCheck(ValueEquality):
     occupation: StationOccupation | None
     """Least-squares adjustment of the repeated pointings of this set-up; None if no target was measured twice."""
     rows: Ints
-    """Row numbers (n,) of the set-up's pointings in the whole recording, from 1."""
+    """Row numbers (n,) of the n pointings of the set-up in the whole recording, from 1."""
     motions: tuple[StationMotion, ...] = ()
     """Motions of the station that were detected during the occupation."""
 
@@ -226,7 +226,7 @@ def _go_or_no_go_sentence(check_items: Sequence[CheckItem], cause_items: Sequenc
 
 
 @dataclass(frozen=True)
-class HypothesisFamily:
+class BonferroniFamily:
     """Set of tests that share one probability of a false alarm (Bonferroni)."""
 
     false_alarm_rate: float

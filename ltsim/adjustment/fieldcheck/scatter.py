@@ -4,7 +4,7 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.fieldcheck.occupation import StationOccupation
-from ltsim.adjustment.fieldcheck.result import CheckItem, HypothesisFamily, two_sided_chi2_p_value
+from ltsim.adjustment.fieldcheck.result import BonferroniFamily, CheckItem, two_sided_chi2_p_value
 from ltsim.adjustment.fieldcheck.sentences import target_scatter_sentence
 from ltsim.core.arrays import Floats
 
@@ -12,7 +12,7 @@ MIN_TARGET_DOF = 6.0
 """Smallest number of degrees of freedom of a target whose scatter is compared with that of the other targets."""
 
 
-def noise_factors_by_target_scatter(occupation: StationOccupation, test_family: HypothesisFamily) -> Floats | None:
+def noise_factors_by_target_scatter(occupation: StationOccupation, test_family: BonferroniFamily) -> Floats | None:
     """Factors (n, 1), at least 1, on the declared noise of n pointings, from the scatter at their targets.
 
     The result is None if the scatter does not differ significantly between the targets (test of Bartlett).
@@ -32,7 +32,7 @@ def noise_factors_by_target_scatter(occupation: StationOccupation, test_family: 
     return np.asarray(np.maximum(scatter_ratio, 1.0)[occupation.recording.target][:, None])
 
 
-def repeatability_item(occupation: StationOccupation, test_family: HypothesisFamily, noise_text: str) -> CheckItem:
+def repeatability_item(occupation: StationOccupation, test_family: BonferroniFamily, noise_text: str) -> CheckItem:
     """Result of the two-sided test of the scatter of repeated pointings against the noise of the occupation.
 
     Scatter that is significantly smaller than this noise passes with a remark. `noise_text` states an estimated noise;
@@ -57,7 +57,7 @@ def repeatability_item(occupation: StationOccupation, test_family: HypothesisFam
 def target_scatter_item(
     occupation: StationOccupation,
     corrected_occupation: StationOccupation,
-    test_family: HypothesisFamily,
+    test_family: BonferroniFamily,
     noise_text: str,
 ) -> CheckItem:
     """Result of the test of scatter for a set-up whose targets scatter differently, with the names of noisy targets.

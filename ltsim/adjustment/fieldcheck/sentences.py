@@ -19,11 +19,11 @@ ZERO_NAMES_AND_MAX_SIGMAS = (
 """Zeros of an instrument: name, unit, size of the unit [SI], and the largest standard deviation [SI] of a reported
 drift over the occupation. """
 TRANSLATION_COMPONENTS = slice(0, 3)
-"""Slice of the six components of a station's motion that holds the translation [m]."""
+"""Slice with the translation [m] among the six components of a station's motion."""
 TILT_COMPONENTS = slice(3, 5)
-"""Slice of the six components of a station's motion that holds the tilts of the standing axis [rad]."""
+"""Slice with both tilts of the standing axis [rad] among the six components of a station's motion."""
 AZIMUTH_COMPONENT = slice(5, 6)
-"""Slice of the six components of a station's motion that holds the rotation about the standing axis [rad]."""
+"""Slice with the rotation about the standing axis [rad] among the six components of a station's motion."""
 MAX_REPORTED_TILT_SIGMA = 100 * MICRORADIAN
 """Largest standard deviation [rad] of the tilt of a station that a sentence states."""
 
@@ -150,7 +150,7 @@ def zero_drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> 
 def target_scatter_sentence(occupation: StationOccupation, target_indices: Ints) -> tuple[str, tuple[str, ...]]:
     """Sentence on the scatter of the pointings to some targets, and the names of the noisier half of these targets.
 
-    `target_indices` (k,) are ordered by scatter, the largest first.
+    `target_indices` (k,) of the k targets are ordered by scatter, the largest first.
     """
     recording = occupation.recording
     names = [recording.targets[t] for t in target_indices]

@@ -36,7 +36,7 @@ from ltsim.recordings.times import interval_text
 
 
 class CausePlace(Entry):
-    """Stations and targets at which an error acts; empty for all."""
+    """Stations and targets at which an error acts; an empty list stands for all."""
 
     stations: tuple[str, ...] = ()
     """Names of the stations."""
@@ -45,7 +45,7 @@ class CausePlace(Entry):
 
 
 class AlternativeCause(Entry):
-    """Alternative hypothesis that was fitted in place of an accepted one."""
+    """Hypothesis that was fitted in place of an accepted hypothesis, for comparison."""
 
     kind: str
     """Kind of the hypothesis, as `kind` of a test."""
@@ -61,7 +61,8 @@ class CauseTest(Entry):
     kind: str
     """Kind of the error: `outlier`, `constant-offset`, `scale-error`, `target-moved`, `station-bump` and so on."""
     acts_on: str
-    """Quantity that the error changes: an observable, `position`, a kind of reference value, or `noise`."""
+    """Quantity that the error changes: an observable, `position` (of a target or station), a kind of reference value,
+    or `noise`."""
     where: CausePlace
     """Stations or targets at which the error acts."""
     statistic: Finite
@@ -79,9 +80,10 @@ class CauseTest(Entry):
     rows: tuple[int, ...] = ()
     """Affected rows of the recording, from 1; empty for more than 20 rows."""
     probability: OptionalFloat = None
-    """Posterior probability of the hypothesis, compared with its alternatives and with no error."""
+    """Posterior probability of the hypothesis, where the alternatives and the absence of an error are the other
+    cases."""
     alternatives: tuple[AlternativeCause, ...] = ()
-    """Alternative hypotheses that were fitted in place of this one and have a posterior probability above 1 %."""
+    """Hypotheses that were fitted in place of the tested hypothesis and have a posterior probability above 1 %."""
     accepted: bool = True
     """True if the hypothesis is part of the model of the result."""
     sentence: str = ""
@@ -159,7 +161,7 @@ def reported_kind(fit: NetworkFit, hypothesis: Hypothesis) -> CauseKind:
 
 
 def _size_entry(hypothesis: Hypothesis, shift_components: Floats, covariance: Floats) -> dict[str, Any]:
-    """Entries `estimate`, `sigma` and `unit` of a shift; the estimate is the length of `shift_components` (p,) [SI]."""
+    """Entries `estimate`, `sigma` and `unit` of a shift: length of its p components, `shift_components` (p,) [SI]."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     unit, factor = ("mm", MILLIMETRE)
     if isinstance(hypothesis.model_change.effect, ReadingShift):
@@ -174,7 +176,7 @@ def _size_entry(hypothesis: Hypothesis, shift_components: Floats, covariance: Fl
 
 
 def _misclosure_and_unit(fit: NetworkFit, hypothesis: Hypothesis) -> tuple[float, str, float]:
-    """Misclosure of an excluded reference value [SI], and the name and size of its unit of display."""
+    """Misclosure of an excluded reference value [SI], and the name and the size [SI] of its display unit."""
     assert isinstance(hypothesis.model_change, ReferenceOmission)
     misclosure = float(np.linalg.norm(fit.misclosure_of(hypothesis.model_change.reference_value)))
     return misclosure, *ERROR_UNITS.get(hypothesis.model_change.reference_value.kind, ("mm", MILLIMETRE))

@@ -147,7 +147,7 @@ def _local_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, rows: Ints) ->
 
 
 def _robust_misfit_cost(fit: NetworkFit, whitened_residuals: Floats) -> float:
-    """Negative log evidence of whitened residuals (r,).
+    """Negative log evidence of the whitened residuals (r,) of r readings.
 
     Each residual counts as noise or as an outlier, whichever is more likely.
     """
@@ -195,7 +195,7 @@ class CentringEstimate(NamedTuple):
 def best_centring_sigma(residual_space: ResidualSpace, occupation: Ints) -> CentringEstimate:
     """Maximum likelihood estimate of the standard deviation of centring errors.
 
-    `occupation` (n,) is the index of the occupation of each pointing; -1 for pointings without centring errors.
+    `occupation` (n,) is the index of the occupation of each of n pointings; -1 for pointings without centring errors.
     """
     design_columns = residual_space.whitened_design(CentringErrors(1.0, occupation))
     projected = residual_space.project(design_columns)

@@ -19,10 +19,10 @@ from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MAX_RELATIVE_LENGTH_SCATTER = 0.1
-"""Largest scatter of the lengths of displacements, relative to their rms length, at which they count as equal."""
+"""Largest scatter of the lengths of displacements, divided by the rms length, at which the lengths count as equal."""
 MAX_LENGTH_RATIO = 3.0
-"""Ratio of the estimated common length to the rms length of the displacements, from which the estimate is rejected: any
-small displacements lie nearly on the surface of a much larger sphere.
+"""Smallest ratio of the estimated common length to the rms length of the displacements at which the estimate is
+rejected, because any small displacements lie nearly on the surface of a much larger sphere.
 """
 MIN_TARGETS_FOR_LENGTH = 10
 """Smallest number of targets for the estimate of a common length, with seven unknowns: the pose of the set-up and the
@@ -42,7 +42,7 @@ class CommonDisplacement(NamedTuple):
 
 
 def common_displacement(displacements: Floats, sight_vectors: Floats) -> CommonDisplacement | None:
-    """Common length of displacements (k, 3) [m] of the reflectors at a set-up; None if the lengths differ.
+    """Common length of displacements (k, 3) [m] of k reflectors at a set-up; None if the lengths differ.
 
     The readings determine the displacements except for a rigid motion, which the pose of the set-up absorbs. This
     motion is estimated together with the length. The start values neglect the rotation of the motion: displacements of

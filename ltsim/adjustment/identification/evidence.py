@@ -66,10 +66,10 @@ deviation of a factor is larger than this if it is estimated from less than 5,00
 
 
 def estimate_noise_factors(squared_residuals: Floats, redundancy: Floats, reading_masks: Sequence[Bools]) -> Floats:
-    """Factors (n, 3) on the standard deviations of readings: products of the factors of all `reading_masks` (n, 3).
+    """Factors (n, 3) on the standard deviations of the readings of n pointings: product of one factor per mask.
 
-    One factor is estimated for the readings of each mask. Factors with common readings are estimated in turn, each with
-    the others held fixed, until they no longer change.
+    One factor is estimated for the readings of each of the `reading_masks` (n, 3). Factors of masks that share readings
+    are estimated in turn, each with the others held fixed, until they no longer change.
     `squared_residuals` (n, 3) are the squared residuals in units of the declared variance, `redundancy` (n, 3) the
     redundancy numbers; both are 0 for readings not in use.
     """

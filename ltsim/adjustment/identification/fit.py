@@ -60,7 +60,7 @@ from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, Solution, solve
 MAX_NOISE_ESTIMATES = 3
 """Largest number of iterations for the noise factors, or for the standard deviations of centring errors, in a fit."""
 NOISE_TOLERANCE = 0.05
-"""Largest relative change of the noise factors at which their iteration ends; it changes the log evidence by 0.1."""
+"""Largest relative change of noise factors at which their iteration ends. Such a change alters log evidence by 0.1."""
 MIN_NOISE_CHANGE_FOR_OUTLIERS = 0.2
 """Relative change of the noise factors above which outliers are searched again."""
 WEAK_SHIFT_PRIOR_FACTOR = 1e6
@@ -78,7 +78,7 @@ class FitInput:
     prior: ParameterPrior | None = None
     """Prior of the instrument's parameters; None for the prior that the set-up declares."""
     is_usable: Bools | None = None
-    """Flags (n, 3) of the readings that a fit may use; None for all."""
+    """Flags (n, 3) of those readings of n pointings that a fit may use; None for all."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class NetworkFit:
 
     @property
     def _determines_shifts(self) -> bool:
-        """True if every estimated shift exceeds `MAX_CHANCE_SIGMAS` standard deviations."""
+        """True if every estimated shift is larger than `MAX_CHANCE_SIGMAS` of its standard deviations."""
         return all(self.estimate_length_in_sigmas(h) > MAX_CHANCE_SIGMAS for h, _, _ in self.shifts_with_slices)
 
     @property
@@ -169,7 +169,7 @@ class NetworkFit:
                 yield h, h.model_change, slice(start, start := start + len(h.model_change.effect.parameters))
 
     def estimate_and_covariance(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Estimate (p,) and covariance (p, p) [SI] of the parameters of a hypothesis: a shift or centring errors."""
+        """Estimate (p,) and covariance (p, p) [SI] of the p parameters of a hypothesis: a shift or centring errors."""
         centrings = [h for h in self.hypotheses if isinstance(h.model_change, CentringChange)]
         slices = [(h, at) for h, _, at in self.shifts_with_slices]
         slices += zip(reversed(centrings), reversed(self.problem.model.centring_parameter_slices), strict=False)
@@ -249,14 +249,14 @@ class NetworkFit:
         return fit
 
     def _estimated_sigmas(self) -> Floats:
-        """Declared standard deviations (n, 3) [m, rad, rad] times the noise factors that the residuals imply."""
+        """Standard deviations (n, 3) [m, rad, rad] of n pointings: declared ones times estimated noise factors."""
         declared, is_used = self.network.recording.sigma(), self.problem.is_used_reading
         squares = np.where(is_used, self.residuals / declared, 0.0) ** 2
         masks = [h.model_change.reading_mask for h in self.hypotheses if isinstance(h.model_change, NoiseFactor)]
         return declared * estimate_noise_factors(squares, np.where(is_used, np.nan_to_num(self.redundancy), 0.0), masks)
 
     def residuals_of(self, recording: Recording) -> Floats:
-        """Readings (n, 3) of a recording with the same pointings minus the predicted ones [m, rad, rad]."""
+        """Readings (n, 3) of `recording`, which has the same n pointings, minus predicted readings [m, rad, rad]."""
         gap = recording.readings - self.problem.model.predict(self.state)
         gap[:, 1:] = wrap_angle(gap[:, 1:])
         return gap
@@ -308,36 +308,39 @@ class NetworkFit:
 
     @cached_property
     def residuals(self) -> Floats:
-        """Observed minus predicted readings (n, 3) [m, rad, rad], including outliers."""
+        """Observed minus predicted readings (n, 3) [m, rad, rad] of n pointings, including outliers."""
         return self.problem.reading_residuals(self.problem.model.predict(self.state))
 
     @cached_property
     def whitened_residuals(self) -> Floats:
-        """Residuals divided by the standard deviations, (n, 3); 0 for unusable readings."""
+        """Residuals (n, 3) of n pointings divided by the standard deviations of readings; 0 for unusable readings."""
         return np.where(
             self.problem_with_all_readings.is_used_reading, np.nan_to_num(self.residuals / self.problem.sigma), 0.0
         )
 
     @property
     def redundancy(self) -> Floats:
-        """Redundancy numbers (n, 3) of the readings; NaN for unused readings."""
+        """Redundancy numbers (n, 3) of the readings of n pointings; NaN for unused readings."""
         return self.adjustment.redundancy
 
     @cached_property
     def is_outlier(self) -> Bools:
-        """Flags (n, 3) of the usable readings that are rejected."""
+        """Flags (n, 3) of those usable readings of n pointings that are rejected."""
         return self.problem_with_all_readings.is_used_reading & ~self.problem.is_used_reading
 
     @cached_property
     def outlier_prediction_sigmas(self) -> Floats:
-        """Ratios (n, 3) of the standard deviation of outlier minus prediction to the declared one; 1 if no outlier."""
+        """Standard deviations of outliers minus predictions, divided by the declared ones, (n, 3); 1 if no outlier.
+
+        The array has the shape of the readings of n pointings.
+        """
         spread = np.ones(self.is_outlier.shape)
         if self.is_outlier.any():
             spread[self.is_outlier] = prediction_sigmas(self.problem_with_all_readings, self.solution, self.is_outlier)
         return spread
 
     def misclosure_of(self, value: ReferenceValue) -> Floats:
-        """Misclosure (q,) [m, rad] of an excluded reference value; 0 at a set-up whose readings are all rejected."""
+        """Misclosure (q,) [m, rad] of q components of an excluded value; 0 at a set-up with all readings rejected."""
         declared, centring = self.network.recording, self.problem.model.recording.setup.centring
         declared = declared.replace(setup=declared.setup.model_copy(update={"centring": centring}))
         model = replace(self.problem.model, recording=declared)
@@ -352,7 +355,7 @@ class NetworkFit:
 
     @property
     def is_gross_reading(self) -> Bools:
-        """Flags (n, 3) of the readings whose residuals displace the point by more than `MAX_TRACKER_ERROR`."""
+        """Flags (n, 3) of readings of n pointings whose residuals displace a point by more than `MAX_TRACKER_ERROR`."""
         return (
             np.abs(np.nan_to_num(self.residuals)) * displacement_per_reading(self.adjustment.sightings)
             > MAX_TRACKER_ERROR
@@ -373,7 +376,7 @@ class NetworkFit:
         return log_evidence_sum + sum(h.log_prior + self._log_occam_factor_of(h) for h in self.hypotheses)
 
     def _log_occam_factor_of(self, hypothesis: Hypothesis) -> float:
-        """Logarithm of the Occam factor of a hypothesis in the model; for a noise factor with its log determinant."""
+        """Log Occam factor of a hypothesis in the model; for a noise factor plus the change of the log determinant."""
         change = hypothesis.model_change
         if isinstance(change, ReadingShiftChange):
             return float(

@@ -29,7 +29,7 @@ CauseKind = Literal[
     "noise-level",
     "centring",
 ]
-"""Kind of a cause of disagreement between readings and model."""
+"""Kind of a cause of a disagreement between readings and model."""
 
 
 @dataclass(frozen=True)
@@ -52,16 +52,16 @@ class ReferenceOmission:
 
 @dataclass(frozen=True)
 class RowCorrection:
-    """Correction of k wrongly recorded pointings."""
+    """Correction of wrongly recorded pointings, k in number."""
 
     rows: Ints
-    """Indices (k,) of the pointings in the recording."""
+    """Indices (k,) in the recording of the k pointings to correct."""
     readings: Floats
-    """Corrected readings (k, 3) [m, rad, rad]."""
+    """Corrected readings (k, 3) [m, rad, rad] of the k pointings."""
     target_indices: Ints
-    """Indices (k,) of the corrected targets."""
+    """Indices (k,) of the correct targets of the k pointings."""
     faces: Ints
-    """Corrected faces (k,), 1 or 2."""
+    """Correct face of each of the k pointings, (k,), 1 or 2."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +69,9 @@ class NoiseFactor:
     """Common factor on the declared standard deviations of some readings."""
 
     reading_mask: Bools
-    """Flags (n, 3) of the readings that the factor multiplies."""
+    """Flags (n, 3) of the readings, of n pointings, whose standard deviations the factor multiplies."""
     start_factor: float = 1.0
-    """Start value of the estimation: with the declared noise many readings would be rejected as outliers."""
+    """Start value of the factor; a fit that starts at 1, the declared noise, would reject many readings as outliers."""
 
 
 @dataclass(frozen=True)

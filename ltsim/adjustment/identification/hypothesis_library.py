@@ -45,11 +45,11 @@ from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 
 MIN_POINTS_FOR_EXCHANGE = 4
-"""Smallest number of reference points for a test of an exchange of two points; three points also fit their mirror
+"""Smallest number of reference points for a test of an exchange of two points; three points always fit their mirror
 image. """
 MAX_EXCHANGE_MISCLOSURE_RATIO = 0.02
-"""Ratio below which the exchange of two reference points is a hypothesis: misclosure of the reference points after this
-exchange, divided by their misclosure without it or after any other exchange.
+"""Ratio below which the exchange of two reference points is a hypothesis: misclosure of all reference points after this
+exchange, divided by the smaller of the misclosures without an exchange and after any other exchange.
 """
 PlaceKind = Literal["station", "target", "instrument"]
 """Kind of place of a shift of readings: one station, one target, or all stations of an instrument."""
@@ -188,7 +188,7 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
 
 @dataclass(frozen=True)
 class ShiftCandidate:
-    """Possible shift of readings of one kind, at one station, target or instrument, from one time on."""
+    """Hypothetical shift of readings of one kind, at one station, target or instrument, from one time on."""
 
     family: ShiftFamily
     """Family of the shift, which states its kind."""
@@ -337,7 +337,7 @@ def _swapped_order(n_points: int, first_index: int, second_index: int) -> list[i
 def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[Hypothesis, Bools]]:
     """Hypotheses that the noise of all readings, an observable, the angles, a target or a station is not as declared.
 
-    The second element of each pair is the mask (n, 3) of the affected readings.
+    The second element of each pair is the mask (n, 3) of the affected readings of n pointings.
     """
     recording = fit.recording
     full_mask = np.ones((len(recording), 3), dtype=bool)

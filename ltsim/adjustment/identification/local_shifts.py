@@ -25,15 +25,15 @@ class LocalShift:
     """Least-squares problem of one shift, whitened: design and residuals of the m readings that the shift changes."""
 
     unit_columns: Floats
-    """Columns of the design matrix, scaled to unit length, of the r parameters that change readings, (m, r)."""
+    """Design columns (m, r) of the r parameters that change some of the m readings, scaled to unit length."""
     column_lengths: Floats
-    """Lengths of the columns of the design matrix before scaling, (r,)."""
+    """Lengths (r,) of the r design columns before scaling."""
     residuals: Floats
-    """Whitened residuals of the network without the shift, (m,)."""
+    """Whitened residuals (m,) of the m readings in the network without the shift."""
     is_outlier: Bools
-    """Flags of the readings that the fit of the network without the shift rejected as outliers, (m,)."""
+    """Flags (m,) of those of the m readings that the fit of the network without the shift rejected as outliers."""
     is_acting_parameter: Bools
-    """Flags (q,) of the r parameters, among the q parameters of the shift, that change these readings."""
+    """Flags (q,) of those r of the q parameters of the shift that change any of the m readings."""
 
     @classmethod
     def from_design(cls, design: Floats, residuals: Floats, is_outlier: Bools) -> LocalShift:
@@ -129,20 +129,21 @@ def _robust_parameters(
 
 
 def _reading_changes(unit_columns: Floats, parameters: Floats) -> Floats:
-    """Whitened changes (h, m) of m readings by h shifts, from their parameters (h, r) and unit columns (h, m, r)."""
+    """Whitened changes (h, m) of m readings by h shifts, from r parameters each (h, r) and unit columns (h, m, r)."""
     return np.asarray((unit_columns @ parameters[:, :, None])[:, :, 0])
 
 
 def _row_medians(row_values: Floats, mask: Bools) -> Floats:
-    """Medians (h,) of those values in each row of `row_values` (h, m) that `mask` (h, m) selects, at least one."""
+    """Median, for each of the h rows of `row_values` (h, m), of the values that `mask` (h, m) selects, at least one."""
     ordered, count = np.sort(np.where(mask, row_values, np.inf), axis=1), mask.sum(axis=1)
     row_indices = np.arange(len(row_values))
     return np.asarray(0.5 * (ordered[row_indices, (count - 1) // 2] + ordered[row_indices, count // 2]))
 
 
 def _least_squares(unit_columns: Floats, residual: Floats, weight: Floats) -> Floats:
-    """Least-squares parameters (h, r) of h shifts; `weight` (h, m) multiplies residuals and rows of the design matrix.
+    """Least-squares estimates (h, r) of the r parameters of h shifts with m readings each.
 
+    `unit_columns` (h, m, r) are the design matrices, `residual` (h, m) the residuals; `weight` (h, m) multiplies both.
     The solution has minimum norm if columns are linearly dependent.
     """
     weighted_columns = unit_columns * weight[:, :, None]

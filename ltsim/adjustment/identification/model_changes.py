@@ -20,8 +20,8 @@ from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 
 CENTRING_TOLERANCE = 0.15
-"""Relative change of the standard deviation of centring errors from which a fit is repeated. The relative standard
-deviation of an estimate from a hundred displacement components is 7 %.
+"""Smallest relative change of the standard deviation of centring errors at which a fit is repeated. The relative
+standard deviation of an estimate from a hundred displacement components is 7 %.
 """
 
 
@@ -87,9 +87,9 @@ def with_centring_sigma(
 ) -> Hypothesis:
     """Hypothesis of centring errors with a new standard deviation s, estimated from the fitted displacements.
 
-    `estimate_function` returns the displacements u (q,) [m] of a hypothesis and their covariance C (q, q). The step of
-    restricted maximum likelihood is s^2 = u'u / (q - tr(C) / s^2). A hypothesis is returned unchanged if it is not
-    about centring errors, or if s changes by less than `CENTRING_TOLERANCE`.
+    `estimate_function` returns the q components u (q,) [m] of the displacements of a hypothesis, and their covariance C
+    (q, q). The step of restricted maximum likelihood is s^2 = u'u / (q - tr(C) / s^2). A hypothesis is returned
+    unchanged if it is not about centring errors, or if s changes by less than `CENTRING_TOLERANCE`.
     """
     change = hypothesis.model_change
     if not isinstance(change, CentringChange):

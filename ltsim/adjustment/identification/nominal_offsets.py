@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import TypeVar
 
 NominalEntryT = TypeVar("NominalEntryT")
+"""Type of the entry of a nominal size: the name of a constant, or the diameters of two SMRs."""
 SMR_RADIUS_DIFFERENCES = {
     12.7e-3: ("0.5 inch", "1.5 inch"),
     7.94e-3: ("7/8 inch", "1.5 inch"),

@@ -34,7 +34,7 @@ class ReadingShift(LinearEffect):
     targets: tuple[str, ...] = ()
     """Names of the targets whose readings are shifted; empty for all."""
     onset_time: float = -np.inf
-    """First time [s] of shifted readings."""
+    """Time [s] of the first shifted reading."""
     size_factor: float = 1.0
     """Factor on the plausible size of the parameter, which scales its weak prior."""
     is_drift: bool = False
@@ -60,7 +60,7 @@ class ReadingShift(LinearEffect):
         return self.size_factor * super().plausible_sizes
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit [SI] of the parameter."""
+        """Change (n, 3, 1) of the raw readings of n pointings per unit [SI] of the parameter."""
         is_shifted = self.row_weights(sightings) * (sightings.time >= self.onset_time)
         if self.is_drift:
             elapsed = is_shifted * sightings.station_time
@@ -82,6 +82,6 @@ class ReadingShift(LinearEffect):
 
 
 def displacement_per_reading(sightings: Sightings) -> Floats:
-    """Displacement (n, 3) of a measured point by a unit error of its range [m/m], azimuth and elevation [m/rad]."""
+    """Displacements (n, 3) of n points by a unit error of their range [m/m], azimuth or elevation [m/rad]."""
     range_ = sightings.range_
     return np.stack([np.ones_like(range_), range_ * np.cos(sightings.elevation), range_], axis=1)

@@ -52,7 +52,7 @@ def resect_contradicted_setups(problem: NetworkProblem, state: NetworkState) -> 
 
 
 def _large_residual_mask(problem: NetworkProblem, state: NetworkState) -> Bools:
-    """Flags (n, 3) of the used readings with residuals above `MIN_RESIDUAL_BEYOND_NOISE` robust standard deviations."""
+    """Flags (n, 3) of used readings of n pointings with large residuals (`MIN_RESIDUAL_BEYOND_NOISE` robust sigmas)."""
     whitened_residual = absolute_whitened_residuals(problem, state)
     scale = max(robust_sigma(whitened_residual[problem.is_used_reading]), 1.0)
     return np.asarray(problem.is_used_reading & (whitened_residual > MIN_RESIDUAL_BEYOND_NOISE * scale))

@@ -44,7 +44,7 @@ from ltsim.physics.effects.motions import exact_change_by_displacement
 from ltsim.solve.gauss_newton import solve
 
 MIN_OUTLIERS_FOR_DISTANCE_TRIAL = 6
-"""Number of outliers in a network, above which fits without the distances of one station or target are made."""
+"""Number of outliers in a network above which trial fits without the distances of one station or target are made."""
 MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
 """Fraction of gross errors among the pointings of a station or target, above which a motion of the target is tested, or
 a fit without these distances is made."""

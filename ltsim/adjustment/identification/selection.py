@@ -45,8 +45,8 @@ MAX_SELECTED_HYPOTHESES = 8
 MAX_CAUSES_BEFORE_CENTRING = 3
 """Largest number of other causes whose joint log evidence is compared with the log evidence of centring errors."""
 MIN_POINTINGS_LARGE_NETWORK = 1500
-"""Number of pointings from which the search is omitted if the global test accepts the network (saves 5 s of processor
-time).
+"""Smallest number of pointings of a network whose causes are not searched if the global test accepts it (saves 5 s of
+processor time).
 """
 MAX_CHI2_RATIO_OF_COMPUTED_READINGS = 1e-6
 """Ratio of chi-square to degrees of freedom below which readings count as computed and not measured: residuals of a
@@ -302,7 +302,7 @@ def _drop_unneeded_hypotheses(
 def _fit_without_hypothesis(
     fit: NetworkFit, hypothesis: Hypothesis, indispensable_hypotheses: list[Hypothesis]
 ) -> NetworkFit | None:
-    """Fit without a hypothesis; None if no fit is possible without it, and it is added to the indispensable ones."""
+    """Fit without a hypothesis; None if no fit is possible, so that `indispensable_hypotheses` gets this hypothesis."""
     if any(h is hypothesis for h in indispensable_hypotheses):
         return None
     remaining = tuple(h for h in fit.hypotheses if h is not hypothesis)

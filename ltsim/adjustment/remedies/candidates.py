@@ -26,9 +26,9 @@ from ltsim.recordings.setup import ElevationLimits, Setup
 from ltsim.scene.visibility import SightLimits, compute_visibility
 
 VisibilityFunction = Callable[[Floats, Floats], Bools]
-"""Function of instrument positions (N, 3) and targets (T, 3) on the floor plan [m]: flags (N, T) of targets in sight.
+"""Function from N instrument positions (N, 3) and T targets (T, 3) on a floor plan [m] to flags (N, T) of visibility.
 
-No target is in sight from a position where no tripod may stand.
+A flag is True if the target is in sight from the position; no target is in sight where no tripod may stand.
 """
 CandidateKind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
 """Kind of a further measurement."""
@@ -38,7 +38,7 @@ SETUP_KINDS = ("return", "station")
 """Kinds of further measurements that need another set-up."""
 
 N_ADDITIONAL_ROUNDS = 4
-"""Number of additional rounds at the last station."""
+"""Number of additional rounds (pointings to all targets) at the last station."""
 N_POINTINGS_TO_SUSPECT_TARGET = 3
 """Number of additional pointings to a suspect target."""
 MAX_REPEATED_SETUPS = 12
@@ -50,7 +50,8 @@ N_CANDIDATE_YAWS = 4
 BASE_ROTATION = math.tau / N_CANDIDATE_YAWS
 """Rotation [rad] of the tracker's base if it is set up again at a previous position."""
 MAX_SETUPS_FOR_ADDITION = 30
-"""Number of set-ups of a recording from which additional stations are not evaluated, to limit the computing time."""
+"""Smallest number of set-ups of a recording for which no additional station is evaluated, to limit the computing
+time."""
 MIN_PROPOSED_DISTANCE = 0.8
 """Smallest distance [m] of a proposed station from other stations and targets, and of a proposed target."""
 REFERENCE_BAR_LENGTH = 2.0
@@ -62,7 +63,7 @@ BAR_CALIBRATION_TIME = 7200.0
 NEAR_REFLECTOR_COORDINATES = np.array(
     [[1.2, a * DEGREE, e * DEGREE] for a, e in ((0, 40), (90, -30), (180, 40), (270, -30))]
 )
-"""Range [m], azimuth [rad] and elevation [rad] of each near reflector, (4, 3)."""
+"""Range [m], azimuth [rad] and elevation [rad] of each of four reflectors near a station, (4, 3)."""
 NEST_MOUNTING_TIME = 300.0
 """Time [s] to mount a nest."""
 ADVICE_SENTENCES = {
@@ -125,7 +126,7 @@ class CandidateMeasurement:
     def make_adjustment(self) -> Adjustment | None:
         """Adjustment of the network with the proposed measurement; None if a pose remains undetermined.
 
-        This happens if an additional set-up measures too few targets.
+        A pose remains undetermined if the additional set-up measures too few targets.
         """
         try:
             return self.network.make_adjustment()
@@ -293,7 +294,7 @@ def station_candidates(
 def _setup_candidate(
     kind: CandidateKind, instruction: str, network: PlannedNetwork, target: Ints, seconds_per_move: float
 ) -> CandidateMeasurement:
-    """Additional set-up, the last station of `network`, that measures the targets `target` (k,) in all faces in use."""
+    """Additional set-up, the last station of `network`, that measures k targets `target` (k,) in all faces in use."""
     recording, faces = network.recording, np.unique(network.recording.face)
     targets, face = np.tile(target, len(faces)), np.repeat(faces, len(target))
     start_time = float(recording.time.max()) + seconds_per_move
@@ -339,7 +340,7 @@ def _pointings_by_procedure(recording: Recording, pointing_indices: Ints, proced
 
 
 def second_face_candidate(network: PlannedNetwork) -> CandidateMeasurement | None:
-    """Additional pointings in the other face at each station; None if both faces were used."""
+    """Additional pointings at each station in the face that was not used; None if both faces were used."""
     first_remedy = next(procedure_candidates(network), None)
     return first_remedy if first_remedy and first_remedy.instruction == advice_sentence("other face") else None
 

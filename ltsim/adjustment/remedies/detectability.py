@@ -29,6 +29,7 @@ from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
 from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
 PlaceT = TypeVar("PlaceT")
+"""Type of one variant of an effect, an element of a sequence of variants."""
 MAX_EXAMINED_PLACES = 150
 """Largest number of variants of one effect (places and shape constants) that are examined. Of more variants, an evenly
 spaced selection is examined."""
@@ -36,7 +37,7 @@ spaced selection is examined."""
 
 @cache
 def search_noncentrality(dof: int, n_places: int) -> float:
-    """Noncentrality from which a search detects an effect with `dof` parameters that is tested in `n_places` variants.
+    """Smallest noncentrality at which a search detects an effect with `dof` parameters, tested in `n_places` variants.
 
     A variant is a place (stations, targets) and a set of shape constants. The false-alarm rate is divided among all
     variants of the effect, and among all effects of the catalogue. An unknown cause counts as one more effect.
@@ -84,7 +85,7 @@ class EffectDetectability:
     name: str
     """Name of the effect."""
     parameters: tuple[tuple[Parameter, ...], ...]
-    """Parameters of the effect in each variant."""
+    """Parameters of the effect in each variant (place and shape constants)."""
     places: tuple[str, ...]
     """Text of the stations, targets and shape constants of each variant."""
     minimal_sizes: tuple[Floats, ...]
@@ -92,9 +93,9 @@ class EffectDetectability:
     visible_fractions: tuple[float, ...]
     """Fraction of the change of the readings (sum of squares) that remains in the residuals, in each variant."""
     projected_basis: tuple[Floats, ...]
-    """Orthonormal basis of the possible changes of the residuals in each variant, (residuals, rank).
+    """Orthonormal basis of the changes of the m residuals that the effect can cause, (m, rank), for each variant.
 
-    It is empty for effects on the noise, and for effects that the calibration estimates."""
+    The basis is empty for effects on the noise, and for effects whose parameters the adjustment estimates."""
 
     def table(self) -> list[MinimalSize]:
         """Detectable sizes of each parameter of the effect, one entry per parameter."""
@@ -112,7 +113,7 @@ class EffectDetectability:
 
 
 def _noise_effect_information(residual_space: ResidualSpace, places: Sequence[NoiseEffect]) -> list[Floats]:
-    """Information matrix of the parameters of each noise effect: element (i, j) is half the trace of P D_i P D_j.
+    """Information matrix of the parameters of each noise effect; element (i, j) is half the trace of P D_i P D_j.
 
     P is the projector onto the residuals. D_i is the derivative of the whitened variances with respect to parameter i,
     by differences over a tenth of its plausible size.
@@ -173,11 +174,12 @@ def effect_detectability(
 def visible_information(
     gram_matrices: Floats, column_norms: Floats, min_visible_fraction: float
 ) -> tuple[Floats, Floats, Ints]:
-    """Information matrices (..., q, q) of effects, fraction (...) that remains in the residuals, and rank (...).
+    """Information matrices (..., q, q) of effects, visible fractions (...), and ranks (...) of the matrices.
 
     `gram_matrices` (..., q, q) are the inner products of the projected design columns of q parameters, which had unit
-    length before the projection, `column_norms` (..., q) the original lengths. Eigenvalues and squared lengths below
-    `min_visible_fraction` count as rounding errors.
+    length before the projection, `column_norms` (..., q) the original lengths. The visible fraction of an
+    effect is the part of its change of the readings (sum of squares) that remains in the residuals. Eigenvalues and
+    squared lengths below `min_visible_fraction` count as rounding errors.
     """
     share = np.einsum("...ii->...i", gram_matrices)
     visible_norms = np.where(share < min_visible_fraction, 0.0, column_norms)
@@ -206,7 +208,8 @@ def _place_text(effect: Effect) -> str:
 def calibrated_effect_detectability(adjustment: Adjustment, effect: Effect) -> EffectDetectability:
     """Detectability of an effect whose parameters the adjustment estimates as instrument parameters.
 
-    Such an effect is not tested. Its detectable size is the size at which its estimate differs significantly from zero.
+    A diagnosis does not test such an effect. Its detectable size is the size at which the estimate of its parameter
+    differs significantly from zero.
     """
     indices = [adjustment.construction.index(p.name) for p in effect.parameters]
     block, prior = (
@@ -220,7 +223,7 @@ def calibrated_effect_detectability(adjustment: Adjustment, effect: Effect) -> E
 
 
 def explained_fraction(first_detectability: EffectDetectability, second_detectability: EffectDetectability) -> float:
-    """Fraction of the residual change by the first effect that the second effect explains.
+    """Fraction of the change of the residuals by one effect that another effect explains.
 
     The second effect is taken in the variant that explains most, as in a diagnosis. The result is the median over the
     variants of the first effect.
@@ -242,7 +245,7 @@ class CatalogueDetectability:
     """Detectability of all effects of the catalogue in one network."""
 
     effects: tuple[EffectDetectability, ...]
-    """Detectability of each effect that changes the residuals."""
+    """Detectability of each effect whose parameters are estimated or which changes the residuals."""
     undetectable_effects: tuple[str, ...]
     """Names of effects that do not change the residuals, or that depend on data which the recording lacks."""
     detectable_effects: tuple[str, ...]

@@ -65,12 +65,12 @@ class PlannedNetwork:
     def make_adjustment(self) -> Adjustment:
         """Adjustment of this network; raises NetworkError if a pose is undetermined.
 
-        The adjustment is not cached: in a large network each adjustment of many proposals takes 8 MB.
+        The adjustment is not cached, because each of many proposals has its own adjustment, of 8 MB in a large network.
         """
         return Adjustment.from_plan(self.recording, self.state, self.construction, prior=self.prior)
 
-    def parameter_covariance(self) -> tuple[Floats, Floats]:
-        """Covariances (I, p, p) [SI] of the p parameters of I instruments, and prior standard deviations (I, p)."""
+    def parameter_covariance_and_prior_sigma(self) -> tuple[Floats, Floats]:
+        """Posterior covariances (I, p, p) [SI] of p parameters of I instruments; prior standard deviations (I, p)."""
         adjustment = self.make_adjustment()
         problem = adjustment.problem
         return adjustment.covariance_of(problem.unknowns.instrument_columns), problem.prior.sigma
@@ -148,7 +148,7 @@ class PlannedNetwork:
         )
 
     def with_targets(self, names: Sequence[str], points: Floats) -> PlannedNetwork:
-        """Network with additional targets at `points` (k, 3) [m], which no pointing measures yet."""
+        """Network with k additional targets at `points` (k, 3) [m], which no pointing measures yet."""
         new_recording = self.recording.replace(targets=(*self.recording.targets, *names))
         return replace(
             self,

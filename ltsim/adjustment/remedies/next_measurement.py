@@ -1,8 +1,8 @@
 """Next measurement that gives most information on the instrument, or that decides between possible causes of a misfit.
 
 The expected evidence between two causes is a difference of chi-square. If the first cause is true, it is the squared
-length of its change of the residuals that no variant of the second cause (place, shape constants) explains. As the true
-cause is unknown, the smaller of the two differences is used.
+length of that part of its change of the residuals which no variant of the second cause (place, shape constants)
+explains. As the true cause is unknown, the smaller of the two differences is used.
 """
 
 from __future__ import annotations
@@ -63,11 +63,11 @@ class Explanation:
     effect: Effect
     """Effect with its stations, targets and shape constants."""
     parameter_values: Floats
-    """Estimated parameters of the effect, (p,) [SI]."""
+    """Estimates of the p parameters of the effect, (p,) [SI]."""
 
 
 def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[LinearEffect] = ()) -> ResidualSpace:
-    """Residual space of an adjustment in which the parameters of `extra_effects` are estimated too."""
+    """Space of the residuals of an adjustment in which the parameters of `extra_effects` are estimated too."""
     return ResidualSpace.from_adjustment(adjustment).with_effects(extra_effects)
 
 
@@ -93,7 +93,10 @@ def best_explanation(residual_space: ResidualSpace, name: str) -> Explanation:
 
 
 def _best_fitting_size(residual_space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
-    """Parameters (p,) [SI] of an effect that fit whitened residuals (m,) best, and remaining sum of squares."""
+    """Parameters (p,) [SI] of an effect that fit m whitened residuals (m,) best, and remaining sum of squares.
+
+    The effect has p parameters.
+    """
     projected_design = residual_space.project(residual_space.whitened_design(effect))
     if not np.isfinite(projected_design).all() or not projected_design.any():
         return np.zeros(len(effect.parameters)), float(residual @ residual)
@@ -109,11 +112,12 @@ class RivalExplanations:
     """First possible cause."""
     second: Explanation
     """Second possible cause."""
-    rival_instances: tuple[list[tuple[float, Effect]], list[tuple[float, Effect]]]
+    rival_variants: tuple[list[tuple[float, Effect]], list[tuple[float, Effect]]]
     """Variants of the second cause, each preceded by the chi-square of the first cause that it does not explain.
 
     The variant with the smallest chi-square is first. In the second element of the tuple the causes are exchanged.
-    Further pointings never decrease these values of chi-square."""
+    Further pointings never decrease these values of chi-square, so that only variants with small values must be
+    computed again."""
 
     @classmethod
     def from_explanations(
@@ -124,28 +128,28 @@ class RivalExplanations:
             first_explanation,
             second_explanation,
             (
-                _instances_with_unexplained_part(residual_space, first_explanation, second_explanation.effect),
-                _instances_with_unexplained_part(residual_space, second_explanation, first_explanation.effect),
+                _variants_with_unexplained_part(residual_space, first_explanation, second_explanation.effect),
+                _variants_with_unexplained_part(residual_space, second_explanation, first_explanation.effect),
             ),
         )
 
     @property
     def present_chi2_difference(self) -> float:
         """Difference of chi-square between the two causes in the present recording."""
-        return min(instances[0][0] for instances in self.rival_instances)
+        return min(variants[0][0] for variants in self.rival_variants)
 
     def expected_chi2_difference(self, residual_space: ResidualSpace) -> float:
-        """Expected difference of chi-square between the two causes in an extended recording with this residual space.
+        """Expected difference of chi-square between two causes in an extended recording with `residual_space`.
 
         The difference is the smaller of two values: first cause true, or second cause true.
         """
         least = []
-        for truth, rival_instances in zip((self.first, self.second), self.rival_instances, strict=True):
+        for truth, rival_variants in zip((self.first, self.second), self.rival_variants, strict=True):
             residual_change = residual_space.project(
                 residual_space.whitened_design(truth.effect) @ truth.parameter_values
             )
             smallest = float(residual_change @ residual_change)
-            for before, effect in rival_instances:
+            for before, effect in rival_variants:
                 if before >= smallest:
                     break
                 smallest = min(smallest, _best_fitting_size(residual_space, effect, residual_change)[1])
@@ -153,7 +157,7 @@ class RivalExplanations:
         return min(least)
 
 
-def _instances_with_unexplained_part(
+def _variants_with_unexplained_part(
     residual_space: ResidualSpace, true_explanation: Explanation, rival: Effect
 ) -> list[tuple[float, Effect]]:
     """Variants of the effect `rival`, each preceded by the chi-square of the true cause that it does not explain.

@@ -30,12 +30,12 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 MIN_DETERMINED_GAIN = 0.5
 """Smallest gain (fraction of the prior variance that the readings remove) of a determined combination."""
 MAX_UNINFORMATIVE_GAIN = 0.01
-"""Gain below which combinations count as equally undetermined. Such combinations are rotated among each other, so that
-each contains few parameters."""
+"""Gain of a parameter combination (fraction of its prior variance that the readings remove), below which combinations
+count as equally undetermined. Such combinations are rotated among each other, so that each contains few parameters."""
 MIN_REPORTED_COEFFICIENT = 0.1
-"""Absolute coefficient of a parameter in a combination, above which the parameter is reported."""
+"""Absolute coefficient of a parameter in a combination of parameters, above which the parameter is reported."""
 MIN_WORTHWHILE_GAIN_INCREASE = 0.25
-"""Smallest increase of the gain by a proposed measurement: half of `MIN_DETERMINED_GAIN`."""
+"""Smallest increase of the gain of a parameter combination by a proposed measurement: half of `MIN_DETERMINED_GAIN`."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class ParameterCombination:
     """Linear combination of parameters in units of their prior standard deviations, and its gain."""
 
     vector: Floats
-    """Coefficients of the parameters, a unit vector (parameters,)."""
+    """Coefficients of the p parameters, a unit vector (p,)."""
     gain: float
     """Fraction of the prior variance that the readings removed."""
 
@@ -67,9 +67,10 @@ def gains_and_combinations(covariance: Floats, prior_sigma: Floats) -> tuple[Flo
 
 
 def undetermined_combinations(covariance: Floats, prior_sigma: Floats) -> list[ParameterCombination]:
-    """Combinations of p parameters with a gain below one half, the least determined first.
+    """Combinations of p parameters with a gain below `MIN_DETERMINED_GAIN`, the least determined first.
 
-    `covariance` (p, p) is the posterior covariance, `prior_sigma` (p,) the prior standard deviations.
+    The gain is the fraction of the prior variance that the readings remove. `covariance` (p, p) is the posterior
+    covariance, `prior_sigma` (p,) the prior standard deviations.
     """
     gain, vectors = gains_and_combinations(covariance, prior_sigma)
     is_silent = gain < MAX_UNINFORMATIVE_GAIN
@@ -87,10 +88,11 @@ def _index_of_first_largest(sizes: Floats) -> int:
 
 
 def rotate_to_simple_structure(vectors: Floats) -> Floats:
-    """Orthonormal basis (p, k) of the span of the orthonormal columns `vectors` (p, k), by the varimax rotation.
+    """Orthonormal basis (p, k) of the span of k orthonormal columns `vectors` (p, k), by the varimax rotation.
 
-    Each basis vector has few large elements. The result depends only on the span of the columns: the rotations of pairs
-    of columns start at a basis that is formed by projections of the parameters, and are iterated until convergence.
+    Each basis vector has few large elements among the p parameters. The result depends only on the span of the columns:
+    the rotations of pairs of columns start at a basis that is formed by projections of the parameters, and are iterated
+    until convergence.
 
     References
     ----------
@@ -117,7 +119,7 @@ def rotate_to_simple_structure(vectors: Floats) -> Floats:
 
 
 def _basis_of_span(vectors: Floats) -> Floats:
-    """Orthonormal basis (p, k) of the span of k orthonormal columns, by pivoted Cholesky of its projector."""
+    """Orthonormal basis (p, k) of the span of k orthonormal columns (p, k), by pivoted Cholesky of its projector."""
     projector, basis = vectors @ vectors.T, np.empty_like(vectors)
     for k in range(vectors.shape[1]):
         i = _index_of_first_largest(np.diag(projector))
@@ -140,9 +142,10 @@ def measurements_for_undetermined(
 ) -> list[list[MeasurementForCombination]]:
     """Measurements that determine the undetermined combinations of each instrument.
 
-    For each combination it is the first measurement that increases the gain above one half, or otherwise the
-    measurement with the largest increase. `directions` contains the combinations of each instrument, `construction` is
-    the error model with their parameters. The result has one list per instrument.
+    The proposal for a combination is the first measurement that increases its gain (fraction of the prior variance that
+    readings remove) above one half, or otherwise the measurement with the largest increase. `directions` contains the
+    combinations of each instrument, `construction` is the error model with their parameters. The result has one list
+    per instrument.
     """
     if not any(directions):
         return [[] for _ in directions]
@@ -172,12 +175,12 @@ def measurements_for_undetermined(
 def _gains_of_combinations(
     network: PlannedNetwork, directions: Sequence[Sequence[ParameterCombination]]
 ) -> list[list[float]]:
-    """Gain of each combination of each instrument in a network: fraction of its prior variance that readings remove.
+    """Fraction of the prior variance of each combination of each instrument that the readings of a network remove.
 
     The gains are zero if the network does not determine all poses.
     """
     try:
-        covariance, prior = network.parameter_covariance()
+        covariance, prior = network.parameter_covariance_and_prior_sigma()
     except NetworkError:
         return [[0.0 for _ in weak] for weak in directions]
     return [
