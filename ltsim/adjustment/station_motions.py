@@ -44,7 +44,7 @@ class UniformMotion(StationMotion):
     def motion(self, sightings: Sightings) -> Floats:
         """Derivatives (n, 6, 6) of the motion at each of n pointings by the six components of the final motion."""
         share = with_mean_times_of_consecutive_pointings(sightings).elapsed_visit_fraction
-        return (self.row_weights(sightings) * share)[:, None, None] * np.eye(6)
+        return (self.pointing_indicator(sightings) * share)[:, None, None] * np.eye(6)
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,9 @@ def motion_sentences(adjustment: Adjustment) -> Iterator[tuple[FittedMotion, str
             moved = f"moves during its measurement, by {parts} in total"
             if isinstance(effect, SuddenMotion):
                 sightings = adjustment.sightings
-                order = sightings.measurement_order[effect.row_weights(sightings)[sightings.measurement_order] > 0]
+                order = sightings.measurement_order[
+                    effect.pointing_indicator(sightings)[sightings.measurement_order] > 0
+                ]
                 at = int(np.searchsorted(sightings.time[order], effect.time))
                 moved = f"moved {interval_text(adjustment.recording, *order[at - 1 : at + 1].tolist())}, by {parts}"
             yield (

@@ -301,7 +301,11 @@ def _parameter_values(
             cause.columns(injector.residual_space.sightings) @ drawn_values.reshape(-1, cause.regressor.n_columns).T
         )
         rms = float(
-            np.sqrt(np.mean(np.sum(law_changes[cause.row_weights(injector.residual_space.sightings) > 0] ** 2, axis=1)))
+            np.sqrt(
+                np.mean(
+                    np.sum(law_changes[cause.pointing_indicator(injector.residual_space.sightings) > 0] ** 2, axis=1)
+                )
+            )
         )
         return drawn_values * given_values[AMPLITUDE_NAME] * cause.parameters[0].si_per_display_unit / rms
     return np.array([given_values.get(p.name, 0.0) * p.si_per_display_unit for p in cause.parameters])

@@ -105,7 +105,7 @@ def _reported_findings(
 def _averaged_targets_and_reading_change(
     model_fit: SelectedModelFit, shift_findings: Sequence[Finding], noise_findings: Sequence[Finding]
 ) -> tuple[AveragedTargets, Floats]:
-    """Target coordinates, and change (n, 3) of the readings minus their change by the refit.
+    """Target coordinates, and change (n, 3) of the readings of n pointings minus their change by the refit.
 
     Both are averaged over the explanations of the findings. If no cause is more probable than not, the coordinates are
     those of the ordinary adjustment.

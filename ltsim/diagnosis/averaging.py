@@ -51,7 +51,8 @@ def average_over_explanations(
 ) -> tuple[AveragedTargets, Floats]:
     """Target coordinates and change of the readings, averaged over the explanations for each effect in a model.
 
-    `rankings` contain the alternatives to each effect in the model, and `refit` is the nonlinear refit of the model.
+    `rankings` contain the alternatives to each effect in the model, and `refit` is the nonlinear adjustment with the
+    model.
 
     Returns
     -------
@@ -116,10 +117,9 @@ def max_safe_shift_fraction(
 ) -> float:
     """Largest fraction t of a shift s of coordinates whose subtraction is likely to increase errors only slightly.
 
-    The error of the coordinates without the subtraction is s + e. The subtraction of t s changes the sum of squared
-    errors by t^2 s's - 2 t (s's + s'e). This change is below
-    ((1 + `MAX_RELATIVE_ERROR_INCREASE`)^2 - 1) (s's + E[e'e]), except with the probability
-    `MAX_P_EXCEEDED_ERROR_INCREASE`.
+    The error of the coordinates without the subtraction is s + e, with an error e that is independent of s. The
+    subtraction of t s changes the sum of squared errors by t^2 s's - 2 t (s's + s'e). This change is below ((1 +
+    `MAX_RELATIVE_ERROR_INCREASE`)^2 - 1) (s's + E[e'e]), except with the probability `MAX_P_EXCEEDED_ERROR_INCREASE`.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def max_safe_shift_fraction(
     variance_of_cross_product : float
         Variance of s'e.
     expected_sum_of_squared_errors : float
-        Expectation E[e'e] of the sum of the other squared errors.
+        Expectation E[e'e] of the sum of squares of the error e that is independent of the shift.
     """
     if shift_sum_of_squares == 0.0:
         return 1.0
@@ -207,7 +207,7 @@ def first_order_reading_change(searcher: Searcher, model: Model) -> Floats:
 
 
 def expected_reading_change(searcher: Searcher, reduced_model: Model, hypothesis: Hypothesis) -> Floats:
-    """Posterior mean (m,) of the change of m whitened readings by a hypothesis, given the effects of a model."""
+    """Posterior mean (m,) of the change of m whitened readings by a hypothesis, given the effects of another model."""
     moments = searcher.evidence_calculator.grams_and_scores([hypothesis.effect], reduced_model)[0]
     change: Floats = (
         searcher.space.whitened_design(hypothesis.effect)

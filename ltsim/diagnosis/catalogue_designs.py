@@ -73,24 +73,29 @@ class EffectGroup:
     n_parameters: int
     """Number k of parameters of each effect."""
     effect_indices: Ints
-    """Indices (h,) of the effects in `CatalogueDesigns.effects`."""
+    """Indices (h,), in `CatalogueDesigns.effects`, of the h effects of the group."""
     row_indices: Ints | slice
-    """Indices (r,) of the rows of the residual space."""
+    """Indices (r,) of the r rows of the residual space on which the design columns are stored."""
     transposed_designs: Singles | sp.csr_array
-    """Transposed design columns (h k, r), one row per parameter, in units of its plausible size."""
+    """Transposed design columns (h k, r) of h effects with k parameters on r rows of the residual space: one row per
+    parameter, in units of its plausible size."""
     row_weights: Singles
     """Factors (r,) by which the r rows of the design are multiplied, for an adjustment with other weights."""
     unprojected_gram: Floats
-    """Gram matrices (h, k, k) of the weighted design columns before projection."""
+    """Gram matrices (h, k, k) of the k weighted design columns of each of h effects, before projection."""
     projected_gram: Floats
-    """Gram matrices (h, k, k) of the design columns after projection onto the residual space, without a model."""
+    """Gram matrices (h, k, k) of the k design columns of each of h effects after projection onto the residual space,
+    without a model."""
 
     def member_ranges(self, n_vectors: int) -> Iterator[slice]:
         """Ranges of effects of the group whose products with `n_vectors` vectors are in memory at a time."""
         return batches(len(self.effect_indices), self.n_parameters * n_vectors)
 
     def weighted_products(self, member_range: slice, vectors: Floats | Singles) -> Floats:
-        """Products (h, k, v) of the weighted design columns of the h effects in a range with v `vectors` (m, v)."""
+        """Products (h, k, v) of the k weighted design columns of each of h effects in a range with v `vectors` (m, v).
+
+        The vectors have an element for each of the m rows of the residual space.
+        """
         transposed_designs, count = (
             self.transposed_designs[member_range.start * self.n_parameters : member_range.stop * self.n_parameters],
             vectors.shape[1],
@@ -103,7 +108,7 @@ class EffectGroup:
         return products.reshape(member_range.stop - member_range.start, self.n_parameters, count)
 
     def with_rows_scaled(self, row_factors: Singles) -> EffectGroup:
-        """Copy of the group for a residual space with other weights: its rows are multiplied by `row_factors` (m,)."""
+        """Copy of the group for a residual space with other weights: its m rows are multiplied by factors (m,)."""
         weight = self.row_weights * row_factors[self.row_indices]
         if isinstance(self.transposed_designs, np.ndarray):
             parts = (
@@ -142,13 +147,13 @@ class CatalogueDesigns:
     groups: list[EffectGroup]
     """Effects with their design columns, grouped by their number of parameters and their form of storage."""
     families: tuple[str, ...]
-    """Names of the families: the names of the catalogue effects."""
+    """Names of the families, which are the names of the catalogue effects."""
     family_indices: Ints
-    """Index (h,) of the family of each effect."""
+    """Index (h,) of the family (catalogue effect) of each of h effects."""
 
     @cached_property
     def log_family_prior(self) -> Floats:
-        """Log prior (families,) of each catalogue effect: the sum over all its places and shapes."""
+        """Log prior probability (families,) of each catalogue effect: the sum over all its places and shapes."""
         return log_prior_by_base_rate("named", self.families)
 
     def log_prior_of_family(self, family: str) -> float:
@@ -223,11 +228,12 @@ class CatalogueDesigns:
         return replace(self, groups=[group.with_rows_scaled(ratio) for group in self.groups])
 
     def log_evidence_and_null_values(self, null_ensemble: NullEnsemble) -> tuple[Floats, Floats]:
-        """Log evidence (h,) of each effect given a model, and null values (families, trials) of each catalogue effect.
+        """Log evidence (h,) of h effects given a model, and null values (families, trials) of catalogue effects.
 
-        The null values are log means of the evidence, over places and shapes, for simulated recordings. The design
-        columns are also projected onto the residual space of the model, which reduces their Gram matrices. A Gram
-        matrix that is a Monte-Carlo estimate is not reduced, because its difference from an exact value may vanish.
+        The null values are log means of the evidence, over places and shapes, for each of the simulated recordings
+        (trials). The design columns are also projected onto the residual space of the model, which reduces their Gram
+        matrices. A Gram matrix that is a Monte-Carlo estimate is not reduced, because its difference from an exact
+        value may vanish.
         """
         values, accumulator = (
             np.zeros(len(self.effects)),
@@ -269,7 +275,8 @@ class CatalogueDesigns:
     def local_optima(self, member_indices: Ints, log_evidences: Floats) -> list[int]:
         """Indices of the place and shape of a catalogue effect with the largest evidence, and of other local optima.
 
-        `member_indices` are the indices of the effects of a family, sorted by decreasing `log_evidences` (h,).
+        `member_indices` are the indices of the effects of a family, sorted by decreasing `log_evidences` (h,) of the h
+        effects.
         """
         chosen = [int(member_indices[0])]
         for i in member_indices[1:MAX_COMPARED_PLACES_AND_SHAPES]:
@@ -299,9 +306,9 @@ class FamilyEvidenceAccumulator:
     """
 
     family_indices: Ints
-    """Index (h,) of the family of each effect."""
+    """Index (h,) of the family (catalogue effect) of each of h effects."""
     log_sums: Floats
-    """Log (families, trials) of the sum of the evidence of the effects that were added."""
+    """Log (families, trials) of the summed evidence of the added effects, by family and simulated recording (trial)."""
 
     @classmethod
     def empty(cls, family_indices: Ints, n_families: int, n_trials: int) -> FamilyEvidenceAccumulator:
@@ -309,7 +316,10 @@ class FamilyEvidenceAccumulator:
         return cls(family_indices, np.full((n_families, n_trials), -np.inf))
 
     def add(self, effect_indices: Ints, log_evidences: Floats) -> None:
-        """Addition of the `log_evidences` (b, trials) of the b effects with the indices `effect_indices`."""
+        """Addition of the `log_evidences` (b, trials) of the b effects with the indices `effect_indices`.
+
+        The trials are simulated recordings.
+        """
         present, group = np.unique(self.family_indices[effect_indices], return_inverse=True)
         means = log_mean_exp_by_group(log_evidences, group, len(present))
         means += np.log(np.bincount(group))[:, None]
@@ -317,7 +327,7 @@ class FamilyEvidenceAccumulator:
 
     @property
     def log_means(self) -> Floats:
-        """Log (families, trials) of the mean evidence over all places and shapes of each family."""
+        """Log (families, trials) of the mean evidence of each family over its places and shapes in each simulation."""
         return self.log_sums - np.log(np.bincount(self.family_indices, minlength=len(self.log_sums)))[:, None]
 
 
@@ -327,8 +337,8 @@ def _with_size_raised_to_noise(
     """Effect whose plausible size is raised to the noise of the readings if it is smaller, and the factor on its size.
 
     The factor is 1 for effects of the air, whose size depends on the hall and not on the instrument. `design_columns`
-    (r, k) are the whitened changes of r nonzero rows by the plausible sizes, and `pointing_indices` (r,) the pointing
-    of each row.
+    (r, k) are the whitened changes of r nonzero rows by the plausible sizes of the k parameters, and `pointing_indices`
+    (r,) the pointing of each row.
     """
     if (
         not isinstance(effect, Effect)
@@ -346,7 +356,7 @@ def _with_size_raised_to_noise(
 def _dense_group(
     n_parameters: int, effect_indices: Sequence[int], transposed_designs: Singles, row_indices: Ints
 ) -> EffectGroup:
-    """Group of h effects with k parameters each, from `transposed_designs` (h, k, r) on the rows `row_indices` (r,)."""
+    """Group of h effects with k parameters each, from `transposed_designs` (h, k, r) on r rows `row_indices` (r,)."""
     products, weight = row_gram(transposed_designs).astype(np.float64), np.ones(len(row_indices), dtype=np.float32)
     flattened = transposed_designs.reshape(-1, len(row_indices))
     return EffectGroup(

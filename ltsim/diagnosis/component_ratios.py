@@ -24,8 +24,8 @@ def best_component_ratio(
 ) -> tuple[tuple[float, ...], float, float]:
     """Ratio of the components of a law with the largest evidence, as a unit vector (w,), and two logarithms.
 
-    The first is the log evidence at this ratio, the second the log of the fraction of all ratios that the readings
-    permit. Their sum is the log evidence integrated over the ratios.
+    The first logarithm is the log evidence at this ratio, the second the log of the fraction of all ratios that the
+    readings permit. Their sum is the log evidence integrated over the ratios.
 
     Parameters
     ----------
@@ -65,7 +65,8 @@ def best_component_ratio(
 def _log_fraction_of_permitted_ratios(log_evidence_curvature: Floats, ratio: Floats) -> float:
     """Log, at most 0, of the fraction of all ratios (points of a half sphere) that the readings permit.
 
-    `log_evidence_curvature` (w, w) is the curvature of the log evidence at its maximum, the `ratio` (w,).
+    `log_evidence_curvature` (w, w) is the curvature of the log evidence at its maximum, which is the `ratio` (w,) of
+    the w components.
     """
     n_components = len(ratio)
     tangent = np.linalg.svd(ratio[None])[2][1:]

@@ -28,8 +28,8 @@ from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.linear_effect import LinearEffect
 
 MAX_DETECTABLE_SIZE_RATIO = 10.0
-"""Ratio of the smallest detectable size of an effect to its plausible size, from which the effect is reported as not
-detectable."""
+"""Limit of the ratio of the smallest detectable size of an effect to its plausible size. An effect with a smaller ratio
+counts as detectable, any other is reported as not detectable."""
 DISTORTION_DECIMALS = 6
 """Number of decimals to which a distortion of the targets in micrometres is rounded."""
 DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[UndetectableEntry, ...]]

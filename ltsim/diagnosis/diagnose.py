@@ -58,8 +58,8 @@ from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
 MIN_REMAINING_DIFFERENCE_RATIO = 0.5
-"""Ratio of two differences of an instrument constant from its reference: with the selected effects in the model, and
-without them. Below this ratio the effects explain the difference, and it is not reported."""
+"""Smallest ratio of two differences of an instrument constant from its reference (with the selected effects in the
+model, and without them) for which the difference is reported. Below this ratio the effects explain it."""
 
 
 @raise_for_singular_network
@@ -193,7 +193,7 @@ def _start_state(
 
 
 def _varies_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> bool:
-    """True if one of the effects makes the instrument constant with the name `constant_name` variable."""
+    """True if one of the effects lets the instrument constant `constant_name` (a name) vary during the recording."""
     laws = (VARIED_CONSTANTS_BY_RESPONSE.get(e.response.name, ()) for e in effects if isinstance(e, EmpiricalLaw))
     drifts = (constant_names_of_slot(getattr(e, "slot", "")) for e in effects)
     parameters = ([p.name for p in e.parameters] for e in effects)

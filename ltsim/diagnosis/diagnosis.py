@@ -42,13 +42,13 @@ class AveragedTargets(ValueEquality):
     """Coordinates of T targets, averaged over the explanations of a recording."""
 
     points: Floats
-    """Averaged coordinates (T, 3) [m] of the targets."""
+    """Averaged coordinates (T, 3) [m] of T targets."""
     covariance: Floats
-    """Covariance (T, 3, 3) [m^2] of the coordinates of each target, with the variance between explanations."""
+    """Covariance (T, 3, 3) [m^2] of the coordinates of each of T targets, with the variance between explanations."""
     explanation_deviations: Floats
-    """Weighted differences (k, T, 3) [m] of the coordinates with each of k explanations from the mean.
+    """Weighted differences (k, T, 3) [m] of the coordinates of T targets with each of k explanations from their mean.
 
-    Their squares are part of the covariance.
+    The squares of these differences are part of the covariance.
     """
 
 
@@ -62,7 +62,8 @@ class DiagnosisArrays(ValueEquality):
     """Change (n, 3) [m, rad, rad] of the readings of n pointings, averaged over the explanations, minus their change
     by the refitted model."""
     variance_factors: Floats
-    """Factors (n, 3) on the declared variances of the readings, averaged over the changes of the noise."""
+    """Factors (n, 3) on the declared variances of the readings of n pointings, averaged over the changes of the noise.
+    """
     baseline_adjustment: Adjustment
     """Adjustment with the ordinary model, which has no findings."""
     final_adjustment: Adjustment
@@ -175,7 +176,7 @@ class Diagnosis(ResultFile):
         )
 
     def modelled_reading_change(self, recording: Recording) -> Floats:
-        """Change (n, 3) [m, rad, rad] of the raw readings that the diagnosis models: effects, corrections and outliers.
+        """Change (n, 3) [m, rad, rad] of the readings of n pointings by modelled effects, corrections and outliers.
 
         Effects enter with their posterior mean over sizes and explanations, as in the coordinates. `recording` is the
         recording that was diagnosed. The change is 0 for readings without effect, correction or outlier.
@@ -215,15 +216,15 @@ class Diagnosis(ResultFile):
 
     @property
     def variance_factors(self) -> Floats:
-        """Posterior means (n, 3) of factors on the declared variances of readings; 1 without a change of the noise."""
+        """Posterior means (n, 3) of factors on the declared variances of n pointings; 1 if the noise is as declared."""
         return self.arrays.variance_factors
 
     @property
     def n_coefficients(self) -> int:
         """Number of estimated coefficients of all effects that shift readings.
 
-        A law with an estimated ratio of its w components has w - 1 coefficients more. If no effect shifts readings, the
-        result is the number of parameters of the findings.
+        An empirical law with an estimated ratio of its w components has w - 1 coefficients in addition. If no effect
+        shifts readings, the result is the number of parameters of the findings.
         """
         model = self.final_adjustment.problem.model
         ratios = sum(len(e.direction) - 1 for e in model.effects if isinstance(e, EmpiricalLaw) and e.direction)

@@ -61,9 +61,10 @@ def normalised_probabilities(log_probabilities: Floats) -> Floats:
 
 
 def simulated_log_evidence(scores: Floats, eigenvalues: Floats) -> Floats:
-    """Log evidence (h, trials) of h hypotheses for simulated residuals, computed in single precision.
+    """Log evidence (h, trials) of h hypotheses for each simulated recording (trial), computed in single precision.
 
-    `scores` (h, k, trials) are the scores along k eigenvectors, `eigenvalues` (h, k) the eigenvalues d_j (see module).
+    `scores` (h, k, trials) are the scores along k eigenvectors of the scaled Gram matrix, `eigenvalues` (h, k) its
+    eigenvalues (d_j in the description of the module).
     """
     log_evidence_parts = [
         _log_sum_exp_in_place(logs, 1)
@@ -74,7 +75,7 @@ def simulated_log_evidence(scores: Floats, eigenvalues: Floats) -> Floats:
 
 
 def simulated_log_total_evidence(scores: Singles, eigenvalues: Floats, log_prior: Floats) -> Floats:
-    """Log (trials,) of the sum of the evidence of all h hypotheses for simulated residuals, with log priors (h,).
+    """Log (trials,) of the summed evidence of h hypotheses for each simulated recording (trial), with log priors (h,).
 
     `scores` and `eigenvalues` are as for `simulated_log_evidence`.
     """
@@ -88,7 +89,7 @@ def simulated_log_total_evidence(scores: Singles, eigenvalues: Floats, log_prior
 def _simulated_log_evidence_batches(
     scores: Floats | Singles, eigenvalues: Floats, log_prior: Floats
 ) -> Iterator[Singles]:
-    """Iterator over batches of h hypotheses: log evidence including the priors, (h, size factors, trials)."""
+    """Iterator over batches of h hypotheses: log evidence with priors, (h, size factors, simulated recordings)."""
     for part in batches(len(scores), scores.size // max(len(scores), 1)):
         weights, constants = size_weights_and_constants(eigenvalues[part])
         constants += log_prior[part, None]
@@ -98,7 +99,7 @@ def _simulated_log_evidence_batches(
 
 
 def _log_sum_exp_in_place(log_values: Singles, axis: int | tuple[int, ...]) -> Singles:
-    """Log of the sum of exp(logs) along `axis`. The array `log_values` is overwritten."""
+    """Log of the sum of exp(log_values) along `axis`. The array `log_values` is overwritten."""
     top = log_values.max(axis=axis, keepdims=True)
     np.exp(np.subtract(log_values, top, out=log_values), out=log_values)
     log_total: Singles = np.log(log_values.sum(axis=axis)) + top.squeeze(axis)
@@ -141,7 +142,7 @@ def log_evidence_of_wrong_readings(
     Parameters
     ----------
     residual, redundancy : (m,) float
-        Whitened residuals and redundancy numbers given a model, one per row of the residual space.
+        Whitened residuals and redundancy numbers given a model, one for each of the m rows of the residual space.
     log_prior : float
         Log prior probability that any reading is wrong. It is divided equally among all readings.
     """
@@ -155,7 +156,8 @@ def log_evidence_of_wrong_readings(
 def log_mean_exp_by_group(values: Floats, group_indices: Ints, n_groups: int) -> Floats:
     """Log of the mean of exp(values) over each of `n_groups` groups, none of which is empty.
 
-    `group_indices` (h,) are the groups of the `values` (h,) or (h, trials).
+    `group_indices` (h,) are the groups of h values, `values` (h,), or `values` (h, trials) with a column for each
+    simulated recording.
     """
     order = np.argsort(group_indices, kind="stable")
     starts = np.searchsorted(group_indices[order], np.arange(n_groups))
@@ -167,14 +169,14 @@ def log_mean_exp_by_group(values: Floats, group_indices: Ints, n_groups: int) ->
 
 
 def log_evidence_of_coefficients(gram: Floats, score: Floats, plausible_sizes: Floats) -> Floats:
-    """Log evidence (...) of k coefficients with the prior N(0, (t size)^2), averaged over the size factors t.
+    """Log evidence (...) of k coefficients with the prior N(0, (t size)^2), averaged over size factors t.
 
     Parameters
     ----------
     gram : (..., k, k) float
         Gram matrix of the projected design matrix.
     score : (..., k) float
-        Product of the design matrix with the residuals.
+        Product of the transposed design matrix with the residuals.
     plausible_sizes : (..., k) float
         Plausible sizes of the coefficients.
     """
@@ -212,7 +214,7 @@ def coefficient_posterior(
 
 
 def _scaled_eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[Floats, Floats]:
-    """Eigenvalues (..., k) of Gram matrices scaled by plausible sizes, and the scaled eigenvectors (..., k, k).
+    """The k eigenvalues (..., k) of Gram matrices scaled by plausible sizes, and scaled eigenvectors (..., k, k).
 
     The product of the transposed eigenvectors with a score is the score along each eigenvector.
     """
@@ -228,8 +230,9 @@ approximation; a limit of the computing time. The hypotheses with the largest ap
 screening returns the same number of laws for each place.
 """
 MAX_EVIDENCE_DEFICIT = 10.0
-"""Difference of approximate log evidence from the largest value, up to which another hypothesis is evaluated without
-approximation: a local optimum of a family, or a product of a law and a second factor.
+"""Largest difference of the approximate log evidence of a hypothesis from the largest value, for which the hypothesis
+is evaluated without approximation. The hypothesis is a local optimum of a catalogue effect over places and shapes, or a
+product of a law and a second factor.
 """
 WIDE_PRIOR_SIGMA_FACTOR = 30.0
 """Prior standard deviation of reported sizes, divided by their plausible sizes. Such a wide prior hardly shrinks the
@@ -254,7 +257,10 @@ def log_positivity_factor(posterior_mean: float, sigma: float) -> float:
 
 
 def log_evidence_of_effect(effect: CandidateEffect, gram: Floats, score: Floats) -> float:
-    """Log marginal likelihood ratio of an effect, averaged over sizes, from its Gram matrix (k, k) and score (k,)."""
+    """Log marginal likelihood ratio of an effect with k coefficients, from its Gram matrix (k, k) and score (k,).
+
+    The ratio is relative to no effect, and averaged over the sizes of the effect.
+    """
     plausible_sizes = effect.plausible_sizes
     if not any(p.is_positive for p in effect.parameters):
         return float(log_evidence_of_coefficients(gram, score, plausible_sizes))
@@ -283,11 +289,12 @@ def size_factor_to_noise_level(effects_in_sigmas: Floats) -> float:
 
 
 MIN_SQUARED_SHIFT_FRACTION = 0.01
-"""Smallest fraction of the squared shift by an effect that an observable has if the effect is reported to act on it."""
+"""Smallest fraction of the sum of squared shifts of readings by an effect that is in an observable on which the effect
+is reported to act."""
 MIN_SQUARED_PROJECTED_SHIFT_FRACTION = 0.1
-"""Smallest fraction of the squared projected shift by an effect that an observable has if the effect is reported to act
-on it. It is larger than `MIN_SQUARED_SHIFT_FRACTION`, because the adjustment spreads a shift of one observable over the
-other observables."""
+"""Smallest fraction of the sum of squared shifts of residuals by an effect that is in an observable on which the effect
+is reported to act. It is larger than `MIN_SQUARED_SHIFT_FRACTION`, because the adjustment spreads a shift of one
+observable over the other observables."""
 
 
 def active_observables(is_used_reading: Bools, shift: Floats, projected_shift: Floats) -> tuple[str, ...]:
@@ -314,8 +321,8 @@ def _squared_shift_fractions(is_used_reading: Bools, shift: Floats) -> Floats:
 
 
 DISCREPANCY_RATIOS = np.geomspace(0.05, 1.0, 9)
-"""Grid of the difference between the change of readings by an unmodelled cause and the change by a hypothesis, as a
-fraction of the latter. It is log-uniform from a hardly visible difference to 1, a difference as large as the change.
+"""Grid of relative differences between the change of readings by an unmodelled cause and the change by the hypothesis
+that it resembles. It is log-uniform from a hardly visible difference to 1, a difference as large as the change.
 """
 
 
@@ -330,7 +337,7 @@ def log_bayes_factor_discrepancy(space: ResidualSpace, shift: Floats, residual: 
     Parameters
     ----------
     shift : (m,) float
-        Whitened shift of the readings by the hypothesis.
+        Whitened shift of the m rows of the residual space by the hypothesis.
     residual, redundancy : (m,) float
         Whitened residuals with the hypothesis modelled, and their redundancy numbers.
     """

@@ -66,7 +66,7 @@ class EvidenceCalculator:
         return [moments[i] for i in range(len(effects))]
 
     def log_evidence(self, effects: Sequence[CandidateEffect], conditioning_model: Model) -> Floats:
-        """Log marginal likelihood ratio (effects,) of each effect given a model, averaged over sizes."""
+        """Log marginal likelihood ratio (effects,) of each effect to no effect, given a model, averaged over sizes."""
         log_evidences = np.zeros(len(effects))
         by_size: dict[int, list[int]] = {}
         moments = self.grams_and_scores(effects, conditioning_model)
@@ -133,7 +133,7 @@ class EvidenceCalculator:
             yield from ((rows, part.tolist()) for part in parts)
 
     def _affected_rows(self, effect: CandidateEffect) -> AffectedRows:
-        """Rows on which an effect acts: for a law those of its stations and targets, otherwise all rows."""
+        """Rows of the residual space on which an effect acts: for a law those of its stations and targets, else all."""
         place = (effect.stations, effect.targets) if isinstance(effect, EmpiricalLaw) else (("",), ("",))
         if place not in self._rows:
             if not isinstance(effect, EmpiricalLaw):
@@ -141,12 +141,12 @@ class EvidenceCalculator:
             elif place == ((), ()):
                 self._rows[place] = AffectedRows(slice(len(self._pointing)), self._pointing)
             else:
-                acting_rows = np.flatnonzero(effect.row_weights(self.space.sightings)[self._pointing])
+                acting_rows = np.flatnonzero(effect.pointing_indicator(self.space.sightings)[self._pointing])
                 self._rows[place] = AffectedRows(acting_rows, self._pointing[acting_rows])
         return self._rows[place]
 
     def _stacked_designs(self, effects: Sequence[CandidateEffect], affected_rows: AffectedRows) -> tuple[Floats, Ints]:
-        """Whitened design columns (r, q) of several effects side by side on r rows, and the limits of the effects.
+        """Whitened design columns (r, q) of several effects side by side on r rows, and the limits of their columns.
 
         There is one column for each parameter of each effect, q in all. The limits are the indices of the first column
         of each effect, followed by q.
@@ -170,7 +170,7 @@ class EvidenceCalculator:
         return designs, column_edges
 
     def _response_changes(self, name: str) -> Floats:
-        """Whitened change (m, c) of the readings per unit of each of the c components of a response, by its name."""
+        """Whitened change (m, c) of m rows per unit of each of the c components of the response named `name`."""
         if name not in self._changes_by_response:
             self._changes_by_response[name] = self.space.whiten(
                 RESPONSE_AND_DESIGN_BY_NAME[name][1](self.space.sightings)

@@ -224,7 +224,7 @@ class SelectedModelFit:
     def _decisive_readings_sentence(self, chi2_decreases: Floats) -> str:
         """Sentence on the readings that have most of the decrease of chi-square; empty for many readings.
 
-        `chi2_decreases` (m,) is the decrease by row of the residual space.
+        `chi2_decreases` (m,) is the decrease in each of the m rows of the residual space.
         """
         use, recording = self.state.searcher.space.is_used_reading, self.state.recording
         reading_gain = chi2_decreases[: int(use.sum())]

@@ -181,7 +181,7 @@ def _forms_at_single_set_ups(
         for driver in drivers
         for name in stations
     ]
-    n_pointings = [law.row_weights(calculator.space.sightings).sum() for law in laws]
+    n_pointings = [law.pointing_indicator(calculator.space.sightings).sum() for law in laws]
     laws = [x for x, n in zip(laws, n_pointings, strict=True) if n >= MIN_POINTINGS_PER_COEFFICIENT * len(x.parameters)]
     share = P_SINGLE_SET_UP_BY_RESPONSE_KIND.get(law.response.kind, P_RARE_FORM)
     log_prior = form.log_prior + float(np.log(share / max(len(laws), 1)))
@@ -265,7 +265,7 @@ def response_curve(
         return None
     law, way, means, spread = law.law_at_largest_effect(coefficient_mean, coefficient_covariance, sightings)
     coefficient_mean, coefficient_covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)
-    x = sightings.covariate_values[regressor.covariates[0]][law.row_weights(sightings) > 0]
+    x = sightings.covariate_values[regressor.covariates[0]][law.pointing_indicator(sightings) > 0]
     if regressor.kind in ("wave", "cycle"):
         cycles = float(np.ptp(x)) * regressor.constant / (2 * np.pi)
         at = np.linspace(x.min(), x.max(), int(np.clip(N_POINTS_PER_CYCLE * cycles, N_CURVE_POINTS, MAX_CURVE_POINTS)))
@@ -273,7 +273,7 @@ def response_curve(
     else:
         order = np.argsort(x, kind="stable")
         chosen = order[np.unique(np.linspace(0, len(order) - 1, N_CURVE_POINTS).round().astype(int))]
-        at, columns = x[chosen], law.columns(sightings)[law.row_weights(sightings) > 0][chosen]
+        at, columns = x[chosen], law.columns(sightings)[law.pointing_indicator(sightings) > 0][chosen]
     unit, factor = law.response.display_unit_and_factor(int(np.argmax(np.abs(way))))
     sigma = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", columns, coefficient_covariance, columns), 0.0))
     curve_values = columns @ coefficient_mean

@@ -36,7 +36,8 @@ class HeldOutErrors(NamedTuple):
     rms_without_model: float | None = None
     """Rms error of predictions by the ordinary adjustment; None if no reading can be predicted."""
     rms_with_model: float | None = None
-    """Rms error of predictions with the model that was selected without the fold; None also without a search."""
+    """Rms error of predictions with the model that was selected without the predicted readings; None also without a
+    search."""
     log_score_gain: float = 0.0
     """Increase of the log score (log density) of the held-out readings by the model; 0 without a search."""
     log_score_gain_sigma: float = 0.0
@@ -97,8 +98,9 @@ def fold_rows(space: ResidualSpace, seed: int) -> list[Ints]:
 def _normalised_errors_on_fold(residual: Floats, eigenvalues: Floats, eigenvectors: Floats) -> Floats:
     """Normalised prediction errors (f,) of the f readings of a fold: (1 - H)^-1/2 r.
 
-    Here r is `residual` (f,), and H is the submatrix of the hat matrix for these readings, with e nonzero `eigenvalues`
-    (e,) and `eigenvectors` (f, e). Directions that the network determines only with the fold are left out.
+    Here r are the whitened residuals `residual` (f,), and H is the submatrix of the hat matrix for these readings, with
+    e nonzero `eigenvalues` (e,) and `eigenvectors` (f, e). Directions that the network determines only with the fold
+    are left out.
     """
     along = eigenvectors.T @ residual
     is_predicted = eigenvalues < 1.0 - MAX_SOLUTION_ROUNDING_ERROR
@@ -108,7 +110,7 @@ def _normalised_errors_on_fold(residual: Floats, eigenvalues: Floats, eigenvecto
 
 
 def _reading_shift_by_selected_model(space: ResidualSpace, searcher: Searcher) -> Floats:
-    """Change (m,) of the whitened readings by the model that the search selects; 0 for rows that are no readings."""
+    """Change (m,) of m whitened rows by the model that the search selects; 0 for rows that are no readings."""
     model = searcher.select_model(requires_member=True)
     if not model.members:
         return np.zeros(space.n_rows)

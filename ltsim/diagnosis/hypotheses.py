@@ -66,9 +66,9 @@ class Model:
     projected_designs: tuple[Floats, ...]
     """Projected design matrix (m, k) of each effect: change of m whitened residuals per unit of its k coefficients."""
     design_column_norms: tuple[Floats, ...]
-    """Norms (k,) of the design columns of each effect before the projection."""
+    """Norms (k,) of the k design columns of each effect before the projection."""
     baseline_residual: Floats = field(repr=False)
-    """Whitened residuals (m,) of the adjustment without the effects of the model."""
+    """The m whitened residuals (m,) of the adjustment without the effects of the model."""
 
     @classmethod
     def from_space(cls, members: Sequence[Hypothesis], space: ResidualSpace) -> Model:
@@ -84,14 +84,14 @@ class Model:
 
     @cached_property
     def basis(self) -> Floats:
-        """Orthonormal basis (m, e) of the space of changes of the m whitened residuals by all effects in the model."""
+        """Orthonormal basis (m, e), e vectors, of the changes of m whitened residuals by all effects in the model."""
         if not self.members:
             return np.zeros((len(self.baseline_residual), 0))
         return orthonormal_columns(np.hstack(self.projected_designs), np.concatenate(self.design_column_norms))
 
     @cached_property
     def residual(self) -> Floats:
-        """Whitened residuals (m,) of the adjustment with all effects of the model."""
+        """The m whitened residuals (m,) of the adjustment with all effects of the model."""
         residual: Floats = self.baseline_residual - self.basis @ (self.basis.T @ self.baseline_residual)
         return residual
 
@@ -150,8 +150,8 @@ class Ranking:
     log_evidence_unmodelled: float = -np.inf
     """Log evidence of a cause that is no hypothesis of the ranking."""
     log_evidence_none: float = 0.0
-    """Log evidence that neither a hypothesis of the ranking nor an unmodelled cause like these is the cause. It is 0,
-    or larger if held-out readings contradict the model."""
+    """Log evidence of no cause, neither a hypothesis of the ranking nor an unmodelled cause that resembles one. It is
+    0, or larger if held-out readings contradict the model."""
 
     def most_probable_of_each_kind(self) -> list[Hypothesis]:
         """Hypothesis with the largest evidence of each catalogue effect, and of the laws of each response.
@@ -300,7 +300,7 @@ def _size_averaged_log_evidence(model: Model) -> float:
 
 
 def _plausible_sizes_and_effect_indices(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
-    """Plausible sizes (k,) of all k coefficients of the effects in a model, and index (k,) of each one's effect."""
+    """Plausible sizes (k,) of all k coefficients of the effects in a model, and indices (k,) of their effects."""
     size_sets = [h.plausible_sizes for h in members]
     return np.concatenate(size_sets), np.repeat(np.arange(len(size_sets)), [len(spread) for spread in size_sets])
 

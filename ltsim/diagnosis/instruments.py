@@ -36,7 +36,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.solve.design import scale_to_unit_diagonal
 
 CHANGED_CONSTANT_PRIOR_VARIANCE = sum(share * size**2 for size, share in SIZE_PRIOR.items())
-"""Prior variance of an instrument constant that is selected as changed, divided by the squared specification."""
+"""Prior variance of an instrument constant that is selected as changed, divided by its squared specification."""
 CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
 """Name for users of the reference of a constant: with a declared correction (True) or without it (False)."""
 
@@ -112,9 +112,9 @@ class ConstantChange:
     reference_text: str
     """Name for users of the reference with which the constant is compared."""
     added_variances: Floats | float = 0.0
-    """Possible variances (s,) in addition to the expected variance, divided by the squared specification."""
+    """Possible variances (s values) in addition to the expected variance, divided by the squared specification."""
     log_variance_weights: Floats | float = 0.0
-    """Natural logarithms (s,) of the prior weights of `added_variances`."""
+    """Natural logarithms of the prior weights of the s values of `added_variances`."""
 
 
 @dataclass(frozen=True)
@@ -122,9 +122,9 @@ class ExpectedConstants:
     """Expected values of the p constants of I instruments, in units of their specifications, and possible changes."""
 
     mean: Floats
-    """Expected values (I p,) of the constants, divided by their specifications."""
+    """Expected values (I p,) of the p constants of I instruments, divided by their specifications."""
     covariance: Floats
-    """Covariance (I p, I p) of the constants about `mean`, in the same units."""
+    """Covariance (I p, I p) of the p constants of I instruments about `mean`, in units of their specifications."""
     possible_changes: tuple[ConstantChange, ...]
     """Changes of instrument constants that are tested."""
 
@@ -359,7 +359,7 @@ class HistoryExpectation:
     def _additional_variances_and_log_weights(
         self, expected_covariance: Floats, specification: Floats, constant_names: list[str]
     ) -> tuple[Floats, Floats]:
-        """Possible variances (k, s) of k constants in addition to their expected variances, and log weights (k, s).
+        """Possible variances (k, s) of k constants in addition to the expected ones, and their s log weights (k, s).
 
         The sample variance of a few calibrations is uncertain. It has a scaled chi-square distribution, with one degree
         of freedom less than the number of calibrations. The sample variances of the other constants add

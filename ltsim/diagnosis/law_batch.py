@@ -60,7 +60,7 @@ class PointingPartition:
     """
 
     pointing_order: Ints
-    """Indices (n,) of the pointings, cell after cell."""
+    """Indices (n,) of the n pointings, cell after cell."""
     cell_edges: Ints
     """Limits (cells + 1,) of the cells in `pointing_order`: start of each cell, and end of the last cell."""
     is_cell_in_place: sp.csr_array
@@ -90,7 +90,7 @@ class PointingPartition:
             yield part, self.pointing_order[part], here
 
     def sums_over_places(self, cell_sums: Any) -> Any:
-        """Sums (P, ...) over the pointings of each place, from the sums over each cell, `cell_sums` (cells, ...)."""
+        """Sums (P, ...) over the pointings of each of P places, from the sums `cell_sums` (cells, ...) over cells."""
         return (self.is_cell_in_place @ cell_sums.reshape(len(cell_sums), -1)).reshape(-1, *cell_sums.shape[1:])
 
 
@@ -114,7 +114,7 @@ class RegressorColumns:
         self.n_entries_per_regressor = regressors[0].n_columns * len(sightings)
 
     def columns_of(self, regressor_range: slice) -> Singles:
-        """Columns (n, d k) of the d regressors in a range, with the pointings in the order of the cells."""
+        """The k columns (n, d k) of each of d regressors in a range, for n pointings in the order of the cells."""
         if self.n_entries_per_regressor * len(self._regressors) > MAX_CACHED_COLUMN_ENTRIES:
             return self._compute_columns(self._regressors[regressor_range])
         if self._all_columns is None:
@@ -152,16 +152,17 @@ class LawBatch:
     partition: PointingPartition
     """Partition of the pointings by these places."""
     whitened_response_designs: Singles
-    """Whitened change (n, 3, C, c) of the readings by the plausible size of each component of each response."""
+    """Whitened change (n, 3, C, c) of the readings of n pointings by the plausible size of each of the c components of
+    C responses."""
     columns: RegressorColumns
     """Columns of the regressors, which batches with the same regressors and cells share."""
     log_prior_by_place: Floats
-    """Log prior (P,) of a single law (response, regressor and length scale) at each place."""
+    """Log prior (P,) of a single law (response, regressor and length scale) at each of P places."""
     _cached_eigen_decompositions: dict[int, list[tuple[Floats, Singles]]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _prior_sigmas(self) -> list[Floats]:
-        """Prior standard deviations (D, c k) of the coefficients of each regressor, one array per length scale."""
+        """Prior sigmas (D, c k) of D regressors for k columns and c components, one array per length scale."""
         n_components = self.whitened_response_designs.shape[3]
         return [
             np.tile(np.stack(sets), n_components)
@@ -169,9 +170,9 @@ class LawBatch:
         ]
 
     def best_laws_and_log_totals(self, null_ensemble: NullEnsemble) -> tuple[list[ScreenedLaw], float, Floats]:
-        """Laws with the largest evidence at each place, log of the evidence of all laws, and null values (trials,).
+        """Laws with the largest evidence at each place, log of the summed evidence of all laws, and its null values.
 
-        The null values are the same log for each simulated recording of the null ensemble.
+        The null values (trials,) are the same log for each simulated recording (trial) of the null ensemble.
         """
         count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.whitened_response_designs[0, 0].size * len(self.places)
@@ -194,11 +195,12 @@ class LawBatch:
         return hits, float(log_sum_exp(log_evidences.ravel())), null
 
     def _log_evidence_at_places(self, null_ensemble: NullEnsemble, regressor_range: slice) -> tuple[Floats, Floats]:
-        """Log evidence (P, C, d), with priors, of the laws with the d regressors in a range, and null values (trials,).
+        """Log evidence (P, C, d), with priors, of laws at P places with C responses and d regressors, and null values.
 
-        The null values are logs of the summed evidence of these laws for simulated recordings. The Gram matrix of a law
-        is not reduced by the effects in the model, so that it is too large for a law that is correlated with them. The
-        laws with the largest evidence are evaluated again without this approximation.
+        The regressors are those of a range. The null values (trials,) are logs of the summed evidence of these laws for
+        each simulated recording (trial). The Gram matrix of a law is not reduced by the effects in the model, so that
+        it is too large for a law that is correlated with them. The laws with the largest evidence are evaluated again
+        without this approximation.
         """
         columns = self.columns.columns_of(regressor_range)
         scores = self._products_with_ensemble_vectors(null_ensemble, columns)
@@ -223,10 +225,11 @@ class LawBatch:
         return log_sum_exp(np.stack(log_evidences)) + self.log_prior_by_place[:, None, None], log_sum_exp(null)
 
     def _scaled_eigen_decompositions(self, gram: Floats, regressor_range: slice) -> list[tuple[Floats, Singles]]:
-        """Eigenvalues (P, C, d, c k) of scaled Gram matrices, and matrices (P, C, d, c k, c k), for each length scale.
+        """Eigenvalues (P, C, d, c k) and matrices (P, C, d, c k, c k) of scaled Gram matrices, for each length scale.
 
-        The product of a matrix with the scores of a law gives the scores along its eigenvectors. `gram` has the shape
-        (P, C, d, c k, c k), for the d regressors in a range.
+        There are P places, C responses with c components, and d regressors with k columns in a range. The product of a
+        matrix with the scores of a law gives the scores along its eigenvectors. `gram` has the shape (P, C, d, c k, c
+        k).
         """
         transforms = []
         for spread in (spread[regressor_range] for spread in self._prior_sigmas):
@@ -236,9 +239,10 @@ class LawBatch:
         return transforms
 
     def _products_with_ensemble_vectors(self, null_ensemble: NullEnsemble, columns: Singles) -> Singles:
-        """Products (P, C, d, c k, v) of the design matrices of laws with v vectors of the ensemble, at all places.
+        """Products (P, C, d, c k, v) of the design matrices of laws with v vectors of the ensemble, at P places.
 
-        `columns` (n, d k) are the columns of d regressors.
+        The laws have C responses with c components. `columns` (n, d k) are the k columns of each of d regressors at n
+        pointings.
         """
         _, _, count, n_components = self.whitened_response_designs.shape
         vectors, d = null_ensemble.probe_vectors.shape[1], columns.shape[1] // self.regressors[0].n_columns
@@ -259,7 +263,10 @@ class LawBatch:
         return np.ascontiguousarray(products.transpose(0, 3, 1, 4, 2, 5)).reshape(len(products), count, d, -1, vectors)
 
     def _unprojected_gram_matrices(self, columns: Singles) -> Floats:
-        """Gram matrices (P, C, d, c k, c k) of the designs of laws, from the `columns` (n, d k) of d regressors."""
+        """Gram matrices (P, C, d, c k, c k) of the designs of laws at P places with C responses of c components.
+
+        `columns` (n, d k) are the k columns of each of d regressors at n pointings.
+        """
         _, _, count, n_components = self.whitened_response_designs.shape
         k = self.regressors[0].n_columns
         d = columns.shape[1] // k

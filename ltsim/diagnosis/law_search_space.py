@@ -49,8 +49,8 @@ GROUPED_TARGET_COUNTS = range(12, 101)
 """Numbers of targets in a network for which laws that act at a group of targets are tried. Fewer targets hardly form a
 group, and more targets take too much computing time."""
 MIN_POINTINGS_PER_FINE_COEFFICIENT = 4
-"""Number of pointings of a set-up per coefficient, above which a curve of one set-up has `N_MODES_DEFAULT`
-eigenfunctions. With fewer pointings it has `N_MODES_IN_PRODUCT`."""
+"""Number of pointings of a set-up per coefficient, above which a curve of one set-up has `N_MODES_DEFAULT` basis
+functions (eigenfunctions of the Laplacian). With fewer pointings it has `N_MODES_IN_PRODUCT`."""
 MIN_POINTINGS_PER_COEFFICIENT = 2
 """Smallest number of pointings per coefficient, at the stations and targets of a law, for which the law is tried. The
 adjustment absorbs about half of the information of the pointings.

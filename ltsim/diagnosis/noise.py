@@ -83,13 +83,14 @@ class NoiseHypothesisSet:
     families: tuple[str, ...]
     """Names of the kinds of noise change (families) of these hypotheses."""
     family_indices: Ints
-    """Index (h,) of the family of each hypothesis."""
+    """Index (h,) of the family of each of h hypotheses."""
     variance_factors: VarianceFactors
     """Variance factors of the m rows, and of the g means of repeated readings for errors that repetitions share."""
     averaging_matrix: sp.csr_array
-    """Matrix (g, m) of the means of repeated readings, first in each face and then in both faces."""
+    """Matrix (g, m) that maps the m rows to g means of repeated readings, first in each face and then in both faces."""
     basis: Floats | None
-    """Orthonormal basis (m, u) of u estimated parameters; None in a network that is too large for a basis."""
+    """Orthonormal basis (m, u) of the changes of the m rows by u estimated parameters; None in a network that is too
+    large for a basis."""
     group_noise_changes: tuple[GroupNoiseChange, ...]
     """Hypotheses with a size for each group of readings: noise level, noise by target and by station, noise in
     intervals of time."""
@@ -123,9 +124,10 @@ class NoiseHypothesisSet:
         )
 
     def log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log likelihood ratios (h, trials) of the hypotheses in the diagonal form.
+        """Log likelihood ratios (h, trials) of h hypotheses for each recording (trial), in the diagonal form.
 
-        `residual` (m, trials) are whitened residuals, and `redundancy` (m,) the redundancy numbers.
+        `residual` (m, trials) are m whitened residuals of each recording (trial), and `redundancy` (m,) the redundancy
+        numbers.
         """
         squares = np.vstack([residual**2, (self.averaging_matrix @ residual) ** 2]).astype(np.float32)
         share = np.concatenate([redundancy, redundancy_of_means(self.averaging_matrix, redundancy)])
@@ -134,8 +136,8 @@ class NoiseHypothesisSet:
     def log_evidence_by_family(self, residual: Floats | Singles, redundancy: Floats) -> Floats:
         """Log evidence (families, trials), with priors, of all families of noise changes, in the diagonal form.
 
-        The first rows belong to `families`, the others to `group_noise_changes`. `residual` (m, trials) are whitened
-        residuals, and `redundancy` (m,) the redundancy numbers.
+        The first rows of the result belong to `families`, the others to `group_noise_changes`. `residual` (m, trials)
+        are m whitened residuals of each recording (trial), and `redundancy` (m,) the redundancy numbers.
         """
         slices = batches(residual.shape[1], len(residual))
         return np.hstack(
@@ -143,7 +145,7 @@ class NoiseHypothesisSet:
         )
 
     def _log_evidence_of_all_families(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (families, trials) with priors for a batch of trials, residuals (m, trials)."""
+        """Log evidence (families, trials) with priors for a batch of recordings (trials), m residuals (m, trials)."""
         patterns = self._log_evidence_from_ratios(self.log_likelihood_ratios(residual, redundancy))
         return np.vstack(
             [
@@ -162,14 +164,18 @@ class NoiseHypothesisSet:
         )
 
     def _log_evidence_from_ratios(self, ratio: Floats) -> Floats:
-        """Log evidence (families, trials), with priors, of `families` from log likelihood ratios (h, trials)."""
+        """Log evidence (families, trials), with priors, of `families` from log likelihood ratios (h, trials).
+
+        The ratios are those of h hypotheses for each recording (trial).
+        """
         share = np.array([self.log_prior_of_family(family) for family in self.families])
         return log_mean_exp_by_group(ratio, self.family_indices, len(self.families)) + share[:, None]
 
     def log_restricted_likelihood_ratio(self, hypothesis_index: int, residual: Floats, model_basis: Floats) -> float:
         """Log restricted likelihood ratio of the hypothesis with the index `hypothesis_index`, without approximation.
 
-        `residual` (m,) are the whitened residuals given a model, and `model_basis` (m, e) is the basis of the model.
+        `residual` (m,) are the m whitened residuals given a model, and the e columns of `model_basis` (m, e) are the
+        basis of the changes by the model.
         """
         assert self.basis is not None
         at, logs = self.variance_factors.affected_rows_and_log_factors(hypothesis_index)
@@ -223,7 +229,8 @@ class NoiseHypothesisSet:
     ) -> list[tuple[float, NoiseHypothesis]]:
         """Pairs of log evidence (with prior) and most probable hypothesis of each family, by decreasing evidence.
 
-        `residual` (m,), `redundancy` (m,) and the basis `model_basis` (m, e) are given a model.
+        The m residuals `residual` (m,), redundancy numbers `redundancy` (m,) and the basis `model_basis` (m, e) of e
+        dimensions are given a model.
         """
         ratio = self.log_likelihood_ratios(residual[:, None], redundancy)
         evidence = self._log_evidence_from_ratios(ratio)[:, 0]
@@ -243,7 +250,7 @@ class NoiseHypothesisSet:
         return sorted(ranking, key=lambda entry: -entry[0])
 
     def expected_variance_factors(self) -> Floats:
-        """Posterior mean (n, 3) of the variance factors of the readings, over all hypotheses including no change.
+        """Posterior mean (n, 3) of variance factors of the readings of n pointings, over all hypotheses and no change.
 
         The mean of a variance s has the smallest expected loss s/t - 1 - log(s/t) of an estimate t (Stein's loss).
         """

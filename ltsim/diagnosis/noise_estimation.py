@@ -41,8 +41,8 @@ def reml_gain_function(
 ) -> Callable[[Floats], Floats]:
     """Function from the values (k,) of k variance parameters to the gain (k,) of restricted log likelihood by each.
 
-    Each reading depends on at most one parameter. The effect changes the standard deviations `sigma` (n, 3), while the
-    residuals (m,) are whitened by the standard deviations of the residual space.
+    Each reading depends on at most one parameter. The effect changes the standard deviations `sigma` (n, 3) of n
+    pointings, while the m residuals (m,) are whitened by the standard deviations of the residual space.
     """
     faces, used, scale = getattr(effect, "repetition", ""), space.is_used_reading, effect.plausible_sizes
     means = normalised_sum_matrix_of_repeats(space, faces) if faces else None
@@ -115,10 +115,10 @@ def _heavy_tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[
 def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
     """Copy of a hypothesis with estimated sizes, their standard deviations, and its `chi2_drop`.
 
-    The hypothesis changes the standard deviations `nominal_sigma` (n, 3). The estimates are posterior means and
-    standard deviations with a log-uniform prior of the variance factor, because the likelihood of a variance is skew.
-    The posteriors of several sizes are independent (`reml_gain_function`). A size on which no reading depends is 0 with
-    an infinite standard deviation.
+    The hypothesis changes the standard deviations `nominal_sigma` (n, 3) of the readings of n pointings. The estimates
+    are posterior means and standard deviations with a log-uniform prior of the variance factor, because the likelihood
+    of a variance is skew. The posteriors of several sizes are independent (`reml_gain_function`). A size on which no
+    reading depends is 0 with an infinite standard deviation.
     """
     effect, scale = hypothesis.effect, hypothesis.effect.plausible_sizes
     if isinstance(effect, CentringVariance):

@@ -28,16 +28,16 @@ class PatternGroup:
     hypothesis_indices: Ints
     """Indices (h,) of the h hypotheses of the group."""
     pattern_indices: Ints
-    """Index (h,) of the pattern of each hypothesis, in ascending order."""
+    """Index (h,) of the pattern of each of h hypotheses, in ascending order."""
     sizes: Singles
-    """Size (h,) of each hypothesis; the variance factor of a row is 1 plus the size times the added variance."""
+    """Size (h,) of each of h hypotheses; the variance factor of a row is 1 plus the size times the added variance."""
     row_indices: Ints | slice
-    """Indices (r,) of the rows of dense patterns; all rows for sparse patterns."""
+    """Indices (r,) of the r rows of dense patterns; all rows for sparse patterns."""
     added_variance: Singles | sp.csr_array
-    """Added variance (p, r) of p patterns per unit of the size, divided by the declared variance."""
+    """Added variance (p, r) in r rows by p patterns per unit of the size, divided by the declared variance."""
 
     def log_likelihood_ratios(self, squares: Singles, redundancy: Floats) -> Iterator[tuple[Ints, Floats]]:
-        """Iterator over batches: indices (b,) of b hypotheses, and their log likelihood ratios (b, trials).
+        """Iterator over batches: indices (b,) of b hypotheses, and log likelihood ratios (b, trials) by recording.
 
         The log likelihood ratio is half the sum over rows of (1 - 1/s) r^2 - k log s, with the variance factors s,
         residuals r and redundancy numbers k.
@@ -45,7 +45,7 @@ class PatternGroup:
         Parameters
         ----------
         squares : (m, trials) float32
-            Squares r^2 of the whitened residuals on all m rows, of the recording or of simulated recordings.
+            Squares r^2 of the whitened residuals on all m rows, of the recording or of simulated recordings (trials).
         redundancy : (m,) float
             Redundancy numbers k.
         """
@@ -57,7 +57,7 @@ class PatternGroup:
             yield self.hypothesis_indices[part], 0.5 * (fit - (logs @ redundancy)[:, None])
 
     def affected_rows_and_log_factors(self, member_index: int) -> tuple[Ints, Floats]:
-        """Indices (r,) of the rows whose noise a hypothesis changes, and the logs (r,) of its variance factors there.
+        """Indices (r,) of the r rows whose noise a hypothesis changes, and logs (r,) of its variance factors there.
 
         `member_index` is the index of the hypothesis in this group.
         """
@@ -69,7 +69,7 @@ class PatternGroup:
         return row_indices[changed_indices], log_factors[0, changed_indices].astype(np.float64)
 
     def _log_variance_factors_of(self, member_range: slice) -> Singles | sp.csr_array:
-        """Logs (h, r) of the variance factors of the h hypotheses in a range of this group."""
+        """Logs (h, r) of the variance factors in r rows of the h hypotheses in a range of this group."""
         added_variance, sizes = (
             self.added_variance[self.pattern_indices[member_range]],
             self.sizes[member_range],
@@ -81,7 +81,7 @@ class PatternGroup:
 
 
 def _relative_precision_loss(log_variance_factors: Singles | sp.csr_array) -> Singles | sp.csr_array:
-    """Relative loss of precision 1 - 1/s by variance factors s, from `log_variance_factors` (h, r), the logs of s."""
+    """Relative loss 1 - 1/s of precision by variance factors s, from logs (h, r) of s for h hypotheses and r rows."""
     if isinstance(log_variance_factors, np.ndarray):
         return -np.expm1(-log_variance_factors)
     return sp.csr_array(
@@ -108,8 +108,8 @@ class VarianceFactors:
     def from_patterns(cls, patterns: Iterable[PatternWithSizes], observation_kinds: Ints) -> VarianceFactors:
         """Variance factors from the patterns of consecutive hypotheses.
 
-        `observation_kinds` (m,) is the kind of observation of each row. Dense patterns are stored on all rows of the
-        kinds that they change.
+        `observation_kinds` (m,) is the kind of observation of each of the m rows of the residual space. Dense patterns
+        are stored on all rows of the kinds that they change.
         """
         dense: dict[tuple[bool, ...], tuple[list[Singles], list[FirstIndexAndSizes]]] = {}
         sparse: list[tuple[Ints, Singles]] = []
@@ -146,9 +146,9 @@ class VarianceFactors:
         return cls(n_hypotheses, tuple(pattern_groups))
 
     def log_likelihood_ratios(self, squares: Singles, redundancy: Floats) -> Floats:
-        """Log likelihood ratios (h, trials) of all hypotheses.
+        """Log likelihood ratios (h, trials) of all h hypotheses for each recording (trial).
 
-        `squares` (m, trials) are squares of whitened residuals, and `redundancy` (m,) the redundancy numbers.
+        `squares` (m, trials) are squares of m whitened residuals, and `redundancy` (m,) their redundancy numbers.
         """
         ratio = np.empty((self.n_hypotheses, squares.shape[1]))
         for group in self.groups:
@@ -157,7 +157,7 @@ class VarianceFactors:
         return ratio
 
     def affected_rows_and_log_factors(self, hypothesis: int) -> tuple[Ints, Floats]:
-        """Indices (r,) of the rows whose noise a hypothesis changes, and the logs (r,) of its variance factors there.
+        """Indices (r,) of the r rows whose noise a hypothesis changes, and logs (r,) of its variance factors there.
 
         `hypothesis` is the index of the hypothesis among all h hypotheses.
         """
@@ -179,7 +179,7 @@ def _pattern_group(
 
 
 def _sparse_rows(row_entries: Sequence[tuple[Ints, Singles]], n_rows: int) -> sp.csr_array:
-    """Sparse matrix (p, n_rows) of p patterns, from the indices and the values of the nonzero elements of each row."""
+    """Sparse matrix (p, n_rows) of p patterns on `n_rows` rows, from indices and values of its nonzero elements."""
     ends = np.cumsum([0, *(len(row_indices) for row_indices, _ in row_entries)]).astype(np.int32)
     row_indices, values = (np.concatenate([part[k] for part in row_entries]) for k in (0, 1))
     return sp.csr_array((values, row_indices, ends), (len(row_entries), n_rows))

@@ -49,7 +49,7 @@ class GroupNoiseChange:
     effect: CandidateNoiseEffect
     """Change of the noise, with one parameter per group."""
     group_indicators: sp.csr_array
-    """Indicators (g, m) of the rows of each group."""
+    """Indicators (g, m) of those of m rows of the residual space that belong to each of g groups."""
     variance_factor_grid: Floats
     """Variance factors over which the evidence is averaged."""
 
@@ -59,9 +59,10 @@ class GroupNoiseChange:
         return self.effect.name
 
     def log_evidence_by_group(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (g, trials) that the noise of each group differs, averaged over variance factors.
+        """Log evidence (g, trials) that the noise of each of g groups differs from the declared noise.
 
-        `residual` (m, trials) are whitened residuals, and `redundancy` (m,) their redundancy numbers.
+        It is averaged over variance factors. `residual` (m, trials) are m whitened residuals of each recording (trial),
+        and `redundancy` (m,) their redundancy numbers.
         """
         squares, share = self.group_indicators @ residual**2, self.group_indicators @ redundancy
         log_totals = log_sum_exp(
@@ -70,7 +71,10 @@ class GroupNoiseChange:
         return log_totals - np.log(len(self.variance_factor_grid))
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) of the change, for residuals (m, trials) with redundancy numbers (m,)."""
+        """Log evidence (trials,) of the change for each recording (trial), from m residuals (m, trials).
+
+        `redundancy` (m,) are the redundancy numbers of the m residuals.
+        """
         raise NotImplementedError
 
     def limited_to_most_probable_place(self, residual: Floats, redundancy: Floats) -> tuple[GroupNoiseChange, ...]:
@@ -82,16 +86,16 @@ class GroupNoiseChange:
         return ()
 
     def expected_variance_factors(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (m,) of the variance factors of the rows, for residuals (m,); 1 for rows of no group."""
+        """Posterior mean (m,) of the variance factors of m rows, for residuals (m,); 1 for rows of no group."""
         factors: Floats = 1.0 + self.group_indicators.T @ self._expected_added_variance(residual, redundancy)
         return factors
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each group, divided by the declared variance."""
+        """Posterior mean (g,) of the added variance of each of g groups, divided by the declared variance."""
         raise NotImplementedError
 
     def _added_variance_if_noisy(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each group, provided that its noise is not as declared.
+        """Posterior mean (g,) of the added variance of each of g groups, provided that its noise is not as declared.
 
         The added variance is divided by the declared variance.
         """
@@ -104,7 +108,7 @@ class GroupNoiseChange:
         return mean_added_variance
 
     def most_likely_effect(self, residual: Floats, redundancy: Floats) -> CandidateNoiseEffect:
-        """Change of the noise with the most probable observables and time windows for whitened residuals (m,).
+        """Change of the noise with the most probable observables and time windows for m whitened residuals (m,).
 
         Its sizes are estimated afterwards.
         """
@@ -129,7 +133,7 @@ class RecordingNoiseLevel(GroupNoiseChange):
         )
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) for residuals (m, trials).
+        """Log evidence (trials,) of each recording (trial), from m residuals (m, trials).
 
         A common factor of all observables, and separate factors of some observables, have equal prior probabilities.
         """
@@ -157,7 +161,7 @@ class RecordingNoiseLevel(GroupNoiseChange):
         return together, separate
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each observable, divided by the declared variance.
+        """Posterior mean (g,) of the added variance of each of g observables, divided by the declared variance.
 
         It is an average over a common factor and separate factors.
         """
@@ -221,16 +225,20 @@ class GroupNoiseMixture(GroupNoiseChange):
         return f"unknown:noise:each {getattr(self.effect, 'group_kind', '')}"
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) for residuals (m, trials), averaged over the fraction of noisy groups."""
+        """Log evidence (trials,) of each recording (trial), averaged over the fraction of noisy groups.
+
+        `residual` (m, trials) are m whitened residuals of each recording, and `redundancy` (m,) their redundancy
+        numbers.
+        """
         return log_sum_exp(self._log_evidence_by_fraction(residual, redundancy)) - np.log(len(NOISY_GROUP_FRACTIONS))
 
     def _log_evidence_by_fraction(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (q, trials) for each of the q values of `NOISY_GROUP_FRACTIONS`."""
+        """Log evidence (q, trials) of each recording (trial) for each of the q values of `NOISY_GROUP_FRACTIONS`."""
         each = self.log_evidence_by_group(residual, redundancy)
         return np.stack([np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in NOISY_GROUP_FRACTIONS])
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each group, divided by the declared variance.
+        """Posterior mean (g,) of the added variance of each of g groups, divided by the declared variance.
 
         It is an average over the fraction of noisy groups.
         """

@@ -3,7 +3,7 @@
 Each step of the chain is a pointing, or several pointings in a large recording. The two states are quiet and noisy. The
 evidence is the sum over all sequences of states, by the forward recursion. The time windows are the noisy intervals of
 the most probable sequence (Rabiner 1989, Proceedings of the IEEE 77, 257). Sizes of arrays below: m rows of the
-residual space, a sets of observables, f variance factors.
+residual space, s sets of observables, f variance factors.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ WINDOW_REGION_SHAPES = ("x", "y", "z", "xy")
 OBSERVABLE_SET_INDICATORS = np.array(
     [[name in acts for name in OBSERVABLES] for acts in NOISY_OBSERVABLE_SETS], dtype=np.float64
 )
-"""Flags (a, 3) of the observables in each set of observables that may have larger noise at the same time."""
+"""Flags (s, 3) of the observables in each of s sets of observables that may have larger noise at the same time."""
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,10 @@ class NoiseWindows(GroupNoiseChange):
         return "unknown:noise:windows"
 
     def _log_likelihood_ratios(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log likelihood ratios (steps, a, f, trials) of the noisy to the quiet state in each step.
+        """Log likelihood ratios (steps, s, f, trials) of the noisy to the quiet state in each step of the chain.
 
-        `residual` (m, trials) are whitened residuals of recordings, and `redundancy` (m,) the redundancy numbers.
+        There are s sets of observables and f variance factors. `residual` (m, trials) are m whitened residuals of each
+        recording (trial), and `redundancy` (m,) the redundancy numbers.
         """
         shape = len(self.step_edge_times) - 1, len(OBSERVABLES), -1
         squares = OBSERVABLE_SET_INDICATORS @ (self.group_indicators @ residual**2).reshape(shape)
@@ -106,7 +107,7 @@ class NoiseWindows(GroupNoiseChange):
         return np.minimum(2.0 * MEAN_WINDOW_COUNTS / len(self.step_edge_times), 0.5)
 
     def log_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) for residuals (m, trials) with redundancy numbers (m,).
+        """Log evidence (trials,) of each recording (trial), from m residuals (m, trials) with redundancy numbers (m,).
 
         It is averaged over sets of observables, variance factors, and expected numbers of time windows.
         """
@@ -123,7 +124,7 @@ class NoiseWindows(GroupNoiseChange):
         return log_sum_exp(flattened) - np.log(len(flattened) * self.n_tried_places)
 
     def _expected_added_variance(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Posterior mean (g,) of the added variance of each group, divided by the declared variance.
+        """Posterior mean (g,) of the added variance of each of g groups, divided by the declared variance.
 
         It is an average over all sequences of states, by forward and backward recursion.
         """

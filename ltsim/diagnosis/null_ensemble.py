@@ -40,12 +40,13 @@ class NullEnsemble:
     space: ResidualSpace
     """Residual space with m rows."""
     probe_vectors: Singles
-    """Vectors (m, 1 + t + u), side by side: the residuals given the model, the residuals of t simulated recordings, and
-    an orthonormal basis of u estimated parameters, or with `uses_monte_carlo_gram` u further simulated residuals."""
+    """Vectors (m, 1 + t + u) with m rows, side by side: the residuals given the model, the residuals of t simulated
+    recordings, and an orthonormal basis of u estimated parameters, or with `uses_monte_carlo_gram` u further simulated
+    residuals."""
     n_trials: int
     """Number t of simulated recordings that give the p-value of a search; 0 for a search without p-value."""
     model_basis: Floats
-    """Orthonormal basis (m, e) of the projected design columns of the model's effects."""
+    """Orthonormal basis (m, e), e vectors with m elements, of the projected design columns of the model's effects."""
     computes_gram_matrices: bool
     """True for the first screening of a space, whose Gram matrices later screenings with a model use again."""
     uses_monte_carlo_gram: bool
@@ -72,21 +73,22 @@ class NullEnsemble:
         )
 
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
-        """Ensemble for a model with the residuals `residual` (m,) and the orthonormal basis `model_basis` (m, e).
+        """Ensemble for a model with m residuals `residual` (m,) and the orthonormal basis `model_basis` (m, e).
 
-        It has no simulated recordings, because Gram matrices and null values of the empty model are used again.
+        The e vectors of the basis span the changes by the model. The ensemble has no simulated recordings, because Gram
+        matrices and null values of the empty model are used again.
         """
         vectors = residual[:, None].astype(np.float32)
         return replace(self, probe_vectors=vectors, n_trials=0, model_basis=model_basis, computes_gram_matrices=False)
 
     @property
     def simulated_residuals(self) -> Singles:
-        """Residuals (m, t) of simulated recordings."""
+        """The m residuals (m, t) of each of t simulated recordings."""
         return self.probe_vectors[:, 1 : 1 + self.n_trials]
 
     @cached_property
     def _row_of_reading(self) -> Ints:
-        """Row (n, 3) of the residual space of each reading; 0 for readings that are not used, whose weight is zero."""
+        """Row (n, 3), in the residual space, of the readings of n pointings; 0 for unused readings (weight zero)."""
         use = self.space.is_used_reading
         row_of_reading = np.zeros(use.shape, dtype=np.int64)
         row_of_reading[use] = np.arange(int(use.sum()))
@@ -97,7 +99,7 @@ class NullEnsemble:
         return self.probe_vectors[self._row_of_reading[pointings]]
 
     def split_products(self, scores: Floats | Singles) -> tuple[Any, Any, Any]:
-        """Products of k columns with the residuals (..., k), the trials (..., k, t) and the basis (..., k, u).
+        """Products of k columns with the residuals (..., k), t trials (..., k, t) and u basis vectors (..., k, u).
 
         They are the parts of `scores` (..., k, v), the products of the columns with all v vectors.
         """
@@ -123,7 +125,7 @@ class NullEnsemble:
 
 
 def basis_of_small_network(space: ResidualSpace) -> Floats | None:
-    """Orthonormal basis (m, u) of u estimated parameters; None for more than `MAX_DENSE_UNKNOWNS` parameters."""
+    """Orthonormal basis (m, u) of changes of m rows by u parameters; None for more than `MAX_DENSE_UNKNOWNS`."""
     projector = space.projector
     is_small = isinstance(projector, BasisResidualProjector) and projector.basis.shape[1] <= MAX_DENSE_UNKNOWNS
     return projector.basis if isinstance(projector, BasisResidualProjector) and is_small else None
@@ -138,7 +140,7 @@ def n_simulated_recordings(space: ResidualSpace, level: float) -> int:
 
 
 def _simulate_residuals(space: ResidualSpace, rng: np.random.Generator, residuals: Singles) -> None:
-    """Simulation of recordings without any effect; their whitened residuals fill `residuals` (m, recordings)."""
+    """Simulation of recordings without any effect; their m whitened residuals fill `residuals` (m, recordings)."""
     white = rng.standard_normal(residuals.shape)
     for part in batches(white.shape[1], len(white)):
         residuals[:, part] = space.project(white[:, part])

@@ -71,7 +71,7 @@ def identified_effects(selection: CauseSelection) -> tuple[CandidateEffect, ...]
 
 
 def is_single_error(fit: NetworkFit) -> Bools:
-    """Flags (n, 3) of the outliers that count as single errors and not as results of an effect.
+    """Flags (n, 3) of the outliers of n pointings that count as single errors and not as results of an effect.
 
     They are gross errors, and large errors that are single. If several readings of an observable are wrong at one
     station or at one target, an effect may be the cause.
@@ -85,7 +85,7 @@ def is_single_error(fit: NetworkFit) -> Bools:
 
 
 def is_consistent_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Bools:
-    """Flags (n, 3) of the omitted readings (`is_omitted`) whose residuals are small in an adjustment with effects."""
+    """Flags (n, 3) of omitted readings of n pointings whose residuals are small in an adjustment with effects."""
     whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
     return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)
 
@@ -97,7 +97,7 @@ def adjustment_without_blunders(
     *,
     readmitted_mask: Bools | None = None,
 ) -> tuple[Adjustment, Bools, list[Finding]]:
-    """Adjustment of the recording without its blunders, flags (n, 3) of the readings in it, and findings on blunders.
+    """Adjustment without blunders, flags (n, 3) of the readings of n pointings in it, and findings on blunders.
 
     The readings are corrected by the estimated blunders, whose uncertainty is in the model. `selection` has the simple
     causes of the recording. `readmitted_mask` (n, 3) flags readings that are used although they count as single errors.

@@ -27,7 +27,7 @@ def normalised_sum_matrix_of_repeats(space: ResidualSpace, repetition_kind: str 
 
 
 def redundancy_of_means(averaging_matrix: sp.csr_array, redundancy: Floats) -> Floats:
-    """Redundancy numbers (g,) of the means of repeated readings, from the redundancy numbers (m,) of the readings.
+    """Redundancy numbers (g,) of g means of repeated readings, from the redundancy numbers (m,) of m readings.
 
     The adjustment absorbs an error that repeated readings share in proportion to the sum of their leverages.
     """
@@ -36,7 +36,7 @@ def redundancy_of_means(averaging_matrix: sp.csr_array, redundancy: Floats) -> F
 
 
 def relative_variance_of_means(averaging_matrix: sp.csr_array, added_variance: Floats) -> Floats:
-    """Added variance (g,) of scaled means of repeated readings that share their errors.
+    """Added variance (g,) of g scaled means of repeated readings that share their errors.
 
     Added variances are divided by the declared variance. `added_variance` is that of the first rows of the residual
     space. The added variance of a mean is the sum over its readings, because the errors of these readings are equal.

@@ -58,8 +58,8 @@ N_EXACTLY_EVALUATED_IN_LARGE_NETWORK = 3
 MAX_RANKED_LAWS = 400
 """Largest number of laws in a ranking of hypotheses."""
 MIN_SIGMA_INCREASE_RATIO = 1.15
-"""Ratio of two standard deviations of a parameter: integrated over shape constants, and from the refit (Laplace's
-approximation). Above this ratio the integrated posterior is reported."""
+"""Ratio of two standard deviations of a parameter, that of the posterior integrated over shape constants and that of
+the refit (Laplace's approximation), above which the integrated posterior is reported."""
 
 
 class ScreeningResult(NamedTuple):
@@ -74,7 +74,7 @@ class ScreeningResult(NamedTuple):
     statistic: float
     """Test statistic: log of the summed evidence of all hypotheses."""
     null_statistics: Floats
-    """Values (trials,) of the test statistic for the simulated recordings of the null ensemble."""
+    """Values (trials,) of the test statistic for each simulated recording (trial) of the null ensemble."""
 
 
 class Searcher:
@@ -123,11 +123,11 @@ class Searcher:
         return N_EXACTLY_EVALUATED_IN_LARGE_NETWORK if self.uses_fewer_evaluations else N_EXACTLY_EVALUATED
 
     def without_rows(self, rows: Ints) -> Searcher:
-        """Search without the rows `rows` (f,) of the residual space, with as few evaluations as in large networks.
+        """Search without the f rows `rows` (f,) of the residual space, with as few evaluations as in large networks.
 
-        The estimation of a separate error of each of these rows is equivalent. The laws with the largest evidence of
-        each kind are not evaluated, because that would take most of the time and hardly change predictions. The
-        screening still uses the Gram matrices of all rows.
+        It is equivalent to a search in which a separate error of each of these rows is estimated. The laws with the
+        largest evidence of each kind are not evaluated, because that would take most of the time and hardly change
+        predictions. The screening still uses the Gram matrices of all rows.
         """
         unit = np.zeros((self.space.n_rows, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
@@ -199,7 +199,7 @@ class Searcher:
     ) -> Hypothesis:
         """Most probable place and shape of a catalogue effect, with its log evidence averaged over places and shapes.
 
-        Unless `is_exact`, they are results of the screening: `effect_log_evidence` (h,) of all effects, and
+        Unless `is_exact`, they are results of the screening: `effect_log_evidence` (h,) of all h effects, and
         `family_log_evidence` of this catalogue effect.
         """
         designs = self.catalogue_designs
@@ -288,7 +288,7 @@ class Searcher:
         return self.model_of(model.members[:member_index] + model.members[member_index + 1 :])
 
     def _projected_design(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """Projected design matrix (m, k) of a hypothesis, and norms (k,) of its columns before the projection."""
+        """Projected design matrix (m, k), k columns on m rows, of a hypothesis, and norms (k,) before projection."""
         key = hypothesis.key
         if key not in self._projected_designs:
             whole = self.evidence_calculator.whitened_design(hypothesis.effect)

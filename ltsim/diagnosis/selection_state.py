@@ -49,7 +49,7 @@ class SelectionState:
     """Catalogue effects among the simple causes of the network, from which a second search starts if the noise is
     larger than declared."""
     reading_sigmas: Floats = field(init=False)
-    """Standard deviations (n, 3) of the readings, with the selected changes of the noise."""
+    """Standard deviations (n, 3) of the readings of n pointings, with the selected changes of the noise."""
     noise_changes: list[NoiseHypothesis] = field(default_factory=list)
     """Selected changes of the noise."""
     space: ResidualSpace = field(init=False)
@@ -100,7 +100,7 @@ class SelectionState:
     def refit(
         self, effects: Sequence[CandidateEffect], sigma: Floats, noise_changes: Sequence[NoiseHypothesis] | None = None
     ) -> Refit:
-        """Nonlinear adjustment with effects in the model, and readings with the standard deviations `sigma` (n, 3).
+        """Nonlinear adjustment with effects in the model and standard deviations `sigma` (n, 3) of n pointings.
 
         Without effects and changes of the noise it is the ordinary adjustment. Parameters have a prior standard
         deviation of `WIDE_PRIOR_SIGMA_FACTOR` times their plausible size, because the readings may not determine some
@@ -241,7 +241,7 @@ class SelectionState:
         return estimates
 
     def expected_variance_factors(self, effects: Sequence[CandidateEffect]) -> Floats:
-        """Posterior mean (n, 3) of the factors on the declared variances of the readings, with `effects` in the model.
+        """Posterior mean (n, 3) of factors on the declared variances of n pointings, with `effects` in the model.
 
         Each selected change of the noise is averaged over its alternatives, given the others.
         """
@@ -274,7 +274,7 @@ class SelectionState:
         self.set_adjustment(self.estimate_variance_components(effects))
 
     def _sigmas_with_noise_changes(self, noise_changes: Sequence[NoiseHypothesis]) -> Floats:
-        """Standard deviations (n, 3) of the readings with the given changes of the noise."""
+        """Standard deviations (n, 3) of the readings of n pointings with the given changes of the noise."""
         sigma, sightings = self.recording.sigma(), self.baseline_adjustment.sightings
         for change in noise_changes:
             sigma = np.sqrt(change.effect.variance(sightings, sigma, np.array(change.sizes)))

@@ -22,7 +22,8 @@ from ltsim.scene.sightings import Sightings
 REGION_CENTRE_STEP = 0.05
 """Step [m] of the centre of a region of the hall for second differences of the log evidence."""
 MAX_CENTRE_SIGMA_IN_STEPS = 20.0
-"""Standard deviation, divided by `REGION_CENTRE_STEP`, of a coordinate that the readings do not determine."""
+"""Standard deviation, divided by `REGION_CENTRE_STEP`, that a coordinate of a region's centre gets if the readings do
+not determine it."""
 N_SHAPE_GRID_POINTS = 11
 """Number of grid points over which a shape constant is integrated, from one coarse step below its optimum to one coarse
 step above."""
@@ -33,7 +34,7 @@ N_GRID_REFINEMENTS = 2
 
 
 def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: int) -> tuple[Floats, Floats]:
-    """Grid of values (q,) of a shape constant within its bounds, and the widths (q,) of the cells of the grid.
+    """Grid of q values (q,) of a shape constant within its bounds, and the widths (q,) of the cells of the grid.
 
     The grid has `n_nodes` values over the bounds, and is denser within four standard deviations `sigma` of `estimate`.
     The widths are in the coordinate in which the grid is evenly spaced: the value, its logarithm, or its reciprocal.
@@ -137,9 +138,9 @@ class ShapeConstantsNode(NamedTuple):
     constants: dict[str, float]
     """Values [SI] of the shape constants by name, including the time of a change."""
     mean: Floats
-    """Posterior mean (k,) of the parameters [SI]."""
+    """Posterior mean (k,) of the k parameters [SI]."""
     variance: Floats
-    """Posterior variance (k,) of the parameters [SI]."""
+    """Posterior variance (k,) of the k parameters [SI]."""
     gap_duration: float
     """Time [s] between the pointings before and after a change, which may have happened at any time in between."""
 
@@ -149,7 +150,7 @@ def _index_and_duration_of_gap(effect: CandidateEffect, sightings: Sightings) ->
 
     They are -1 and 0 for an effect without a change at one time.
     """
-    ordered = np.unique(sightings.time[effect.row_weights(sightings) > 0])
+    ordered = np.unique(sightings.time[effect.pointing_indicator(sightings) > 0])
     time = vars(effect).get("time")
     if time is None or not np.isfinite(time) or len(ordered) < 2:
         return -1, 0.0

@@ -44,11 +44,11 @@ class SpanGramAndScore(NamedTuple):
     """Gram matrix and score of a law with separate coefficients in each of S spans."""
 
     gram: Floats
-    """Gram matrix (S, w, S, w) of the projected design columns."""
+    """Gram matrix (S, w, S, w) of the projected design columns for w coefficients in each of S spans."""
     score: Floats
-    """Products (S, w) of the projected design columns with the residuals."""
+    """Products (S, w) of the projected design columns with the residuals, for w coefficients in each of S spans."""
     mean_square_contributions: Floats
-    """Contribution (S,) of each span to the mean square of the regressor."""
+    """Contribution (S,) of each of S spans to the mean square of the regressor."""
 
 
 def n_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
@@ -144,7 +144,7 @@ def _span_differences(step_values: Floats) -> Floats:
 
 
 def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple[Bools, float, int]:
-    """States (S,) of the spans, on or off, with the largest evidence, their log evidence, and the number of toggles.
+    """States (S,) of S spans, on or off, with the largest evidence, their log evidence, and the number of toggles.
 
     Each toggled interval reduces the log evidence by the log of the number of all intervals.
     """
@@ -183,7 +183,7 @@ def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple
 
 
 def _cumulative_sums(step_values: Floats) -> Floats:
-    """Cumulative sums (S + 1, ...) of values (S, ...), the first of which is zero."""
+    """Cumulative sums (S + 1, ...) of S values (S, ...), the first of which is zero."""
     return np.concatenate([np.zeros_like(step_values[:1]), step_values.cumsum(axis=0)])
 
 

@@ -27,7 +27,8 @@ UNIT_NAMES = {"mm": "millimetres", "m": "metres", "in": "inches"}
 """Full names of the units of CAD files, for messages."""
 MAX_COORDINATE_SPACING_MM = 1.0
 """Spacing [mm] between neighbouring single-precision numbers at the position of a body, above which a CAD file is
-refused. Halls are planned to the millimetre, and lines of sight pass bodies at a few centimetres.
+refused because its coordinates are too coarse. Halls are planned to the millimetre, and lines of sight pass bodies at a
+few centimetres.
 """
 SINGLE_PRECISION_SUFFIXES = (".stl", *GLTF_SUFFIXES)
 """Suffixes of files whose coordinates may be in single precision."""
@@ -53,7 +54,7 @@ class CadFile:
     file: Path
     """Path of the CAD file."""
     triangles: Floats
-    """Triangles of the body, (m, 3, 3) [m], z up."""
+    """Corners of the m triangles of the body, (m, 3, 3) [m], z up."""
     unit: str
     """Unit in which coordinates were read, `mm`, `m` or `in`; empty for a format that declares its unit."""
     vertical_axis: str
@@ -70,7 +71,7 @@ class CadFile:
 
     @property
     def with_other_vertical(self) -> Floats:
-        """Triangles (m, 3, 3) [m] of the same file, read with z in place of y as vertical axis, or the reverse."""
+        """The m triangles (m, 3, 3) [m] of the file, read with z in place of y as vertical axis, or the reverse."""
         return self.triangles @ (Y_UP_TO_Z_UP if self.vertical_axis == "y" else Y_UP_TO_Z_UP.T)
 
 
@@ -99,7 +100,7 @@ def read_mesh(path: Path, unit: str | None = None, vertical_axis: str | None = N
 
 @lru_cache(maxsize=8)
 def _read_triangles(path: Path, _modification_time: int, metres_per_unit: float, vertical_axis: str) -> Floats:
-    """Triangles (m, 3, 3) [m], z up, of a CAD file of any format whose length unit is `metres_per_unit` [m].
+    """The m triangles (m, 3, 3) [m], z up, of a CAD file of any format whose length unit is `metres_per_unit` [m].
 
     `_modification_time` is part of the cache key only, so that a changed file is read again.
     """
@@ -140,7 +141,7 @@ def _grid_coordinates(triangles: Floats, vertical_axis: str) -> Ints:
 
 
 def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
-    """Triangles (m, 3, 3) in the axes and the unit of a CAD file, or in metres for a format with exact surfaces.
+    """The m triangles (m, 3, 3) in the axes and unit of a CAD file, or in metres for a format with exact surfaces.
 
     `metres_per_unit` is the length [m] of the file's unit. Raises SetupError for a file that cannot be read.
     """
@@ -162,7 +163,7 @@ def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
 
 
 def _require_precision(path: Path, triangles: Floats, metres_per_unit: float) -> None:
-    """Check that single precision resolves the coordinates of triangles (m, 3, 3) to `MAX_COORDINATE_SPACING_MM`.
+    """Check that single precision resolves the coordinates of m triangles (m, 3, 3) to `MAX_COORDINATE_SPACING_MM`.
 
     The unit of the coordinates is `metres_per_unit` [m]. Raises SetupError if the resolution is coarser.
     """
@@ -178,7 +179,7 @@ def _require_precision(path: Path, triangles: Floats, metres_per_unit: float) ->
 
 
 def extent_text(triangles: Floats) -> str:
-    """Size of triangles (m, 3, 3) [m] along x, y, z and the limits of their coordinates, as text for users."""
+    """Size of m triangles (m, 3, 3) [m] along x, y, z and the limits of their coordinates, as text for users."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     extents = " x ".join(f"{v:.3g}" for v in high - low)
     return (
@@ -212,7 +213,7 @@ def implausible_size_question(cad_file: CadFile, hall_size: Floats) -> str:
 
 
 def is_inside_hall(triangles: Floats, hall_size: Floats) -> bool:
-    """True if triangles (m, 3, 3) [m] lie within a hall of size (3,) [m] with a corner at the origin.
+    """True if m triangles (m, 3, 3) [m] lie within a hall of size (3,) [m] with a corner at the origin.
 
     They may extend beyond the hall by `MAX_OVERHANG`.
     """

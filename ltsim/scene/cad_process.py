@@ -42,7 +42,7 @@ _REFUSED_STATUS = 3
 
 
 def read_triangles(path: Path) -> Floats:
-    """Triangles (m, 3, 3) of a CAD file in its own axes and unit, or in metres for a format with exact surfaces.
+    """The m triangles (m, 3, 3) of a CAD file in its axes and unit, or in metres for a format with exact surfaces.
 
     Raises SetupError for a damaged file, for one with too many triangles, and for one without triangles.
     """
@@ -84,7 +84,7 @@ def _incomplete_file_error(path: Path, reason: str) -> SetupError:
 
 
 def _read_in_process(path: Path, file_size: int) -> Floats:
-    """Triangles (m, 3, 3) of a CAD file of `file_size` [bytes], read in a separate process.
+    """The m triangles (m, 3, 3) of a CAD file of `file_size` [bytes], read in a separate process.
 
     Raises SetupError if the process refuses the file, crashes, or exceeds its limits of memory and time.
     """
@@ -142,7 +142,7 @@ def limit_process_resources(memory_bytes: int, processor_seconds: int) -> None:
 
 
 def parse_triangles(file_content: bytes, suffix: str) -> Floats:
-    """Triangles (m, 3, 3) from the bytes of a CAD file, whose suffix defines the format.
+    """The m triangles (m, 3, 3) from the bytes of a CAD file, whose suffix defines the format.
 
     The unit is that of the file, or the metre for a format with exact surfaces. Errors of the libraries are not caught.
     """

@@ -155,9 +155,9 @@ def _hall_outline(floor_spec: Floor, hall_size_mm: tuple[float, float, float]) -
 def _outline_in_metres(
     outline_key: str, corners_mm: tuple[PlanPoint, ...], hall_size_mm: tuple[float, float, float] | None = None
 ) -> np.ndarray:
-    """Corners (k, 2) [m] of an outline from its corners [mm]; `outline_key` is its key in the plan file, for messages.
+    """The k corners (k, 2) [m] of an outline from its corners [mm]; `outline_key` is its key in the plan file.
 
-    Raises SetupError if the outline crosses itself, or leaves the hall if `hall_size_mm` is given.
+    Raises SetupError, with this key, if the outline crosses itself, or leaves the hall if `hall_size_mm` is given.
     """
     outline = np.array(corners_mm, dtype=np.float64) * MILLIMETRE
     problem = invalid_outline_reason(outline)
@@ -180,14 +180,14 @@ class StandingArea:
     """Area of the floor where tripods may stand."""
 
     outline: Floats
-    """Corners in order around the area, (k, 2) [m]."""
+    """The k corners in order around the area, (k, 2) [m]."""
     heights: tuple[float, float]
     """Lowest and highest height [m] of the centre of the instrument's head in this area."""
     holes: tuple[Floats, ...] = ()
-    """Outlines of the openings in the area, each (k, 2) [m]."""
+    """Outlines of the openings in the area, each with its k corners, (k, 2) [m]."""
 
     def contains_instrument(self, position: Floats) -> Bools:
-        """Flags (N,) of the instrument positions (N, 3) [m] that lie over this area and within its limits of height."""
+        """Flags (N,) of N instrument positions (N, 3) [m] that lie over this area and within its limits of height."""
         low, high = self.heights
         return np.asarray(
             self.covers_positions(position[:, :2])
@@ -196,7 +196,7 @@ class StandingArea:
         )
 
     def covers_positions(self, positions: Floats) -> Bools:
-        """Flags (N,) of the positions (N, 2) [m] on the floor that lie in the area and outside its openings."""
+        """Flags (N,) of those of N positions (N, 2) [m] on the floor that lie in the area and outside its openings."""
         is_covered = is_inside_outline(self.outline, positions)
         for hole in self.holes:
             is_covered &= ~is_inside_outline(hole, positions)
@@ -208,12 +208,12 @@ class KeepOutArea:
     """Keep-out area for tripods: an outline seen from above, or a line segment, and a clearance around it."""
 
     outline: Floats
-    """Corners of the outline (k, 2), or ends of a segment (2, 2) [m]."""
+    """The k corners of the outline (k, 2), or ends of a line segment (2, 2) [m]."""
     clearance: float = 0.0
     """Distance [m] to be kept free around the outline."""
 
     def contains_positions(self, positions: Floats) -> Bools:
-        """Flags (N,) of the positions (N, 2) [m] on the floor that lie in this keep-out area."""
+        """Flags (N,) of those of N positions (N, 2) [m] on the floor that lie in this keep-out area."""
         is_near = distance_to_outline(self.outline, positions) < self.clearance + EDGE_TOLERANCE
         return is_near | is_inside_outline(self.outline, positions) if len(self.outline) > 2 else is_near
 
@@ -227,18 +227,18 @@ class KeepOutArea:
 
 
 def distance_to_outline(outline: Floats, positions: Floats) -> Floats:
-    """Distance (N,) [m] from N positions (N, 2) to the edges of an outline (k, 2), or to a line segment (2, 2)."""
+    """Distance (N,) [m] from N positions (N, 2) to the edges of an outline of k corners (k, 2); a segment has 2."""
     edges = shapely.linearrings(outline) if len(outline) > 2 else shapely.linestrings(outline)
     return np.asarray(shapely.distance(edges, shapely.points(positions)))
 
 
 def is_inside_outline(outline: Floats, positions: Floats) -> Bools:
-    """Flags (N,) of the positions (N, 2) [m] inside an outline (k, 2) [m] or within `EDGE_TOLERANCE` of its edge."""
+    """Flags (N,) of N positions (N, 2) [m] in an outline of k corners (k, 2) [m] or within `EDGE_TOLERANCE` of it."""
     return np.asarray(shapely.distance(shapely.polygons(outline), shapely.points(positions)) < EDGE_TOLERANCE)
 
 
 def invalid_outline_reason(outline: Floats) -> str:
-    """Reason why corners (k, 2) [m] do not form a valid outline, as text.
+    """Reason why k corners (k, 2) [m] do not form a valid outline, as text.
 
     The text is empty for an outline that does not cross itself and whose area is not zero.
     """
@@ -273,7 +273,7 @@ def is_allowed_position(
     obstacles: Obstacles | None,
     position: Floats,
 ) -> Bools:
-    """Flags (N,) of the instrument positions (N, 3) [m] under which a tripod may stand.
+    """Flags (N,) of those of N instrument positions (N, 3) [m] under which a tripod may stand.
 
     A permitted position is over a standing area, over no keep-out area and inside no obstacle.
     """
@@ -315,7 +315,7 @@ def refusal_reason(
 
 
 def grid_over_area(standing_area: StandingArea, grid_spacing: float, n_heights: int) -> Floats:
-    """Grid (N, 3) [m] of instrument positions over the bounding rectangle of an area, with spacing `grid_spacing` [m].
+    """Grid (N, 3) of N instrument positions over the bounding rectangle of an area, with spacing `grid_spacing` [m].
 
     At each grid point there are `n_heights` positions from the lowest to the highest height of the area, or one
     position if both heights agree.

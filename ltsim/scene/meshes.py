@@ -37,11 +37,11 @@ NEST_FOOT_RADIUS = 0.025
 MAX_NEST_UNEVENNESS = 0.002
 """Largest deviation [m] of the surface from a plane under the foot of a nest."""
 MIN_NORMAL_Z = -0.5
-"""Vertical component of the unit normal of a surface at or below which the surface carries no nest: its normal is then
-60 deg or less from straight down."""
+"""Largest vertical component of the unit normal of a surface for which the surface carries no nest, because it faces
+down: its normal is then 60 deg or less from straight down."""
 N_DRAWS_PER_PLACE = 12.0
-"""Number of random points that are drawn per area of one squared spacing of nests. Of points that are too near to each
-other only the first is used."""
+"""Number of random points that are drawn per area of `min_spacing` squared, with the smallest spacing `min_spacing` of
+nests. Of points that are nearer to each other only the first is used."""
 MAX_DRAWN_PLACES = 20_000
 """Largest number of random points that are drawn on a body as positions of nests."""
 MERGE_DECIMALS = 8
@@ -59,7 +59,7 @@ class Obstacles:
     """Obstacles of the hall: triangles in the network frame."""
 
     triangles: Floats
-    """Corners of the triangles, (m, 3, 3) [m]."""
+    """Corners of the m triangles, (m, 3, 3) [m]."""
     floor_height: float = 0.0
     """Height [m] of the floor on which tripods stand."""
 
@@ -78,7 +78,7 @@ class Obstacles:
         return RayMeshIntersector(trimesh.Trimesh(self.triangles.reshape(-1, 3), faces, process=False))
 
     def is_blocked(self, origins: Floats, end_points: Floats) -> Bools:
-        """Flags (n,) of straight lines from origins (n, 3) to end points (n, 3) [m] that a triangle blocks.
+        """Flags (n,) of those of n straight lines from origins (n, 3) to end points (n, 3) [m] that a triangle blocks.
 
         A line that touches an edge of a triangle is blocked.
         """
@@ -94,7 +94,7 @@ class Obstacles:
         return hit
 
     def is_blocked_within_tolerance(self, origins: Floats, end_points: Floats, position_tolerance: float) -> Bools:
-        """Flags (n,) of end points (n, 3) [m] that a body may hide from an instrument near its origin (n, 3) [m].
+        """Flags (n,) of n end points (n, 3) [m] that a body may hide from an instrument near its origin (n, 3) [m].
 
         The instrument may be up to `position_tolerance` [m] from its origin. Rays therefore start at the four corners
         of a square around the circle with this radius, perpendicular to the line of sight. The end point is flagged if
@@ -111,7 +111,7 @@ class Obstacles:
         return hit
 
     def _is_ray_blocked(self, origins: Floats, end_points: Floats) -> Bools:
-        """Flags (n,) of straight lines from origins (n, 3) to end points (n, 3) [m] that a triangle blocks.
+        """Flags (n,) of those of n straight lines from origins (n, 3) to end points (n, 3) [m] that a triangle blocks.
 
         The intersections are computed in single precision with Embree and in double precision without it.
         """
@@ -128,7 +128,7 @@ class Obstacles:
         return hit
 
     def is_inside_body(self, points: Floats) -> Bools:
-        """Flags (n,) of points (n, 3) [m] inside a closed body: a ray upwards crosses an odd number of triangles."""
+        """Flags (n,) of n points (n, 3) [m] inside a closed body: a ray upwards crosses an odd number of triangles."""
         (west, south), (east, north) = self._bounding_rectangles
         flat = _projected_along_upwards(points)
         n_crossings = np.zeros(len(points), dtype=np.int64)
@@ -142,13 +142,13 @@ class Obstacles:
 
     @cached_property
     def _bounding_rectangles(self) -> tuple[Floats, Floats]:
-        """Lowest and highest x and y of each triangle, two arrays (2, m) [m], seen along `TEST_RAY_DIRECTION`."""
+        """Lowest and highest x and y of each of m triangles, two arrays (2, m) [m], seen along `TEST_RAY_DIRECTION`."""
         flat = _projected_along_upwards(self.triangles)
         return flat.min(axis=1).T - RAY_END_MARGIN, flat.max(axis=1).T + RAY_END_MARGIN
 
     @cached_property
     def _mesh_tolerances(self) -> Floats:
-        """Largest distance (m,) [m] between each triangle and the curved surface that it approximates.
+        """Largest distance (m,) [m] between each of m triangles and the curved surface that it approximates.
 
         For each edge, a third of the triangle's height over the edge is multiplied by the angle to the neighbouring
         triangle. The distance is the largest of these products. It is exact for regular triangles on a sphere, and too
@@ -175,7 +175,7 @@ class Obstacles:
         return {}
 
     def moved_to_surface(self, points: Floats) -> Floats:
-        """Points (n, 3) [m], moved just above the surface of a body if they are inside it only slightly.
+        """The n points (n, 3) [m], moved just above the surface of a body if they are inside it only slightly.
 
         A point is moved if its depth is below the distance between the triangle and the curved surface that the
         triangle approximates.
@@ -192,7 +192,7 @@ class Obstacles:
         return self._moved_points_cache[key]
 
     def is_setup_inside_body(self, points: Floats) -> Bools:
-        """Flags (n,) of positions (n, 3) [m] whose instrument or tripod is inside a closed body."""
+        """Flags (n,) of n positions (n, 3) [m] whose instrument or tripod is inside a closed body."""
         if not len(self.triangles) or not len(points):
             return np.zeros(len(points), dtype=bool)
         feet = points.copy()
@@ -241,14 +241,14 @@ def _does_ray_hit_triangle(triangles: Floats, origins: Floats, ray_directions: F
 
 
 def _normals_and_areas(triangles: Floats) -> tuple[Floats, Floats]:
-    """Unit normals (m, 3) and areas (m,) [m2] of triangles (m, 3, 3) [m]; the normal is zero if the area is zero."""
+    """Unit normals (m, 3) and areas (m,) [m2] of m triangles (m, 3, 3) [m]; the normal is zero if the area is zero."""
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     cross_lengths = np.linalg.norm(cross, axis=1)
     return cross / np.where(cross_lengths > 0.0, cross_lengths, 1.0)[:, None], 0.5 * cross_lengths
 
 
 def nearest_points(triangles: Floats, point: Floats) -> Floats:
-    """Point (m, 3) [m] of each triangle (m, 3, 3) [m], in its interior or on its edge, nearest to `point` (3,) [m]."""
+    """Point (m, 3) [m] of each of m triangles (m, 3, 3) [m], edges included, that is nearest to `point` (3,) [m]."""
     edge, gap = np.roll(triangles, -1, axis=1) - triangles, point - triangles
     edge_fractions = np.clip(_dot_products(gap, edge) / np.maximum(_dot_products(edge, edge), 1e-300), 0.0, 1.0)
     on_edge = triangles + edge_fractions[..., None] * edge
@@ -265,12 +265,12 @@ def _projected_along_upwards(points: Floats) -> Floats:
 
 
 def _dot_products(first_vectors: Floats, second_vectors: Floats) -> Floats:
-    """Inner products (...) of pairs of vectors (..., k)."""
+    """Inner products (...) of pairs of vectors with k elements (..., k)."""
     return np.asarray(np.einsum("...k,...k->...", first_vectors, second_vectors))
 
 
 def place_triangles(triangles: Floats, position: Floats, yaw: float) -> Floats:
-    """Triangles (m, 3, 3) [m] rotated by `yaw` [rad] about the z axis, then shifted by `position` (3,) [m]."""
+    """The m triangles (m, 3, 3) [m] rotated by `yaw` [rad] about the z axis, then shifted by `position` (3,) [m]."""
     return triangles @ rotation_about_z(yaw).T + position
 
 
@@ -280,7 +280,7 @@ def box_triangles(edge_lengths: Floats) -> Floats:
 
 
 def cylinder_triangles(diameter: float, height: float) -> Floats:
-    """Triangles (m, 3, 3) [m] of an upright cylinder that stands on z = 0, centred on the z axis; sizes in metres.
+    """The m triangles (m, 3, 3) [m] of an upright cylinder that stands on z = 0 around the z axis; sizes in metres.
 
     The flat sides of the mesh are tangent to the cylinder.
     """
@@ -302,7 +302,7 @@ def wall_triangles(hall_size: Floats) -> Floats:
 
 
 def join_obstacles(triangle_sets: Iterable[Floats], floor_height: float = 0.0) -> Obstacles:
-    """Obstacles of several sets of triangles, each (m, 3, 3) [m], above a floor at `floor_height` [m].
+    """Obstacles of several sets of m triangles, each (m, 3, 3) [m], above a floor at `floor_height` [m].
 
     The object of the last call is returned again if triangles and floor are the same. Reuse saves memory: the ray
     caster takes 600 bytes per triangle, which only garbage collection frees.
@@ -330,7 +330,7 @@ def candidate_nest_places(
     *,
     is_closed: bool = True,
 ) -> Floats:
-    """Possible positions (P, 3) [m] of reflector centres over the surface of a body with triangles (m, 3, 3) [m].
+    """Possible positions (P, 3) [m] of P reflector centres over the surface of a body of m triangles (m, 3, 3) [m].
 
     The centres are `surface_offset` [m] above the surface, at least `min_spacing` [m] from each other, and outside all
     bodies of `obstacles`. If `is_closed`, the triangles enclose the body, and its outer side is determined for any
@@ -350,7 +350,7 @@ def candidate_nest_places(
 
 
 def _random_surface_points(body_triangles: Floats, mean_spacing: float) -> tuple[Floats, Floats]:
-    """Random points (n, 3) [m], uniform over the area of triangles (m, 3, 3) [m], and surface normals (n, 3) there.
+    """Random points (n, 3) [m], uniform over the area of m triangles (m, 3, 3) [m], and surface normals (n, 3) there.
 
     The number n of points is `N_DRAWS_PER_PLACE` per area of `mean_spacing` [m] squared, at least 200 and at most
     `MAX_DRAWN_PLACES`.
@@ -365,7 +365,7 @@ def _random_surface_points(body_triangles: Floats, mean_spacing: float) -> tuple
 
 
 def _is_flat_enough(body_surface: Obstacles, places: Floats, surface_normals: Floats, surface_offset: float) -> Bools:
-    """Flags (n,) of positions (n, 3) [m] under which the surface of a body is flat over the foot of a nest.
+    """Flags (n,) of n positions (n, 3) [m] under which the surface of a body is flat over the foot of a nest.
 
     `surface_normals` (n, 3) are the normals of the surface under the positions, `surface_offset` [m] is the height of
     the positions above the surface.
@@ -384,7 +384,7 @@ def _is_flat_enough(body_surface: Obstacles, places: Floats, surface_normals: Fl
 
 
 def _thinned_places(places: Floats, min_spacing: float) -> Floats:
-    """Positions `places` (n, 3) [m] without those closer than `min_spacing` [m] to an earlier retained position."""
+    """Positions among n `places` (n, 3) [m] without those closer than `min_spacing` [m] to an earlier retained one."""
     chosen: list[int] = []
     for i, place in enumerate(places):
         if not chosen or np.linalg.norm(places[chosen] - place, axis=1).min() >= min_spacing:

@@ -1,9 +1,10 @@
 """Regions of the hall that lines of sight pass (ball, column, height band, slab), fixed in the network frame.
 
 A region has a Gaussian weight in the axes that bound it, w(r) = exp(-|A (r - c)|^2 / (2 width^2)). Here r is a
-position, c the centre of the region, and A selects the bounded axes. The integral of w along a line of sight of length
-d and unit vector b has a closed form. Let a = |A b|^2. Let the line be nearest to the centre at the distance s0 along
-the line, where it is at the distance rho from the centre. Then the integral is
+position, c the centre of the region, and the matrix A selects the bounded axes. The integral of w along a line of sight
+of length d and unit vector b has a closed form. Let a = |A b|^2. At its point nearest to the centre (distances in the
+bounded axes) the line has the distance rho from the centre, and the distance s0 from its start. With the standard
+normal distribution function Phi the integral is
 exp(-rho^2 / (2 width^2)) width sqrt(2 pi / a) [Phi((d - s0) sqrt(a) / width) - Phi(-s0 sqrt(a) / width)].
 """
 
@@ -40,7 +41,7 @@ MIN_PASSING_LINES = 6
 MAX_PASSING_FRACTION = 0.8
 """Largest fraction of the lines of sight through a candidate region: if almost all lines pass it, the error belongs to
 the whole recording."""
-MIN_TARGETS_BEHIND = 2
+MIN_TARGETS_BEHIND_REGION = 2
 """Smallest number of targets whose lines of sight pass a candidate region. An error on the lines to a single target is
 an error of this target."""
 REFINED_CENTRE_STEPS = (0.5, 0.15)
@@ -89,12 +90,12 @@ class HallRegion:
         return path
 
     def lever_weighted_paths(self, sightings: Sightings) -> Floats:
-        """Integral (n,) [m] of w (d - s) / d over the distance s from the station, along lines of sight of length d.
+        """Integral (n,) [m] of w (d - s) / d along n lines of sight of length d, with the region's weight w.
 
-        A deflection of the line at the distance s, proportional to the weight w there, moves its end in proportion to
-        the remaining length d - s. The integral is therefore proportional to the change of the measured direction.
-        Along the line w is a Gaussian about the nearest approach s0. The integral of (d - s) w is (d - s0) times the
-        path length minus the first moment of w about s0.
+        The integral is over the distance s from the station. A deflection of the line at the distance s, proportional
+        to the weight w there, moves its end in proportion to the remaining length d - s. The integral is therefore
+        proportional to the change of the measured direction. Along the line w is a Gaussian about the nearest approach
+        s0. The integral of (d - s) w is (d - s0) times the path length minus the first moment of w about s0.
         """
         key = self, "lever"
         if key not in sightings.derived_cache:
@@ -118,7 +119,7 @@ class HallRegion:
         return near
 
     def path_and_bending(self, sightings: Sightings) -> tuple[Floats, Floats]:
-        """Path length (n,) [m] of each line of sight in a region bounded in x, y and z, and its bending (n, 3) [m].
+        """Path lengths (n,) [m] of n lines of sight in a region bounded in x, y and z, and their bending (n, 3) [m].
 
         The weight of the region at the point r is w = exp(-|r - c|^2 / (2 width^2)), with the centre c. A line of sight
         has the length d, and s is the distance along it. Its path length is the integral of w over s. Its bending is
@@ -160,7 +161,7 @@ def region_paths(sightings: Sightings, bounded_axes: str, region_centres: Floats
 def lever_weighted_region_paths(
     sightings: Sightings, bounded_axes: str, region_centres: Floats, width: float, path_lengths: Floats
 ) -> Floats:
-    """Integrals (r, n) [m] of w (d - s) / d along n lines of sight for r regions, as `HallRegion.lever_weighted_paths`.
+    """Integrals (r, n) [m] for n lines of sight and r regions, as `HallRegion.lever_weighted_paths` for one region.
 
     `path_lengths` (r, n) [m] are the results of `region_paths` for the same regions.
     """
@@ -180,8 +181,8 @@ def _lines_relative_to_centres(
     """Lines of sight in the k bounded coordinates, relative to the centres (r, k) [m] of r regions.
 
     The results are the unit vectors of the n lines in these coordinates (n, k), the lengths of the lines (n,) [m], the
-    start points minus the centres (r, n, k) [m], the squared lengths |A b|^2 of the unit vectors in these coordinates
-    (n,), and flags (n,) of the lines that are not parallel to the unbounded axes.
+    start points minus the centres (r, n, k) [m], the squared lengths (n,) of the unit vectors in these coordinates, and
+    flags (n,) of the lines that are not parallel to the unbounded axes.
     """
     indices = ["xyz".index(axis) for axis in bounded_axes]
     beam = sightings.beam_vectors[0][:, indices]
@@ -191,7 +192,7 @@ def _lines_relative_to_centres(
 
 
 def _nearest_approach(start_points: Floats, beam: Floats, squared_beam_length: Floats) -> tuple[Floats, Floats]:
-    """Distance (..., n) [m] along each line to its point nearest to the centre, and this point (..., n, k) [m].
+    """Distance (..., n) [m] along each of n lines to its point nearest to a centre, and this point (..., n, k) [m].
 
     Start points (..., n, k) and nearest points are relative to the centre, in the k bounded coordinates. `beam` (n, k)
     are the components of the unit vectors of the lines in them, `squared_beam_length` (n,) their squared lengths.
@@ -207,10 +208,10 @@ def _line_integral(
     sigma_along_line: Floats,
     width: float,
 ) -> Floats:
-    """Integral (..., n) [m] of the weight w of a region along lines of length (n,) [m].
+    """Integral (..., n) [m] of the weight w of a region along n lines of length (n,) [m].
 
-    `approach_distance` (..., n) [m] and `perpendicular_distance` (..., n, k) [m] are the results of
-    `_nearest_approach`, `sigma_along_line` (n,) [m] the standard deviation of w along each line.
+    `approach_distance` (..., n) [m] and `perpendicular_distance` (..., n, k) [m] (in k bounded coordinates) are the
+    results of `_nearest_approach`, `sigma_along_line` (n,) [m] the standard deviation of w along each line.
     """
     from scipy.special import ndtr
 
@@ -264,7 +265,7 @@ def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: floa
     centres = np.array(list(product(*grids))).reshape(-1, len(bounded_axes))
     for part in np.array_split(centres, 1 + len(centres) * len(sightings) // MAX_REGION_LINE_PAIRS):
         path_lengths = region_paths(sightings, bounded_axes, part, width)
-        chosen = np.flatnonzero(separates_enough_sights(path_lengths > width, sightings))
+        chosen = np.flatnonzero(is_passed_by_enough_sights(path_lengths > width, sightings))
         lever_integrals = lever_weighted_region_paths(
             sightings, bounded_axes, part[chosen], width, path_lengths[chosen]
         )
@@ -277,7 +278,7 @@ def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: floa
     return regions
 
 
-def separates_enough_sights(is_crossed: Bools, sightings: Sightings) -> Bools:
+def is_passed_by_enough_sights(is_crossed: Bools, sightings: Sightings) -> Bools:
     """Flags (r,) of the regions through which enough lines of sight to several targets pass, but not almost all lines.
 
     `is_crossed` (r, n) flags the lines of sight of n pointings that pass through each of r regions.
@@ -286,6 +287,6 @@ def separates_enough_sights(is_crossed: Bools, sightings: Sightings) -> Bools:
     is_sufficient = (n_crossed >= MIN_PASSING_LINES) & (n_crossed <= MAX_PASSING_FRACTION * len(sightings))
     of_target = (sightings.target[:, None] == np.arange(len(sightings.target_points))).astype(np.float32)
     by_target = is_crossed[is_sufficient].astype(np.float32) @ of_target
-    is_sufficient[is_sufficient] = (by_target > 0.0).sum(axis=1) >= MIN_TARGETS_BEHIND
+    is_sufficient[is_sufficient] = (by_target > 0.0).sum(axis=1) >= MIN_TARGETS_BEHIND_REGION
     distinctive: Bools = is_sufficient
     return distinctive

@@ -12,7 +12,7 @@ from ltsim.geometry.kinematics import MISALIGNMENT_CHAIN, points_and_error_deriv
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors, wrap_angle
 
 MIN_AXIS_ROTATION = 1e-4
-"""Rotation [rad] of an axis between two pointings below which the axis counts as not moved."""
+"""Smallest rotation [rad] of an axis between two pointings for which the axis counts as moved."""
 
 
 @dataclass(frozen=True)
@@ -24,47 +24,49 @@ class Sightings:
     """
 
     station: Ints
-    """Index of the station of each pointing, from 0, (n,)."""
+    """Index of the station of each of n pointings, from 0, (n,)."""
     target: Ints
-    """Index of the target of each pointing, from 0, (n,)."""
+    """Index of the target of each of n pointings, from 0, (n,)."""
     instrument: Ints
-    """Index of the instrument of each pointing, from 0, (n,)."""
+    """Index of the instrument of each of n pointings, from 0, (n,)."""
     face: Ints
-    """Face (1 or 2) of each pointing, (n,)."""
+    """Face (1 or 2) of each of n pointings, (n,)."""
     repeat: Ints
-    """Number of the round of measurements to which each pointing belongs, (n,); a station may repeat its round."""
+    """Number of the round of measurements to which each of n pointings belongs, (n,); a station may repeat its round.
+    """
     time: Floats
-    """Time of each pointing, (n,) [s]."""
+    """Time of each of n pointings, (n,) [s]."""
     station_positions: Floats
-    """Origin of each instrument, (S, 3) [m]."""
+    """Origin of the instrument at each of S stations, (S, 3) [m]."""
     station_rotations: Floats
-    """Rotation of each instrument frame to the network frame, (S, 3, 3)."""
+    """Rotation from the instrument frame at each of S stations to the network frame, (S, 3, 3)."""
     target_points: Floats
-    """Coordinates of the targets, (T, 3) [m]."""
+    """Coordinates of T targets, (T, 3) [m]."""
     nest_normals: Floats
-    """Unit normal of the open side of each nest, (T, 3); NaN if unknown."""
+    """Unit normal of the open side of the nest of each of T targets, (T, 3); NaN if unknown."""
     is_reaimed: Bools
-    """Flags (T,) of the targets whose reflector is turned towards the station before each pointing."""
+    """Flags (T,) of those of T targets whose reflector is turned towards the station before each pointing."""
     station_names: tuple[str, ...]
     """Name of each station, S entries."""
     target_names: tuple[str, ...]
     """Name of each target, T entries."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    """Additional columns of the data table of the recording, such as a temperature, by name, each (n,)."""
+    """Additional columns of the data table of the recording, such as a temperature, by name, each (n,) for n pointings.
+    """
     sight_vector_offsets: Floats | None = None
-    """Correction (n, 3) [m] of vectors from station to target to vectors from instrument to reflector: offset of the
-    reflector from its target minus offset of the instrument from its station. None if all are zero.
+    """Vector from instrument to reflector minus vector from station to target, for n pointings (n, 3) [m]: offset of
+    the reflector from its target minus offset of the instrument from its station. None if all are zero.
     """
     encoder_readings: Floats | None = None
-    """Raw readings (n, 3) [m, rad] that include the instrument's errors, on which errors with a short period depend. If
-    None, ideal readings are used.
+    """Raw readings (n, 3) [m, rad] of n pointings that include the instrument's errors. Errors with a short period
+    depend on them. If None, ideal readings are used.
     """
 
     def __len__(self) -> int:
         return len(self.station)
 
     def with_geometry(self, position: Floats, rotation: Floats, points: Floats) -> Self:
-        """Copy with other station positions (S, 3) [m], station rotations (S, 3, 3) and target points (T, 3) [m]."""
+        """Copy with other positions (S, 3) [m] and rotations (S, 3, 3) of S stations, and T targets (T, 3) [m]."""
         return replace(
             self, station_positions=position, station_rotations=rotation, target_points=points, encoder_readings=None
         )
@@ -89,63 +91,66 @@ class Sightings:
 
     @cached_property
     def sight_vectors(self) -> Floats:
-        """Vectors (n, 3) [m] from the instrument to the reflector, network frame."""
+        """Vectors (n, 3) [m] from the instrument to the reflector in n pointings, network frame."""
         arm: Floats = self.target_points[self.target] - self.station_positions[self.station]
         return arm if self.sight_vector_offsets is None else arm + self.sight_vector_offsets
 
     @cached_property
     def local_points(self) -> Floats:
-        """Coordinates (n, 3) [m] of the reflector in the instrument frame."""
+        """Coordinates (n, 3) [m] of the reflector in n pointings, instrument frame."""
         return np.einsum("nji,nj->ni", self.station_rotations[self.station], self.sight_vectors)
 
     @cached_property
     def front_face_polar(self) -> Floats:
-        """Ideal (error-free) range [m], azimuth and elevation [rad] of each pointing on the front face, (n, 3)."""
+        """Ideal (error-free) range [m], azimuth and elevation [rad] of n pointings on the front face, (n, 3)."""
         return to_polar(self.local_points)
 
     @cached_property
     def raw_readings(self) -> Floats:
-        """Ideal (error-free) range [m], azimuth and elevation [rad] on the face that was used, (n, 3)."""
+        """Ideal (error-free) range [m], azimuth and elevation [rad] of n pointings on the used face, (n, 3)."""
         return to_face(self.front_face_polar, self.face)
 
     @property
     def instrument_readings(self) -> Floats:
-        """Raw readings (n, 3) [m, rad] of the instrument: `encoder_readings` if given, otherwise ideal readings."""
+        """Raw readings (n, 3) [m, rad] of n pointings: `encoder_readings` if given, otherwise ideal readings."""
         return self.raw_readings if self.encoder_readings is None else self.encoder_readings
 
     @property
     def range_(self) -> Floats:
-        """Ideal range of each pointing, (n,) [m]."""
+        """Ideal range of each of n pointings, (n,) [m]."""
         return self.front_face_polar[:, 0]
 
     @property
     def azimuth(self) -> Floats:
-        """Ideal azimuth of each pointing on the front face, (n,) [rad]."""
+        """Ideal azimuth of each of n pointings on the front face, (n,) [rad]."""
         return self.front_face_polar[:, 1]
 
     @property
     def elevation(self) -> Floats:
-        """Ideal elevation of each pointing on the front face, (n,) [rad]."""
+        """Ideal elevation of each of n pointings on the front face, (n,) [rad]."""
         return self.front_face_polar[:, 2]
 
     @cached_property
     def face_sign(self) -> Floats:
-        """Sign of the face of each pointing, (n,): +1 for the front face, -1 for the back face."""
+        """Sign of the face of each of n pointings, (n,): +1 for the front face, -1 for the back face."""
         return np.where(self.face == 2, -1.0, 1.0)
 
     @cached_property
     def local_derivatives(self) -> Floats:
-        """Derivative (n, 3, 3) of the raw readings with respect to the coordinates in the instrument frame."""
+        """Derivative (n, 3, 3) of the raw readings of n pointings by the coordinates in the instrument frame."""
         return polar_jacobian(self.front_face_polar, self.face)
 
     @cached_property
     def target_derivatives(self) -> Floats:
-        """Derivative (n, 3, 3) of the raw readings with respect to the target's network coordinates."""
+        """Derivative (n, 3, 3) of the raw readings of n pointings by the target's network coordinates."""
         return self.local_derivatives @ np.swapaxes(self.station_rotations[self.station], 1, 2)
 
     @cached_property
     def beam_vectors(self) -> tuple[Floats, Floats, Floats]:
-        """Unit vectors along the beam, to its left, and upwards across it, each (n, 3), network frame."""
+        """Unit vectors along the beam, to its left, and upwards across it, each (n, 3) for n pointings.
+
+        The vectors are in the network frame.
+        """
         turn = self.station_rotations[self.station]
         beam, across, upward_part = (
             np.einsum("nij,nj->ni", turn, v) for v in unit_vectors(self.azimuth, self.elevation)
@@ -154,10 +159,10 @@ class Sightings:
 
     @cached_property
     def reading_change_by_error_slot(self) -> dict[str, Floats]:
-        """Change (n, 3) of the raw readings per unit of each instrument error, by its key in `MISALIGNMENT_CHAIN`.
+        """Change (n, 3) of the readings of n pointings per unit of each instrument error, by the key of the error.
 
-        Instrument errors are corrections, which are added to a reading. For a fixed point a reading is therefore
-        smaller by its correction, hence the minus sign.
+        The keys are those of `MISALIGNMENT_CHAIN`. Instrument errors are corrections, which are added to a reading. For
+        a fixed point a reading is therefore smaller by its correction, hence the minus sign.
         """
         slots = {motion.error_slot for motion in MISALIGNMENT_CHAIN}
         _, by_slot = points_and_error_derivatives(MISALIGNMENT_CHAIN, self.raw_readings, {}, slots)
@@ -165,31 +170,31 @@ class Sightings:
 
     @cached_property
     def station_time(self) -> Floats:
-        """Time since the first pointing of the same station, (n,) [s]."""
+        """Time of each of n pointings since the first pointing of the same station, (n,) [s]."""
         first_times = np.full(len(self.station_names), np.inf)
         np.minimum.at(first_times, self.station, self.time)
         return self.time - first_times[self.station]
 
     @cached_property
     def elapsed_visit_fraction(self) -> Floats:
-        """Elapsed fraction (n,) of the time for which a station is occupied: 0 at its first pointing, 1 at its last."""
+        """Elapsed fraction (n,) of the occupation of the station at n pointings: 0 at its first one, 1 at its last."""
         duration = np.full(len(self.station_names), 1e-9)
         np.maximum.at(duration, self.station, self.station_time)
         return self.station_time / duration[self.station]
 
     @cached_property
     def measurement_order(self) -> Ints:
-        """Indices (n,) of the pointings in the order of measurement: by time, and by index at equal times."""
+        """Indices (n,) of the n pointings in the order of measurement: by time, and by index at equal times."""
         return np.argsort(self.time, kind="stable")
 
     @cached_property
     def pointing_order_by_station(self) -> Ints:
-        """Indices (n,) of the pointings sorted by station, and within each station in the order of measurement."""
+        """Indices (n,) of the n pointings sorted by station, and within each station in the order of measurement."""
         return self.measurement_order[np.argsort(self.station[self.measurement_order], kind="stable")]
 
     @cached_property
     def previous_pointings(self) -> Ints:
-        """Index (n,) of the previous pointing of the same station; -1 for the first pointing of a station."""
+        """Index (n,), for n pointings, of the previous pointing of the same station; -1 for the first of a station."""
         row_order = self.pointing_order_by_station
         before = np.full(len(self), -1)
         same = np.diff(self.station[row_order]) == 0
@@ -197,7 +202,7 @@ class Sightings:
         return before
 
     def _cumulative_sum(self, row_increments: Floats | Bools) -> Floats:
-        """Sum (n,) of increments (n,) from the second pointing of a set-up up to each of its pointings."""
+        """Sum (n,) of increments (n,) of n pointings, from the second pointing of a set-up to each of its pointings."""
         row_order = self.pointing_order_by_station
         first_indices = np.maximum.accumulate(
             np.where(self.previous_pointings[row_order] < 0, np.arange(len(row_order)), 0)
@@ -209,9 +214,9 @@ class Sightings:
 
     @cached_property
     def reading_changes(self) -> Floats:
-        """Change (n, 3) [m, rad] of the raw readings since the previous pointing of the same station; 0 for its first.
+        """Change (n, 3) [m, rad] of the readings of n pointings from the previous pointing of the same station.
 
-        The change of azimuth is the shorter of the two rotations.
+        It is 0 for the first pointing of a station. The change of azimuth is the shorter of the two rotations.
         """
         move: Floats = np.where(
             self.previous_pointings[:, None] >= 0, self.raw_readings - self.raw_readings[self.previous_pointings], 0.0
@@ -221,12 +226,12 @@ class Sightings:
 
     @cached_property
     def cumulative_head_rotation(self) -> Floats:
-        """Cumulative rotation (n,) [rad] of the head since the set-up began, full turns counted."""
+        """Cumulative rotation (n,) [rad] of the head at n pointings since the set-up began, full turns counted."""
         return self._cumulative_sum(self.reading_changes[:, 1])
 
     @cached_property
     def approach_signs(self) -> Floats:
-        """Sign (n, 2) of the last motion of the azimuth axis and of the elevation axis before each pointing.
+        """Sign (n, 2) of the last motion of the azimuth axis and of the elevation axis before each of n pointings.
 
         An axis that does not move retains the sign of its previous motion. The sign is 0 until the first motion after
         the set-up of a station.
@@ -242,12 +247,12 @@ class Sightings:
 
     @cached_property
     def seating_numbers(self) -> Ints:
-        """Number (n,) of changes of the target since the set-up began; at each change the reflector was seated anew."""
+        """Number (n,) of target changes from the start of the set-up to n pointings; each change is a new seating."""
         return self._cumulative_sum(self.target != self.target[self.previous_pointings]).astype(np.int64)
 
     @cached_property
     def covariate_values(self) -> dict[str, Floats]:
-        """Covariates of the readings by name, each (n,), in SI units or in the unit of the recording's column.
+        """Covariates of n pointings by name, each (n,), in SI units or in the unit of the recording's column.
 
         Unknown values are zero. Changes since the previous pointing are zero at the first pointing of a station.
         """
@@ -303,7 +308,7 @@ class Sightings:
 
     @cached_property
     def _incidence_angle_and_direction(self) -> tuple[Floats, Floats]:
-        """Values of `incidence_angle` and `incidence_direction`, each (n,) [rad]."""
+        """Values of `incidence_angle` and `incidence_direction` of n pointings, each (n,) [rad]."""
         x, y, z = self.nest_normals.T
         level = np.hypot(x, y)
         across_x = np.divide(-y, level, out=np.ones_like(y), where=~(level < 1e-6))
@@ -317,12 +322,12 @@ class Sightings:
 
     @property
     def incidence_angle(self) -> Floats:
-        """Incidence angle (n,) [rad] between the beam and the nest's normal; NaN if the normal is unknown."""
+        """Incidence angle (n,) [rad] between beam and nest normal for n pointings; NaN if the normal is unknown."""
         return self._incidence_angle_and_direction[0]
 
     @property
     def incidence_direction(self) -> Floats:
-        """Direction (n,) [rad] to the station, as an angle around the nest's normal.
+        """Direction (n,) [rad] to the station in n pointings, as an angle around the nest's normal.
 
         It is zero along the horizontal line in the plane of the nest's open side.
         """

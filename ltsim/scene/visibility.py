@@ -24,7 +24,7 @@ LIMIT_TOLERANCE = 1e-9
 
 
 class InvisibilityReason(IntEnum):
-    """Reason why a station does not see a target; if several apply, the first in the order of the members."""
+    """Reason why a station does not see a target; if several apply, the first in the order of this enumeration."""
 
     VISIBLE = 0
     STATION_INSIDE = 1
@@ -82,20 +82,20 @@ class Visibility:
     """Visibility of each of T targets from each of S stations."""
 
     reason_codes: NDArray[np.int8]
-    """Value of `InvisibilityReason` for each pair of station and target, (S, T); 0 for a visible pair."""
+    """Value of `InvisibilityReason` for each pair of S stations and T targets, (S, T); 0 for a visible pair."""
     ranges: Floats
-    """Distance between station and target, (S, T) [m]."""
+    """Distances between S stations and T targets, (S, T) [m]."""
     elevations: Floats
-    """Elevation of each target in the instrument frame, (S, T) [rad]."""
+    """Elevation of each of T targets in the instrument frame of each of S stations, (S, T) [rad]."""
     incidence_angles: Floats
-    """Incidence angle of the beam on each reflector, (S, T) [rad]; 0 for a reflector that is turned to each station
-    before it is measured, NaN if the normal of the nest is unknown."""
+    """Incidence angle of the beam of S stations on T reflectors, (S, T) [rad]; 0 for a reflector that is turned to each
+    station before it is measured, NaN if the normal of the nest is unknown."""
     limits: tuple[SightLimits, ...]
     """Limits of each station's instrument, S entries."""
 
     @property
     def is_visible(self) -> Bools:
-        """Flags (S, T) of the pairs of station and target that see each other."""
+        """Flags (S, T) of the pairs of S stations and T targets that see each other."""
         return np.asarray(self.reason_codes == InvisibilityReason.VISIBLE)
 
     def reason_texts(self) -> list[list[str]]:
@@ -198,9 +198,9 @@ def compute_visibility(
 
 
 def join_visibility_tables(tables: Sequence[Visibility], station_order: Ints) -> Visibility:
-    """Visibility of all stations of several `Visibility` objects of the same targets, as one object.
+    """Visibility of the same targets from all stations of several `Visibility` objects, as one object.
 
-    `station_order` (S,) gives for each station of the result its row in the concatenated arrays.
+    `station_order` (S,) gives for each of S stations of the result its row in the concatenated arrays.
     """
     columns = [(t.reason_codes, t.ranges, t.elevations, t.incidence_angles) for t in tables]
     reason, range_, elevation, incidence = (
@@ -211,7 +211,7 @@ def join_visibility_tables(tables: Sequence[Visibility], station_order: Ints) ->
 
 
 def _incidence_on_reflectors(beam: Floats, nest_normals: Floats | None, is_reaimed: Bools | None) -> Floats:
-    """Incidence angle (S, T) [rad] between the direction to the station and the normal of the nest.
+    """Incidence angles (S, T) [rad] between the directions to S stations and the normals of the nests of T targets.
 
     `beam` (S, T, 3) are the unit vectors from stations to targets. `nest_normals` (T, 3) and `is_reaimed` (T,) are as
     in `compute_visibility`. The angle is zero for re-aimed reflectors.
@@ -224,7 +224,7 @@ def _incidence_on_reflectors(beam: Floats, nest_normals: Floats | None, is_reaim
 
 
 def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Floats, obstacles: Obstacles) -> None:
-    """Entry of the reasons due to obstacles in an array of reason codes (S, T), in place.
+    """Entry of the reasons due to obstacles in an array (S, T) of reason codes of S stations and T targets, in place.
 
     `position` (S, 3) and `points` (T, 3) [m] are the instruments and targets. Rays are cast only for pairs that no
     other reason excludes.
@@ -239,11 +239,11 @@ def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Flo
 
 
 def best_nest_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Normals (T, 3) of fixed nests with the smallest largest incidence angle over all stations, and this angle (T,).
+    """Normals (T, 3) of T fixed nests whose largest incidence angle over S stations is smallest, and this angle (T,).
 
-    The nests are at `points` (T, 3) [m], the stations at `position` (S, 3) [m]. The normal is the axis of the narrowest
-    cone from the target that contains all stations; the angle [rad] is the half-angle of this cone. All stations see
-    the reflector if its acceptance angle is at least this angle.
+    The nests are at `points` (T, 3) [m], the instruments at `position` (S, 3) [m]. The normal is the axis of the
+    narrowest cone from the target that contains all stations; the angle [rad] is the half-angle of this cone. All
+    stations see the reflector if its acceptance angle is at least this angle.
     """
     directions_to_stations = position - points[:, None, :]
     directions_to_stations /= np.linalg.norm(directions_to_stations, axis=2, keepdims=True)

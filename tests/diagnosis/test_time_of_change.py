@@ -52,7 +52,7 @@ def test_intervals_of_the_time_of_a_change_hold(
 ) -> None:
     """Changes at times that are uniform between the first and the last pointing; 95 % intervals hold in 95 %."""
     sightings, draw, inside = calculator.space.sightings, random_stream(5, "times"), []
-    acts = kind(**{"stations": (), **place}, time=0.0).row_weights(sightings) > 0
+    acts = kind(**{"stations": (), **place}, time=0.0).pointing_indicator(sightings) > 0
     ordered = np.unique(sightings.time[acts])
     for seed in range(TRIALS):
         time = float(draw.uniform(*ordered[[2, -3]]))

@@ -7,7 +7,7 @@ from ltsim.scene.regions import (
     MAX_PASSING_FRACTION,
     MIN_PASSING_LINES,
     MIN_REGION_WIDTH,
-    MIN_TARGETS_BEHIND,
+    MIN_TARGETS_BEHIND_REGION,
     REGION_SHAPES,
     HallRegion,
     candidate_regions,
@@ -57,7 +57,7 @@ def test_every_region_of_the_grid_is_passed_by_some_lines_and_lies_in_the_hall()
     for region in regions:
         passing = region.path_lengths(SCENE) > region.width
         assert MIN_PASSING_LINES <= passing.sum() <= MAX_PASSING_FRACTION * len(SCENE)
-        assert len(np.unique(SCENE.target[passing])) >= MIN_TARGETS_BEHIND
+        assert len(np.unique(SCENE.target[passing])) >= MIN_TARGETS_BEHIND_REGION
         at = ["xyz".index(axis) for axis in region.bounded_axes]
         assert np.all(np.array(region.centre) > low[at]) and np.all(np.array(region.centre) < high[at])
 

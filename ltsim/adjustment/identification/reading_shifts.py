@@ -61,7 +61,7 @@ class ReadingShift(LinearEffect):
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings of n pointings per unit [SI] of the parameter."""
-        is_shifted = self.row_weights(sightings) * (sightings.time >= self.onset_time)
+        is_shifted = self.pointing_indicator(sightings) * (sightings.time >= self.onset_time)
         if self.is_drift:
             elapsed = is_shifted * sightings.station_time
             is_shifted = elapsed / (float(elapsed.max(initial=0.0)) or 1.0)  # readings made at one time do not drift

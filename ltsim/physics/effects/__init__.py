@@ -77,15 +77,16 @@ MISALIGNMENT_EFFECTS = tuple(
     for name in ORDINARY_CALIBRATION_EFFECT_NAMES.split()
     if isinstance(effect := find_effect(name)(), SlotEffect)
 )
-"""Effects of the ordinary calibration: the 16 parameters of the geometric-misalignment model, including range zero and
-scale.
+"""Effects of the ordinary calibration. Their 16 parameters, which include range zero and range scale, are those of the
+geometric-misalignment model.
 """
 
 
 def _instrument_parameter_text_by_name() -> dict[str, str]:
     """Descriptions of the parameters of an ordinary calibration, by name.
 
-    A description is the title of the effect, with the component for effects of two parameters.
+    A description is the title of the effect, with the component (such as cosine or sine) for effects with two
+    parameters.
     """
     texts = {}
     for effect in MISALIGNMENT_EFFECTS:

@@ -1,10 +1,11 @@
 """Errors of readings from unmeasured properties of the air along the beams, for uncertainty budgets of long ranges.
 
 There are three causes, each a catalogue effect: a temperature along the beams that differs from the measured one
-(`station-weather`: 0.95 ppm/K of a range), a vertical temperature gradient (`air-gradient`: the beam bends by
-beta G d^2 / 2), and turbulence (`turbulence`: a variance of C d^3 across the beam). With the default values of
-`AirUncertainty` the standard deviations are 5 um along and 11 um across the beam at 10 m, and 19 um and 110 um at 40 m.
-Across the beam this is less than manufacturers' limits at 40 m (15 um + 6 um/m).
+(`station-weather`: 0.95 ppm/K of a range), a vertical temperature gradient G (`air-gradient`: the beam is displaced by
+beta G d^2 / 2 at the range d, with the decrease beta of the refractive index per kelvin), and turbulence (`turbulence`:
+a variance of C d^3 across the beam, with a constant C). With the default values of `AirUncertainty` the standard
+deviations are 5 um along and 11 um across the beam at 10 m, and 19 um and 110 um at 40 m. Across the beam this is less
+than manufacturers' limits at 40 m (15 um + 6 um/m).
 """
 
 import numpy as np
@@ -22,7 +23,7 @@ from ltsim.scene.sightings import Sightings
 def reading_changes_per_sigma(air: AirUncertainty, sightings: Sightings) -> Floats:
     """Change (n, 3, 2) of the raw readings of n pointings by one standard deviation of the air's properties.
 
-    The last axis is the temperature along the beams and its vertical gradient.
+    The last axis has an element for the temperature along the beams, and one for its vertical gradient.
     """
     weather = StationWeather().design(sightings) * (relative_index_decrease_per_kelvin() * air.temperature_k)
     return np.concatenate([weather, AirGradient().design(sightings) * air.gradient_k_per_m], axis=2)
@@ -49,7 +50,7 @@ def air_point_sigma_along_beam(air: AirUncertainty, range_: float) -> float:
 
 
 def air_uncertainty_text(air: AirUncertainty, max_range: float) -> str:
-    """Description for users of the uncertainty of the air, and of the errors it causes at the longest range [m]."""
+    """Description for users of the uncertainty of the air, and of the errors it causes at the range `max_range` [m]."""
     return (
         f"air: {air.temperature_k:g} K along the beams of a station, a vertical gradient of "
         f"{air.gradient_k_per_m:g} K/m and turbulence of {air.turbulence_um2_per_m3:g} um2/m3 (one sigma each), "

@@ -45,13 +45,13 @@ class AirGradient(WarmAirEffect):
         return [cls(sensor="room"), cls(sensor="head")]
 
     def _sensor_height(self, sightings: Sightings) -> Floats:
-        """Height (n,) [m] of the weather sensor at each pointing, at which the temperature used is correct."""
+        """Height (n,) [m] of the weather sensor, where the used temperature is correct, at each of n pointings."""
         if self.sensor == "head":
             return sightings.station_positions[sightings.station, 2]
         return np.full(len(sightings), float(sightings.target_points[:, 2].mean()))
 
     def design(self, sightings: Sightings) -> Floats:
-        index_gradient = relative_index_decrease_per_kelvin() * self.row_weights(sightings) * sightings.range_
+        index_gradient = relative_index_decrease_per_kelvin() * self.pointing_indicator(sightings) * sightings.range_
         heights = sightings.station_positions[sightings.station, 2] + sightings.target_points[sightings.target, 2]
         _, across, up = sightings.beam_vectors
         column = design_from_front_face_corrections(

@@ -8,14 +8,14 @@ from ltsim.physics.effects.effect import LightPathStage, Parameter, ShapeParamet
 from ltsim.physics.effects.rays import TemperatureField, WarmAirEffect
 from ltsim.scene.sightings import Sightings
 
-N_LAYER_HEIGHTS = 7
+N_CANDIDATE_LAYER_HEIGHTS = 7
 """Number of heights of the layer that a search tries, between the lowest and the highest point of the network."""
-TRANSITION_WIDTHS = (0.15, 0.5)
+CANDIDATE_TRANSITION_WIDTHS = (0.15, 0.5)
 """Widths [m] of the transition between the two temperatures that a search tries."""
 
 
 def _point_heights(sightings: Sightings) -> Floats:
-    """Heights (T + S,) [m] of all targets and stations in the network frame."""
+    """Heights (T + S,) [m] of T targets, followed by those of S stations, in the network frame."""
     return np.concatenate([sightings.target_points[:, 2], sightings.station_positions[:, 2]])
 
 
@@ -26,9 +26,9 @@ class AirLayer(WarmAirEffect):
     The temperature excess is T(z) = D / (1 + exp(-(z - height) / width)), with z counted from the lowest target or
     station and the temperature difference D between both layers.
     Along the path from the station, s = 0 to d, the corrections to the left and upward are (D_t, D_v) = integral of
-    (d - s) grad_perp n ds, and Delta_d = -integral of (n - n_sensor) ds, with the refractive index n, which is n_sensor
-    at the sensor. Residuals show only the curvature of the profile: targets in the layer are measured too near and too
-    high.
+    (d - s) grad_perp n ds, and Delta_d = -integral of (n - n_sensor) ds, with the refractive index n, its gradient
+    grad_perp n across the beam, and its value n_sensor at the sensor. Residuals show only the curvature of the profile:
+    targets in the layer are measured too near and too high.
 
     Size: 2 to 6 K across the layer; it is detected from 12 K on in one face, from 4.5 K on in two faces.
     Like: elevation-second-order sine (correlation 0.59); a drift, if the targets at the ceiling are measured first.
@@ -59,8 +59,8 @@ class AirLayer(WarmAirEffect):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Layers that a diagnosis tries, with heights between the lowest and the highest target or station."""
-        heights = np.linspace(0.0, float(np.ptp(_point_heights(sightings))), N_LAYER_HEIGHTS + 2)[1:-1]
-        return [cls(height=float(z), width=w) for z in heights for w in TRANSITION_WIDTHS]
+        heights = np.linspace(0.0, float(np.ptp(_point_heights(sightings))), N_CANDIDATE_LAYER_HEIGHTS + 2)[1:-1]
+        return [cls(height=float(z), width=w) for z in heights for w in CANDIDATE_TRANSITION_WIDTHS]
 
     def temperature_field(self, sightings: Sightings) -> TemperatureField:
         """Temperature field of a layer that is 1 K warmer than the air below."""

@@ -80,7 +80,7 @@ class BearingWobble(Effect):
         return [cls(kind=kind, order=order) for kind, order in CANDIDATE_MOTIONS]
 
     def design(self, sightings: Sightings) -> Floats:
-        acts, response = self.row_weights(sightings)[:, None], sightings.reading_change_by_error_slot
+        acts, response = self.pointing_indicator(sightings)[:, None], sightings.reading_change_by_error_slot
         phase = self.order * sightings.instrument_readings[:, 2 if self.kind == "transit" else 1]
         c, s = np.cos(phase)[:, None], np.sin(phase)[:, None]
         if self.kind == "transit":

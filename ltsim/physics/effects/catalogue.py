@@ -33,7 +33,7 @@ SESSION_PROVIDER = "this session"
 """Name of the provider, in the catalogue, of effects that were registered in the running session."""
 PACKAGE_EFFECTS_HEADING = "installed"
 """Heading in the catalogue of the effects that installed packages provide."""
-NO_MEASUREMENT = "no measurement is needed"
+NO_MEASUREMENT_PHRASE = "no measurement is needed"
 """Beginning of the section `Separate by` of an effect that the readings themselves distinguish from all others."""
 EFFECT_NAME_PATTERN = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 """Permitted names of effects: lower-case words, joined by hyphens."""
@@ -86,7 +86,7 @@ class CatalogueEntry:
         """First measurement named in the section `Separate by`; empty if no measurement is needed."""
         separating_text = dict(self.sections())["Separate by"]
         measurement = re.split("[;:]", separating_text, maxsplit=1)[0].rstrip(".")
-        return "" if measurement.startswith(NO_MEASUREMENT) else measurement
+        return "" if measurement.startswith(NO_MEASUREMENT_PHRASE) else measurement
 
     def sections(self) -> tuple[tuple[str, str], ...]:
         """Pairs (name, text) of the sections after the equation."""
@@ -158,7 +158,7 @@ class Catalogue(Sequence[type[Effect]]):
         return self._builtin_effects | {name: added[name] for name in sorted(added)}
 
     def add(self, effect_class: type[Effect]) -> type[Effect]:
-        """Registration of an effect class for this session; the class is returned, so that this can be a decorator.
+        """Registration of an effect class for this session; the class is returned, as by a decorator.
 
         It replaces a class that was registered under the same name in this session. A class without a complete
         docstring gets a catalogue entry without content. Raises ModelError if the class is no valid effect, or if its

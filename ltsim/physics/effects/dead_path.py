@@ -54,6 +54,6 @@ class DeadPath(Effect):
         ordered = temperature[sightings.measurement_order]
         is_measured = ordered[np.isfinite(ordered)]
         temperature_change = np.nan_to_num(temperature - (is_measured[0] if len(is_measured) else 0.0))
-        return design_from_front_face_corrections(sightings, distance=self.row_weights(sightings) * temperature_change)[
-            :, :, None
-        ]
+        return design_from_front_face_corrections(
+            sightings, distance=self.pointing_indicator(sightings) * temperature_change
+        )[:, :, None]

@@ -6,7 +6,10 @@ from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, 
 
 
 def beam_deviation_basis(readings: Floats) -> Floats:
-    """Basis function (n,) with the value 0.5: the beam shifts by half the shift of the return spot on the detector."""
+    """Values 0.5 of a constant basis function at n raw readings `readings` (n, 3), shape (n,).
+
+    The beam shifts by half the shift of the return spot on the detector.
+    """
     return np.full(len(readings), 0.5)
 
 

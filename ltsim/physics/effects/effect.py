@@ -4,8 +4,8 @@ An effect is one physical cause of a difference between the ideal reading and th
 calibrator, planner and diagnosis use the same object:
 
 * `parameters`: name, unit, meaning, prior. Effects are linear in their parameters.
-* `design(sightings)` (n, 3, p): change of the raw reading (range [m], azimuth, elevation [rad]) per unit of
-  each parameter. Calibrator, planner and diagnoser need nothing else.
+* `design(sightings)` (n, 3, p): change of the raw readings of n pointings (range [m], azimuth, elevation [rad]) per
+  unit of each of the p parameters. Calibrator, planner and diagnoser need nothing else.
 * `reading_change(sightings, values)` (n, 3): exact change of the readings, which the simulator adds. By default it is
   the design times the values. An effect that is not exactly linear, such as a ray through a temperature field,
   overrides this method.
@@ -88,21 +88,22 @@ class Effect(CandidateEffect):
     scope: ClassVar[CandidateScope] = "all"
     """Part of the recording in which one candidate of the effect acts."""
     may_recur: ClassVar[bool] = False
-    """True for an effect that commonly occurs several times in a recording: outliers, nests, targets."""
+    """True for an effect that commonly occurs several times in a recording, such as an outlier or a badly seated
+    reflector."""
     base_rate: ClassVar[float] = 1.0
     """Relative frequency of the effect in practice, an expert judgement: 8 very common, 4 common, 2 frequent, 1
     occasional, 0.5 rare. The prior probability that any effect of the catalogue shifts readings is divided among the
-    effects that do so, in proportion to their frequencies. The prior probability of a change of the noise is divided
-    likewise among the noise effects."""
+    effects that shift readings, in proportion to their frequencies. The prior probability of a change of the noise is
+    divided in the same way among the noise effects."""
 
     @property
     def plausible_sizes(self) -> Floats:
-        """Plausible sizes (p,) of the parameters [SI], times `size_factor`."""
+        """Plausible sizes (p,) of the p parameters [SI], times `size_factor`."""
         return self.size_factor * super().plausible_sizes
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Effects that a diagnosis tries: one per station, target or pair (see `scope`) and value of the constants.
+        """Effects that a diagnosis tries: one for each place (see `scope`) and each value of the shape constants.
 
         An effect with other candidates, such as change points between two pointings, overrides this method.
         """
@@ -157,11 +158,11 @@ class Blunder(Effect):
         raise NotImplementedError
 
     def measured_sightings(self, sightings: Sightings) -> Sightings:
-        """Sightings of the pointings that were made, which the blunder may distinguish from the recorded ones."""
+        """Sightings with the targets and faces that were measured, which a blunder may have recorded as others."""
         return sightings
 
     def recorded_readings(self, sightings: Sightings, readings: Floats) -> Floats:
-        """Readings (n, 3) with the blunder, as recorded, from correct readings (n, 3)."""
+        """Readings (n, 3) of n pointings as recorded with the blunder, from the correct readings (n, 3)."""
         return readings
 
 
@@ -170,7 +171,7 @@ BasisFunction = Callable[[Floats], Floats]
 
 
 def constant_basis(readings: Floats) -> Floats:
-    """Values (n,) of the constant basis function: 1 for every pointing."""
+    """Values (n,) of the constant basis function at n raw readings `readings` (n, 3): 1 for each."""
     return np.ones(len(readings))
 
 
@@ -222,7 +223,7 @@ class SlotEffect(Effect):
     """Terms of the error, one per parameter."""
 
     def design(self, sightings: Sightings) -> Floats:
-        acts = self.row_weights(sightings)
+        acts = self.pointing_indicator(sightings)
         columns = [
             sightings.reading_change_by_error_slot[t.slot] * (acts * t.basis(sightings.instrument_readings))[:, None]
             for t in self.terms

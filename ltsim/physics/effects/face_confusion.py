@@ -42,11 +42,11 @@ class FaceConfusion(Blunder):
 
     def measured_sightings(self, sightings: Sightings) -> Sightings:
         """Sightings with the other face in the affected pointings."""
-        confused = (self.row_weights(sightings) > 0) & (sightings.face == self.face)
+        confused = (self.pointing_indicator(sightings) > 0) & (sightings.face == self.face)
         return replace(sightings, face=np.where(confused, 3 - sightings.face, sightings.face))
 
     def design(self, sightings: Sightings) -> Floats:
-        acts = self.row_weights(sightings) * (sightings.face == self.face)
+        acts = self.pointing_indicator(sightings) * (sightings.face == self.face)
         azimuth, elevation = sightings.raw_readings[:, 1], sightings.raw_readings[:, 2]
         half_turn = np.where(azimuth > 0, -np.pi, np.pi)
         change = np.stack([np.zeros_like(azimuth), half_turn, np.pi - 2 * elevation], axis=1)

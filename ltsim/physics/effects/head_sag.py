@@ -28,6 +28,6 @@ class HeadSag(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         upright = sightings.beam_vectors[2][:, 2]
-        return design_from_front_face_corrections(sightings, elevation=-self.row_weights(sightings) * upright)[
+        return design_from_front_face_corrections(sightings, elevation=-self.pointing_indicator(sightings) * upright)[
             :, :, None
         ]

@@ -22,7 +22,8 @@ STATION_PLUME_RADIUS = 0.25
 TARGET_PLUME_RADIUS = 0.5
 """Radius [m] of candidate plumes near a target."""
 MAX_PLACES_TRIED_SINGLY = 40
-"""Number of stations above which a search tries no plumes at single stations; likewise for targets."""
+"""Number of stations above which a search tries no plumes at single stations, and number of targets above which it
+tries none at single targets."""
 
 
 def _rounded_to_mm(offset: Floats) -> tuple[float, float, float]:
@@ -37,9 +38,10 @@ class HeatPlume(WarmAirEffect):
     The temperature excess is T = D exp(-|r - c|^2 / (2 radius^2)) at the position r, with the excess D at the centre c.
     The centre is at an offset from a station or a target, or at a position in the hall. Along the path, s = 0 to d, the
     corrections to the left and upward are (D_t, D_v) = integral of (d - s) grad_perp n ds, and Delta_d = -integral of
-    (n - n_sensor) ds, with the refractive index n, which is n_sensor at the sensor. Because of the weight (d - s), heat
-    near the station changes the direction of the beam, while heat near a target hardly does. The range is too short by
-    beta times the integral of T, wherever the plume is; beta is the decrease of n per kelvin.
+    (n - n_sensor) ds, with the refractive index n, its gradient grad_perp n across the beam, and its value n_sensor at
+    the sensor. Because of the weight (d - s), heat near the station changes the direction of the beam, while heat near
+    a target hardly does. The range is too short by beta times the integral of T, wherever the plume is; beta is the
+    decrease of n per kelvin.
 
     Size: 5 K over 0.5 m changes a range by 2.3 um. At the head a gradient of 5 K in 0.2 m bends the beam by 7 urad.
     Like: near a station a tilt of the station and index-drift; near a target a constant error of its ranges.
@@ -122,11 +124,11 @@ class HeatPlume(WarmAirEffect):
         return anchor + np.asarray(self.offset)
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per kelvin at the centre, to first order, in closed form."""
+        """Change (n, 3, 1) of the raw readings of n pointings per kelvin at the centre of the plume, to first order."""
         ball = HallRegion("xyz", tuple(self._centre(sightings).tolist()), self.radius)
         path, bending = ball.path_and_bending(sightings)
         _, across, up = sightings.beam_vectors
-        acts = relative_index_decrease_per_kelvin() * self.row_weights(sightings)
+        acts = relative_index_decrease_per_kelvin() * self.pointing_indicator(sightings)
         bend = -bending * (acts / sightings.range_)[:, None]
         return design_from_front_face_corrections(
             sightings,

@@ -45,7 +45,7 @@ class Parameter:
     """True for a quantity that is never negative, such as a thickness."""
 
     def prior_sigma_from(self, prior: Prior) -> float:
-        """Prior standard deviation [SI] from the instrument's specification `prior`, by default `prior_sigma`."""
+        """Prior standard deviation [SI] from the specification `prior`, by default the parameter's `prior_sigma`."""
         if self.name in prior.parameters:
             return prior.parameters[self.name] * self.si_per_display_unit
         if self.prior_kind is None:
@@ -122,11 +122,11 @@ class Linearisation(NamedTuple):
     """Change of the readings by an effect at given parameter values, with its derivatives."""
 
     shift: Floats
-    """Change (n, 3) of the raw readings."""
+    """Change (n, 3) of the raw readings of n pointings."""
     parameter_derivatives: Floats
-    """Derivative (n, 3, p) of the change with respect to the p parameters."""
+    """Derivative (n, 3, p) of the change of the readings of n pointings with respect to the p parameters."""
     geometry_derivatives: tuple[Floats, Floats] | None = None
-    """Derivatives of the change with respect to the target's coordinates (n, 3, 3) and the station's motion (n, 3, 6).
+    """Derivatives of the change in n pointings by target coordinates (n, 3, 3) and station motion (n, 3, 6).
 
     None if these derivatives are neglected, as for all changes that are small compared with the distance.
     """
@@ -147,11 +147,14 @@ class LinearEffect(Protocol):
 
     @abstractmethod
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, p) of the raw readings (range [m], azimuth, elevation [rad]) per unit of each parameter."""
+        """Change (n, 3, p) of the raw readings of n pointings per unit of each of p parameters.
+
+        The readings are range [m], azimuth and elevation [rad].
+        """
 
     @property
     def plausible_sizes(self) -> Floats:
-        """Plausible sizes (p,) of the parameters [SI]."""
+        """Plausible sizes (p,) of the p parameters [SI]."""
         return np.array([p.prior_sigma for p in self.parameters], dtype=np.float64)
 
     @property
@@ -165,18 +168,18 @@ class LinearEffect(Protocol):
         return ()
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings for parameter values (p,) [SI]."""
+        """Change (n, 3) of the raw readings of n pointings for the values (p,) [SI] of the p parameters."""
         return self.design(sightings) @ parameter_values
 
     def linearise(self, sightings: Sightings, parameter_values: Floats) -> Linearisation:
-        """Change of the readings at parameter values (p,) [SI], with its derivatives."""
+        """Change of the readings at the values (p,) [SI] of the p parameters, with its derivatives."""
         return Linearisation(self.reading_change(sightings, parameter_values), self.design(sightings))
 
     def gauge_design(self, first_targets: Ints, second_targets: Ints, points: Floats) -> Floats:
-        """Change (g, p) [m] of g reference lengths per unit of each parameter; zero unless the effect changes lengths.
+        """Change (g, p) [m] of g reference lengths per unit of each of p parameters.
 
-        `first_targets` and `second_targets` (g,) are the indices of the targets at the ends of the lengths, `points`
-        (T, 3) [m] are the coordinates of all targets.
+        It is zero unless the effect changes lengths. `first_targets` and `second_targets` (g,) are the indices of the
+        targets at the ends of the lengths, `points` (T, 3) [m] are the coordinates of all T targets.
         """
         return np.zeros((len(first_targets), len(self.parameters)))
 
@@ -185,8 +188,8 @@ class LinearEffect(Protocol):
         """Names of the stations and targets at which the effect acts, separated by commas; empty for all."""
         return ",".join(self.stations + self.targets)
 
-    def row_weights(self, sightings: Sightings) -> Floats:
-        """Weights (n,): 1 for pointings whose readings the effect changes, 0 for others."""
+    def pointing_indicator(self, sightings: Sightings) -> Floats:
+        """Indicator (n,) of n pointings: 1 for pointings whose readings the effect changes, 0 for others."""
         acts = np.ones(len(sightings), dtype=bool)
         if self.stations:
             acts &= _belongs_to_names(sightings.station, sightings.station_indices, self.stations)
@@ -198,7 +201,7 @@ class LinearEffect(Protocol):
 def _belongs_to_names(
     name_indices: Ints, indices_by_name: Mapping[str, Sequence[int]], permitted_names: Sequence[str]
 ) -> Bools:
-    """Flags (n,) of the station or target indices `name_indices` (n,) whose name is one of `permitted_names`.
+    """Flags (n,) of the n station or target indices `name_indices` (n,) whose name is one of `permitted_names`.
 
     `indices_by_name` has the indices that belong to each name.
     """
@@ -212,7 +215,7 @@ class CandidateEffect(LinearEffect, Protocol):
     shape_parameters: ClassVar[tuple[ShapeParameter, ...]] = ()
     """Constants that enter nonlinearly; each is a field of the instance."""
     n_neighbour_directions: ClassVar[int] = 1
-    """Number of independent directions in which `neighbours` varies the constants."""
+    """Number of constants, or of coordinates, that `neighbours` varies independently of each other."""
 
     @property
     @abstractmethod
@@ -242,11 +245,11 @@ class CandidateEffect(LinearEffect, Protocol):
         return "xyz"[: len(self.source_position)]
 
     def centred_at(self, centre: tuple[float, ...]) -> Self:
-        """Copy whose region of the hall is centred at `centre` [m]; the effect itself if it has no region."""
+        """Copy of the effect with its region of the hall centred at `centre` [m]; without a region, the effect."""
         return self
 
     def with_constants(self, **constants: Any) -> Self:
-        """Copy with other values of the constants, which are fields of the dataclass."""
+        """Copy of the effect with other values of its constants, which are fields of the dataclass."""
         return replace(self, **constants)  # type: ignore[type-var]
 
 
@@ -262,9 +265,10 @@ class CandidateNoiseEffect(CandidateEffect, Protocol):
 
     @abstractmethod
     def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
-        """Variance (n, 3) of readings with declared standard deviations `sigma` (n, 3), for `parameter_values` (p,).
+        """Variance (n, 3) of the readings of n pointings with the declared standard deviations `sigma` (n, 3).
 
-        It must be sigma^2 if all parameters are zero, and each reading must depend on at most one parameter.
+        `parameter_values` (p,) [SI] are the values of the p parameters. The variance must be sigma^2 if all are zero,
+        and each reading must depend on at most one parameter.
         """
 
     def size_grid(self) -> list[tuple[float, ...]]:
@@ -278,7 +282,7 @@ class CandidateNoiseEffect(CandidateEffect, Protocol):
         ]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change of the mean of the readings: zeros (n, 3, p)."""
+        """Change of the mean of the readings of n pointings per unit of each of p parameters: zeros (n, 3, p)."""
         return np.zeros((len(sightings), 3, len(self.parameters)))
 
 
@@ -289,10 +293,11 @@ def design_from_front_face_corrections(
     azimuth: Floats | float = 0.0,
     elevation: Floats | float = 0.0,
 ) -> Floats:
-    """Change (n, 3) or (n, 3, p) of raw readings from corrections, (n,) or (n, p), of front-face coordinates.
+    """Change (n, 3) or (n, 3, p) of raw readings of n pointings from corrections (n,) or (n, p) of front-face readings.
 
-    `distance` [m], `azimuth` and `elevation` [rad] are corrections, true value minus reading. A reading changes by
-    minus its correction. On the back face the sign of the elevation is reversed, because its raw value decreases.
+    `distance` [m], `azimuth` and `elevation` [rad] are corrections, true value minus reading, or their values for each
+    of p parameters. A reading changes by minus its correction. On the back face the sign of the elevation is reversed,
+    because its raw value decreases.
     """
     corrections = [np.asarray(c, dtype=np.float64) for c in (distance, azimuth, elevation)]
     design = np.empty((len(sightings), 3, *max((c.shape[1:] for c in corrections), key=len)))
@@ -303,7 +308,7 @@ def design_from_front_face_corrections(
 
 
 def design_from_displacements(sightings: Sightings, displacement: Floats) -> Floats:
-    """Change (n, 3, p) of the raw readings by displacements (n, 3, p) [m] of the targets in the network frame."""
+    """Change (n, 3, p) of the readings of n pointings by displacements (n, 3, p) [m] of targets by p parameters."""
     acts = np.flatnonzero(displacement.any(axis=(1, 2)))
     if 2 * len(acts) > len(displacement):
         return sightings.target_derivatives @ displacement

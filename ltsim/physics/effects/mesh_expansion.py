@@ -49,6 +49,6 @@ class MeshExpansion(TargetMotion):
         return [cls(mode="uniform"), cls(mode="vertical")]
 
     def displacement(self, sightings: Sightings) -> Floats:
-        time_since_start = self.row_weights(sightings) * (sightings.time - first_pointing_time(sightings))
+        time_since_start = self.pointing_indicator(sightings) * (sightings.time - first_pointing_time(sightings))
         relative_position = sightings.target_points[sightings.target] - sightings.target_points.mean(axis=0)
         return (time_since_start[:, None] * relative_position * EXPANSION_WEIGHTS[self.mode])[:, :, None]

@@ -13,8 +13,11 @@ from ltsim.scene.sightings import Sightings
 
 
 def exact_change_by_displacement(sightings: Sightings, displacement: Floats) -> Floats:
-    """Exact change (n, 3) of the raw readings if each pointing's target is displaced by (n, 3) [m], network frame."""
-    return reading_change(sightings, _sightings_with_displaced_targets(sightings, displacement).local_points)
+    """Exact change (n, 3) of the raw readings of n pointings if their targets are displaced by `displacement`.
+
+    The displacement (n, 3) [m] is in the network frame.
+    """
+    return reading_change_to_points(sightings, _sightings_with_displaced_targets(sightings, displacement).local_points)
 
 
 def exact_change_by_station_motion(sightings: Sightings, motion: Floats) -> Floats:
@@ -22,11 +25,11 @@ def exact_change_by_station_motion(sightings: Sightings, motion: Floats) -> Floa
 
     A motion is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
     """
-    return reading_change(sightings, _apparent_sightings(sightings, motion).local_points)
+    return reading_change_to_points(sightings, _apparent_sightings(sightings, motion).local_points)
 
 
 def _sightings_with_displaced_targets(sightings: Sightings, displacement: Floats) -> Sightings:
-    """Sightings with the reflector of each pointing displaced by (n, 3) [m]."""
+    """Sightings with the reflector of each of n pointings displaced by `displacement` (n, 3) [m], network frame."""
     return replace(
         sightings,
         sight_vector_offsets=displacement
@@ -36,9 +39,10 @@ def _sightings_with_displaced_targets(sightings: Sightings, displacement: Floats
 
 
 def _apparent_sightings(sightings: Sightings, motion: Floats) -> Sightings:
-    """Sightings with the reflectors at their apparent positions, as seen from stations that moved by `motion` (n, 6).
+    """Sightings with the reflectors at their apparent positions, as seen from stations that moved.
 
-    A motion is a translation [m] and a rotation vector [rad] in the network frame.
+    `motion` (n, 6) is the motion of the station of each of n pointings: a translation [m] and a rotation vector [rad],
+    both in the network frame.
     """
     inverse_rotations = np.swapaxes(matrix_from_rotation_vector(motion[:, 3:]), 1, 2)
     apparent = np.einsum("nij,nj->ni", inverse_rotations, sightings.sight_vectors - motion[:, :3])
@@ -51,22 +55,27 @@ def _linearised_change(
     """Change of the readings by a displacement of the apparent positions of reflectors, with its derivatives.
 
     `apparent_sightings` have the displaced positions. `displacement_derivatives` (n, 3, p) are the derivatives of the
-    change with respect to the p parameters.
+    change of n pointings with respect to the p parameters.
     """
     by_target = apparent_sightings.target_derivatives - sightings.target_derivatives
     by_pose = station_motion_design(apparent_sightings) - station_motion_design(sightings)
     return Linearisation(
-        reading_change(sightings, apparent_sightings.local_points), displacement_derivatives, (by_target, by_pose)
+        reading_change_to_points(sightings, apparent_sightings.local_points),
+        displacement_derivatives,
+        (by_target, by_pose),
     )
 
 
 def station_motion_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 6) of raw readings per unit translation [m] and rotation [rad] of the station, to first order."""
+    """Change (n, 3, 6) of the readings of n pointings per translation of 1 m and rotation of 1 rad of the station."""
     return pose_design(sightings.target_derivatives, sightings.sight_vectors)
 
 
-def reading_change(sightings: Sightings, local_points: Floats) -> Floats:
-    """Change (n, 3) of the raw readings if targets are at `local_points` (n, 3) [m] in the instruments' frames."""
+def reading_change_to_points(sightings: Sightings, local_points: Floats) -> Floats:
+    """Change (n, 3) of the readings of n pointings if their targets are at `local_points` (n, 3) [m].
+
+    The points are in the frame of the instrument.
+    """
     change: Floats = to_face(to_polar(local_points), sightings.face) - sightings.raw_readings
     change[:, 1] = wrap_angle(change[:, 1])
     return change
@@ -76,7 +85,7 @@ class TargetDisplacement(LinearEffect):
     """Base class of linear effects that displace targets or their apparent positions; `reading_change` is exact."""
 
     def displacement(self, sightings: Sightings) -> Floats:
-        """Motion (n, 3, p) [m] of each pointing's target in the network frame, per unit of each parameter."""
+        """Motion (n, 3, p) [m] of the targets of n pointings, network frame, per unit of each of p parameters."""
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
@@ -101,7 +110,7 @@ class StationMotion(Effect):
     """Base class of catalogue effects that move stations."""
 
     def motion(self, sightings: Sightings) -> Floats:
-        """Motion (n, 6, p) of each pointing's station, per unit of each parameter.
+        """Motion (n, 6, p) of the station of each of n pointings, per unit of each of p parameters.
 
         A motion is a translation [m] and a rotation vector [rad] in the network frame.
         """

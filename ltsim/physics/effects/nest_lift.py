@@ -14,7 +14,7 @@ PLAUSIBLE_LIFT = 50 * MICROMETRE
 """Plausible lift [m] of a reflector in its nest."""
 MAX_PAIRS_WITH_SINGLE_SEATINGS = 600
 """Number of pairs of station and target above which a search does not try lifts of single seatings, because the w-test
-detects them.
+of an adjustment detects them.
 """
 
 
@@ -63,7 +63,7 @@ class NestLift(TargetMotion):
         return [*normal_lifts, *(cls((s,), (t,), "free") for s, t in sight_pairs)]
 
     def displacement(self, sightings: Sightings) -> Floats:
-        acts = self.row_weights(sightings)[:, None, None]
+        acts = self.pointing_indicator(sightings)[:, None, None]
         if self.kind == "free":
             return acts * np.eye(3)
         normal: Floats = np.nan_to_num(sightings.nest_normals[sightings.target])[:, :, None]

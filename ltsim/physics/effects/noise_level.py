@@ -36,5 +36,5 @@ class NoiseLevel(NoiseEffect):
     )
 
     def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
-        factor = 1.0 + self.row_weights(sightings)[:, None] * parameter_values
+        factor = 1.0 + self.pointing_indicator(sightings)[:, None] * parameter_values
         return sigma**2 * np.maximum(factor, MIN_VARIANCE_FACTOR)

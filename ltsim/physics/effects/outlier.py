@@ -66,5 +66,5 @@ class Outlier(Effect):
     def design(self, sightings: Sightings) -> Floats:
         design = np.zeros((len(sightings), 3, 1))
         if self.row < len(sightings):
-            design[self.row, OBSERVABLE_COLUMN[self.observable], 0] = -self.row_weights(sightings)[self.row]
+            design[self.row, OBSERVABLE_COLUMN[self.observable], 0] = -self.pointing_indicator(sightings)[self.row]
         return design

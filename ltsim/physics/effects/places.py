@@ -16,7 +16,7 @@ N_NEIGHBOUR_GAPS = 6
 
 
 def candidate_change_times(times: Floats, *, min_pointings: int, max_n_times: int) -> list[float]:
-    """Candidate change points [s]: midpoints of the gaps between pointings at the times `times` (n,) [s].
+    """Candidate change points [s]: midpoints of the gaps between n pointings at the times `times` (n,) [s].
 
     At least `min_pointings` pointings are on either side of a change point. At most `max_n_times` change points are
     returned, spread evenly over the measurement.
@@ -46,9 +46,10 @@ def candidate_change_times_by_station(sightings: Sightings, *, min_pointings: in
 
 
 def times_between_visits(sightings: Sightings, target_index: int, *, max_n_times: int) -> list[float]:
-    """Times [s] between the pointings to a target from two successive stations, at most `max_n_times`.
+    """Candidate times [s] of a motion of a target: midpoints between its pointings from two successive stations.
 
-    If only one station measured the target, the results are times between pointings of this station.
+    There are at most `max_n_times`. If only one station measured the target, they are midpoints between pointings of
+    this station.
     """
     target_rows = sightings.measurement_order[sightings.target[sightings.measurement_order] == target_index]
     times, stations = sightings.time[target_rows], sightings.station[target_rows]
@@ -62,9 +63,9 @@ def times_between_visits(sightings: Sightings, target_index: int, *, max_n_times
 
 
 def neighbouring_gap_times(times: Floats, time: float) -> list[float]:
-    """Midpoints [s] of the gaps between pointings at `times` (n,) [s] that are near `time` [s].
+    """Midpoints [s] of the gaps between n pointings at `times` (n,) [s] that are near `time` [s].
 
-    There are up to `N_NEIGHBOUR_GAPS` gaps on either side.
+    There are up to `N_NEIGHBOUR_GAPS` of these gaps before `time`, and as many after it.
     """
     ordered = np.unique(times)
     midpoints = 0.5 * (ordered[1:] + ordered[:-1])
@@ -115,14 +116,16 @@ class Drift(Effect):
     slot: ClassVar[str]
     """Key of the error of the kinematic chain that drifts, such as `azimuth`."""
     rate_parameter: ClassVar[Parameter]
-    """Parameter of the laws ``visit`` and ``linear``: correction per time."""
+    """Parameter of the laws of time that are linear (``visit`` and ``linear``): correction per time."""
     amplitude_parameter: ClassVar[Parameter]
     """Parameter of the law ``exponential``: correction at the start."""
     candidate_linear_laws: ClassVar[tuple[TimeLaw, ...]]
-    """Laws, ``visit`` or ``linear``, that a search tries at all stations together; with one station only the first law
-    is tried."""
+    """Linear laws of time that a search tries at all stations together: ``visit`` (time since the station's first
+    pointing) or ``linear`` (time since the recording's first pointing). With one station only the first law is tried.
+    """
     tries_single_stations: ClassVar[bool] = False
-    """True if a search also tries the law ``visit`` at single stations."""
+    """True if a search also tries, at single stations, a drift in proportion to the time since the station's first
+    pointing."""
 
     def __post_init__(self) -> None:
         parameter = self.amplitude_parameter if self.law == "exponential" else self.rate_parameter
@@ -146,13 +149,13 @@ class Drift(Effect):
         return [*linear, *single_station_drifts, *warm_ups]
 
     def time_law_values(self, sightings: Sightings) -> Floats:
-        """Factor (n,) of the drift's parameter at each pointing: a time [s], or dimensionless for a decay."""
+        """Factor (n,) of the drift's parameter at each of n pointings: a time [s], or dimensionless for a decay."""
         if self.law == "visit":
             return sightings.station_time
         time_since_start = sightings.time - first_pointing_time(sightings)
         return time_since_start if self.law == "linear" else np.asarray(np.exp(-time_since_start / self.time_constant))
 
     def design(self, sightings: Sightings) -> Floats:
-        drift_per_unit = self.row_weights(sightings) * self.time_law_values(sightings)
+        drift_per_unit = self.pointing_indicator(sightings) * self.time_law_values(sightings)
         column: Floats = sightings.reading_change_by_error_slot[self.slot] * drift_per_unit[:, None]
         return column[:, :, None]

@@ -18,9 +18,10 @@ MIN_WAVELENGTH = 0.02
 """Shortest wavelength [m] that a search tries."""
 MAX_WAVELENGTH = 2.0
 """Longest wavelength [m] that a search tries."""
-MAX_PHASE_ERROR = 0.125
-"""Largest phase error [periods] between a wave and the wave with the nearest wavelength that a search tries. It occurs
-at the ends of the interval of ranges if the phase is correct in its middle."""
+MAX_WAVE_PHASE_ERROR = 0.125
+"""Largest phase error [periods] between a wave and the wave with the nearest wavelength that a search tries; it defines
+the spacing of the tried wavelengths. The error is largest at the ends of the interval of ranges, if the phase is
+correct in the middle of the interval."""
 MAX_WAVELENGTH_COUNT = 1200
 """Largest number of wavelengths that a search tries."""
 
@@ -70,13 +71,13 @@ class RangeCyclic(Effect):
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Effects that a diagnosis tries, with wavelengths that the interval of measured ranges can distinguish."""
         span = float(np.ptp(sightings.range_)) if len(sightings) else 0.0
-        step = 4 * MAX_PHASE_ERROR / max(span, 0.5)
+        step = 4 * MAX_WAVE_PHASE_ERROR / max(span, 0.5)
         highest = min(1 / MIN_WAVELENGTH, 1 / MAX_WAVELENGTH + MAX_WAVELENGTH_COUNT * step)
         return [cls(wavelength=float(1 / f)) for f in np.arange(1 / MAX_WAVELENGTH, highest, step)]
 
     def design(self, sightings: Sightings) -> Floats:
         phase = 2 * np.pi * sightings.range_ / self.wavelength
-        acts = self.row_weights(sightings)
+        acts = self.pointing_indicator(sightings)
         columns = [
             design_from_front_face_corrections(sightings, distance=acts * wave(phase)) for wave in (np.cos, np.sin)
         ]

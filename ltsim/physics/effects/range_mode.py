@@ -38,6 +38,6 @@ class RangeMode(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         interferometer = sightings.covariates.get(DISTANCE_METER_COLUMN, np.zeros(len(sightings)))
-        return design_from_front_face_corrections(sightings, distance=self.row_weights(sightings) * interferometer)[
-            :, :, None
-        ]
+        return design_from_front_face_corrections(
+            sightings, distance=self.pointing_indicator(sightings) * interferometer
+        )[:, :, None]

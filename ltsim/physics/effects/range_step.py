@@ -48,9 +48,9 @@ class RangeStep(Effect):
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
         """Copies of this step in the neighbouring gaps between pointings, for a local search."""
-        times = sightings.time[self.row_weights(sightings) > 0]
+        times = sightings.time[self.pointing_indicator(sightings) > 0]
         return [self.with_constants(time=t) for t in neighbouring_gap_times(times, self.time)]
 
     def design(self, sightings: Sightings) -> Floats:
-        after = self.row_weights(sightings) * (sightings.time >= self.time)
+        after = self.pointing_indicator(sightings) * (sightings.time >= self.time)
         return design_from_front_face_corrections(sightings, distance=after)[:, :, None]

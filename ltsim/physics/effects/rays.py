@@ -1,10 +1,11 @@
 """Light paths through air of non-uniform temperature: integration of the ray equation, and its first-order solution.
 
-A temperature field is a function of points (m, 3) in the network frame. Its values are the temperature minus that of
+A temperature field is a function of m points (m, 3) in the network frame. Its values are the temperature minus that of
 the weather sensor, (m,) [K], and the gradient of the temperature, (m, 3) [K/m].
 
-Ray equation d/ds (n dr/ds) = grad n. Corrections (true value - reading) to first order, with the distance s from the
-station:
+Ray equation d/ds (n dr/ds) = grad n, with the refractive index n, and the position r at the distance s from the
+station. Corrections (true value - reading) to first order, to the left (D_t), upward (D_v) and of the range d, with the
+gradient grad_perp n across the beam and the index n_sensor at the weather sensor:
 (D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds.
 """
 
@@ -18,12 +19,12 @@ from numpy.polynomial import Polynomial
 from ltsim.core.arrays import Bools, Floats
 from ltsim.physics.effects.ciddor import refractive_index_sensitivity, refractivity
 from ltsim.physics.effects.effect import Effect, design_from_front_face_corrections
-from ltsim.physics.effects.motions import reading_change
+from ltsim.physics.effects.motions import reading_change_to_points
 from ltsim.scene.sightings import Sightings
 
 TemperatureField = Callable[[Floats], tuple[Floats, Floats]]
-"""Function from points (n, 3) [m] to the temperature minus that of the weather sensor (n,) [K] and the gradient of the
-temperature (n, 3) [K/m]."""
+"""Function from n points (n, 3) [m] to the temperature minus that of the weather sensor (n,) [K], and to the gradient
+of the temperature (n, 3) [K/m]."""
 
 REFERENCE_TEMPERATURE = 20.0
 """Temperature [C] at the weather sensor for which beta = -dn/dT is computed; beta changes by 0.5 % per kelvin."""
@@ -52,13 +53,14 @@ def relative_index_decrease_per_kelvin() -> float:
 
 
 def first_order_reading_change(
-    sightings: Sightings, field: TemperatureField, row_weights: Bools | None = None
+    sightings: Sightings, field: TemperatureField, pointing_indicator: Bools | None = None
 ) -> Floats:
-    """Change (n, 3) of the raw readings by a temperature field, to first order: integrals along straight paths.
+    """Change (n, 3) of the raw readings of n pointings by a temperature field: integrals along straight paths.
 
-    If flags `row_weights` (n,) are given, only flagged pointings are computed, and other changes are zero.
+    The result is of first order. If `pointing_indicator` (n,) is given, only the pointings that it flags are computed,
+    and the changes of the others are zero.
     """
-    pointing_indices = np.arange(len(sightings)) if row_weights is None else np.flatnonzero(row_weights)
+    pointing_indices = np.arange(len(sightings)) if pointing_indicator is None else np.flatnonzero(pointing_indicator)
     beam, across, up = (way[pointing_indices] for way in sightings.beam_vectors)
     ray_lengths = sightings.range_[pointing_indices]
     path_fractions = 0.5 * (1.0 + QUADRATURE_NODES)
@@ -82,10 +84,11 @@ def first_order_reading_change(
 
 
 def integrated_reading_change(sightings: Sightings, field: TemperatureField, *, n_steps: int = N_RAY_STEPS) -> Floats:
-    """Change (n, 3) of the raw readings by a temperature field, from the ray equation (Runge-Kutta, fourth order).
+    """Change (n, 3) of the raw readings of n pointings by a temperature field, from the ray equation.
 
-    The ray starts in the direction of the first-order solution. The direction is then corrected for the distance
-    between the end of the ray and the target. `n_steps` is the number of Runge-Kutta steps.
+    The ray equation is integrated by the Runge-Kutta method of fourth order. The ray starts in the direction of the
+    first-order solution. The direction is then corrected for the distance between the end of the ray and the target.
+    `n_steps` is the number of Runge-Kutta steps.
     """
     start, target = sightings.station_positions[sightings.station], sightings.target_points[sightings.target]
     ray_lengths = sightings.range_
@@ -99,11 +102,11 @@ def integrated_reading_change(sightings: Sightings, field: TemperatureField, *, 
     excess = (optical + at_target * along - law(0.0) * (ray_lengths + along)) / (1.0 + law(0.0))
     local = np.einsum("nji,nj->ni", sightings.station_rotations[sightings.station], aim)
     apparent = local / np.linalg.norm(local, axis=1, keepdims=True) * (ray_lengths + along + excess)[:, None]
-    return reading_change(sightings, apparent)
+    return reading_change_to_points(sightings, apparent)
 
 
 def _apparent_directions(sightings: Sightings, field: TemperatureField) -> Floats:
-    """Unit vectors (n, 3) from the stations towards the apparent positions of the targets, to first order."""
+    """Unit vectors (n, 3) from the station to the apparent position of the target of n pointings, to first order."""
     beam, across, up = sightings.beam_vectors
     change = first_order_reading_change(sightings, field)
     lateral_angle = change[:, 1] * np.cos(sightings.elevation)
@@ -149,24 +152,24 @@ def _trace_rays(
 
 @dataclass(frozen=True)
 class WarmAirEffect(Effect):
-    """Base class of effects of warm air whose only parameter is a temperature difference [K]."""
+    """Base class of effects of warm air; the only parameter is a temperature difference [K]."""
 
     def temperature_field(self, sightings: Sightings) -> TemperatureField:
         """Temperature field if the temperature difference, the parameter of the effect, is 1 K."""
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per kelvin of the temperature difference, to first order."""
+        """Change (n, 3, 1) of the readings of n pointings per kelvin of the temperature difference, to first order."""
         return first_order_reading_change(
-            sightings, self.temperature_field(sightings), self.row_weights(sightings) > 0
+            sightings, self.temperature_field(sightings), self.pointing_indicator(sightings) > 0
         )[:, :, None]
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings by integration of the ray equation."""
+        """Change (n, 3) of the raw readings of n pointings, by integration of the ray equation."""
         kelvin = self.temperature_field(sightings)
 
         def field(points: Floats) -> tuple[Floats, Floats]:
             warmer, gradient = kelvin(points)
             return parameter_values[0] * warmer, parameter_values[0] * gradient
 
-        return integrated_reading_change(sightings, field) * self.row_weights(sightings)[:, None]
+        return integrated_reading_change(sightings, field) * self.pointing_indicator(sightings)[:, None]

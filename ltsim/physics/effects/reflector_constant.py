@@ -33,4 +33,4 @@ class ReflectorConstant(Effect):
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        return design_from_front_face_corrections(sightings, distance=self.row_weights(sightings))[:, :, None]
+        return design_from_front_face_corrections(sightings, distance=self.pointing_indicator(sightings))[:, :, None]

@@ -37,5 +37,5 @@ class RefractivityDrift(Effect):
     def design(self, sightings: Sightings) -> Floats:
         time_since_start = sightings.time - first_pointing_time(sightings)
         return design_from_front_face_corrections(
-            sightings, distance=self.row_weights(sightings) * sightings.range_ * time_since_start
+            sightings, distance=self.pointing_indicator(sightings) * sightings.range_ * time_since_start
         )[:, :, None]

@@ -10,7 +10,7 @@ from ltsim.scene.sightings import Sightings
 
 
 def reflector_axes(sightings: Sightings) -> Floats:
-    """Axes of each pointing's reflector (axial, side, up), network frame, as columns of matrices (n, 3, 3).
+    """Axes (axial, side, up) of the reflector of each of n pointings, network frame, as columns of matrices (n, 3, 3).
 
     The axis of a re-aimed reflector, or of one in an unknown nest, points to the station; otherwise it is the nest's
     normal.
@@ -64,5 +64,5 @@ class SmrCentring(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         return design_from_displacements(
-            sightings, reflector_axes(sightings) * self.row_weights(sightings)[:, None, None]
+            sightings, reflector_axes(sightings) * self.pointing_indicator(sightings)[:, None, None]
         )

@@ -36,6 +36,6 @@ class SmrDihedral(Effect):
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        acts = self.row_weights(sightings)
+        acts = self.pointing_indicator(sightings)
         lateral = design_from_front_face_corrections(sightings, azimuth=acts / np.cos(sightings.elevation))
         return np.stack([lateral, design_from_front_face_corrections(sightings, elevation=acts)], axis=2)

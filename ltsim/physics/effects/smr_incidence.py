@@ -11,25 +11,28 @@ from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, desi
 from ltsim.scene.sightings import Sightings
 
 TABLE_ANGLES = np.arange(-30.0, 30.1, 7.5) * DEGREE
-"""Incidence angles [rad] at which a table gives the range error of a reflector, as in the paper's fig. 9."""
+"""Incidence angles [rad] of a table of range errors of a reflector, as in fig. 9 of Sensors 2021, 21, 7479."""
 MAX_INCIDENCE = 30.0 * DEGREE
 """Largest incidence angle [rad] in a table of range errors."""
 PAPER_RANGE_ERRORS = tuple(x * MICROMETRE for x in (13.0, 8.6, 4.9, 3.4, 2.9, 3.1, 3.6, 5.8, 8.2))
-"""Range errors (reading - true range) [m] at `TABLE_ANGLES`, with the size and asymmetry of the paper's fig. 9."""
+"""Range errors (reading - true range) [m] at `TABLE_ANGLES`, with the size and asymmetry of fig. 9 of Sensors 2021, 21,
+7479."""
 KNOT_ANGLES = TABLE_ANGLES[len(TABLE_ANGLES) // 2 : -1]
-"""Incidence angles (4,) [rad] at which the slope of the range error may change, as in the paper's table."""
+"""Incidence angles (4,) [rad] at which the slope of the range error may change: the angles of `TABLE_ANGLES` from 0 up,
+except the last."""
 EVEN_SLOPE_SIGMA = 1.5 * MICROMETRE
-"""Prior standard deviation [m] of a change of slope in the even part of the error, expressed as its contribution to the
-error at the next knot. At 30 deg the even part then has a standard deviation of 8.2 um; the even part of the paper's
-table is 7.7 um."""
+"""Prior standard deviation [m] of a change of slope in the part of the incidence error that is the same for all
+directions (even part), expressed as its contribution to the error 7.5 deg further. At 30 deg the even part then has a
+standard deviation of 8.2 um; in `PAPER_RANGE_ERRORS` it is 7.7 um."""
 ODD_SLOPE_SIGMA = 0.6 * MICROMETRE
-"""Prior standard deviation [m] of a change of slope in each odd part of the error, expressed as its contribution to the
-error at the next knot. At 30 deg an odd part then has a standard deviation of 3.3 um; the odd part of the paper's table
-is 2.4 um."""
+"""Prior standard deviation [m] of a change of slope in each part of the incidence error that is opposite for opposite
+directions (odd part), expressed as its contribution to the error 7.5 deg further. At 30 deg an odd part then has a
+standard deviation of 3.3 um; in `PAPER_RANGE_ERRORS` it is 2.4 um."""
 THREEFOLD_SIGMA = 5 * MICROMETRE
-"""Prior standard deviation [m] of the threefold part, which has three periods per turn because of the three mirrors."""
+"""Prior standard deviation [m] of the part of the incidence error with three periods per turn around the nest's normal,
+which comes from the three mirrors."""
 AZIMUTHAL_PARTS = ("even", "cos", "sin")
-"""Parts of the error by their dependence on the direction of incidence: none, its cosine, its sine."""
+"""Parts of the incidence error by their dependence on the direction of incidence: none, its cosine, its sine."""
 _PART_DESCRIPTIONS = (
     "the same for all directions",
     "to the horizontal side, opposite on the other",
@@ -39,7 +42,7 @@ _PART_DESCRIPTIONS = (
 
 
 def _ramp_parameters() -> tuple[Parameter, ...]:
-    """Parameters (12) of the three parts of the error: each is the size at 30 deg of a ramp that starts at a knot."""
+    """Parameters of `AZIMUTHAL_PARTS`: for each of `KNOT_ANGLES` the size at 30 deg of a ramp from this angle."""
     steps = range(len(KNOT_ANGLES), 0, -1)
     return tuple(
         Parameter(f"{part}-{number}", "um", f"{meaning}, from {knot:g} deg on, its size at 30 deg", step * bend)
@@ -51,7 +54,7 @@ def _ramp_parameters() -> tuple[Parameter, ...]:
 
 
 def _ramp_values(incidence: Floats) -> Floats:
-    """Values (n, 4) of four ramps at incidence angles (n,) [rad]: 0 up to the ramp's knot, 1 from 30 deg on."""
+    """Values (n, 4) of four ramps at n incidence angles (n,) [rad]: 0 up to the ramp's knot angle, 1 from 30 deg on."""
     return np.clip((incidence[:, None] - KNOT_ANGLES) / (MAX_INCIDENCE - KNOT_ANGLES), 0.0, 1.0)
 
 
@@ -106,7 +109,7 @@ class SmrIncidence(Effect):
 
     @classmethod
     def range_correction_design(cls, incidence: Floats, direction: Floats) -> Floats:
-        """Change (n, 14) of the range correction (true range - reading) per unit of each parameter.
+        """Change (n, 14) of the range correction (true range - reading) of n pointings per unit of each parameter.
 
         `incidence` and `direction` (n,) [rad] are the angle of incidence and its direction around the nest's normal.
         """
@@ -133,7 +136,7 @@ class SmrIncidence(Effect):
         return -np.concatenate([even, *odds, np.zeros(2)])
 
     def incidence_angle_and_direction(self, sightings: Sightings) -> tuple[Floats, Floats]:
-        """Incidence angle, and direction of incidence around the nest's normal, each (n,) [rad].
+        """Incidence angle, and direction of incidence around the nest's normal, of n pointings, each (n,) [rad].
 
         Both are 0 for a re-aimed reflector and for a nest with an unknown normal.
         """
@@ -143,12 +146,12 @@ class SmrIncidence(Effect):
         return angle, direction
 
     def design(self, sightings: Sightings) -> Floats:
-        acts = self.row_weights(sightings)[:, None]
+        acts = self.pointing_indicator(sightings)[:, None]
         return design_from_front_face_corrections(
             sightings, distance=acts * self.range_correction_design(*self.incidence_angle_and_direction(sightings))
         )
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings by the table and by parameters with `parameter_values` (14,) [m]."""
+        """Change (n, 3) of the raw readings of n pointings by the table and by the parameters (14,) [m]."""
         change: Floats = self.design(sightings) @ (self.parameters_from_table + parameter_values)
         return change

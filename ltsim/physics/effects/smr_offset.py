@@ -39,4 +39,4 @@ class SmrOffset(TargetMotion):
 
     def displacement(self, sightings: Sightings) -> Floats:
         normal = np.nan_to_num(sightings.nest_normals[sightings.target])
-        return (normal * self.row_weights(sightings)[:, None])[:, :, None]
+        return (normal * self.pointing_indicator(sightings)[:, None])[:, :, None]

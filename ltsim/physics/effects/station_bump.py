@@ -47,8 +47,8 @@ class StationBump(StationMotion):
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
         """Copies of this bump in the neighbouring gaps between pointings, for a local search."""
-        times = sightings.time[self.row_weights(sightings) > 0]
+        times = sightings.time[self.pointing_indicator(sightings) > 0]
         return [self.with_constants(time=t) for t in neighbouring_gap_times(times, self.time)]
 
     def motion(self, sightings: Sightings) -> Floats:
-        return (self.row_weights(sightings) * (sightings.time >= self.time))[:, None, None] * np.eye(6)
+        return (self.pointing_indicator(sightings) * (sightings.time >= self.time))[:, None, None] * np.eye(6)

@@ -40,5 +40,7 @@ class StationLevelling(StationMotion):
         return [cls(), *(cls((name,)) for name in sightings.station_names)]
 
     def motion(self, sightings: Sightings) -> Floats:
-        axes = sightings.station_rotations[sightings.station][:, :, :2] * self.row_weights(sightings)[:, None, None]
+        axes = (
+            sightings.station_rotations[sightings.station][:, :, :2] * self.pointing_indicator(sightings)[:, None, None]
+        )
         return np.concatenate([np.zeros_like(axes), axes], axis=1)

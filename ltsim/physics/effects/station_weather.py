@@ -29,6 +29,6 @@ class StationWeather(Effect):
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        return design_from_front_face_corrections(sightings, distance=self.row_weights(sightings) * sightings.range_)[
-            :, :, None
-        ]
+        return design_from_front_face_corrections(
+            sightings, distance=self.pointing_indicator(sightings) * sightings.range_
+        )[:, :, None]

@@ -66,7 +66,7 @@ class TargetMoved(TargetMotion):
 
     def neighbours(self, sightings: Sightings) -> list[Self]:
         """Copies of this step in neighbouring gaps between pointings, also of the same station, for a local search."""
-        times = sightings.time[self.row_weights(sightings) > 0]
+        times = sightings.time[self.pointing_indicator(sightings) > 0]
         return (
             [self.with_constants(time=t) for t in neighbouring_gap_times(times, self.time)]
             if self.kind == "step"
@@ -77,4 +77,4 @@ class TargetMoved(TargetMotion):
         fraction = (
             sightings.time >= self.time if self.kind == "step" else sightings.time - first_pointing_time(sightings)
         )
-        return (self.row_weights(sightings) * fraction)[:, None, None] * np.eye(3)
+        return (self.pointing_indicator(sightings) * fraction)[:, None, None] * np.eye(3)

@@ -43,7 +43,9 @@ class TargetSwap(Blunder):
             return sightings
         a, b = (sightings.target_names.index(name) for name in self.targets)
         exchanged_target = np.where(sightings.target == a, b, a)
-        return replace(sightings, target=np.where(self.row_weights(sightings) > 0, exchanged_target, sightings.target))
+        return replace(
+            sightings, target=np.where(self.pointing_indicator(sightings) > 0, exchanged_target, sightings.target)
+        )
 
     def design(self, sightings: Sightings) -> Floats:
         if len(self.targets) != 2:
@@ -51,5 +53,5 @@ class TargetSwap(Blunder):
         a, b = (sightings.target_names.index(name) for name in self.targets)
         partner = np.where(sightings.target == a, b, a)
         gap = sightings.target_points[partner] - sightings.target_points[sightings.target]
-        acts = self.row_weights(sightings)[:, None]
+        acts = self.pointing_indicator(sightings)[:, None]
         return exact_change_by_displacement(sightings, gap * acts)[:, :, None]

@@ -6,7 +6,7 @@ from ltsim.scene.sightings import Sightings
 
 
 def reading_rates(sightings: Sightings) -> Floats:
-    """Mean rate (n, 3) of the raw readings [m/s, rad/s] since the previous pointing of the same station."""
+    """Mean rate (n, 3) [m/s, rad/s] of the readings of n pointings since the previous pointing of the same station."""
     rate = np.zeros((len(sightings), 3))
     lapse = sightings.time - sightings.time[sightings.previous_pointings]
     going = (sightings.previous_pointings >= 0) & (lapse > 0)
@@ -41,5 +41,5 @@ class TimingLag(Effect):
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        late = reading_rates(sightings) * self.row_weights(sightings)[:, None]
+        late = reading_rates(sightings) * self.pointing_indicator(sightings)[:, None]
         return -late[:, :, None] * np.eye(3)

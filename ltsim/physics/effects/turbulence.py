@@ -10,7 +10,7 @@ class Turbulence(NoiseEffect):
     """Turbulence: the refractive index fluctuates, and the scatter of readings grows with the range.
 
     The variances of the lengths D_t and D_v across the beam, to the left and upward, increase by C d^3 at the range d.
-    The variance of d increases by C_r d. The noise changes, the mean reading does not.
+    The variance of d increases by C_r d. C and C_r are the parameters. The noise changes, the mean reading does not.
 
     Size: C of 100 um^2/m^3 on a shop floor; there a shield around a path of 2.5 m reduced the lateral scatter from 40
     to 23 um.
@@ -34,7 +34,7 @@ class Turbulence(NoiseEffect):
     )
 
     def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
-        range_, acts = sightings.range_, self.row_weights(sightings)
+        range_, acts = sightings.range_, self.pointing_indicator(sightings)
         across = parameter_values[0] * range_  # C d^3 over d^2: an angle
         added = np.stack([parameter_values[1] * range_, across / np.cos(sightings.elevation) ** 2, across], axis=1)
         return sigma**2 + acts[:, None] * added

@@ -11,10 +11,10 @@ from ltsim.scene.sightings import Sightings
 
 GLASS_REFRACTIVE_INDEX = 1.5
 """Refractive index of glass."""
-PANE_TARGET_FRACTIONS = (0.25, 0.12)
+CANDIDATE_PANE_TARGET_FRACTIONS = (0.25, 0.12)
 """Numbers of neighbouring targets behind a candidate glass pane, as fractions of the number of targets that the station
 measured."""
-PANE_ROTATIONS = (-0.15, -0.05, 0.05, 0.15)
+CANDIDATE_PANE_ROTATIONS = (-0.15, -0.05, 0.05, 0.15)
 """Rotations [rad] of a glass pane about the vertical that a local search tries."""
 
 
@@ -60,7 +60,7 @@ class Window(TargetMotion):
         candidates = []
         for station in sightings.station_names:
             order = _targets_in_azimuth_order(sightings, station)
-            for share in PANE_TARGET_FRACTIONS:
+            for share in CANDIDATE_PANE_TARGET_FRACTIONS:
                 length = max(2, round(share * len(order)))
                 for first in range(0, len(order), max(1, length // 2)):
                     block = [order[(first + k) % len(order)] for k in range(min(length, len(order)))]
@@ -94,7 +94,7 @@ class Window(TargetMotion):
             if at_edge:
                 windows += self._perpendicular_panes(sightings, self.stations[0], sorted(behind ^ {t}))
         x, y, _ = self.pane_normal
-        angles = [np.arctan2(y, x) + angle for angle in PANE_ROTATIONS]
+        angles = [np.arctan2(y, x) + angle for angle in CANDIDATE_PANE_ROTATIONS]
         return windows + [self.with_constants(pane_normal=(float(np.cos(a)), float(np.sin(a)), 0.0)) for a in angles]
 
     def displacement(self, sightings: Sightings) -> Floats:
@@ -105,4 +105,4 @@ class Window(TargetMotion):
         inside = np.sqrt(GLASS_REFRACTIVE_INDEX**2 - 1.0 + cosine**2)
         longer = (inside - cosine) * beam
         aside = (1.0 - cosine / inside) * (cosine * beam - normal)
-        return ((longer + aside) * self.row_weights(sightings)[:, None])[:, :, None]
+        return ((longer + aside) * self.pointing_indicator(sightings)[:, None])[:, :, None]

@@ -60,9 +60,9 @@ class WrongUnit(Blunder):
         return [effect for name in sightings.station_names for effect in cls.blunders_at_station(name)]
 
     def recorded_readings(self, sightings: Sightings, readings: Floats) -> Floats:
-        """Readings (n, 3) in the wrong unit."""
+        """Readings (n, 3) of n pointings in the wrong unit, from the correct readings (n, 3)."""
         return np.where(
-            self.row_weights(sightings)[:, None] > 0, self.transcription_error.with_error(readings), readings
+            self.pointing_indicator(sightings)[:, None] > 0, self.transcription_error.with_error(readings), readings
         )
 
     def design(self, sightings: Sightings) -> Floats:

@@ -22,19 +22,21 @@ from ltsim.scene.sightings import Sightings
 CIRCULAR_COVARIATES = ("azimuth", "circle", "bearing", "nest-direction")
 """Names of the covariates that are angles on a full circle."""
 N_MODES_DEFAULT = 9
-"""Number of eigenfunctions of a smooth curve in a search. At the shortest of the length scales, the prior standard
-deviation of the last coefficient is a tenth to a third of that of the first coefficient."""
+"""Number of eigenfunctions (of the Laplacian) that represent a smooth curve in a search. At the shortest of the length
+scales, the prior standard deviation of the last coefficient is a tenth to a third of that of the first coefficient."""
 N_MODES_IN_PRODUCT = 4
-"""Number of eigenfunctions of a smooth curve that is a factor of a product, or that a law of a single target has."""
+"""Number of eigenfunctions (of the Laplacian) that represent a smooth curve as a factor of a product, or in a law of a
+single target."""
 N_MODES_FINE = 32
-"""Number of eigenfunctions of the finer curve that replaces a smooth curve of the selected law on trial."""
+"""Number of eigenfunctions (of the Laplacian) that represent the finer curve that replaces a smooth curve of the
+selected law on trial."""
 BASIS_WIDTH_RATIO = 1.25
-"""Width of the interval at whose ends all eigenfunctions are zero, divided by the width of the covariate's range. It is
-larger than 1 because a curve is not necessarily zero at the ends of the range.
+"""Width of the interval at whose ends all eigenfunctions of a smooth curve are zero, divided by the width of the
+covariate's range. It is larger than 1 because a curve is not necessarily zero at the ends of the range.
 """
 LENGTH_SCALES_BY_N_MODES = {N_MODES_DEFAULT: (0.9, 0.4, 0.18), N_MODES_IN_PRODUCT: (0.6,), N_MODES_FINE: (0.07,)}
-"""Length scales of the kernel by number of eigenfunctions, as fractions of half the covariate's range. For an angle on
-a full circle they are in radians."""
+"""Length scales of a smooth curve (of the kernel of its Gaussian process) by number of eigenfunctions, as fractions of
+half the covariate's range. For an angle on a full circle they are in radians."""
 MEMORY_COVARIATE_PREFIXES = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
 """Prefixes of the names of covariates that depend on preceding pointings, such as `move-azimuth`."""
 FORMULA_FUNCTIONS: dict[str, Callable[[Floats, float], Floats]] = {
@@ -64,7 +66,7 @@ as zero at some pointings, so that zero is its reference value."""
 
 
 def has_natural_zero(covariate: Floats) -> bool:
-    """True if the values (n,) of a covariate, such as a load, come close to zero, which is then its reference value.
+    """True if n values (n,) of a covariate, such as a load, come close to zero, which is then its reference value.
 
     The reference value of other covariates, such as a temperature, is their mean.
     """
@@ -72,7 +74,7 @@ def has_natural_zero(covariate: Floats) -> bool:
 
 
 def scaled_to_unit_rms(column: Floats) -> Floats:
-    """Column (n, 1) divided by its rms; a column of zeros remains unchanged."""
+    """Column (n, 1) of n values divided by its rms; a column of zeros remains unchanged."""
     largest = float(np.max(np.abs(column), initial=0.0))
     if not largest > 0.0:
         return column
@@ -85,21 +87,21 @@ N_HARMONICS = 5
 
 
 def fourier_columns(phase: Floats, n_harmonics: int) -> Floats:
-    """Cosines and sines (n, 2 n_harmonics) of 1 to `n_harmonics` times a phase (n,) [rad], with an rms of about one."""
+    """Cosines and sines (n, 2 n_harmonics) of 1 to `n_harmonics` times n phases (n,) [rad], with rms of about one."""
     return np.sqrt(2.0) * _unit_phasors(phase, n_harmonics).view(np.float64)
 
 
 def _unit_phasors(phase: Floats, n_harmonics: int) -> NDArray[np.complex128]:
-    """Complex numbers exp(i k phase), (n, n_harmonics), for a phase (n,) [rad] and k = 1 to `n_harmonics`."""
+    """Complex numbers exp(i k phase), (n, n_harmonics), for n phases (n,) [rad] and k = 1 to `n_harmonics`."""
     first_harmonic = np.broadcast_to(np.exp(1j * phase)[:, None], (len(phase), n_harmonics))
     return np.cumprod(first_harmonic, axis=1)
 
 
 def smooth_curve_columns(name: str, covariate: Floats, n_modes: int) -> Floats:
-    """Columns (n, k) of a smooth curve in a covariate with the `name` and the values `covariate` (n,).
+    """Columns (n, k) of a smooth curve in a covariate with the name `name` and the n values `covariate` (n,).
 
-    The columns are a linear function and `n_modes` eigenfunctions. For one of `CIRCULAR_COVARIATES` they are the cosine
-    and sine of (n_modes + 1) // 2 multiples of the angle.
+    The k columns are a linear function and `n_modes` eigenfunctions of the Laplacian. For one of `CIRCULAR_COVARIATES`
+    they are the cosine and sine of (n_modes + 1) // 2 multiples of the angle.
     """
     if name in CIRCULAR_COVARIATES:
         return fourier_columns(covariate, (n_modes + 1) // 2)
@@ -133,7 +135,7 @@ def smooth_curve_sigmas(is_circular: bool, n_modes: int) -> tuple[Floats, ...]:
 
 
 def function_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
-    """Column (n, 1), with an rms of one, of a function of a covariate with a constant.
+    """Column (n, 1), with an rms of one, of a function of a covariate with a constant, for n pointings.
 
     `function_name` is a key of `FORMULA_FUNCTIONS`, or `HYSTERESIS_FUNCTION`.
     """
@@ -151,7 +153,7 @@ def function_column(sightings: Sightings, covariate: str, function_name: str, co
 
 
 def play_operator(input_values: Floats, half_width: float) -> Floats:
-    """Output (n,) of a play operator for a sequence of inputs (n,).
+    """Output (n,) of a play operator for a sequence of n inputs (n,).
 
     The output stays constant until the input differs from it by `half_width`, and then follows at this distance. This
     is the operator of mechanical hysteresis (Krasnosel'skii and Pokrovskii, Systems with hysteresis, 1989).
@@ -167,10 +169,11 @@ def play_operator(input_values: Floats, half_width: float) -> Floats:
 def linear_field_columns(
     sightings: Sightings, names: Sequence[str], centre_targets: Sequence[str], *, is_quadratic: bool
 ) -> Floats:
-    """Columns (n, 4) of a quantity that varies linearly across the hall: a constant and three scaled coordinates.
+    """Columns (n, 4) for n pointings of a quantity that varies linearly across the hall.
 
-    If `is_quadratic`, six products of two coordinates follow, and the shape is (n, 10). The coordinates are the
-    covariates `names` minus their mean over the pointings to `centre_targets`, or to all targets if this is empty.
+    The columns are a constant and three scaled coordinates of the target. If `is_quadratic`, six products of two
+    coordinates follow, and the shape is (n, 10). The coordinates are the covariates `names` minus their mean over the
+    pointings to `centre_targets`, or to all targets if this is empty.
     """
     place = np.stack([sightings.covariate_values[name] for name in names], axis=1)
     ids = [i for name in centre_targets for i in sightings.target_indices[name]]
@@ -184,9 +187,9 @@ def linear_field_columns(
 
 
 def first_order_lag_columns(sightings: Sightings, covariate: str, time_constant: float) -> Floats:
-    """Columns (n, 2): a covariate after a first-order lag, and the covariate minus the lagged one; unit rms each.
+    """Columns (n, 2) for n pointings: a covariate after a first-order lag, and the covariate minus the lagged one.
 
-    `time_constant` is in seconds.
+    Each column has an rms of one. `time_constant` is in seconds.
     """
     x = sightings.covariate_values[covariate]
     x = np.abs(x) if covariate.startswith(MEMORY_COVARIATE_PREFIXES) else x - x.mean()
@@ -195,9 +198,9 @@ def first_order_lag_columns(sightings: Sightings, covariate: str, time_constant:
 
 
 def lagged_values(unlagged_values: Floats, sightings: Sightings, time_constant: float) -> Floats:
-    """Values (n,) of a quantity after a first-order lag with `time_constant` [s], from its `unlagged_values` (n,).
+    """Values (n,) of a quantity at n pointings after a first-order lag, from its `unlagged_values` (n,).
 
-    Before the first pointing the quantity counts as constant.
+    The lag has the time constant `time_constant` [s]. Before the first pointing the quantity counts as constant.
     """
     row_order = sightings.measurement_order
     share = -np.expm1(-np.diff(sightings.time[row_order], prepend=sightings.time[row_order[0]]) / time_constant)
@@ -210,14 +213,17 @@ def lagged_values(unlagged_values: Floats, sightings: Sightings, time_constant: 
 
 
 def group_means(columns: Floats, groups: Ints) -> Floats:
-    """Mean (n, k) of `columns` (n, k) over the pointings of the same group; `groups` (n,) are the group indices."""
+    """Mean (n, k) of k columns `columns` (n, k) over those of n pointings that are in the same group.
+
+    `groups` (n,) are the indices of the groups of the pointings.
+    """
     is_member = indicator_columns(groups, np.unique(groups)) > 0
     means: Floats = is_member @ ((is_member.T @ columns) / is_member.sum(axis=0)[:, None])
     return means
 
 
 def indicator_columns(group_indices: Ints, column_groups: Ints | Sequence[int]) -> Floats:
-    """Indicator columns (n, k) of k groups: 1 for the pointings of the group of the column, and 0 for all others.
+    """Indicator columns (n, k) of k groups of n pointings: 1 for the pointings of the column's group, 0 for all others.
 
     `group_indices` (n,) are the groups of the pointings, `column_groups` (k,) those of the columns.
     """

@@ -15,6 +15,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.effects.linear_effect import CandidateEffect, Parameter
 from ltsim.physics.laws.columns import N_MODES_DEFAULT, N_MODES_FINE, N_MODES_IN_PRODUCT, indicator_columns
+from ltsim.physics.laws.formula_regressors import formula_regressors
 from ltsim.physics.laws.places import MIN_GROUP_SIZE
 from ltsim.physics.laws.regressor_library import (
     LAG_TIME_CONSTANTS,
@@ -32,7 +33,6 @@ from ltsim.physics.laws.regressors import (
     switch_regressor,
 )
 from ltsim.physics.laws.responses import RESPONSE_AND_DESIGN_BY_NAME, Response
-from ltsim.physics.laws.short_regressors import short_regressors
 from ltsim.physics.laws.states import FIXED_COUNT_RESET_FUNCTION, POINTING_DECAY_FUNCTION, TIME_DECAY_FUNCTION
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
@@ -41,15 +41,15 @@ FACE_SIGN_REGRESSOR = scalar_regressor("face", "power")
 """Regressor with the sign of the face, +1 or -1. An elevation error proportional to this sign is an error of the
 vertical index.
 """
-MAX_PIECE_POSITIONS = 41
+MAX_STEP_POSITIONS = 41
 """Largest number of values of a covariate at which a search tries steps and ramps."""
 PER_SETUP_RESPONSE_KINDS = ("reading", "instrument", "circle", "stand")
 """Kinds of responses (`Response.kind`) for which a law may have separate coefficients in each set-up."""
 MAX_SWITCH_EDGES = 60
-"""Largest number of values of a covariate at which a search lets a switch turn on or off."""
-MAX_REFINED_PIECES = 4
+"""Largest number of values of a covariate at which a search lets a law turn on or off (switch)."""
+MAX_MOVED_STEPS = 4
 """Largest number of steps and ramps in a law that a local search moves; a law with more of them is not moved."""
-MAX_PIECE_MOVE_GAPS = 6
+MAX_STEP_MOVE_GAPS = 6
 """Largest number of gaps between values of the covariate by which a local search moves a step or ramp. It is also the
 smallest number of gaps between two steps, because a few pointings do not determine the size of a step."""
 MAGNITUDE_REFINED_FUNCTIONS = (
@@ -59,7 +59,7 @@ MAGNITUDE_REFINED_FUNCTIONS = (
 """Names of functions and of kinds of regressors with a positive constant, which a local search multiplies by 0.6 to
 1.7."""
 LATCH_THRESHOLD_STEPS = np.array([-0.06, -0.02, 0.02, 0.06])
-"""Changes of the thresholds of a latch that a local search tries, as fractions of the covariate's span."""
+"""Changes of thresholds of a latch (`latch_regressor`) in a local search, as fractions of the covariate's span."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class EmpiricalLaw(CandidateEffect):
         If S set-ups have separate coefficients and no `direction`, each has k columns, and the shape is (n, S k).
         """
         columns = self.regressor.columns(sightings, acts_on_targets=self.response.kind == "target")
-        columns = columns * self.row_weights(sightings)[:, None]
+        columns = columns * self.pointing_indicator(sightings)[:, None]
         if not self.has_coefficients_per_setup or self.direction:
             return columns
         setup_indices = [sightings.station_names.index(name) for name in self.stations]
@@ -216,21 +216,21 @@ class EmpiricalLaw(CandidateEffect):
 
     @property
     def _movable_regressor(self) -> Regressor | None:
-        """Regressor of steps, ramps or a switch that a local search moves; None without, or for a law of a region."""
+        """Regressor of steps, ramps or a switch that a local search moves; None without one, or with a region."""
         step_factors = [f for f in (self.regressor, *self.regressor.factors) if f.kind in ("pieces", "switch")]
-        movable_factors = [f for f in step_factors if f.kind == "switch" or len(f.factors) <= MAX_REFINED_PIECES]
+        movable_factors = [f for f in step_factors if f.kind == "switch" or len(f.factors) <= MAX_MOVED_STEPS]
         return movable_factors[0] if movable_factors and self.regressor.hall_region is None else None
 
     def _with_moved_pieces(self, sightings: Sightings, steps: Regressor) -> list[EmpiricalLaw]:
         """Laws with one of `steps` moved to another gap between values of the covariate, or with another lag."""
-        x = np.unique(sightings.covariate_values[steps.covariates[0]][self.row_weights(sightings) > 0])
+        x = np.unique(sightings.covariate_values[steps.covariates[0]][self.pointing_indicator(sightings) > 0])
         gaps = np.searchsorted(x, [piece.constant for piece in steps.factors])
         laws = []
         for i, piece in enumerate(steps.factors):
-            for k in range(max(gaps[i] - MAX_PIECE_MOVE_GAPS, 1), min(gaps[i] + MAX_PIECE_MOVE_GAPS, len(x) - 1) + 1):
+            for k in range(max(gaps[i] - MAX_STEP_MOVE_GAPS, 1), min(gaps[i] + MAX_STEP_MOVE_GAPS, len(x) - 1) + 1):
                 if (
                     np.isfinite(piece.constant)
-                    and np.abs(np.delete(gaps, i) - k).min(initial=MAX_PIECE_MOVE_GAPS) >= MAX_PIECE_MOVE_GAPS
+                    and np.abs(np.delete(gaps, i) - k).min(initial=MAX_STEP_MOVE_GAPS) >= MAX_STEP_MOVE_GAPS
                 ):
                     moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
                     regressor = replace(steps, factors=(*steps.factors[:i], moved, *steps.factors[i + 1 :]))
@@ -247,14 +247,14 @@ class EmpiricalLaw(CandidateEffect):
     def candidate_formulas(self, sightings: Sightings) -> list[EmpiricalLaw]:
         """Laws in which a formula with at most one constant replaces the smooth curve of this law."""
         if self.regressor.kind == "smooth":
-            short = short_regressors(sightings, self.regressor.covariates[0])
+            short = formula_regressors(sightings, self.regressor.covariates[0])
             return [replace(self, regressor=regressor, length_scale_index=0) for regressor in short]
         if self.regressor.function == "decay":
             return [replace(self, regressor=replace(self.regressor, function="relaxing"))]
         if self.regressor.kind != "product":
             return []
         options = [
-            list(short_regressors(sightings, f.covariates[0], is_reduced_set=True)) if f.kind == "smooth" else [f]
+            list(formula_regressors(sightings, f.covariates[0], is_reduced_set=True)) if f.kind == "smooth" else [f]
             for f in self.regressor.factors
         ]
         products = [Regressor("product", factors=factors) for factors in product(*options)]
@@ -286,8 +286,8 @@ class EmpiricalLaw(CandidateEffect):
         if len(curved) != 1:
             return []
         name = curved[0].covariates[0]
-        x = np.unique(sightings.covariate_values[name][self.row_weights(sightings) > 0])
-        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_PIECE_POSITIONS).round().astype(int))]
+        x = np.unique(sightings.covariate_values[name][self.pointing_indicator(sightings) > 0])
+        x = x[np.unique(np.linspace(0, len(x) - 1, MAX_STEP_POSITIONS).round().astype(int))]
         edges = 0.5 * (x[1:] + x[:-1])
         return [scalar_regressor(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
 
@@ -312,7 +312,7 @@ class EmpiricalLaw(CandidateEffect):
         if curve is None and not self.depends_on_fixed_region:
             return []
         name = curve.covariates[0] if curve else "time"
-        x = np.unique(sightings.covariate_values[name][self.row_weights(sightings) > 0])
+        x = np.unique(sightings.covariate_values[name][self.pointing_indicator(sightings) > 0])
         x = x[np.unique(np.linspace(0, len(x) - 1, MAX_SWITCH_EDGES).round().astype(int))]
         return [scalar_regressor(name, "step", float(edge)) for edge in 0.5 * (x[1:] + x[:-1])]
 
@@ -384,7 +384,7 @@ class EmpiricalLaw(CandidateEffect):
         law = self
         if self.has_coefficients_per_setup:
             law = replace(self, stations=(self.stations[largest],), has_coefficients_per_setup=False, direction=())
-        moved = columns[law.row_weights(sightings) > 0] @ means[:, largest].T
+        moved = columns[law.pointing_indicator(sightings) > 0] @ means[:, largest].T
         moved = moved - moved.mean(axis=0) if self.regressor.kind != "constant" else moved
         main_direction = np.linalg.svd(moved, full_matrices=False)[2][0]
         if self.response.component_units:

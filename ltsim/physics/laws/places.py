@@ -14,8 +14,8 @@ from ltsim.scene.sightings import Sightings
 NEIGHBOUR_GROUP_SIZES = (3, 6)
 """Numbers of nearest neighbours with which a target forms a candidate group."""
 MIN_GROUP_SIZE = 3
-"""Smallest number of targets in a group for which a law is tried, and smallest number of targets outside the group.
-Laws with a separate value for each set-up need more set-ups than this number."""
+"""Smallest number of targets in a group for which a law is tried, and smallest number of targets outside the group. A
+law with a separate value for each set-up is tried only with more set-ups than this number."""
 HEIGHT_WEIGHT = 5.0
 """Factor on heights in the clustering of targets by height and surface. With it, a height difference of a fifth of the
 hall's extent is as large a distance as an angle of 60 deg between the normals of two nests."""

@@ -39,7 +39,7 @@ from ltsim.physics.laws.states import (
     candidate_latches,
     candidate_state_keys,
 )
-from ltsim.scene.regions import HallRegion, candidate_regions, separates_enough_sights
+from ltsim.scene.regions import HallRegion, candidate_regions, is_passed_by_enough_sights
 from ltsim.scene.sightings import Sightings
 
 RAW_READING_NAMES = ("azimuth", "elevation", "distance")
@@ -51,7 +51,8 @@ _CIRCLE_COVARIATES = ("circle", "vertical-circle")
 _NEST_COVARIATES = ("incidence", "nest-direction")
 """Covariates that need the normals of the nests."""
 _SIGN_COVARIATES = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
-"""Covariates with few values, such as the face, which a law uses without a function."""
+"""Covariates with few values, such as the face. A law is proportional to such a covariate; no function of it is tried.
+"""
 ACCUMULATED_ROTATIONS = ("work-azimuth", "work-elevation")
 """Accumulated rotations of the axes since the set-up began."""
 OPERATOR_PREFIXES = ("last", "move", "work")
@@ -93,8 +94,8 @@ COVARIATES_BY_KIND: dict[str, tuple[str, ...]] = {
 of a wall cannot depend on the direction in which a tracker points. The position of a stand can, because a head is not
 balanced exactly and the floor yields under the operator."""
 MIN_EFFECTIVE_TARGETS = 2.5
-"""Effective number of targets in a region, above which a law of the targets in it is tried. With fewer targets, the
-error is one of a single target."""
+"""Effective number of targets in a region of the hall, above which a law of the targets in it is tried. With fewer
+targets, the error is one of a single target."""
 NEARNESS_REGION_SHAPES = ("xyz", "xy")
 """Shapes of the regions for laws that depend on the distance of targets from a position."""
 TEMPORARY_REGION_SHAPES = ("xy", "x", "y", "z")
@@ -173,7 +174,7 @@ def is_admissible(response_kind: str, regressor: Regressor, sightings: Sightings
 
 
 def candidate_regressors(sightings: Sightings, n_modes: int = N_MODES_DEFAULT) -> dict[str, list[Regressor]]:
-    """Regressors that a search tries, by kind; curves have `n_modes` eigenfunctions."""
+    """Regressors that a search tries, by kind; a smooth curve has `n_modes` basis functions."""
     s, columns = sightings, additional_column_names(sightings)
     base = _varying_covariates(s, (*BASE_COVARIATES, *columns, *_CIRCLE_COVARIATES, *_NEST_COVARIATES))
     remembered = [f"{prefix}-{name}" for prefix in OPERATOR_PREFIXES for name in columns]
@@ -256,7 +257,7 @@ def temporary_region_regressors(sightings: Sightings, function: str = "") -> Ite
         for begin, end in zip([-np.inf, *ends[:-1]], ends, strict=True):
             gate = switch_regressor([scalar_regressor("time", "step", edge) for edge in (begin, end) if edge < np.inf])
             during = (sightings.time > begin) & (sightings.time <= end)
-            for i in np.flatnonzero(separates_enough_sights(passing & during, sightings)):
+            for i in np.flatnonzero(is_passed_by_enough_sights(passing & during, sightings)):
                 yield Regressor("product", factors=(passage_regressor(regions[i], function), gate))
 
 
@@ -272,7 +273,7 @@ def single_target_regressors(sightings: Sightings) -> list[Regressor]:
 
 
 def target_group_regressors(sightings: Sightings) -> dict[str, list[Regressor]]:
-    """Regressors for motions of a group of targets, by kind, such as `step`, `curve`, or `amounts` per set-up."""
+    """Regressors for motions of a group of targets, by kind, such as `step`, `curve`, or `amounts` (one per set-up)."""
     local, steps = single_target_regressors(sightings), _step_regressors(sightings)
     each = per_setup_regressors(sightings, 2)
     return {

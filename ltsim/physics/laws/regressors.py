@@ -65,7 +65,7 @@ def name_without_memory_prefix(covariate: str) -> str:
 
 
 def covariate_names_in_files(covariates: Iterable[str]) -> tuple[str, ...]:
-    """Names in files of the given covariates; those that depend on previous motions of the head become `approach`."""
+    """Names in files of the given covariates; all that depend on previous motions of the head are named `approach`."""
     memory = {
         name
         for name in covariates
@@ -125,10 +125,10 @@ class Regressor:
     region: HallRegion | None = None
     """Region of the hall on which a `passage` or `near` regressor depends."""
     release_threshold: float = 0.0
-    """Threshold below which a latch is released."""
+    """Value of the covariate below which a latch changes from 1 to 0."""
 
     def columns(self, sightings: Sightings, *, acts_on_targets: bool = False) -> Floats:
-        """Columns (n, k) of the regressor for n pointings, each with an rms of about one.
+        """The k columns (n, k) of the regressor for n pointings, each with an rms of about one.
 
         If the law changes the position of targets (`acts_on_targets`), the columns are relative to a reference state,
         in which the targets have their declared coordinates. This is the start of the measurement, or the pointings at
@@ -142,7 +142,7 @@ class Regressor:
         return scaled_to_unit_rms(columns) if self.kind == "simple" else columns
 
     def _is_at_reference(self, sightings: Sightings) -> Bools:
-        """Flags (n,) of the pointings in the reference state (see `columns`) of targets that move."""
+        """Flags (n,) of those of n pointings at which moving targets are in their reference state (see `columns`)."""
         full_mask = np.ones(len(sightings), dtype=bool)
         name = "".join(self.covariates)
         if name == "time" and self.kind in ("simple", "pieces"):
@@ -151,7 +151,7 @@ class Regressor:
         return x == np.nanmin(x) if has_natural_zero(x) else full_mask
 
     def _unreduced_columns(self, sightings: Sightings, acts_on_targets: bool) -> Floats:
-        """Columns (n, k) of the regressor before their values in the reference state are subtracted."""
+        """The k columns (n, k) of the regressor for n pointings, without subtraction of reference values."""
         name = "".join(self.covariates[:1])
         if self.region is not None:
             return scaled_to_unit_rms(self._region_column(self.region, sightings)[:, None])
@@ -184,13 +184,13 @@ class Regressor:
         return self._product_columns(sightings, acts_on_targets)
 
     def _state_column(self, sightings: Sightings, name: str) -> Floats:
-        """Value (n,) of the state or latch at each pointing, minus its mean."""
+        """Value (n,) at each of n pointings of a regressor of the kind `state` or `latch`, minus its mean."""
         if self.kind == "latch":
             return latched(sightings, name, self.constant, self.release_threshold)
         return state_column(sightings, name, self.function, self.constant)
 
     def _region_column(self, region: HallRegion, sightings: Sightings) -> Floats:
-        """Values (n,) of a regressor of a hall `region`, by its kind.
+        """Values (n,), at n pointings, of a regressor that depends on a `region` of the hall, by its kind.
 
         The values are the length [m] of each line of sight in the region, this length weighted by the lever of a
         deflection (`LEVER_FUNCTION`), or the weight of the region at the target.
@@ -204,7 +204,7 @@ class Regressor:
         )
 
     def _group_indices(self, sightings: Sightings) -> tuple[Ints, Ints]:
-        """Index (n,) of the group of each pointing, and indices (k,) of the groups with a separate amount.
+        """Index (n,) of the group of each of n pointings, and indices (k,) of the k groups with a separate amount.
 
         Groups are stations, instruments, targets or previous targets.
         """
@@ -221,7 +221,7 @@ class Regressor:
         return sightings.target, np.array(ids) if ids else all_targets
 
     def _product_columns(self, sightings: Sightings, acts_on_targets: bool) -> Floats:
-        """Columns (n, k) of a product: all products of a column of each factor."""
+        """The k columns (n, k) of a product for n pointings: all products of a column of each factor."""
         product = np.ones((len(sightings), 1))
         for factor in self.factors:
             part = factor.columns(sightings, acts_on_targets=acts_on_targets)
@@ -270,21 +270,21 @@ class Regressor:
         return next((f.region for f in (self, *self.factors) if f.region is not None), None)
 
     def with_region(self, region: HallRegion) -> Regressor:
-        """Product of this regressor, without its field, and a regressor with a separate value for each target."""
+        """Copy of the regressor in which its region of the hall, or that of its factors, is replaced by `region`."""
         if self.region is None:
             factors = tuple(f.with_region(region) if f.region is not None else f for f in self.factors)
             return replace(self, factors=factors)
         return replace(self, region=region, covariates=tuple(region.bounded_axes))
 
     def with_field_centred_on(self, targets: tuple[str, ...]) -> Regressor:
-        """Copy of the regressor in which the origin of a field is the mean position of `targets`."""
+        """Copy of the regressor with the mean position of `targets` as the origin of its factor of the kind `field`."""
         if all(f.kind != "field" for f in self.factors):
             return self
         factors = tuple(replace(f, centre_targets=targets) if f.kind == "field" else f for f in self.factors)
         return replace(self, factors=factors)
 
     def with_amount_per_target(self, targets: tuple[str, ...]) -> Regressor:
-        """Product of this regressor, without its field, and a regressor with a separate value for each of `targets`."""
+        """Product of this regressor, without its factor `field`, and a regressor with a value for each of `targets`."""
         other_factors = [f for f in self.factors or (self,) if f.kind != "field"]
         separate_amounts = group_amounts_regressor("target", len(targets), targets)
         return Regressor("product", factors=(*other_factors, separate_amounts))
@@ -308,7 +308,7 @@ COORDINATE_COVARIATES = ("x", "y", "z")
 
 
 def with_position_dependence(regressors: Sequence[Regressor], polynomial_order: int) -> list[Regressor]:
-    """Products of each regressor with a field, so that the coefficient of the regressor varies across the hall.
+    """Products of each regressor with a polynomial of the position, so that its coefficient varies across the hall.
 
     The coefficient is a linear function of the position for `polynomial_order` 1 and a quadratic function for 2.
     """
@@ -322,9 +322,9 @@ def scalar_regressor(covariate: str, function: str, constant: float = 1.0) -> Re
 
 
 LEVER_FUNCTION = "lever"
-"""Name of the function of a region that deflects the lines of sight through it. A deflection at a point moves the end
-of the line in proportion to the length beyond the point. The measured direction thus changes by the deflection times
-the fraction of the line beyond the point."""
+"""Name of the function of a `passage` regressor for a region that deflects the lines of sight through it. A deflection
+at a point moves the end of the line in proportion to the length beyond the point. The measured direction thus changes
+by the deflection times the fraction of the line beyond the point."""
 
 
 def passage_regressor(region: HallRegion, function: str = "") -> Regressor:
@@ -363,7 +363,7 @@ def group_amounts_regressor(group_kind: str, n_groups: int, targets: tuple[str, 
 
 
 def piecewise_regressor(steps: Sequence[Regressor]) -> Regressor:
-    """Regressor that is a sum of steps and ramps of one covariate, each with a separate coefficient."""
+    """Regressor that is a sum of the steps and ramps `steps` of one covariate, each with a separate coefficient."""
     return Regressor("pieces", steps[0].covariates, constant=len(steps), factors=tuple(steps))
 
 
@@ -373,5 +373,5 @@ def switch_regressor(edge_regressors: Sequence[Regressor]) -> Regressor:
 
 
 def smooth_regressor(covariate: str, n_modes: int = N_MODES_DEFAULT) -> Regressor:
-    """Regressor that is a smooth curve (Gaussian process) in a covariate, with `n_modes` eigenfunctions."""
+    """Regressor that is a smooth curve (Gaussian process) in a covariate, with `n_modes` basis functions."""
     return Regressor("smooth", (covariate,), constant=n_modes)

@@ -155,7 +155,7 @@ _DISPLACEMENT_TOWARDS_INSTRUMENT_RESPONSE = Response(
 
 
 def _observable_design(sightings: Sightings, observable: str) -> Floats:
-    """Change (n, 3, 1) of the raw readings per unit of a correction of one observable.
+    """Change (n, 3, 1) of the raw readings of n pointings per unit of a correction of one observable.
 
     The correction refers to face 1; on face 2 the reading of an angle may change with the opposite sign.
     """
@@ -163,7 +163,7 @@ def _observable_design(sightings: Sightings, observable: str) -> Floats:
 
 
 def _multi_observable_design(sightings: Sightings, response: Response) -> Floats:
-    """Change (n, 3, c) of the raw readings per unit of each coefficient, for a joint change of c observables."""
+    """Change (n, 3, c) of the readings of n pointings per unit of the coefficient of each of c changed observables."""
     component_designs = [
         scale * _observable_design(sightings, name)
         for name, scale in zip(response.observables, response.component_scales, strict=True)
@@ -172,23 +172,23 @@ def _multi_observable_design(sightings: Sightings, response: Response) -> Floats
 
 
 def _slot_design(sightings: Sightings, slot: str) -> Floats:
-    """Change (n, 3, 1) of the raw readings per unit of an error of the kinematic chain, given by its key `slot`."""
+    """Change (n, 3, 1) of the readings of n pointings per unit of the kinematic chain's error with the key `slot`."""
     return sightings.reading_change_by_error_slot[slot][:, :, None]
 
 
 def _range_scale_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 1) of the raw readings per unit of the range scale."""
+    """Change (n, 3, 1) of the raw readings of n pointings per unit of the range scale."""
     return design_from_front_face_corrections(sightings, distance=sightings.range_)[:, :, None]
 
 
 def _nest_normal_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 1) of the raw readings per metre of a motion of the targets along the normals of their nests."""
+    """Change (n, 3, 1) of the readings of n pointings per metre of a motion of targets along their nests' normals."""
     normal = np.nan_to_num(sightings.nest_normals[sightings.target])
     return design_from_displacements(sightings, normal[:, :, None])
 
 
 def _reflector_vertex_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 3) of the raw readings per metre of a displacement of the reflectors' vertices along three axes.
+    """Change (n, 3, 3) of the readings of n pointings per metre of a displacement of reflector vertices on three axes.
 
     The axes are those of `reflector_axes`: axially, sideways and up.
     """
@@ -196,7 +196,7 @@ def _reflector_vertex_design(sightings: Sightings) -> Floats:
 
 
 def _displacement_towards_instrument_design(sightings: Sightings) -> Floats:
-    """Change (n, 3, 1) of the raw readings per metre of a level motion of the reflectors towards the instrument."""
+    """Change (n, 3, 1) of the readings of n pointings per metre of a level motion of reflectors to the instrument."""
     back_sight = sightings.station_positions[sightings.station] - sightings.target_points[sightings.target]
     level = back_sight * [1.0, 1.0, 0.0]
     return design_from_displacements(
@@ -205,7 +205,8 @@ def _displacement_towards_instrument_design(sightings: Sightings) -> Floats:
 
 
 ResponseDesignFunction = Callable[[Sightings], Floats]
-"""Function from sightings to the change (n, 3, c) of the raw readings per unit of each component of a response."""
+"""Function from the sightings of n pointings to the change (n, 3, c) of their raw readings per unit of each of the c
+components of a response."""
 
 
 def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
@@ -228,14 +229,15 @@ def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
 
 
 RESPONSE_AND_DESIGN_BY_NAME = _response_registry()
-"""Responses by name, each with the function for the change (n, 3, c) of the raw readings per unit of each coefficient.
+"""Responses by name, each with the function for the change (n, 3, c) of the raw readings of n pointings per unit of
+each of the response's c coefficients.
 """
 _RESPONSES_NEEDING_NESTS = {_TARGET_HEIGHT_RESPONSE.name, _REFLECTOR_VERTEX_RESPONSE.name}
 """Names of the responses that need declared normals of the nests."""
 
 
 def response_designs(sightings: Sightings) -> dict[str, tuple[Response, Floats]]:
-    """Responses by name, each with the change (n, 3, c) of the raw readings per unit of its c coefficients.
+    """Responses by name, each with the change (n, 3, c) of the readings of n pointings per unit of its c coefficients.
 
     If several responses have the same change, only the first is listed. For example, errors of the vertical index and
     of the elevation are the same if all readings are on one face. A motion of the stand is always listed, because it

@@ -13,7 +13,7 @@ class DisplayedSize(NamedTuple):
     """Size of the change that a law causes, as reported to users."""
 
     name: str
-    """Name of the size, such as `amplitude` or `swing`."""
+    """Name of the size, such as `amplitude`, or `swing` (largest minus smallest value)."""
     value: float
     """Value in the display unit."""
     sigma: float
@@ -28,8 +28,8 @@ def displayed_sizes(
     """Sizes of a law: a constant, the amplitude and phase of a wave, or the rms and swing of a curve.
 
     The swing of a curve is its largest value minus its smallest value at the pointings. For a motion in space all
-    components are listed, at the set-up with the largest motion. `coefficients` (k,) [SI] of the law have the
-    `covariance` (k, k).
+    components are listed, at the set-up with the largest motion. The k coefficients of the law have the mean
+    `coefficients` (k,) [SI] and the covariance `covariance` (k, k).
     """
     law, main_direction, means, spread = law.law_at_largest_effect(coefficients, covariance, sightings)
     ways = law.response.component_names
@@ -47,7 +47,7 @@ def displayed_sizes(
         turn = float(np.degrees(np.sqrt(across @ covariance @ across) / max(size, 1e-300)))
         amplitude = _displayed_size(law, "amplitude", np.sqrt(2.0) * size, 2.0 * float(along @ covariance @ along))
         return amplitude, DisplayedSize("phase", phase, min(turn, 180.0), "deg")
-    columns = law.columns(sightings)[law.row_weights(sightings) > 0]
+    columns = law.columns(sightings)[law.pointing_indicator(sightings) > 0]
     component_values = columns @ means.T
     values = component_values @ main_direction
     gap = columns[int(np.argmax(values))] - columns[int(np.argmin(values))]

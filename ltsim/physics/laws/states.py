@@ -52,7 +52,8 @@ MIN_RESETS = 2
 state. The first pointing of a set-up counts as neither. With fewer resets the state is nearly a plain sum.
 """
 StateKey = tuple[str, str, float]
-"""Key of a state: input, function, and constant (a limit, a time constant [s], or a number of pointings)."""
+"""Key of a state: input covariate, function (kind of decay or reset), and constant of the function (a limit, a time
+constant [s], or a number of pointings)."""
 
 
 def candidate_state_keys(sightings: Sightings, inputs: Sequence[str]) -> list[StateKey]:
@@ -100,7 +101,7 @@ def _state_functions(sightings: Sightings) -> Iterator[tuple[str, float]]:
 
 
 def state_column(sightings: Sightings, covariate: str, function_name: str, constant: float) -> Floats:
-    """Value (n,) of a state at each of n pointings, minus its mean.
+    """Value (n,), at each of n pointings, of a quantity that accumulates and decays (state), minus its mean.
 
     The state accumulates the changes of `covariate`. `function_name` is the kind of decay or reset, `constant` is the
     constant of this function.
@@ -112,7 +113,7 @@ def state_column(sightings: Sightings, covariate: str, function_name: str, const
 
 
 def latch_column(sightings: Sightings, covariate: str, set_threshold: float, release_threshold: float) -> Floats:
-    """Value (n,) of a latch at each of n pointings, minus its mean.
+    """Value (n,), at each of n pointings, of a variable with two thresholds (latch), minus its mean.
 
     The latch is 1 after the covariate exceeds `set_threshold` until it falls below `release_threshold`, and 0
     otherwise.
@@ -141,13 +142,13 @@ def candidate_latches(sightings: Sightings, covariates: Iterable[str]) -> list[t
 
 
 def _limit_quantity(sightings: Sightings, quantity_name: str) -> Floats:
-    """Absolute value (n,) [s or rad] at each pointing of one of the `RESET_LIMIT_QUANTITIES`."""
+    """Absolute value (n,) [s or rad] of one of the `RESET_LIMIT_QUANTITIES` at each of n pointings."""
     quantity = {"pause": "lapse", "slew": "move-azimuth", "tip": "move-elevation"}[quantity_name]
     return np.abs(sightings.covariate_values[quantity])
 
 
 def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bools:
-    """Flags (n,) of the pointings at which a state is reset, except the first pointing of a set-up.
+    """Flags (n,) of those of n pointings at which a state is reset, except the first pointing of a set-up.
 
     `function_name` is the kind of reset, `constant` its limit or its number of pointings.
     """
@@ -170,7 +171,7 @@ def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bool
 
 
 def _cache_states(sightings: Sightings, state_keys: Sequence[StateKey]) -> None:
-    """Joint computation of several states; their values (n,) minus their mean are stored in the sightings' cache."""
+    """Joint computation of several states; their values at n pointings minus their mean, (n,), are cached."""
     state_keys = [key for key in state_keys if key not in sightings.derived_cache]
     if not state_keys:
         return
@@ -191,13 +192,13 @@ def _cache_states(sightings: Sightings, state_keys: Sequence[StateKey]) -> None:
 
 
 def _increments(sightings: Sightings, covariate: str) -> Floats:
-    """Change (n,) of a covariate since the previous pointing of the set-up; 0 for the first pointing."""
+    """Change (n,) of a covariate from the previous pointing of the set-up to each of n pointings; 0 for the first."""
     x = sightings.covariate_values[covariate]
     return np.where(sightings.previous_pointings >= 0, x - x[sightings.previous_pointings], 0.0)
 
 
 def _remaining_fraction(sightings: Sightings, function_name: str, constant: float) -> Floats:
-    """Fraction (n,) of the state after the previous pointing that remains at each pointing.
+    """Fraction (n,) of the state after the previous pointing that remains at each of n pointings.
 
     The fraction is 0 at a reset and at the first pointing of a set-up. `function_name` is the kind of decay or reset,
     and `constant` its constant: a time [s], a number of pointings, or the limit of a pause or motion.

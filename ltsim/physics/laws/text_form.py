@@ -283,7 +283,7 @@ def parse_law(
 
 
 def parse_regressor(text: str, recording: Recording, n_modes: int = N_MODES_DEFAULT) -> Regressor:
-    """Regressor from its text form, the inverse of `regressor_text`; a curve has `n_modes` eigenfunctions.
+    """Regressor from its text form, the inverse of `regressor_text`; a curve has `n_modes` basis functions.
 
     Raises ModelError for a text that is not a regressor of the recording.
     """

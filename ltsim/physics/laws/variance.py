@@ -33,7 +33,10 @@ def noise_groups(sightings: Sightings, group_kind: str) -> tuple[tuple[str, ...]
 
 
 def noise_covariate(sightings: Sightings, covariate: str) -> Floats:
-    """Values (n,) of a covariate on which noise depends; absolute values if it depends on earlier pointings."""
+    """Values (n,), at n pointings, of a covariate on which noise depends.
+
+    They are absolute values if the covariate depends on earlier pointings.
+    """
     values: Floats = sightings.covariate_values[covariate]
     return np.abs(values) if covariate.startswith(MEMORY_COVARIATE_PREFIXES) else values
 
@@ -122,7 +125,7 @@ class VarianceFunction(CandidateNoiseEffect):
         return f"noise that {'falls' if self.decreases else 'grows'} with {self.covariates[0]}"
 
     def variance(self, sightings: Sightings, sigma: Floats, parameter_values: Floats) -> Floats:
-        """Variance (n, 3) of the readings, from declared standard deviations `sigma` (n, 3) and added variances.
+        """Variance (n, 3) of the readings of n pointings, from declared standard deviations (n, 3) and added variances.
 
         `parameter_values` are the added variances, divided by the declared variance.
         """
@@ -132,7 +135,7 @@ class VarianceFunction(CandidateNoiseEffect):
             factor = np.ones(sigma.shape)
             factor[:, acts] += added
             return np.asarray(sigma**2 * factor)
-        pattern = self.row_weights(sightings)
+        pattern = self.pointing_indicator(sightings)
         if self.region is not None:
             path = self.region.path_lengths(sightings)
             share = path / max(float(path.max(initial=0.0)), 1e-12)
@@ -146,7 +149,7 @@ class VarianceFunction(CandidateNoiseEffect):
         return self._declared_variance_plus_fraction(sigma, parameter_values[0] * pattern)
 
     def is_in_band(self, sightings: Sightings) -> Bools:
-        """Flags (n,) of the pointings whose covariate is within the `covariate_band`."""
+        """Flags (n,) of those of n pointings whose covariate is within the `covariate_band`."""
         name = self.covariates[0]
         x = noise_covariate(sightings, name)
         is_inside = np.zeros(len(x), dtype=bool)
@@ -158,7 +161,7 @@ class VarianceFunction(CandidateNoiseEffect):
         return is_inside
 
     def _declared_variance_plus_fraction(self, sigma: Floats, added_fraction: Floats) -> Floats:
-        """Variance (n, 3): the declared variance, increased by a fraction (n,) in the observables of this object."""
+        """Variance (n, 3) of n pointings: the declared one, increased by a fraction (n,) in the `observables`."""
         acts = [float(o in self.observables) for o in OBSERVABLES]
         grown: Floats = sigma**2 * (1.0 + added_fraction[:, None] * np.array(acts))
         return grown

@@ -67,7 +67,7 @@ class GeometricErrorModel:
         return tuple(name + mark for mark in marks for name in self.parameter_names)
 
     def index(self, name: str) -> int:
-        """Index of a parameter among `parameters`."""
+        """Index, among `parameters`, of the parameter with the name `name`."""
         if name not in self.parameter_names:
             raise unknown_name_error("instrument parameter", name, self.parameter_names)
         return self.parameter_names.index(name)
@@ -80,7 +80,7 @@ class GeometricErrorModel:
 
     @cached_property
     def _chain_with_reading_slots(self) -> tuple[kinematics.KinematicChain, tuple[str, ...]]:
-        """Chain in which each motion that depends on a reading has an error; keys of the errors by reading."""
+        """Kinematic chain with an error in each motion that depends on a reading, and keys of the three errors."""
         zero_reading, chain, slots = np.zeros((1, 3)), list(self.kinematic_chain), []
         functions = [m.nominal_function for m in self.kinematic_chain]
         for column in range(3):
@@ -91,7 +91,7 @@ class GeometricErrorModel:
         return tuple(chain), tuple(slots)
 
     def basis_values(self, readings: Floats) -> Floats:
-        """Value (n, p) of the basis function of each parameter at raw readings (n, 3)."""
+        """Value (n, p) of the basis function of each of p parameters at n raw readings (n, 3)."""
         bases = np.ones((len(self.terms), len(readings)))
         for k, term in self._reading_dependent_terms:
             bases[k] = term.basis(readings)
@@ -103,7 +103,10 @@ class GeometricErrorModel:
         return [(k, term) for k, term in enumerate(self.terms) if term.basis is not constant_basis]
 
     def errors_by_slot(self, readings: Floats, parameter_values: Floats) -> dict[str, Floats]:
-        """Errors of the chain's motions by key, (n,) or one number [m, rad], for parameters (p,) or (n, p) [SI]."""
+        """Errors (n,) or one number [m, rad] of the chain's motions by key, at n raw readings (n, 3).
+
+        `parameter_values` (p,) or (n, p) [SI] are the values of the p parameters, common or separate for each reading.
+        """
         error_by_slot: dict[str, Floats] = {}
         for term, value in zip(self.terms, parameter_values.T, strict=True):
             amount = value if term.basis is constant_basis else term.basis(readings) * value
@@ -111,22 +114,21 @@ class GeometricErrorModel:
         return error_by_slot
 
     def _errors_from_basis_values(self, basis_values: Floats, parameter_values: Floats) -> dict[str, Floats]:
-        """Errors (n,) of the chain's motions by key, from values (n, p) of the basis functions and parameters."""
+        """Errors (n,) of the chain's motions by key, from values (n, p) of the basis functions of p parameters."""
         error_by_slot: dict[str, Floats] = {}
         for term, amount in zip(self.terms, (basis_values * parameter_values).T, strict=True):
             error_by_slot[term.slot] = error_by_slot[term.slot] + amount if term.slot in error_by_slot else amount
         return error_by_slot
 
     def points_from_readings(self, readings: Floats, values: Floats) -> Floats:
-        """Points (n, 3) [m] in the instrument frame from raw readings (n, 3) and parameter `values` [SI]; exact."""
+        """Points (n, 3) [m] in the instrument frame from n raw readings (n, 3) and parameter `values` [SI]; exact."""
         errors = self.errors_by_slot(readings, values)
         return kinematics.points_from_raw_readings(self.kinematic_chain, readings, errors)
 
     def linearise(self, readings: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
-        """Points (n, 3) [m], with derivatives with respect to raw readings (n, 3, 3) and parameters (n, 3, p).
+        """Points (n, 3) [m], with derivatives by the n raw readings (n, 3, 3) and by the p parameters (n, 3, p).
 
-        The derivative with respect to the readings neglects the dependence of the basis functions on them, a relative
-        error of 1e-5 that does not prevent convergence.
+        The derivative by the readings neglects that the basis functions depend on them: a relative error of 1e-5.
         """
         (chain, slots_of_readings), bases = self._chain_with_reading_slots, self.basis_values(readings)
         slots = {term.slot for term in self.terms} | set(slots_of_readings)
@@ -139,16 +141,16 @@ class GeometricErrorModel:
         return p, by_reading, by_value * bases[:, None, :]
 
     def readings(self, points: Floats, face: Ints, parameter_values: Floats) -> Floats:
-        """Raw readings (n, 3) in the faces `face` (n,) of points (n, 3) [m] in the instrument frame; exact."""
+        """Raw readings (n, 3) in the faces `face` (n,) of n points (n, 3) [m] in the instrument frame; exact."""
         raw = self._invert_chain(points, face, parameter_values, NEWTON_TOLERANCE)
         raw[:, 1] = wrap_angle(raw[:, 1])
         return raw
 
     def _invert_chain(self, points: Floats, face: Ints, parameter_values: Floats, tolerance: float) -> Floats:
-        """Raw readings (n, 3) of points (n, 3) [m] by Newton's method, with errors below `tolerance` [m, rad].
+        """Raw readings (n, 3) of n points (n, 3) [m] by Newton's method, with errors below `tolerance` [m, rad].
 
-        Azimuths may exceed pi. Each step uses the derivative of an ideal tracker and reduces the error by a constant
-        factor of about 1e-5. The last step is omitted if this factor predicts a step below `tolerance`.
+        Azimuths may exceed pi. Each step uses the derivative of an ideal tracker and reduces the error by a factor of
+        about 1e-5. The last step is omitted if this factor predicts a step below `tolerance`.
         """
         polar = to_polar(points)
         raw = to_face(polar, face)
@@ -165,7 +167,7 @@ class GeometricErrorModel:
         return raw
 
     def readings_and_design(self, points: Floats, face: Ints, values: Floats) -> tuple[Floats, Floats, Floats]:
-        """Raw readings (n, 3) of points (n, 3) [m], and derivatives by points (n, 3, 3) and parameters (n, 3, p)."""
+        """Readings (n, 3) of n points (n, 3) [m], and derivatives by points (n, 3, 3) and p parameters (n, 3, p)."""
         raw = self._invert_chain(points, face, values, FINAL_STEP_THRESHOLD)
         reached, by_reading, by_value = self.linearise(raw, values)
         by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
@@ -174,7 +176,7 @@ class GeometricErrorModel:
         return raw, by_point, -by_point @ by_value
 
     def reading_design(self, readings: Floats, parameter_values: Floats) -> tuple[Floats, Floats]:
-        """Derivatives of raw readings (n, 3) by points in the instrument frame (n, 3, 3) and parameters (n, 3, p)."""
+        """Derivatives of n raw readings (n, 3) by instrument-frame points (n, 3, 3) and by p parameters (n, 3, p)."""
         _, by_reading, by_value = self.linearise(readings, parameter_values)
         by_point = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         return by_point, -by_point @ by_value

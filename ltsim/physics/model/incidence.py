@@ -1,8 +1,8 @@
 """Incidence errors of reflectors in fixed nests, estimated with the network under a prior.
 
-Without a bench test the prior is that of the effect `smr-incidence`, for which the paper's reflector is typical. With a
-bench test the prior is the posterior given the results of this test. The estimated parameters are independent errors
-with a standard deviation of one.
+Without a bench test the prior is that of the effect `smr-incidence`, for which the reflector of Sensors 2021, 21, 7479
+is typical. With a bench test the prior is the posterior given the results of this test. The estimated parameters are
+independent errors with a standard deviation of one.
 """
 
 from __future__ import annotations
@@ -39,11 +39,12 @@ class IncidenceErrors(LinearEffect):
     reflector: str
     """Name of the reflector; empty if the recording has no names of reflectors."""
     reflector_indicator: Floats
-    """Weights (n,): 1 for pointings to the reflector, 0 for others."""
+    """Indicator (n,) of the pointings to the reflector: 1 for these, 0 for the others of n pointings."""
     mean_parameters: Floats
-    """Expected values (p,) [SI] of the parameters of the effect `smr-incidence`."""
+    """Expected values (p,) [SI] of the p parameters of the effect `smr-incidence`."""
     covariance_root: Floats
-    """Change (p, k) [SI] of the parameters of `smr-incidence` by one standard deviation of each independent error."""
+    """Change (p, k) [SI] of the p parameters of `smr-incidence` by one standard deviation of each of k independent
+    errors."""
 
     @property
     def name(self) -> str:
@@ -58,25 +59,28 @@ class IncidenceErrors(LinearEffect):
         ) * self.covariance_root.shape[1]
 
     def smr_incidence_parameters(self, independent_errors: Floats) -> Floats:
-        """Parameters (p, ...) [SI] of the effect `smr-incidence` for independent errors (k, ...)."""
+        """The p parameters (p, ...) [SI] of the effect `smr-incidence` for k independent errors (k, ...)."""
         change: Floats = np.tensordot(self.covariance_root, independent_errors, 1)
         return change + self.mean_parameters.reshape(-1, *[1] * (change.ndim - 1))
 
     def _range_error_design(self, sightings: Sightings) -> Floats:
-        """Range correction (n, p) per unit of each parameter of `smr-incidence`, zero for other reflectors."""
+        """Range correction (n, p) of n pointings per unit of each of p parameters of `smr-incidence`.
+
+        It is zero for pointings to other reflectors.
+        """
         return (
             INCIDENCE_EFFECT.range_correction_design(*INCIDENCE_EFFECT.incidence_angle_and_direction(sightings))
             * self.reflector_indicator[:, None]
         )
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, k) of the raw readings per unit of each independent error."""
+        """Change (n, 3, k) of the raw readings of n pointings per unit of each of k independent errors."""
         return design_from_front_face_corrections(
             sightings, distance=self._range_error_design(sightings) @ self.covariance_root
         )
 
     def reading_change(self, sightings: Sightings, independent_errors: Floats) -> Floats:
-        """Change (n, 3) of the raw readings by the mean function and by independent errors (k,)."""
+        """Change (n, 3) of the raw readings of n pointings by the mean function and by k independent errors (k,)."""
         return design_from_front_face_corrections(
             sightings, distance=self._range_error_design(sightings) @ self.smr_incidence_parameters(independent_errors)
         )
@@ -90,10 +94,10 @@ def incidence_errors(recording: Recording) -> tuple[IncidenceErrors, ...]:
 def incidence_reading_change(
     recording: Recording, sightings: Sightings, parameters_by_reflector: Mapping[str, Floats]
 ) -> Floats:
-    """Change (n, 3) of the readings by the incidence errors of reflectors.
+    """Change (n, 3) of the readings of n pointings by the incidence errors of reflectors.
 
-    `parameters_by_reflector` has the parameters (p,) [SI] of the effect `smr-incidence` by the name of the reflector. A
-    reflector without an entry has no error.
+    `parameters_by_reflector` has the p parameters (p,) [SI] of the effect `smr-incidence` by the name of the reflector.
+    A reflector without an entry has no error.
     """
     names = np.array(smr_names(recording))
     by_law = INCIDENCE_EFFECT.design(sightings)
@@ -118,7 +122,7 @@ def _incidence_errors_by_reflector(recording: Recording) -> Iterator[IncidenceEr
 
 
 def incidence_prior_from_bench_test(bench_test: BenchTest | None) -> tuple[Floats, Floats]:
-    """Mean (p,) [SI] of the parameters of `smr-incidence` given a bench test, and root R (p, p) of their covariance.
+    """Mean (p,) [SI] of the p parameters of `smr-incidence` given a bench test, and root R (p, p) of their covariance.
 
     The covariance is R R'. Without a bench test (None) the mean is zero and the covariance is the effect's prior.
     """

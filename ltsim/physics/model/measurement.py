@@ -61,20 +61,20 @@ def _sightings_with_rotated_nests(recording: Recording, state: NetworkState, nes
 
 
 def _nest_normals(recording: Recording) -> Floats:
-    """Declared normals (T, 3) of the nests on the floor plan; NaN if unknown."""
+    """Declared normals (T, 3) of the nests of T targets, in the frame of the floor plan; NaN if unknown."""
     missing = (np.nan, np.nan, np.nan)
     return _unit_vectors([recording.target_setup(name).nest_normal or missing for name in recording.targets])
 
 
 def plumb_directions(recording: Recording) -> Floats:
-    """Upward unit vectors (S, 3) along the plumb lines at the stations, network frame."""
+    """Upward unit vectors (S, 3) along the plumb lines at the S stations, network frame."""
     return _unit_vectors([recording.station_setup(name).vertical or (0.0, 0.0, 1.0) for name in recording.stations])
 
 
 def with_plumb_lines(recording: Recording, station_positions: Floats) -> Recording:
     """Recording whose levelled stations have the plumb lines of a spherical earth, if its set-up declares `curved`.
 
-    `station_positions` (S, 3) [m] are the positions of the stations. Declared plumb lines are not replaced.
+    `station_positions` (S, 3) [m] are the positions of the S stations. Declared plumb lines are not replaced.
     """
     if not recording.setup.curved:
         return recording
@@ -88,17 +88,17 @@ def with_plumb_lines(recording: Recording, station_positions: Floats) -> Recordi
 
 
 def _unit_vectors(directions: list[tuple[float, float, float]]) -> Floats:
-    """Unit vectors (n, 3) along the given directions."""
+    """Unit vectors (n, 3) along n given directions."""
     vectors = np.array(directions, dtype=np.float64).reshape(-1, 3)
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def sight_vector_offsets(recording: Recording) -> Floats | None:
-    """Offsets (n, 3) [m] of the sight vectors, network frame, as `Sightings.sight_vector_offsets`; None if all are 0.
+    """Offsets (n, 3) [m] of the sight vectors of n pointings, network frame; None if all are 0.
 
-    The offset of a pointing is the vector from the ground mark of its target to the reflector. The height of the
-    instrument above its ground mark, as declared for the set-up, is part of the station's position. If a pointing has
-    another instrument height, the difference is subtracted from the offset.
+    They are the `Sightings.sight_vector_offsets`. The offset of a pointing is the vector from the ground mark of its
+    target to the reflector. The height of the instrument above its ground mark, as declared for the set-up, is part of
+    the station's position. If a pointing has another instrument height, the difference is subtracted from the offset.
     """
     instrument, target = recording.heights()
     setup_heights = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]
@@ -115,10 +115,10 @@ def sight_vector_offsets(recording: Recording) -> Floats | None:
 
 
 def smr_radius_offsets(recording: Recording) -> Floats | None:
-    """Offset (n, 3) [m] of the reflector's centre due to an SMR with another radius than the reference SMR.
+    """Offsets (n, 3) [m] of the reflector in n pointings due to an SMR of another radius than the reference SMR.
 
     The offset is along the normal of the nest, in the frame of the set-up. The result is None if all radii are equal.
-    `adjust` refuses a network in another frame.
+    `adjust` refuses a network in another frame than the set-up.
     """
     excess = excess_radii(recording)
     return None if excess is None else excess[:, None] * np.nan_to_num(_nest_normals(recording))[recording.target]
@@ -153,9 +153,9 @@ class MeasurementModel:
         return tuple(slice(int(begin), int(end)) for begin, end in itertools.pairwise(boundaries))
 
     def incidence_parameters_by_reflector(self, parameters: Floats) -> dict[str, Floats]:
-        """Parameters (p, ...) [SI] of the effect `smr-incidence` of each reflector, by its name.
+        """The p parameters (p, ...) [SI] of the effect `smr-incidence` of each reflector, by its name.
 
-        `parameters` (q, ...) are the values of all additional parameters.
+        `parameters` (q, ...) are the values of all q additional parameters.
         """
         columns = zip(self.incidence_errors, self.incidence_parameter_slices, strict=True)
         return {error.reflector: error.smr_incidence_parameters(parameters[at]) for error, at in columns}
@@ -199,7 +199,7 @@ class MeasurementModel:
         return sum(len(effect.parameters) for effect in self.effects)
 
     def _instrument_parameter_values(self, state: NetworkState) -> Floats:
-        """Instrument parameters [SI] at a state: (p,) for one instrument, otherwise (n, p) for the n pointings."""
+        """The p instrument parameters [SI] at a state: (p,) for one instrument, otherwise (n, p) for n pointings."""
         if len(state.instrument_parameters) == 1:
             return state.instrument_parameters[0]
         return state.instrument_parameters[self.recording.instrument]
@@ -218,7 +218,7 @@ class MeasurementModel:
 
     @cached_property
     def _is_horizontal_distance(self) -> Bools | None:
-        """Flags (n,) of the pointings with a horizontal distance; None if no distance is horizontal."""
+        """Flags (n,) of those of n pointings with a horizontal distance; None if no distance is horizontal."""
         flat = self.recording.is_horizontal
         return flat if flat.any() else None
 
@@ -228,12 +228,12 @@ class MeasurementModel:
         return self._with_effect_data(geometry, state, self._instrument_readings(geometry, state))
 
     def _with_effect_data(self, geometry: Sightings, state: NetworkState, readings: Floats) -> Sightings:
-        """Sightings `geometry` with nest normals in the network frame and raw readings (n, 3), which effects need."""
+        """Sightings `geometry` with nest normals in the network frame and with raw readings (n, 3) of n pointings."""
         turn = self._declared_plan.rotation(state.station_positions, state.station_rotations)
         return replace(geometry, nest_normals=geometry.nest_normals @ turn.T, encoder_readings=readings)
 
     def _instrument_readings(self, geometry: Sightings, state: NetworkState) -> Floats:
-        """Raw readings (n, 3) with the errors of the instrument, but without additional effects."""
+        """Raw readings (n, 3) of n pointings with the errors of the instrument, but without additional effects."""
         return self.construction.readings(
             geometry.local_points, geometry.face, self._instrument_parameter_values(state)
         )
@@ -245,29 +245,29 @@ class MeasurementModel:
         )
 
     def extra_design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, q) of the readings per unit of each additional parameter."""
+        """Change (n, 3, q) of the readings of n pointings per unit of each of q additional parameters."""
         if not self.extra_effects:
             return np.zeros((len(sightings), 3, 0))
         return np.concatenate([effect.design(sightings) for effect in self.extra_effects], axis=2)
 
     def change_by_extra_parameters(self, sightings: Sightings, parameters: Floats) -> Floats:
-        """Change (n, 3) of the readings by all additional parameters with values (q,) [SI]."""
+        """Change (n, 3) of the readings of n pointings by all q additional parameters, with values (q,) [SI]."""
         return self._linear_effects_change(self.extra_effects, sightings, parameters)
 
     def change_by_effects(self, sightings: Sightings, parameters: Floats) -> Floats:
-        """Change (n, 3) of the readings by `effects` alone; `parameters` (q,) are all additional parameters [SI]."""
+        """Change (n, 3) of the readings of n pointings by `effects`, from q additional parameters (q,) [SI]."""
         return self._linear_effects_change(self.effects, sightings, parameters)
 
     def change_by_incidence_errors(self, sightings: Sightings, parameters: Floats) -> Floats:
-        """Change (n, 3) of the readings by incidence errors alone; `parameters` (q,) are all additional ones [SI]."""
+        """Change (n, 3) of the readings of n pointings by incidence errors, from q additional parameters (q,) [SI]."""
         return incidence_reading_change(self.recording, sightings, self.incidence_parameters_by_reflector(parameters))
 
     def _linear_effects_change(
         self, linear_effects: tuple[LinearEffect, ...], sightings: Sightings, parameters: Floats
     ) -> Floats:
-        """Change (n, 3) of the readings by `linear_effects`, which are the first of `extra_effects`.
+        """Change (n, 3) of the readings of n pointings by `linear_effects`, which are the first of `extra_effects`.
 
-        `parameters` (q,) are the values of all additional parameters.
+        `parameters` (q,) are the values of all q additional parameters.
         """
         change = np.zeros((len(sightings), 3))
         for linear_effect, values in zip(linear_effects, self._values_by_effect(parameters), strict=False):
@@ -280,7 +280,7 @@ class MeasurementModel:
         return []
 
     def predict(self, state: NetworkState) -> Floats:
-        """Predicted raw readings (n, 3) [m, rad] at `state`."""
+        """Predicted raw readings (n, 3) [m, rad] of n pointings at `state`."""
         if not self._latest_prediction or self._latest_prediction[0][0] is not state:
             self._latest_prediction[:] = [(state, self._predicted_readings(state))]
         return self._latest_prediction[0][1].copy()
@@ -331,7 +331,8 @@ class MeasurementModel:
 def reduce_to_horizontal(readings: Floats, derivatives: tuple[Floats, ...], is_horizontal: Bools) -> None:
     """Reduction of slope distances, and of their derivatives, to horizontal distances, in place.
 
-    `is_horizontal` (n,) flags the pointings to reduce, in the readings (n, 3) and in each derivative (n, 3, k).
+    `is_horizontal` (n,) flags those of n pointings that are reduced, in the readings (n, 3) and in each derivative (n,
+    3, k) with respect to k unknowns.
     """
     range_, level = readings[is_horizontal, 0], readings[is_horizontal, 2]
     cosine = np.cos(level)

@@ -39,7 +39,7 @@ class HeightErrors(LinearEffect):
     """Coefficients (n, q) of the height errors of q occupations in n pointings: 1 if the reflector of the pointing has
     the height error of the occupation, -1 if the instrument has it, otherwise 0."""
     plumb_directions: Floats
-    """Upward unit vector of the plumb line at the station of each pointing, (n, 3)."""
+    """Upward unit vector of the plumb line at the station of each of n pointings, (n, 3)."""
 
     @property
     def name(self) -> str:
@@ -54,7 +54,7 @@ class HeightErrors(LinearEffect):
         ) * self.occupation_coefficients.shape[1]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, q) of the raw readings per unit of each height error."""
+        """Change (n, 3, q) of the raw readings of n pointings per unit of each of q height errors."""
         return design_from_displacements(
             sightings, self.plumb_directions[:, :, None] * self.occupation_coefficients[:, None]
         )
@@ -64,7 +64,7 @@ def height_errors(recording: Recording, plumb_directions: Floats) -> tuple[Heigh
     """Errors of heights in a recording; none if its set-up does not declare their standard deviation.
 
     The columns `instrument_setup` and `target_setup` of the recording name the occupation of each pointing; a pointing
-    with an empty cell has no height error. `plumb_directions` (S, 3) are upward unit vectors at the stations.
+    with an empty cell has no height error. `plumb_directions` (S, 3) are upward unit vectors at the S stations.
     """
     sigma = recording.setup.heads_sigma_mm
     if sigma is None:
@@ -90,7 +90,7 @@ class CentringErrors(TargetDisplacement):
     sigma: float
     """Standard deviation [m] of each component of a displacement."""
     occupation: Ints
-    """Index of the occupation of each pointing, (n,); -1 for pointings without a displacement."""
+    """Index of the occupation of each of n pointings, (n,); -1 for pointings without a displacement."""
 
     @property
     def name(self) -> str:
@@ -135,9 +135,9 @@ class SharedErrors(LinearEffect):
     """
 
     reading_changes: Floats
-    """Change of each reading by one standard deviation of each error, (n, 3, q) [m, rad]."""
+    """Change of the readings of n pointings by one standard deviation of each of q errors, (n, 3, q) [m, rad]."""
     is_horizontal: Bools
-    """Flags (n,) of the pointings whose distance is reduced to the horizontal."""
+    """Flags (n,) of those of n pointings whose distance is reduced to the horizontal."""
 
     @property
     def name(self) -> str:
@@ -150,7 +150,7 @@ class SharedErrors(LinearEffect):
         return (Parameter("shared-error", "", "error that readings share", 1.0),) * self.reading_changes.shape[2]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, q) of the raw readings per unit of each error.
+        """Change (n, 3, q) of the raw readings of n pointings per unit of each of q errors.
 
         The error of a horizontal distance h = r cos(e) is declared for h, while the result is for the raw range r and
         elevation e. The change of r is therefore such that h, with the changed e, changes by the declared error.
@@ -205,14 +205,14 @@ class Refraction(LinearEffect):
         return (Parameter("refraction", "", "coefficient of refraction", self.coefficient_sigma),)
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of the coefficient of refraction."""
+        """Change (n, 3, 1) of the raw readings of n pointings per unit of the coefficient of refraction."""
         _, across, up = sightings.beam_vectors
         bend = -sightings.range_ / (2.0 * EARTH_RADIUS)  # negative, because it is a correction
         azimuth = bend * across[:, 2] / np.cos(sightings.elevation)
         return design_from_front_face_corrections(sightings, azimuth=azimuth, elevation=bend * up[:, 2])[:, :, None]
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings for a coefficient that differs from its mean by `parameter_values` (1,)."""
+        """Change (n, 3) of the readings of n pointings for the mean coefficient plus `parameter_values` (1,)."""
         return self.design(sightings) @ (self.mean_coefficient + parameter_values)
 
 

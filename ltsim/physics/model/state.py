@@ -19,24 +19,24 @@ class NetworkState:
     """
 
     station_positions: Floats
-    """Positions of the instruments, (S, 3) [m]."""
+    """Positions of the instrument at each of S stations, (S, 3) [m]."""
     station_rotations: Floats
-    """Rotation matrices from instrument frame to network frame, (S, 3, 3)."""
+    """Rotation matrices from instrument frame to network frame at each of S stations, (S, 3, 3)."""
     target_points: Floats
-    """Coordinates of the targets, (T, 3) [m]."""
+    """Coordinates of T targets, (T, 3) [m]."""
     instrument_parameters: Floats
-    """Parameters of the geometric error model of each instrument, (I, p) [SI]."""
+    """The p parameters of the geometric error model of each of I instruments, (I, p) [SI]."""
     extra_parameters: Floats = field(default_factory=lambda: np.zeros(0))
-    """Parameters of additional effects and nuisance errors, (q,) [SI]."""
+    """The q parameters of additional effects and nuisance errors, (q,) [SI]."""
 
     def with_increments(
         self, pose_increments: Floats, point_increments: Floats, instrument_increments: Floats, extra_increments: Floats
     ) -> Self:
-        """State after increments of all unknowns.
+        """State of S stations, T targets and I instruments after increments of all unknowns.
 
         `pose_increments` (S, 6) are translations [m] and rotation vectors [rad] of the stations in the network frame.
         `point_increments` (T, 3) [m], `instrument_increments` (I, p) and `extra_increments` (q,) are added to target
-        coordinates, instrument parameters and additional parameters.
+        coordinates, to the p parameters of each instrument, and to the q additional parameters.
         """
         return type(self)(
             self.station_positions + pose_increments[:, :3],
@@ -52,12 +52,12 @@ class Prediction:
     """Predicted raw readings of n pointings, and their derivatives with respect to all unknowns."""
 
     readings: Floats
-    """Raw readings: range [m], azimuth and elevation [rad], (n, 3)."""
+    """Raw readings of n pointings: range [m], azimuth and elevation [rad], (n, 3)."""
     pose_derivatives: Floats
-    """Derivatives of the readings with respect to translation and rotation of the station, (n, 3, 6)."""
+    """Derivatives of the readings of n pointings with respect to translation and rotation of the station, (n, 3, 6)."""
     target_derivatives: Floats
-    """Derivatives of the readings with respect to the coordinates of the target, (n, 3, 3)."""
+    """Derivatives of the readings of n pointings with respect to the coordinates of the target, (n, 3, 3)."""
     instrument_derivatives: Floats
-    """Derivatives of the readings with respect to the p instrument parameters, (n, 3, p)."""
+    """Derivatives of the readings of n pointings with respect to the p instrument parameters, (n, 3, p)."""
     extra_derivatives: Floats
-    """Derivatives of the readings with respect to the q additional parameters, (n, 3, q)."""
+    """Derivatives of the readings of n pointings with respect to the q additional parameters, (n, 3, q)."""

@@ -170,7 +170,7 @@ def test_integrated_ray_is_converged_and_agrees_with_first_order(effect: AirLaye
         return step[0] * warm, step[0] * gradient
 
     coarse, fine = integrated_reading_change(SCENE, field), integrated_reading_change(SCENE, field, n_steps=256)
-    mask = effect.row_weights(SCENE)[:, None]
+    mask = effect.pointing_indicator(SCENE)[:, None]
     linear = effect.design(SCENE) @ step
     size = np.abs(linear).max(axis=0)
     assert (np.abs(coarse - fine).max(axis=0) < 1e-3 * size + 1e-14).all()

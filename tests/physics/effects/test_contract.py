@@ -12,7 +12,7 @@ import pytest
 from ltsim import effects
 from ltsim.core.errors import ModelError
 from ltsim.physics.effects import CATALOGUE, NoiseEffect, catalogue_entry, find_effect
-from ltsim.physics.effects.catalogue import NO_MEASUREMENT
+from ltsim.physics.effects.catalogue import NO_MEASUREMENT_PHRASE
 from ltsim.physics.effects.effect import Blunder, Effect, LightPathStage, SlotEffect
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import OBSERVABLES
@@ -56,7 +56,7 @@ def test_what_confirms_an_effect_is_a_measurement(kind: type[Effect]) -> None:
     """A page said that an effect is "confirmed by no measurement is needed"."""
     card = catalogue_entry(kind)
     assert not re.match(r"no\b|nothing|none", card.confirming_measurement, re.IGNORECASE)
-    assert bool(card.confirming_measurement) != dict(card.sections())["Separate by"].startswith(NO_MEASUREMENT)
+    assert bool(card.confirming_measurement) != dict(card.sections())["Separate by"].startswith(NO_MEASUREMENT_PHRASE)
 
 
 @EVERY
@@ -121,7 +121,7 @@ def test_only_declared_observables_change(kind: type[Effect]) -> None:
 @EVERY
 def test_nothing_happens_outside_its_place(kind: type[Effect]) -> None:
     for effect in samples(kind, SCENE):
-        outside = effect.row_weights(SCENE) == 0
+        outside = effect.pointing_indicator(SCENE) == 0
         assert not effect.design(SCENE)[outside].any()
         assert not effect.reading_change(SCENE, prior(effect))[outside].any()
         assert set(effect.stations) <= set(SCENE.station_names)

@@ -222,7 +222,7 @@ def test_how_far_targets_move_is_told_as_far_as_they_move(sightings):
         regressor=scalar_regressor("time", "decay", 600.0),
     )
     mean = np.array([0.0, 0.0, 3e-5])
-    there = decay.row_weights(sightings) > 0
+    there = decay.pointing_indicator(sightings) > 0
     moved = decay.columns(sightings)[there, 0] * mean[2]
     *_, along_z = displayed_sizes(decay, sightings, mean, 1e-12 * np.eye(3))
     assert along_z.value == pytest.approx(1e6 * np.ptp(moved)) or along_z.value == pytest.approx(-1e6 * np.ptp(moved))

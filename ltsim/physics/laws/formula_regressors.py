@@ -17,7 +17,7 @@ CONSTANT_SPAN_FRACTIONS = np.array([0.05, 0.15, 0.5])
 """Constants of decays, saturations and dead bands that a search tries, as fractions of the covariate's span."""
 
 
-def short_regressors(sightings: Sightings, covariate: str, *, is_reduced_set: bool = False) -> Iterator[Regressor]:
+def formula_regressors(sightings: Sightings, covariate: str, *, is_reduced_set: bool = False) -> Iterator[Regressor]:
     """Iterator over functions of the `covariate` with at most one constant.
 
     If `is_reduced_set`, there are fewer functions, to limit the number of products with functions of other covariates.
