@@ -15,7 +15,7 @@ from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import a_criterion, d_criterion, e_criterion
 from ltsim.planning.plan_search import make_plan
 from ltsim.planning.planner import PlannedNetwork
-from ltsim.planning.reasons import equally_good_with_fewest_stations
+from ltsim.planning.reasons import fewest_stations_not_worse_than_scenario
 from ltsim.planning.result import Plan, with_layout
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.search_inputs import layout_objective, make_search_space, planned_survey
@@ -65,7 +65,7 @@ def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tup
 
 def candidates_of(plan: PlannedNetwork, drawn: int, best: PlannedSurvey) -> dict[str, tuple[str, Scenario]]:
     """The paper's own layout, the best of those drawn, the searched one, and the fewest that match the paper's."""
-    few, chosen = equally_good_with_fewest_stations(plan), plan.layout.survey
+    few, chosen = fewest_stations_not_worse_than_scenario(plan), plan.layout.survey
     surveys = {"drawn": (f"best of {drawn} drawn", best)}
     surveys["searched"] = f"searched, {len(chosen.station_positions)} stations", chosen
     if few is not None:

@@ -28,11 +28,8 @@ if TYPE_CHECKING:
     from ltsim.recordings import Recording
 
 MIN_REPORTED_READING_CHANGE = 0.005
-"""Threshold of the largest change of a reading [um for distances, arcsec for angles].
-
-If all changes are below it, `correct` reports that no correction was applied. It is half of the last digit that is
-printed for an angle.
-"""
+"""Largest change of the readings [um for distances, arcsec for angles] below which `correct` reports that no correction
+was applied. It is half of the last digit that is printed for an angle."""
 CorrectedRecordingOption = Annotated[
     Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING_OUTPUT
 ]
@@ -164,9 +161,10 @@ def verify(
     reading_options: ReadingOptions,
     terminal: ResultFolderTerminal,
 ) -> None:
-    """Apply a calibration to another recording and compare with nominal points, before and after (eq. 13, 14).
+    """Compare another recording with nominal points, before and after its correction by a calibration.
 
-    Writes criteria.json to --out.
+    The errors of distances and coordinates are those of Sensors 2021, 21, 7479, eq. 13 and 14. Writes criteria.json to
+    --out.
 
     Example: ltsim verify laboratory --nominal cmm.csv --calibration my-calibration
     """
@@ -185,7 +183,7 @@ def _run_estimation(
     terminal: ResultFolderTerminal,
     options: dict[str, Any],
 ) -> None:
-    """Common part of `adjust` and `calibrate`: estimation, writing and output of the result.
+    """Estimation by `adjust` or `calibrate` (`estimator`), and output of its result on the terminal and in the folder.
 
     Without --force each command replaces only earlier results of the same command.
     """

@@ -28,10 +28,8 @@ if TYPE_CHECKING:
 
 
 MAX_BATCH_SOLVER_DIFFERENCE = 1e-3
-"""Largest allowed difference [sigma] between estimates of the batch solver and of the full solver.
-
-A larger difference on a verified trial gives exit status 1.
-"""
+"""Largest permitted difference [sigma] between the estimates of batch solver and full solver on a verified trial; after
+a larger one the exit status is 1."""
 
 
 CampaignFileArgument = Annotated[str | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")]

@@ -158,7 +158,7 @@ def watch_recording(terminal: Terminal, run_check: Callable[[], Check], changes:
 
 
 def _test_key(item: CheckItem) -> tuple[str, str, tuple[str, ...]]:
-    """Station, kind and targets of a test; a failed test with the same key is not printed again."""
+    """Station, kind and targets of a test; a failed test is printed again only if its key is new."""
     return item.station, item.kind, item.targets
 
 

@@ -31,8 +31,10 @@ UNWRITABLE_OUTPUT_ERRNOS = (
 
 # Typer brings its own copy of click or the library's, by version; its errors are reached through a public one.
 UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+"""Base class of Click's errors on wrong usage, from Typer or from Click itself."""
 
 RepeatedOptionError: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "UsageError")
+"""Class of Click's error that is raised for a repeated option."""
 
 # To add a command: a function of its name in one of these modules, and one line here.
 COMMANDS = {

@@ -221,9 +221,9 @@ def _keyword_parameter(name: str, annotation: Any, default: Any) -> inspect.Para
 PYTHON_ONLY_PARAMETERS = ("advise", "allow_repeated", "geometry", "about", "format", "hints", "callbacks")
 """Parameters of public functions that are not made into options."""
 SHORT_FLAGS = {"trials": "-n", "jobs": "-j"}
-"""Short spelling of an option, by the name of its parameter."""
+"""Short flag of an option on the command line, by the name of the parameter of the public function."""
 METAVARIABLES = {"prior": "FILE|none", "with_effects": "EFFECT[:WHERE,...]", "calibrator": "'CMD {recording} {out}'"}
-"""Placeholder of the value in the help, by the name of the parameter."""
+"""Placeholder of the value of an option in the help, by the name of the parameter of the public function."""
 
 
 def _parse_number(text: str) -> float:
@@ -369,7 +369,7 @@ def _constant_value(tree: ast.Module, name: str) -> ast.expr | None:
 
 
 def _documented_parameters(docstring: str) -> Iterator[tuple[str, tuple[str, str]]]:
-    """Names of the parameters in a numpy docstring, each with its type and text."""
+    """Name of each parameter in the section `Parameters` of a docstring, with its type and its description."""
     section = re.search(r"Parameters\n-+\n(.*?)(?:\n\n\S[^\n]*\n-+\n|\Z)", docstring, re.DOTALL)
     parameter_texts = re.split(r"\n(?=\S)", section[1]) if section else []
     for entry in parameter_texts:

@@ -68,7 +68,7 @@ def check_outputs(outputs: Iterable[tuple[str, Path, OutputKind]], *, force: boo
 
 
 def _result_file_names() -> set[str]:
-    """Fixed names of result files; the name of a file of true values is an option."""
+    """Names of the result files whose name is fixed; a file of true values has the name that the user gives."""
     from ltsim.recordings.native import OBSERVATIONS_FILE
     from ltsim.reports.schemas import COMPANION_TABLES, FILE_MODELS
 
@@ -155,7 +155,7 @@ def write_outputs(outputs: Mapping[Path, Callable[[Path], Any]], *, force: bool)
 
 
 class _SameContent(NamedTuple):
-    """Result for an output that exists already with the content to be written."""
+    """Marker for an output that exists already with the content to be written, so that nothing is written."""
 
     returned_value: Any
     """Value that the writing function returned."""
@@ -230,7 +230,7 @@ def _check_no_foreign_files(folder: Path) -> None:
     from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE
 
     files = [p for p in folder.iterdir() if not (p.name.startswith(".") or p.is_dir())] if folder.is_dir() else []
-    output_names = {OBSERVATIONS_FILE, SETUP_FILE}.union(*map(_ltsim_file_names, files))
+    output_names = {OBSERVATIONS_FILE, SETUP_FILE}.union(*map(_result_and_companion_names, files))
     foreign = sorted({p.name for p in files} - output_names)
     if foreign:
         raise RecordError(
@@ -240,8 +240,8 @@ def _check_no_foreign_files(folder: Path) -> None:
         )
 
 
-def _ltsim_file_names(file: Path) -> set[str]:
-    """Names of a file of ltsim and of the companion files that it lists; empty for another file."""
+def _result_and_companion_names(file: Path) -> set[str]:
+    """Name of a result file of ltsim, and names of the companion files that it lists; empty for any other file."""
     from ltsim.recordings.result_file import read_json
 
     try:
@@ -263,14 +263,15 @@ def _raise_occupied_folder(folder: Path, existing_names: list[str]) -> None:
 
 
 COMPARED_FILE_OUTPUT = OutputKind(check_compared_file)
-"""Check of an output file whose content `write_outputs` compares with an existing file."""
+"""Kind of output file whose content `write_outputs` compares with an existing file."""
 FILE_OUTPUT = OutputKind(check_new_file)
-"""Check of an output file that must be new, or replace a page or an unmodified XML file of ltsim."""
+"""Kind of output file that must be new, or replace a page or an unmodified XML file of ltsim."""
 RECORDING_OUTPUT = OutputKind(check_recording_folder)
-"""Check of an output folder for a recording, which must not contain files of other programs."""
+"""Kind of output folder for a recording, which must not contain files of other programs."""
 EMPTY_FOLDER_OUTPUT = OutputKind(check_empty_folder)
-"""Check of an output folder that must be new or empty."""
+"""Kind of output folder that must be new or empty."""
 COMMAND_CHECKED_OUTPUT = OutputKind(lambda folder, force: check_writable(folder, is_folder=True))
-"""Check that an output folder can be written to; the command checks the files that it would replace."""
+"""Kind of output folder of which only write permission is checked; the command checks the files that it would replace.
+"""
 FILE_OR_FOLDER_OUTPUT = OutputKind(lambda path, force: check_writable(path, is_folder=path.is_dir()))
-"""Check that an output can be written to, which is a file or a folder depending on other options."""
+"""Kind of output, a file or a folder depending on other options, of which only write permission is checked."""

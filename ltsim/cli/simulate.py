@@ -205,7 +205,7 @@ DEMO_EFFECTS: tuple[dict[str, Any], ...] = tuple(
     {"name": "smr-offset", "stations": [station], "values": {"radius-difference": size}}
     for station, size in (("S2", 0.2), ("S3", -0.25), ("S4", 0.25), ("S5", -0.2))
 )
-"""Effects of which the demonstration injects a random one: the SMR at one station has another radius."""
+"""Effects of which the demonstration injects a random one: at one station an SMR of another radius is used."""
 
 DEMO_TITLE = "Demonstration: a fault is injected into a simulated hall, and diagnosed"
 """Title of the page of the demonstration."""

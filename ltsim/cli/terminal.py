@@ -108,7 +108,7 @@ class Terminal:
 
     @property
     def is_silent(self) -> bool:
-        """True if text is not printed."""
+        """True if no text is printed, because of `--quiet` or `--json`."""
         return self.quiet or self.as_json
 
     def print_text(self, text: str = "") -> None:

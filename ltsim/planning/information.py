@@ -70,17 +70,17 @@ class LayoutInformation:
 
     @property
     def prior_sigma(self) -> Floats:
-        """Prior standard deviations of the instrument parameters, (p,) [SI]."""
+        """Prior standard deviations (p,) of the p instrument parameters [m, rad or 1]."""
         return self.adjustment.problem.prior.sigma[0]
 
     @property
     def instrument_covariance(self) -> Floats:
-        """Covariance of the instrument parameters, priors included, (p, p) [SI]."""
+        """Expected covariance matrix (p, p) of the p instrument parameters [SI], from readings and priors."""
         return self.adjustment.instrument_covariance
 
     @property
     def scaled_covariance(self) -> Floats:
-        """Covariance of the instrument parameters in units of the prior sigmas, (p, p).
+        """Expected covariance matrix (p, p) of the p instrument parameters, each in units of its prior sigma.
 
         Without readings it is the identity matrix.
         """
@@ -88,12 +88,12 @@ class LayoutInformation:
 
     @cached_property
     def instrument_sigmas(self) -> Floats:
-        """Standard deviation of each instrument parameter, (p,) [SI]."""
+        """Expected standard deviation (p,) of each of the p instrument parameters [m, rad or 1]."""
         return np.sqrt(np.diag(self.instrument_covariance))
 
     @cached_property
     def undetermined_combinations(self) -> list[ParameterCombination]:
-        """Linear combinations of parameters whose prior variance the readings reduce by less than one half.
+        """Linear combinations of instrument parameters whose prior variance the readings reduce by less than one half.
 
         The least determined combination is first.
         """
@@ -110,7 +110,7 @@ class LayoutInformation:
 
     @property
     def pose_covariance(self) -> Floats:
-        """Covariance of translation [m] and rotation [rad] of each station, (S, 6, 6).
+        """Covariance matrix (S, 6, 6) of the translation [m] and rotation [rad] of each of the S stations.
 
         The datum is the mean of all targets (inner constraints).
         """
@@ -120,7 +120,7 @@ class LayoutInformation:
 
     @cached_property
     def target_covariance(self) -> Floats:
-        """Covariance of each target, (T, 3, 3) [m^2], including the uncertainty of the air.
+        """Covariance matrix (T, 3, 3) [m^2] of each of the T targets, including the uncertainty of the air.
 
         The datum is the mean of all targets (inner constraints).
         """
@@ -130,7 +130,7 @@ class LayoutInformation:
 
     @cached_property
     def target_sigmas(self) -> Floats:
-        """Point error of each target, the square root of the trace of its covariance, (T,) [m]."""
+        """Point error (T,) [m] of each of the T targets: square root of the trace of its covariance matrix."""
         return np.sqrt(np.einsum("tii->t", self.target_covariance))
 
     @property
@@ -151,11 +151,15 @@ PARAMETER_GROUPS = {
     "range_scale": "range scale",
     "range_offset": "range offset",
 }
-"""Name of the group of errors by kind of the prior of an instrument parameter; None stands for any other kind."""
+"""Name of the group of errors of an instrument parameter, by the kind of its prior; None stands for all other kinds."""
 RANGE_NOISE_GROUP = "range noise"
+"""Name of the group of errors with the noise of ranges."""
 ANGLE_NOISE_GROUP = "angle noise"
+"""Name of the group of errors with the noise of angles."""
 GAUGE_LENGTHS_GROUP = "gauge lengths"
+"""Name of the group of errors with the reference lengths of the gauge."""
 REFLECTORS_GROUP = "reflectors"
+"""Name of the group of errors with the parameters of reflectors."""
 
 
 @dataclass(frozen=True)
@@ -173,30 +177,33 @@ class ExpectedCriteria:
 
     @property
     def distance_improvement(self) -> Floats:
-        """Relative reduction (k,) [%] of the expected disagreement in distances by the calibration."""
+        """Relative reduction (k,) [%] of the disagreement in distances by calibration, for k assumptions on errors."""
         return 100.0 * (1.0 - self.distance_after / self.distance_before)
 
     @property
     def coordinate_improvement(self) -> Floats:
-        """Relative reduction (k,) [%] of the expected disagreement in coordinates by the calibration."""
+        """Relative reduction (k,) [%] of the disagreement in coordinates by calibration, for k assumptions."""
         return 100.0 * (1.0 - self.coordinate_after / self.coordinate_before)
 
 
 @dataclass(frozen=True)
 class CriteriaPredictor:
-    """Predictor of the expected criteria from the contribution of each of G groups of errors at its nominal size."""
+    """Predictor of the expected criteria of a layout from the contribution of each of G groups of errors.
+
+    The contributions are those of errors of nominal size; variances of different groups add.
+    """
 
     error_groups: tuple[str, ...]
-    """Names of the groups: noise, gauge lengths, instrument parameters by kind, unmodelled effects by name."""
+    """Names of the G groups of errors: noise, gauge lengths, instrument parameters by kind, unmodelled effects by name.
+    """
     distance_variances: Floats
-    """Variance of the deviation of each measured distance from its mean over stations, (2, G, D) [m^2]. The first index
-    is 0 before and 1 after calibration, the last one runs over the D combinations of station and pair of targets.
-    """
+    """Variance by each of G groups of errors of the deviation of a measured distance from its mean over stations, (2,
+    G, D) [m^2]. The first index is 0 before and 1 after calibration, the last one runs over the D combinations of a
+    station and a pair of targets."""
     coordinate_covariances: Floats
-    """Covariance of the difference between the positions of each target from two stations, (2, G, C, 3, 3) [m^2]. The
-    first index is 0 before and 1 after calibration, the third one runs over the C combinations of pair of stations and
-    target.
-    """
+    """Covariance by each of G groups of errors of the difference between the positions of a target from two stations,
+    (2, G, C, 3, 3) [m^2]. The first index is 0 before and 1 after calibration, the third one runs over the C
+    combinations of a pair of stations and a target."""
 
     @classmethod
     def from_information(
@@ -246,24 +253,27 @@ class CriteriaPredictor:
 
 
 def _mean_length(row_matrices: Floats, variances_by_set: Floats) -> Floats:
-    """Expected length (k,) of C normally distributed vectors, averaged over the vectors, for k sets of variances.
+    """Expected length (k,) of C normally distributed vectors, averaged over them, for k sets of variance factors.
 
     The covariance of a vector is a sum over G groups of errors: `row_matrices` (C, G, 3, 3) hold the covariance by each
-    group at its nominal size, `variances_by_set` (k, G) the factors on these covariances.
+    group at its nominal size, `variances_by_set` (k, G) the factors of these covariances.
     """
     means = [
-        expected_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, variances_by_set, axes=1)))).mean(axis=1)
+        expected_vector_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, variances_by_set, axes=1)))).mean(
+            axis=1
+        )
         for part in np.array_split(row_matrices, max(1, len(row_matrices) // 64))
     ]
     return np.concatenate(means)
 
 
-def expected_length(variances: Floats, n_nodes: int = 48) -> Floats:
-    """Expected length (...) of a normally distributed vector with variances (..., 3) along its axes, to about 1e-6.
+def expected_vector_length(variances: Floats, n_nodes: int = 48) -> Floats:
+    """Expected length (...) of normally distributed vectors with variances (..., 3) along their axes, to about 1e-6.
 
-    E sqrt(q) = 1 / (2 sqrt(pi)) integral of (1 - E exp(-t q)) t^(-3/2) dt, with E exp(-t q) the product of (1 + 2 t
-    variance)^(-1/2). The variable t is replaced by (x / (1 - x))^2 divided by the total variance, and the integral over
-    x is computed by Gauss-Legendre quadrature with `n_nodes` nodes.
+    With q the squared length of a vector, E sqrt(q) = 1 / (2 sqrt(pi)) integral of (1 - E exp(-t q)) t^(-3/2) dt, in
+    which E exp(-t q) is the product over the axes of (1 + 2 t variance)^(-1/2). The variable t is replaced by (x / (1 -
+    x))^2 divided by the total variance, and the integral over x is computed by Gauss-Legendre quadrature with `n_nodes`
+    nodes.
     """
     total_variance = np.maximum(variances.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
     variance_fractions = np.maximum(variances, 0.0) / total_variance
@@ -331,7 +341,7 @@ def _unit_error_displacements(
 
 
 def _averaging_matrix(layout_information: LayoutInformation) -> Floats:
-    """Matrix (S T, n) that averages n pointings over faces and repeats, for each station and target."""
+    """Matrix (S T, n) that averages n pointings over faces and repeats, for each pair of S stations and T targets."""
     recording = layout_information.adjustment.recording
     place = recording.station * len(recording.targets) + recording.target
     averaging_matrix = np.zeros((len(recording.stations) * len(recording.targets), len(recording)))
@@ -340,9 +350,9 @@ def _averaging_matrix(layout_information: LayoutInformation) -> Floats:
 
 
 def _distance_deviation_matrix(layout_information: LayoutInformation) -> Floats:
-    """Matrix (D, 3 S T) from displacements of points to deviations of distances from their means over stations.
+    """Matrix (D, 3 S T) from displacements of T points measured from S stations to deviations of distances.
 
-    D is the number of combinations of station and pair of targets.
+    The deviations are those of D distances, one for each station and pair of targets, from their means over stations.
     """
     state = layout_information.adjustment.state
     stations, targets = len(state.station_positions), len(state.target_points)
@@ -360,9 +370,10 @@ def _distance_deviation_matrix(layout_information: LayoutInformation) -> Floats:
 
 
 def _coordinate_difference_matrix(layout_information: LayoutInformation) -> Floats:
-    """Matrix (C, 3, 3 S T) from displacements of points to differences between positions of a target from two stations.
+    """Matrix (C, 3, 3 S T) from displacements of T points measured from S stations to coordinate differences.
 
-    C is the number of combinations of pair of stations and target. The stations are aligned rigidly first.
+    The differences are those between the positions of a target from two stations, for the C combinations of a pair of
+    stations and a target. The stations are aligned rigidly first.
     """
     state = layout_information.adjustment.state
     stations, targets = len(state.station_positions), len(state.target_points)

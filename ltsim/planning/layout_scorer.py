@@ -4,15 +4,14 @@ Two steps are used, so that a search computes the design of a set-up only once. 
 each of many candidate set-ups. `LayoutScorer.evaluate_layouts` joins set-ups into layouts and eliminates targets (3 x 3
 blocks) and poses (the leading rows of a Cholesky factor), which leaves the information on instrument and effects.
 
-The Jacobian is that of the geometric error model; all observations that are no readings are those of the adjustment.
-`information.py` computes the same quantities without blocks; a test compares the two. Letters in shapes: N set-ups, B
-layouts of S stations, T targets, E of them not in the gauge, P parameters, K unknowns after elimination of targets.
+The Jacobian is that of the geometric error model; all observations that are no readings are those of the adjustment. A
+test compares the results with those of `information.py`, which uses no blocks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.physics.model.incidence import IncidenceErrors
 from ltsim.physics.model.measurement import MeasurementModel
+from ltsim.planning.normal_blocks import NormalBlocks
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import POINT_RANK_TOLERANCE, cholesky_where_determined, scale_to_unit_diagonal, to_dense
@@ -33,44 +33,11 @@ INTERNAL_LENGTH_UNIT = 1e-5
 """Unit [m, rad] of poses and targets in the normal equations, so that all columns have a similar norm."""
 
 
-@dataclass(frozen=True)
-class NormalBlocks:
-    """Contributions of N set-ups to the normal equations; P parameters are of reflectors, instrument and effects."""
-
-    setup_positions: Floats
-    """Positions of the set-ups, (N, 3) [m]."""
-    setup_yaws: Floats
-    """Yaw of each set-up, (N,) [rad]."""
-    is_visible: Bools
-    """Flags of the targets that each set-up measures, (N, T)."""
-    has_determined_pose: Bools
-    """Flags of the set-ups whose measured targets determine the pose of the station, (N,)."""
-    target_blocks: Floats
-    """Blocks of the normal matrix for each target, (N, T, 3, 3)."""
-    coupling_blocks: Floats
-    """Blocks of the normal matrix between each target and the pose followed by the parameters, (N, T, 3, 6 + P)."""
-    pose_blocks: Floats
-    """Block of the normal matrix for the pose followed by the parameters, summed over targets, (N, 6 + P, 6 + P)."""
-
-    def select(self, indices: Ints) -> NormalBlocks:
-        """Contributions of only the set-ups with the given indices, in this order."""
-        return NormalBlocks(*(getattr(self, field.name)[indices] for field in fields(self)))
-
-    @classmethod
-    def concatenate(cls, groups: Sequence[NormalBlocks]) -> NormalBlocks:
-        """Contributions of several groups of set-ups, one group after the other."""
-        return cls(*(np.concatenate([getattr(part, field.name) for part in groups]) for field in fields(cls)))
-
-    def with_replaced_station(self, station_index: int, replacement: NormalBlocks) -> NormalBlocks:
-        """Contributions of a layout in which the set-up `replacement` (N = 1) replaces one station, by its index."""
-        stations = np.arange(len(self.setup_positions))
-        return self.concatenate([self, replacement]).select(
-            np.where(stations == station_index, len(stations), stations)
-        )
-
-
 def incidence_error_indicator(incidence_errors: IncidenceErrors, pointing_targets: Ints, n_targets: int) -> Floats:
-    """Indicator (T,): 1 for a target in `pointing_targets` (n,) whose reflector has `incidence_errors`, otherwise 0."""
+    """Indicator (T,) of T targets: 1 if the reflector of a target has `incidence_errors`, otherwise 0.
+
+    `pointing_targets` (n,) are the indices of the targets of n pointings.
+    """
     indicator = np.zeros(n_targets)
     np.maximum.at(indicator, pointing_targets, incidence_errors.reflector_indicator)
     return indicator
@@ -81,13 +48,11 @@ class LayoutPrecision:
     """Precision of B layouts: information on P parameters after elimination of all other unknowns, and point errors."""
 
     information: Floats
-    """Information matrix of the parameters of instrument and effects in units of their prior sigma, (B, P, P); NaN for
-    a layout with an undetermined pose.
-    """
+    """Information matrices (B, P, P) of B layouts on P parameters of instrument and effects, in units of their prior
+    sigmas; NaN for a layout with an undetermined pose."""
     weighted_target_rms: Floats
-    """Weighted root mean square point error of targets, whose mean is the datum, (B,) [m]; NaN if not requested, or for
-    an undetermined pose.
-    """
+    """Weighted root mean square point error (B,) [m] of the targets of B layouts, with their mean as datum; NaN if not
+    requested, or for an undetermined pose."""
 
 
 class LayoutScorer:
@@ -141,7 +106,7 @@ class LayoutScorer:
     def _set_blocks(self, design: Floats, target_columns: Ints, pose_columns: Ints, parameter_columns: Ints) -> None:
         """Storage of the normal equations of gauge, control points, levels and priors, which all layouts share.
 
-        `design` is whitened; its columns of targets (T, 3), poses (S, 6) and parameters are given by their indices.
+        `design` is whitened; its columns of T targets (T, 3), S poses (S, 6) and parameters are given by indices.
         """
         extra = np.zeros((len(design), len(self.parameter_scales) - len(parameter_columns)))
         front = [
@@ -164,7 +129,7 @@ class LayoutScorer:
     def sightings(self, position: Floats, yaw: Floats, station_indices: Ints) -> Sightings:
         """Sightings of every target in each face from N set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad].
 
-        `station_indices` (N,) is the index of the station that each set-up replaces.
+        `station_indices` (N,) are the indices of the stations that the set-ups replace.
         """
         survey = self.survey
         axes = np.arange(len(position)), np.arange(len(survey.target_points)), np.array(survey.faces)
@@ -193,10 +158,12 @@ class LayoutScorer:
     def whitened_rows(
         self, position: Floats, yaw: Floats, station_indices: Ints, is_visible: Bools
     ) -> tuple[Floats, Floats]:
-        """Whitened derivatives of the r readings of each target by target (N, T, r, 3) and by other unknowns.
+        """Whitened derivatives of r readings of each of T targets from N set-ups, by the target and by other unknowns.
 
-        The other unknowns are pose and parameters, (N, T, r, 6 + P). Rows of targets that are not `is_visible` (N, T)
-        are zero. As some effects depend on the time since the start, the first station is included in the computation.
+        The derivatives by the target are (N, T, r, 3), those by pose and P parameters (N, T, r, 6 + P); they are zero
+        for targets that are not `is_visible` (N, T). The set-ups are at `position` (N, 3) [m] with `yaw` (N,) [rad] and
+        replace the stations `station_indices` (N,). The computation includes the first station, as some effects depend
+        on time.
         """
         if self.effects and station_indices.min() > 0:
             first = position[:1], yaw[:1], np.zeros(1, dtype=np.int64)
@@ -213,7 +180,7 @@ class LayoutScorer:
         return t, np.concatenate([-t, rotation_rows, v], axis=3)
 
     def _derivatives(self, sightings: Sightings) -> tuple[Floats, Floats]:
-        """Whitened derivatives of n pointings by the target (n, 3, 3), and by the parameters (n, 3, P)."""
+        """Whitened derivatives of the readings of n pointings by target (n, 3, 3), and by P parameters (n, 3, P)."""
         by_point, by_value = self.construction.reading_design(
             sightings.raw_readings, np.zeros(self.construction.n_parameters)
         )
@@ -236,8 +203,9 @@ class LayoutScorer:
     ) -> NormalBlocks:
         """Contributions of N set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad] to the normal equations.
 
-        `station_indices` (N,) is the index of the station that each set-up replaces, by default 0; some effects depend
-        on the time or name of the station. `is_visible` (N, T) flags the measured targets, by default all.
+        `station_indices` (N,) are the indices of the stations that the set-ups replace, by default 0; some effects
+        depend on the time or name of the station. `is_visible` (N, T) flags the measured ones of T targets, by default
+        all.
         """
         station_of_position = np.zeros(len(position), dtype=np.int64) if station_indices is None else station_indices
         is_visible = (
@@ -254,7 +222,7 @@ class LayoutScorer:
     def evaluate_layouts(
         self, blocks: NormalBlocks, setup_indices: Ints, *, with_target_errors: bool = False
     ) -> LayoutPrecision:
-        """Precision of B layouts: information on the parameters, and point errors if `with_target_errors`.
+        """Precision of B layouts of S stations: information on parameters, and point errors if `with_target_errors`.
 
         Each row of `setup_indices` (B, S) has the indices in `blocks` of the set-ups of one layout.
         """
@@ -271,10 +239,10 @@ class LayoutScorer:
         return LayoutPrecision(information, rms)
 
     def marginal_information(self, schur: Floats, squared_norms: Floats) -> Floats:
-        """Information (B, P, P) on the parameters of instrument and effects; NaN for undetermined unknowns.
+        """Information (B, P, P) on P parameters of instrument and effects in B layouts; NaN for undetermined unknowns.
 
-        All other unknowns are eliminated from normal matrices `schur` (B, K, K). The squared norms (B, K) of columns of
-        the design serve to recognise undetermined unknowns.
+        All other unknowns are eliminated from the normal matrices `schur` (B, K, K) of K unknowns. The squared norms
+        (B, K) of the columns of the design matrices serve to recognise undetermined unknowns.
         """
         unit, scale = scale_to_unit_diagonal(schur, squared_norms)
         roots, _ = cholesky_where_determined(unit)
@@ -283,10 +251,11 @@ class LayoutScorer:
         return corner @ np.swapaxes(corner, 1, 2)
 
     def eliminate_targets(self, blocks: NormalBlocks, setup_indices: Ints) -> tuple[Floats, Floats, Floats, Floats]:
-        """Normal matrices after elimination of targets, squared norms of columns before it, and two terms of it.
+        """Normal matrices of B layouts after elimination of E targets, squared norms of columns, and two terms of it.
 
-        The matrices are Schur complements (B, K, K), NaN for an undetermined target; the norms are (B, K). The terms
-        are inverse blocks (B, E, 3, 3) of targets, and their products with coupling blocks (B, E, 3, K).
+        The matrices of K remaining unknowns are Schur complements (B, K, K), NaN for an undetermined target; the norms
+        (B, K) of columns are those before the elimination. The terms are inverse blocks (B, E, 3, 3) of the targets,
+        and their products (B, E, 3, K) with coupling blocks.
         """
         reduced, tt, tk = self._normal_matrices(blocks, setup_indices)
         if not self._used_observables.all():  # a whole sight places its target
@@ -302,7 +271,11 @@ class LayoutScorer:
         return 0.5 * (schur + np.swapaxes(schur, 1, 2)), np.einsum("bkk->bk", reduced), inverses, coefficients
 
     def _normal_matrices(self, blocks: NormalBlocks, setup_indices: Ints) -> tuple[Floats, Floats, Floats]:
-        """Blocks of normal matrices: other unknowns (B, K, K), targets (B, E, 3, 3), coupling of both (B, E, 3, K)."""
+        """Blocks of the normal matrices of B layouts, for E targets that are eliminated later and K other unknowns.
+
+        The blocks are those of the other unknowns (B, K, K), of the targets (B, E, 3, 3), and the coupling of both (B,
+        E, 3, K). `setup_indices` (B, S) are the indices in `blocks` of the S set-ups of each layout.
+        """
         layouts, stations = setup_indices.shape
         params, gauge = len(self.parameter_scales), len(self._gauge_targets)
         n_unknowns = 6 * stations + 3 * gauge + params
@@ -339,9 +312,10 @@ class LayoutScorer:
         )
 
     def _datum_rows(self, position: Floats) -> Floats:
-        """Whitened rows (B, f, 6 a) that fix f free rigid motions of layouts with stations at `position` (B, S, 3) [m].
+        """Whitened rows (B, f, 6 a) that fix f free rigid motions of B layouts of stations at `position` (B, S, 3) [m].
 
-        They constrain the pose of the first station (a = 1), or for ranges alone the positions of all (a = S).
+        They constrain the pose of the first station (a = 1), or for ranges alone the positions of all S stations (a =
+        S).
         """
         motion = self._free_motions / np.linalg.norm(self._free_motions, axis=0)
         anchors = position[:, :1] if self._fixes_datum_rotations else position
@@ -351,23 +325,26 @@ class LayoutScorer:
         return (datum_rows / DATUM_SIGMA * INTERNAL_LENGTH_UNIT).reshape(len(datum_rows), motion.shape[1], -1)
 
     def weighted_target_rms(self, schur: Floats, inverses: Floats, coefficients: Floats, targets: Ints) -> Floats:
-        """Root mean square point error (B,) [m] with the survey's target weights; arguments as of `target_variance`."""
+        """Root mean square point error (B,) [m] of B layouts, with the survey's target weights.
+
+        The arguments are those of `target_variance`.
+        """
         variance = self.target_variance(schur, inverses, coefficients, targets)
         weight = self._target_weights[self.requested_targets(targets)]
         return np.sqrt(np.sum(weight * variance, axis=1) / np.sum(weight * np.ones_like(variance), axis=1))
 
     def requested_targets(self, targets: Ints) -> Ints:
-        """Indices in the survey of `targets` (E,) or (B, E), and of the targets of the gauge: (1 or B, E + gauge)."""
+        """Indices (1 or B, E + gauge) of E `targets`, (E,) or (B, E) for B layouts, and of those of the gauge."""
         indices = np.atleast_2d(targets)
         return np.concatenate(
             [indices, np.broadcast_to(self._gauge_targets, (len(indices), len(self._gauge_targets)))], axis=1
         )
 
     def target_variance(self, schur: Floats, inverses: Floats, coefficients: Floats, targets: Ints) -> Floats:
-        """Squared point errors (B, E + gauge) [m^2] of targets, with inner constraints over all of them as datum.
+        """Squared point errors (B, E + gauge) [m^2] of targets in B layouts, with inner constraints over them as datum.
 
-        Parameters of the instrument and of reflectors are estimated here, effects are not. `schur` (B, K, K),
-        `inverses` (B, E, 3, 3) and `coefficients` (B, E, 3, K) are results of `eliminate_targets`. `targets`,
+        Parameters of the instrument and of reflectors are estimated here, effects are not. `schur` (B, K, K) for K
+        unknowns, `inverses` (B, E, 3, 3) and `coefficients` (B, E, 3, K) are results of `eliminate_targets`. `targets`,
         (E,) or (B, E), holds the indices of the E targets in the survey; those of the gauge are always included.
         """
         estimated = self._n_nuisances + len(self.prior_sigma)

@@ -16,7 +16,7 @@ from ltsim.core.errors import RecordError, SetupError, as_setup_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import CATALOGUE
 from ltsim.planning.search_space import MIN_VISIBLE_TARGETS, StationPlacement
-from ltsim.planning.spec import WALLS_NAME, PlanFile, PointEntry
+from ltsim.planning.spec import WALLS_NAME, PlanFile, PlanPoint
 from ltsim.recordings.coordinates import PointList, read_points as read_coordinates
 from ltsim.recordings.files import parse_comma_number, quoted_text
 from ltsim.recordings.settings import read_toml, validate_settings
@@ -35,12 +35,12 @@ that a plan file describes."""
 MAX_PLAN_POINTS = 2_000
 """Largest number of points in the list of a plan; the search takes 130 kB of memory for each."""
 MAX_SAME_POINT_DISTANCE_MM = 0.1
-"""Largest distance [mm] between a point of a list and the target of the same name in the scenario, at which they are
-the same point.
-"""
+"""Largest distance [mm] between a point of a list and the target of the same name in the scenario at which both are the
+same point; a larger one is an error."""
 DEFAULT_STATION_COUNT = 4
 """Number of initial stations in a hall if the plan file gives no number."""
 BUILTIN_FOLDER = files("ltsim.planning") / "builtin"
+"""Folder of the built-in plan files."""
 
 
 def plan_names() -> tuple[str, ...]:
@@ -91,7 +91,7 @@ def _similar_names(name: str, candidates: Sequence[str]) -> str:
 
 
 def _with_defaults(plan_file: PlanFile, path: Path) -> dict[str, Any]:
-    """New values of fields of a plan file: the points of its list, and defaults that depend on other keys.
+    """New values of fields of a plan file, by name: the points of its list, and defaults that depend on other keys.
 
     `path` is that of the plan file. Raises SetupError for too many points.
     """
@@ -175,12 +175,12 @@ def _check_dependent_keys(plan_file: PlanFile, scenario: Scenario, file: object)
         raise SetupError(f"{file}: stations.min_stations_per_target is {min_stations}, but there are {count} stations")
 
 
-def read_points(path: Path) -> tuple[PointEntry, ...]:
-    """Points from a list of coordinates in any format; additional columns are keys of `PointEntry`, such as ``weight``.
+def read_points(path: Path) -> tuple[PlanPoint, ...]:
+    """Points from a list of coordinates in any format; additional columns are keys of `PlanPoint`, such as ``weight``.
 
     Raises SetupError.
     """
-    columns = list(PointEntry.model_fields)[4:]
+    columns = list(PlanPoint.model_fields)[4:]
     with as_setup_error():
         table = read_coordinates(path)
         for name in table.additional_columns:
@@ -190,7 +190,7 @@ def read_points(path: Path) -> tuple[PointEntry, ...]:
         return tuple(_point_from_table(table, i, path) for i in range(len(table.names)))
 
 
-def _point_from_table(table: PointList, row: int, path: Path) -> PointEntry:
+def _point_from_table(table: PointList, row: int, path: Path) -> PlanPoint:
     """Point at index `row` of a list read from `path`; raises RecordError for a cell that is not valid."""
     location: dict[str, Any] = {"file": path, "row": table.line_numbers[row]}
 
@@ -210,7 +210,7 @@ def _point_from_table(table: PointList, row: int, path: Path) -> PointEntry:
     group = table.additional_columns["group"][row] if "group" in table.additional_columns else ""
     other_fields = {"weight": optional_number("weight", 1.0), "tolerance_mm": optional_number("tolerance_mm", None)}
     try:
-        return PointEntry.model_validate({"name": table.names[row], "group": group, **place, **other_fields})
+        return PlanPoint.model_validate({"name": table.names[row], "group": group, **place, **other_fields})
     except ValidationError as problem:
         first = problem.errors()[0]
         wanted = first["msg"].removeprefix("Value error, ")
@@ -219,9 +219,7 @@ def _point_from_table(table: PointList, row: int, path: Path) -> PointEntry:
         ) from None
 
 
-def _hall_scenario(
-    plan_file: PlanFile, tables: Mapping[str, Any], points: Sequence[PointEntry], file: Path
-) -> Scenario:
+def _hall_scenario(plan_file: PlanFile, tables: Mapping[str, Any], points: Sequence[PlanPoint], file: Path) -> Scenario:
     """Scenario of a hall that a plan file describes by its TOML tables and points, with initial stations.
 
     Raises SetupError, which names `file`.
@@ -243,7 +241,7 @@ def _hall_scenario(
     return scenario.model_copy(update={"stations": stations})
 
 
-def _require_plausible_extent(points: Sequence[PointEntry], scenario: Scenario, file: object) -> None:
+def _require_plausible_extent(points: Sequence[PlanPoint], scenario: Scenario, file: object) -> None:
     """Check that some point is farther from the corner of the hall than a thousandth of the hall's size.
 
     Otherwise the coordinates may be in metres, or a full stop may separate thousands (7.000 for 7000 mm). Raises
@@ -257,7 +255,7 @@ def _require_plausible_extent(points: Sequence[PointEntry], scenario: Scenario, 
         )
 
 
-def _with_points(scenario: Scenario, points: Sequence[PointEntry], file: object) -> Scenario:
+def _with_points(scenario: Scenario, points: Sequence[PlanPoint], file: object) -> Scenario:
     """Scenario with the points of a plan as additional targets; a point that is already a target is left out.
 
     Raises SetupError if a target of the same name is at another position.

@@ -95,11 +95,11 @@ def run_searches(
     report_progress: Callable[[float], None],
     store_survey: Callable[[PlannedSurvey, float], None],
 ) -> tuple[LayoutsByCount, bool]:
-    """Layouts of all searches by number of stations and faces, and a flag that is True if Ctrl-C ended the searches.
+    """Layouts of all searches by numbers of stations and faces, and a flag that is True if Ctrl-C ended the searches.
 
     `jobs` is the number of processes. `report_progress` is called with the finished fraction of all searches,
-    `store_survey` with each clearly better layout and its objective. With one job the search runs in this process,
-    reports progress within a start, and keeps its best layout after Ctrl-C.
+    `store_survey` with each layout whose objective is better by `MIN_REPORTED_GAIN`, and this objective. With one job
+    the search runs in this process, reports progress within a start, and keeps its best layout after Ctrl-C.
     """
     best_by_task: dict[int, RatedLayout] = {}
     finished, stopped, reported, last = 0, False, np.inf, -np.inf
@@ -148,7 +148,7 @@ def _layout_of_start(
     report_progress: Callable[[float], None] = no_progress,
     store_layout: Callable[[StationLayout], None] = no_progress,
 ) -> tuple[int, RatedLayout | None]:
-    """Task number, and the pair of objective and layout that the search from one start ends with.
+    """Task number, and the pair of objective and layout at the end of the search of this task.
 
     The pair is None if no layout meets the rules of the plan, or if ranges from too few stations determine no layout.
     """
@@ -170,10 +170,11 @@ def search_from_start(
     report_progress: Callable[[float], None] = no_progress,
     store_layout: Callable[[StationLayout], None] = no_progress,
 ) -> RatedLayout:
-    """Objective and layout that the search from one start ends with.
+    """Objective and layout at the end of the search from one start.
 
     Stations are searched, then reflectors if they are movable, then stations again. `report_progress` is called with
-    the finished fraction, `store_layout` with each better layout. Raises SetupError or NetworkError without a layout.
+    the finished fraction, `store_layout` with each better layout. Raises SetupError or NetworkError if there is no
+    layout.
     """
     site, stays, seed = (
         problem.search_space(task),
@@ -197,7 +198,7 @@ def search_from_start(
 
 
 def _with_moved_stations(search_space: SearchSpace, position: Floats, yaw: Floats) -> PlannedSurvey:
-    """Survey of a search space with its stations at `position` (S, 3) [m] with `yaw` (S,) [rad]."""
+    """Survey of a search space with its S stations at `position` (S, 3) [m] with `yaw` (S,) [rad]."""
     return search_space.survey.replace(
         station_positions=position, station_yaws=yaw, is_visible=search_space.is_visible(position)
     )

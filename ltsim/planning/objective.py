@@ -31,28 +31,26 @@ TARGETS_QUALITY_NAME = "targets"
 DIAGNOSIS_QUALITY_NAME = "diagnosis"
 """Name of the quality that is the mean of the minimal detectable sizes of effects."""
 MIN_SWEEP_IMPROVEMENT = 1e-4
-"""Smallest relative improvement of the objective by a sweep over all stations, at which another sweep follows."""
+"""Smallest relative improvement of the objective by a sweep over all stations at which another sweep follows; after a
+smaller one the search ends."""
 
 
 def d_criterion(covariance: Floats) -> Floats:
-    """Geometric mean (...) of the standard deviations along the principal axes of a `covariance` (..., p, p).
+    """Geometric mean (...) of the standard deviations along the principal axes of covariance matrices (..., p, p).
 
-    It is det^(1 / 2p); the volume of the confidence ellipsoid is proportional to its p-th power.
+    It is det^(1 / 2p) for p parameters; the volume of the confidence ellipsoid is proportional to its p-th power.
     """
     _, logarithm = np.linalg.slogdet(covariance)
     return np.exp(0.5 * logarithm / covariance.shape[-1])
 
 
 def a_criterion(covariance: Floats) -> Floats:
-    """Root mean square (...) of the standard deviations of the parameters, from their `covariance` (..., p, p).
-
-    It is the root mean square error of a parameter.
-    """
+    """Root mean square (...) of the standard deviations of p parameters, from their covariance matrices (..., p, p)."""
     return np.sqrt(np.trace(covariance, axis1=-2, axis2=-1) / covariance.shape[-1])
 
 
 def e_criterion(covariance: Floats) -> Floats:
-    """Standard deviation (...) of the worst determined combination of parameters, from a `covariance` (..., p, p).
+    """Standard deviation (...) of the worst determined combination of p parameters, from covariances (..., p, p).
 
     The coefficients of the combination have the norm 1.
     """
@@ -92,7 +90,7 @@ class LayoutObjective:
         return self.quality_weights.get(TARGETS_QUALITY_NAME, 0.0) > 0.0
 
     def qualities(self, precision: LayoutPrecision, n_parameters: int) -> dict[str, Floats]:
-        """Values (B,) of each quality with a weight, by name of the quality, for B layouts; smaller is better.
+        """Values (B,) of each quality with a weight in the objective, by name, for B layouts; smaller is better.
 
         They are infinite for a layout that leaves unknowns undetermined. The first `n_parameters` rows of the
         information matrices in `precision` are those of instrument parameters; the rows of effects follow.
@@ -121,7 +119,7 @@ class LayoutObjective:
         return np.exp(np.sum(weighted_logs, axis=0))
 
     def _instrument_quality(self, information: Floats) -> Floats:
-        """Optimality criterion (B,) of the instrument parameters for information matrices (B, p, p)."""
+        """Optimality criterion (B,) of p instrument parameters in B layouts, from information matrices (B, p, p)."""
         value = np.full(len(information), np.inf)
         is_valid = np.isfinite(information).all(axis=(1, 2))
         if is_valid.any():
@@ -137,8 +135,8 @@ def mean_detectable_size(
 ) -> Floats:
     """Geometric mean (B,), over the parameters of effects, of minimal detectable size divided by plausible size.
 
-    `information` (B, P, P) are information matrices of B layouts, whose first `n_parameters` rows are those of
-    instrument parameters and whose other rows are those of `effects`. `n_places_by_effect` is as in `LayoutObjective`.
+    `information` (B, P, P) are information matrices of B layouts for P parameters, of which the first `n_parameters`
+    are those of the instrument and all others those of `effects`. `n_places_by_effect` is as in `LayoutObjective`.
     """
     sought = {**Counter(effect.name for effect in effects), **(n_places_by_effect or {})}
     parameter_block = information[:, :n_parameters, :n_parameters]

@@ -26,7 +26,7 @@ XyzSizesUm = tuple[OptionalFloat, OptionalFloat, OptionalFloat] | tuple[()]
 """Sizes along x, y and z [um], or an empty tuple if they are unknown."""
 
 
-class StationEntry(Entry):
+class PlannedStationEntry(Entry):
     """Station of a plan with its pose and expected precision."""
 
     name: str
@@ -66,7 +66,7 @@ class StationEntry(Entry):
         )
 
 
-class ReflectorEntry(Entry):
+class PlannedReflectorEntry(Entry):
     """Reflector with its expected precision."""
 
     name: str
@@ -155,7 +155,7 @@ class PlannedParameterEntry(Entry):
         )
 
 
-class ImprovementEntry(Entry):
+class AgreementImprovementEntry(Entry):
     """Expected improvement by calibration of the agreement of stations, in distances or in coordinates of targets."""
 
     before_um: Finite
@@ -207,14 +207,14 @@ class ProcedureEntry(Entry):
         }  # fmt: skip
 
 
-class LayoutEntry(ProcedureEntry):
+class PlannedLayoutEntry(ProcedureEntry):
     """Layout with its expected precision before measurement."""
 
     broken_rules: tuple[str, ...] = ()
     """Rules of the plan that the layout breaks, one sentence each."""
-    stations: tuple[StationEntry, ...]
+    stations: tuple[PlannedStationEntry, ...]
     """Stations of the layout, with their expected precision."""
-    reflectors: tuple[ReflectorEntry, ...] = ()
+    reflectors: tuple[PlannedReflectorEntry, ...] = ()
     """Reflectors of the layout, with their expected precision."""
     rms_sigma_um: OptionalFloat = None
     """Root mean square of `sigma_um` over all reflectors, each with equal weight."""
@@ -222,7 +222,7 @@ class LayoutEntry(ProcedureEntry):
     """Instrument parameters with their expected precision."""
     undetermined: tuple[UndeterminedEntry, ...] = ()
     """Linear combinations of instrument parameters that the layout does not determine."""
-    expected_improvement: dict[str, ImprovementEntry] | None = None
+    expected_improvement: dict[str, AgreementImprovementEntry] | None = None
     """Expected improvement by calibration of the agreement of the stations, in distances and in coordinates of targets
     (criteria of Sensors 2021, 21, 7479)."""
     blocked_sights: tuple[str, ...] = ()
@@ -240,8 +240,8 @@ class LayoutEntry(ProcedureEntry):
         names = information.construction.parameter_names
         return cls(
             broken_rules=tuple(rule.sentence for rule in layout.broken_rules),
-            stations=StationEntry.from_layout(layout),
-            reflectors=ReflectorEntry.from_layout(layout, check),
+            stations=PlannedStationEntry.from_layout(layout),
+            reflectors=PlannedReflectorEntry.from_layout(layout, check),
             rms_sigma_um=information.target_rms / MICROMETRE,
             parameters=PlannedParameterEntry.from_information(information),
             undetermined=tuple(
@@ -254,7 +254,7 @@ class LayoutEntry(ProcedureEntry):
             ),
             expected_improvement=None
             if layout.expected_criteria is None
-            else ImprovementEntry.from_criteria(layout.expected_criteria),
+            else AgreementImprovementEntry.from_criteria(layout.expected_criteria),
             blocked_sights=tuple(layout.visibility.invisible_pair_sentences(survey.station_names, survey.target_names)),
             **cls._procedure_fields(survey, layout.qualities),
             **extra_fields,
@@ -270,8 +270,8 @@ class TradeoffEntry(ProcedureEntry):
     """Objective of the layout; smaller is better."""
     efficient: bool = False
     """True if every faster procedure has a worse objective."""
-    layout: tuple[StationEntry, ...] = ()
-    """Stations of the best layout, without their expected precision."""
+    layout: tuple[PlannedStationEntry, ...] = ()
+    """Stations of the best layout for this procedure and number of stations, without their expected precision."""
 
     @classmethod
     def from_tradeoff_point(cls, tradeoff_point: TradeoffPoint) -> Self:
@@ -280,7 +280,7 @@ class TradeoffEntry(ProcedureEntry):
             stations=len(tradeoff_point.survey.station_positions),
             value=tradeoff_point.objective_value,
             efficient=tradeoff_point.is_efficient,
-            layout=StationEntry.from_survey(tradeoff_point.survey),
+            layout=PlannedStationEntry.from_survey(tradeoff_point.survey),
             **cls._procedure_fields(tradeoff_point.survey, tradeoff_point.qualities),
         )
 
@@ -290,8 +290,8 @@ class TradeoffEntry(ProcedureEntry):
         return None if self.value is None or set(self.quality) != {TARGETS_QUALITY_NAME} else self.value / MICROMETRE
 
 
-class LossEntry(Entry):
-    """Check of the tolerances after the loss of a station or a sight."""
+class LossCheckEntry(Entry):
+    """Result of a check of the tolerances after the loss of a station or a sight."""
 
     lost: str
     """Name of the lost station, or description of the lost sight."""
@@ -345,7 +345,7 @@ class DetectableSize(Entry):
     worst: OptionalFloat = None
     """Largest of the minimal detectable sizes over stations, targets or shapes."""
     worst_at: str = ""
-    """Station, target or shape constant with the largest minimal detectable size."""
+    """Station, target or shape of the effect with the largest minimal detectable size."""
     plausible: Finite = 0.0
     """Large but plausible size of the effect."""
     visible_fraction: OptionalFloat = None
@@ -370,7 +370,7 @@ class DetectableSize(Entry):
 
 
 class ConfusablePair(Entry):
-    """Pair of effects that a layout can hardly distinguish."""
+    """Pair of effects that a layout can hardly distinguish, because they change residuals almost equally."""
 
     effect: str
     """Identifier of the first effect in the catalogue."""

@@ -33,7 +33,7 @@ from ltsim.planning.search_inputs import (
 from ltsim.planning.search_space import SearchSpace, StationPlacement
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
-from ltsim.planning.tolerances import PointTolerances, feasibility_and_ratio
+from ltsim.planning.tolerances import PointTolerances, feasibility_and_error_ratio
 from ltsim.scene.floor import grid_step
 from ltsim.simulation.scenario import Scenario
 
@@ -43,9 +43,10 @@ SEARCH_PROGRESS_FRACTION = 0.8
 """Fraction of the progress bar for the search; the rest is for checks of tolerances and changes of reflectors."""
 MIN_STATIONS = 2
 """Smallest number of stations of a network."""
-MAX_ERROR_RATIO_AFTER_BEFORE = 0.95
-"""Largest useful ratio of two errors, with and without an additional station (an error is the largest point error
-divided by its tolerance). If the ratio for the last two stations together exceeds its square, the search ends."""
+MAX_USEFUL_ERROR_RATIO = 0.95
+"""Largest ratio at which an additional station counts as useful: largest error with the station divided by that without
+it (an error is a point error divided by its tolerance). If the last two stations together reduce the error by less than
+the square of this ratio, the search ends."""
 UNDETERMINED_LAYOUT_MESSAGE = (
     "no layout of the search determines all poses and points; let stations share more points "
     "(stations.min_stations_per_target = 2), or give more stations or more search.starts"
@@ -113,11 +114,11 @@ class _PlanSearch:
 
     @property
     def face_and_round_choices(self) -> tuple[list[int], list[int]]:
-        """Candidate numbers of faces, and candidate numbers of rounds, of the measuring procedure."""
+        """Numbers of faces, and numbers of rounds, of the measuring procedures among which the plan chooses."""
         return candidate_procedures(self.plan_file, self.problem.scenario)
 
     def _run_searches(self, tasks: Sequence[SearchTask], report_progress: Callable[[float], float]) -> LayoutsByCount:
-        """Layouts of the searches, which are also stored; the callbacks receive the best layout so far.
+        """Layouts of the searches `tasks`, which are also stored; the callbacks receive the best layout so far.
 
         `report_progress` converts the finished fraction of these tasks to that of the whole planning.
         """
@@ -188,7 +189,7 @@ class _PlanSearch:
         If no layout meets the tolerances, it is the one with the smallest ratio of error to tolerance.
         """
         demands, scenario = PointTolerances.from_plan_file(self.plan_file), self.problem.scenario
-        alone = demands.withstood_loss == "no"
+        alone = demands.loss_to_withstand == "no"
         if not self.plan_file.gives_min_stations:
             least = min_sights_of_reflector(scenario) + (not alone)
             self.problem = replace(self.problem, plan_file=self.plan_file.with_min_stations(least))
@@ -213,11 +214,12 @@ class _PlanSearch:
             # Few stations are likely enough: each further number counts half of what is left.
             made = self._run_searches(tasks, lambda share, k=k: 1.0 - 0.5 ** (k + share))  # type: ignore[misc]
             options = self.tradeoff_points(
-                {key: self._closest_layout(layouts, demands) for key, layouts in made.items()}
+                {key: self._layout_with_smallest_error_ratio(layouts, demands) for key, layouts in made.items()}
             )
             paid = [o for o in options if o.hours <= (file.budget.hours or np.inf)]
             results = [
-                (*feasibility_and_ratio(option.survey, demands, self.problem.construction), option) for option in paid
+                (*feasibility_and_error_ratio(option.survey, demands, self.problem.construction), option)
+                for option in paid
             ]
             judgements += [(ratio, option) for _, ratio, option in results]
             self.station_count_results.append(
@@ -233,7 +235,7 @@ class _PlanSearch:
             raise SetupError(self._no_layout_message(station_counts))
         return min(judgements, key=lambda judgement: (judgement[0], judgement[1].hours))[1]
 
-    def _closest_layout(
+    def _layout_with_smallest_error_ratio(
         self, layouts: list[tuple[float, int, PlannedSurvey]], tolerances: PointTolerances
     ) -> list[tuple[float, int, PlannedSurvey]]:
         """List with the one layout, among those of several starts, with the smallest ratio of error to tolerance."""
@@ -243,7 +245,7 @@ class _PlanSearch:
             min(
                 layouts,
                 key=lambda layout: (
-                    feasibility_and_ratio(layout[2], tolerances, self.problem.construction)[1],
+                    feasibility_and_error_ratio(layout[2], tolerances, self.problem.construction)[1],
                     layout[0],
                     layout[1],
                 ),
@@ -256,7 +258,7 @@ class _PlanSearch:
             outcome.max_error_ratio if outcome.max_error_ratio is not None else np.inf
             for outcome in self.station_count_results
         ]
-        return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > MAX_ERROR_RATIO_AFTER_BEFORE**2 * ratios[-3]
+        return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > MAX_USEFUL_ERROR_RATIO**2 * ratios[-3]
 
     def _no_layout_message(self, station_counts: range) -> str:
         """Error message for a search that found no layout with these numbers of stations."""
@@ -295,9 +297,9 @@ class _PlanSearch:
 
 
 def _never_visible_text(search_space: SearchSpace, placement: StationPlacement) -> str:
-    """Names of the points that lack sights in the best placement on the grid; empty if none does.
+    """Names of the points that lack sights in `placement`, the best one on the grid; empty if no point lacks any.
 
-    They are empty, too, if the present layout is feasible.
+    The text is empty, too, if the present layout of `search_space` is feasible.
     """
     position = search_space.survey.station_positions
     if search_space.is_feasible(position[None], search_space.is_visible(position)[None])[0]:
@@ -327,8 +329,8 @@ def _require_grid_fits_memory(file: PlanFile, scenario: Scenario) -> None:
 def max_stations_seeing_every_target(search_space: SearchSpace, step: float, n_heights: int) -> tuple[int, str]:
     """Largest number of stations that can see every reflector, and name of the reflector seen from fewest positions.
 
-    `step` [m] and `n_heights` define the grid of candidate positions. The number is a lower bound from greedy
-    placement, and exact if one position on the floor sees everything.
+    `step` [m] and `n_heights` define the grid of candidate positions. The number is a lower bound, found by placing one
+    station after the other at the best position, and exact if one position on the floor sees everything.
     """
     placement, names = search_space.candidate_placement(step, n_heights), search_space.survey.target_names
     limiting = names[int(np.argmin(placement.is_visible.mean(axis=0)))]
@@ -344,7 +346,8 @@ def max_stations_seeing_every_target(search_space: SearchSpace, step: float, n_h
 def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanFile:
     """Plan file whose value of `stations.min_stations_per_target` can be met by some layout.
 
-    A value that the file gives is not reduced; SetupError then reports the largest possible value.
+    A default value is reduced if necessary. For a value that the file gives, SetupError reports the largest possible
+    value.
     """
     settings, count = file.search, len(search_space.survey.station_positions)
     step = grid_step(search_space.allowed_areas, settings.grid_mm)

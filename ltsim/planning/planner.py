@@ -206,7 +206,7 @@ def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visib
 
 
 def _is_aimed(search_space: SearchSpace, survey: PlannedSurvey) -> Bools:
-    """Flags (T,) of the targets of `survey` in fixed nests of free direction, which are aimed at the stations."""
+    """Flags (T,) of the targets, among T, in fixed nests of free direction, which are aimed at the stations."""
     aimed = np.full(len(survey.target_points), bool(search_space.is_aimed_nest.any()))
     aimed[: len(search_space.is_aimed_nest)] = search_space.is_aimed_nest[: len(survey.target_points)]
     return aimed

@@ -13,7 +13,7 @@ from ltsim.planning.reflector_changes import to_degrees, to_millimetres
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry, Vector
 
 
-class ProposalEntry(Entry):
+class MeasurementProposalEntry(Entry):
     """Proposal of an additional measurement."""
 
     action: str
@@ -66,7 +66,7 @@ PROPOSALS_TABLE = Table(
     "next.csv",
     "proposals of further measurements in the order of benefit",
     columns_of(
-        ProposalEntry,
+        MeasurementProposalEntry,
         "kind minutes sigma_ratio most_improved_parameter most_improved_ratio distinguishes distinguishes_all action",
         minutes={"title": "time", "unit": "min", "display_format": ".0f"},
         sigma_ratio={"title": "factor on sigmas", "display_format": ".2f"},
@@ -79,9 +79,9 @@ PROPOSALS_TABLE = Table(
 )
 
 
-def _best_yaw_per_position(proposals: Sequence[ProposalEntry]) -> tuple[ProposalEntry, ...]:
-    """Proposals in their order; of new stations at the same position that differ in yaw only the first."""
-    best_by_place: dict[object, ProposalEntry] = {}
+def _best_yaw_per_position(proposals: Sequence[MeasurementProposalEntry]) -> tuple[MeasurementProposalEntry, ...]:
+    """Proposals without new stations that differ from an earlier one in yaw only."""
+    best_by_place: dict[object, MeasurementProposalEntry] = {}
     for number, proposal in enumerate(proposals):
         place = proposal.position_mm if proposal.kind == "station" else None
         best_by_place.setdefault(place or number, proposal)
@@ -97,7 +97,7 @@ class NextMeasurement(ResultFile):
     diagnosis: str = ""
     """Result of the diagnosis that preceded the ranking, as a sentence; empty without a diagnosis."""
     between: tuple[str, ...] = ()
-    """Effects that explain the recording and that the measurement should distinguish."""
+    """Effects that each explain the recording, and between which the measurement should decide."""
     evidence_now: dict[str, Finite] = Field(default_factory=dict)
     """Chi-square difference in the present recording between the first effect in `between` and each other effect there,
     by name of the latter."""
@@ -105,7 +105,7 @@ class NextMeasurement(ResultFile):
     """Action that the user should take first, as a sentence."""
     site: str = ""
     """Plan whose permitted floor, obstacles and lines of sight new stations respect; empty without a plan."""
-    proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
+    proposals: tuple[MeasurementProposalEntry, ...] = Field(min_length=1)
     """Proposals of additional measurements in the order of the ranking, the best first; for each position of a new
     station only the best yaw."""
 
@@ -118,7 +118,9 @@ class NextMeasurement(ResultFile):
             evidence_now=ranking.present_chi2,
             advice=ranking.advice_sentence,
             site=site,
-            proposals=_best_yaw_per_position([ProposalEntry.from_proposal(proposal) for proposal in ranking.proposals]),
+            proposals=_best_yaw_per_position(
+                [MeasurementProposalEntry.from_proposal(proposal) for proposal in ranking.proposals]
+            ),
         )
 
     def _lines(self) -> list[str]:

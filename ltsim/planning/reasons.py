@@ -220,7 +220,7 @@ def _parameter_sentences(reference: LayoutEvaluation, evaluation: LayoutEvaluati
 
 
 def _station_contribution_sentences(plan: PlannedNetwork) -> list[str]:
-    """Sentence, for each station, on the loss of quality without it and the parameter that becomes worst."""
+    """Sentence, for each station, on the loss of quality without the station, and the parameter that gets worst."""
     survey, now, qualities = plan.layout.survey, plan.layout.information, plan.layout.qualities
     objective, sentences = LayoutObjective({INSTRUMENT_QUALITY_NAME: 1.0}, plan.plan_file.goal.criterion), []
     for s, name in enumerate(survey.station_names):
@@ -291,7 +291,7 @@ def _has_same_procedure(plan: PlannedNetwork, option: TradeoffPoint) -> bool:
     return option.survey.faces == survey.faces and option.survey.repeats == survey.repeats
 
 
-def equally_good_with_fewest_stations(plan: PlannedNetwork) -> TradeoffPoint | None:
+def fewest_stations_not_worse_than_scenario(plan: PlannedNetwork) -> TradeoffPoint | None:
     """Point of the trade-off curve with the fewest stations whose objective is not above that of the scenario's layout.
 
     Only points with the faces and rounds of the plan are compared. None if there is no such point.
@@ -305,7 +305,7 @@ def equally_good_with_fewest_stations(plan: PlannedNetwork) -> TradeoffPoint | N
 
 def _tradeoff_sentences(plan: PlannedNetwork) -> list[str]:
     """Sentences on fewer stations that match the scenario's layout, and on the additional time of a better layout."""
-    sentences, few, reference = [], equally_good_with_fewest_stations(plan), plan.reference_evaluation
+    sentences, few, reference = [], fewest_stations_not_worse_than_scenario(plan), plan.reference_evaluation
     if (
         few is not None
         and reference is not None

@@ -11,7 +11,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.objective import TARGETS_QUALITY_NAME, LayoutObjective
-from ltsim.planning.reflectors import MovableReflectors, distances_in_pairs
+from ltsim.planning.reflectors import MovableReflectors, pairwise_distances
 from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.recordings.result_file import Entry, Finite, Vector
@@ -42,11 +42,10 @@ class PlanChange(Entry):
     position_mm: Vector | None = None
     """Coordinates of the new position in the hall frame; null for a removal."""
     gain_um: Finite
-    """Decrease by the change of the point error of all other targets (weighted root mean square, inner constraints);
-    negative for an increase.
-    """
+    """Decrease by the change of the weighted root mean square point error of all reflectors except the changed one
+    (inner constraints); negative for an increase."""
     quality: Finite
-    """Objective after the change divided by the plan's objective; if only targets have a weight in the goal, point
+    """Objective after the change divided by that of the plan; if only targets have a weight in the goal, the point
     error of all other targets after the change divided by that before. Below 1 is better."""
     most_affected_parameter: str = ""
     """Instrument parameter (or target, if only targets have a weight in the goal) whose standard deviation the change
@@ -72,6 +71,7 @@ MAX_REPORTED_CHANGES = 3
 
 ChangeKind = Literal["move", "add", "remove"]
 CHANGE_KINDS: tuple[ChangeKind, ...] = get_args(ChangeKind)
+"""Kinds of changes of a reflector."""
 ChangeResult = tuple[float, int | None, int | None, Floats]
 """Ratio of the objective after a change to that before, index of the removed or moved reflector (None for an addition),
 index of its new position (None for a removal), and resulting normal matrix (K, K) of the K unknowns without targets.
@@ -87,7 +87,7 @@ class ReflectorChanges:
     n_tried: dict[ChangeKind, int]
     """Number of evaluated changes, by kind."""
     n_useful: dict[ChangeKind, int]
-    """Number of changes that improve the objective by more than `MIN_REPORTED_IMPROVEMENT`, by kind."""
+    """Number of changes that improve the objective by at least `MIN_REPORTED_IMPROVEMENT`, by kind."""
 
     @property
     def summary_sentence(self) -> str:
@@ -113,7 +113,7 @@ def evaluate_reflector_changes(
 ) -> ReflectorChanges:
     """Results of every move, addition and removal of a single reflector of the layout of `survey`.
 
-    Reflectors flagged in `is_fixed` (T,) do not change. Candidate positions are those of `search_space`.
+    Reflectors flagged in `is_fixed` (T,), of T targets, do not change. Candidate positions are those of `search_space`.
     """
     if is_fixed.all() and search_space.candidate_nests is None:
         return ReflectorChanges((), dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0))
@@ -139,7 +139,7 @@ class _ChangeEvaluator:
             self.present_normal_matrix[None], self.present_place_indices[None], objective
         )[0]
         self.present_sigmas = self._parameter_sigmas(self.present_normal_matrix)
-        gap = distances_in_pairs(movable_reflectors.places)
+        gap = pairwise_distances(movable_reflectors.places)
         self.is_too_near = gap < spacing
 
     @property
@@ -150,10 +150,11 @@ class _ChangeEvaluator:
         )
 
     def _objective_factors(self, normal_matrices: Floats, occupied_places: Ints, other_places: Ints) -> Floats:
-        """Objectives (B,) of B layouts with reflectors at `occupied_places` (B, n), divided by the plan's objective.
+        """Objectives (B,) of B layouts with n reflectors at `occupied_places` (B, n), divided by the plan's objective.
 
-        Places are given by index. `normal_matrices` (B, K, K) are those of the layouts. If only targets have a weight
-        in the goal, the result is the ratio of point errors of all reflectors but the changed one, at `other_places`.
+        Places are given by index. `normal_matrices` (B, K, K) are those of the layouts, for K unknowns. If only targets
+        have a weight in the goal, the result is the ratio of point errors of all reflectors but the changed one, at
+        `other_places`.
         """
         if self._has_target_goal_only:
             rms = self.normal_matrix_table.weighted_target_rms
@@ -164,7 +165,10 @@ class _ChangeEvaluator:
         )
 
     def _parameter_sigmas(self, normal_matrix: Floats) -> Floats:
-        """Standard deviations (p,) of the instrument parameters in prior sigmas, from a normal matrix (K, K)."""
+        """Standard deviations (p,) of p instrument parameters, in prior sigmas, from a normal matrix (K, K).
+
+        The K unknowns of the normal matrix are poses, gauge targets and parameters.
+        """
         n_parameters = self.normal_matrix_table.scorer.construction.n_parameters
         information = self.normal_matrix_table.information(normal_matrix[None])[0, :n_parameters, :n_parameters]
         return np.sqrt(np.diag(np.linalg.inv(information)))

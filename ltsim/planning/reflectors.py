@@ -1,8 +1,7 @@
 """Selection of the positions of reflectors from candidate positions (called places), for given stations.
 
 Each reflector adds a separate term to the information (targets are eliminated one by one), so that the exchange of two
-places is the difference of two small matrices. Letters in shapes: P places, K unknowns left after elimination of
-targets, E eliminated targets, B layouts, S stations, T targets of the survey.
+places is the difference of two small matrices.
 """
 
 from __future__ import annotations
@@ -27,29 +26,33 @@ MAX_SAME_PLACE_DISTANCE = 1e-3
 
 
 @dataclass(frozen=True)
-class NormalMatrixTable:
-    """Terms of the normal matrix of poses, gauge and parameters, for reflectors at each of P candidate places."""
+class NormalMatrixTerms:
+    """Terms of the normal matrix of the K unknowns that remain after elimination of targets (poses, gauge, parameters).
+
+    There is one term for the fixed targets, and one for a reflector at each of P candidate places.
+    """
 
     scorer: LayoutScorer
     """Evaluation of layouts whose targets are the fixed ones, followed by reflectors at all places."""
     fixed_normal_matrix: Floats
-    """Normal matrix of the fixed targets, reference lengths, priors and datum, (K, K)."""
+    """Normal matrix (K, K) of the fixed targets, reference lengths, priors and datum, for K unknowns."""
     place_normal_matrices: Floats
-    """Contribution of a reflector at each place to the normal matrix, (P, K, K)."""
+    """Contribution of a reflector at each of P places to the normal matrix of K unknowns, (P, K, K)."""
     squared_column_norms: Floats
-    """Squared norms of the columns of the design before elimination of targets, with reflectors at all places, (K,)."""
+    """Squared norms (K,) of the columns of the design matrix of K unknowns before elimination of targets, with
+    reflectors at all places."""
     target_block_inverses: Floats
-    """Inverse blocks (E, 3, 3) of the eliminated targets: fixed ones without those of the gauge, followed by reflectors
-    at the places (`LayoutScorer.eliminate_targets`).
-    """
+    """Inverse blocks (E, 3, 3) of the E eliminated targets: fixed ones without those of the gauge, followed by
+    reflectors at the places (`LayoutScorer.eliminate_targets`)."""
     elimination_coefficients: Floats
-    """Products (E, 3, K) of the inverse blocks and the coupling blocks."""
+    """Products (E, 3, K) of the inverse blocks of E eliminated targets and their coupling blocks with K other unknowns.
+    """
 
     @classmethod
     def from_places(
         cls, survey: PlannedSurvey, is_fixed: Bools, places: Floats, is_visible: Bools, scorer: LayoutScorer
-    ) -> NormalMatrixTable:
-        """Terms for reflectors at `places` (P, 3) [m] with the stations of a survey.
+    ) -> NormalMatrixTerms:
+        """Terms for reflectors at P `places` (P, 3) [m] with the S stations of a survey of T targets.
 
         `scorer` evaluates layouts whose targets are the k fixed ones (flagged in `is_fixed`, (T,)), followed by the
         places; `is_visible` (S, k + P) has the same order.
@@ -77,22 +80,23 @@ class NormalMatrixTable:
         return cls(scorer, base, np.swapaxes(projected, 1, 2) @ projected, squared_norms, inverse[0], weights[0])
 
     def normal_matrix(self, places: Ints) -> Floats:
-        """Normal matrix (K, K) with the fixed targets, and reflectors at the places with these indices."""
+        """Normal matrix (K, K) of K unknowns, with the fixed targets and reflectors at the places of these indices."""
         return self.fixed_normal_matrix + self.place_normal_matrices[places].sum(axis=0)
 
     def information(self, normal_matrices: Floats) -> Floats:
-        """Information matrices (B, p, p) of the parameters of instrument and effects, from normal matrices (B, K, K).
+        """Information matrices (B, p, p) of p parameters of instrument and effects in B layouts; NaN if undetermined.
 
-        They are NaN for a layout with undetermined unknowns.
+        `normal_matrices` (B, K, K) are those of the layouts, for K unknowns.
         """
         return self.scorer.marginal_information(
             normal_matrices, np.broadcast_to(self.squared_column_norms, normal_matrices.shape[:2])
         )
 
     def weighted_target_rms(self, normal_matrices: Floats, place_indices: Ints) -> Floats:
-        """Weighted root mean square point error (B,) [m] of the fixed targets and of reflectors at places.
+        """Weighted root mean square point error (B,) [m] of fixed targets and n reflectors at places, in B layouts.
 
-        `normal_matrices` (B, K, K) are those of B layouts, `place_indices` (n,) or (B, n) the indices of the places.
+        `normal_matrices` (B, K, K) are those of the layouts for K unknowns, `place_indices` (n,) or (B, n) the indices
+        of the places.
         """
         rows = self._block_indices(len(normal_matrices), place_indices)
         return self.scorer.weighted_target_rms(
@@ -105,7 +109,7 @@ class NormalMatrixTable:
     def point_error_by_name(self, normal_matrix: Floats, place_indices: Ints) -> dict[str, float]:
         """Point error [m], by name, of the fixed targets and of reflectors at the places with these indices.
 
-        `normal_matrix` (K, K) is that of the layout.
+        `normal_matrix` (K, K) is that of the layout, for K unknowns.
         """
         at, scorer = self._block_indices(1, place_indices), self.scorer
         variance = scorer.target_variance(
@@ -124,7 +128,10 @@ class NormalMatrixTable:
         return np.concatenate([np.broadcast_to(np.arange(stay), (n_layouts, stay)), stay + place_indices], axis=1)
 
     def objective_values(self, normal_matrices: Floats, place_indices: Ints, objective: LayoutObjective) -> Floats:
-        """Objective (B,) for normal matrices (B, K, K) with reflectors at the places `place_indices` (B, n)."""
+        """Objective (B,) of B layouts with n reflectors at the places `place_indices` (B, n).
+
+        `normal_matrices` (B, K, K) are those of the layouts, for K unknowns.
+        """
         information = self.information(normal_matrices)
         rms, determined = np.full(len(normal_matrices), np.nan), np.isfinite(information).all(axis=(1, 2))
         if objective.needs_target_errors:
@@ -135,9 +142,10 @@ class NormalMatrixTable:
 def with_reflectors_at_places(
     survey: PlannedSurvey, is_fixed: Bools, places: Floats, target_names: tuple[str, ...], is_visible: Bools
 ) -> PlannedSurvey:
-    """Survey whose targets are the fixed ones, followed by reflectors at `places` (P, 3) [m] called `target_names`.
+    """Survey whose targets are the fixed ones, followed by reflectors at P `places` (P, 3) [m], `target_names`.
 
-    `is_fixed` (T,) flags the k fixed targets; `is_visible` (S, k + P) is the visibility of the new targets.
+    `is_fixed` (T,) flags the k fixed ones of T targets; `is_visible` (S, k + P) flags the new targets that each of S
+    stations sees.
     """
     keep = np.flatnonzero(is_fixed)
     n_targets = len(keep) + len(places)
@@ -155,14 +163,14 @@ class MovableReflectors:
     """Places for movable reflectors: the present places of reflectors first, then candidates of the search space."""
 
     places: Floats
-    """Coordinates of the places, (P, 3) [m]."""
+    """Coordinates (P, 3) [m] of the P places."""
     place_names: tuple[str, ...]
     """Name that a reflector has at each place."""
     n_present_places: int
     """Number of places where there is a movable reflector at present."""
     is_visible: Bools
-    """Visibility of the k fixed targets and of the places from each station, (S, k + P)."""
-    normal_matrix_table: NormalMatrixTable
+    """Flags (S, k + P) of the k fixed targets, followed by the P places, that each of S stations sees."""
+    normal_matrix_table: NormalMatrixTerms
 
     @classmethod
     def from_search_space(
@@ -173,7 +181,10 @@ class MovableReflectors:
         objective: LayoutObjective,
         construction: GeometricErrorModel,
     ) -> MovableReflectors:
-        """Places that enough stations see and that keep the spacing; `is_fixed` (T,) flags targets that do not move."""
+        """Places that enough stations see and that keep the spacing to each other.
+
+        `is_fixed` (T,) flags those of the T targets of `survey` that do not move.
+        """
         offered = np.zeros((0, 3)) if search_space.candidate_nests is None else search_space.candidate_nests
         places = np.concatenate([survey.target_points[~is_fixed], offered])
         present = [name for name, stay in zip(survey.target_names, is_fixed, strict=True) if not stay]
@@ -197,7 +208,7 @@ class MovableReflectors:
         )
         visible[:, : now.shape[1]] = now
         full_survey = with_reflectors_at_places(survey, is_fixed, places, names, np.ones_like(visible))
-        table = NormalMatrixTable.from_places(
+        table = NormalMatrixTerms.from_places(
             survey, is_fixed, places, visible, LayoutScorer(full_survey, construction, objective.effects)
         )
         return cls(places, names, int(is_usable[: len(present)].sum()), visible, table)
@@ -212,7 +223,7 @@ def choose_reflectors(
 ) -> PlannedSurvey:
     """Survey whose movable reflectors are at the places with the smallest objective, of present and candidate places.
 
-    Reflectors flagged in `is_fixed` (T,) do not move. Raises SetupError if too few places are visible.
+    Reflectors flagged in `is_fixed` (T,), of T targets, do not move. Raises SetupError if too few places are visible.
     """
     if search_space.candidate_nests is None:
         return survey
@@ -237,7 +248,7 @@ def choose_reflectors(
 
 
 def _is_usable_place(search_space: SearchSpace, survey: PlannedSurvey, places: Floats) -> Bools:
-    """Flags (P,) of the places that enough stations see, and at which a fixed nest can face all these stations."""
+    """Flags (P,) of those of P places that enough stations see and at which a fixed nest can face all of them."""
     is_usable: Bools = search_space.is_visible(survey.station_positions, places).sum(axis=0) >= min(
         search_space.min_sights, len(survey.station_positions)
     )
@@ -247,15 +258,16 @@ def _is_usable_place(search_space: SearchSpace, survey: PlannedSurvey, places: F
 
 
 def _is_near_point(points: Floats, places: Floats, distance: float) -> Bools:
-    """Flags (P,) of the `places` (P, 3) [m] that are within `distance` [m] of any of the `points` (k, 3) [m]."""
+    """Flags (P,) of those of P `places` (P, 3) [m] within `distance` [m] of any of k `points` (k, 3) [m]."""
     gap = np.linalg.norm(places[:, None] - points[None], axis=2)
     return np.asarray((gap < distance).any(axis=1))
 
 
 def _initial_places(places: Floats, is_present_place: Bools, n_reflectors: int, spacing: float) -> Ints:
-    """Indices (n_reflectors,) of initial places: the present ones, then each time the place farthest from all chosen.
+    """Indices of initial places for `n_reflectors` reflectors: the present ones, then each time the farthest one.
 
-    `is_present_place` (P,) flags the present ones. Raises SetupError if there are too few places `spacing` [m] apart.
+    The farthest place has the largest distance from all chosen ones. `is_present_place` (P,) flags the present ones of
+    the P `places` (P, 3) [m]. Raises SetupError if there are too few places `spacing` [m] apart.
     """
     chosen: list[int] = np.flatnonzero(is_present_place).tolist()
     while len(chosen) < n_reflectors:
@@ -267,8 +279,8 @@ def _initial_places(places: Floats, is_present_place: Bools, n_reflectors: int, 
     return np.array(chosen, dtype=np.int64)
 
 
-def distances_in_pairs(places: Floats) -> Floats:
-    """Distances (P, P) [m] between all pairs of places (P, 3) [m], computed row by row to limit the memory."""
+def pairwise_distances(places: Floats) -> Floats:
+    """Distances (P, P) [m] between all pairs of P places (P, 3) [m], computed row by row to limit the memory."""
     distances = np.empty((len(places), len(places)))
     for i, place in enumerate(places):
         distances[i] = np.linalg.norm(place - places, axis=1)
@@ -276,7 +288,7 @@ def distances_in_pairs(places: Floats) -> Floats:
 
 
 def _exchange_places(
-    table: NormalMatrixTable, objective: LayoutObjective, places: Floats, place_indices: Ints, spacing: float
+    table: NormalMatrixTerms, objective: LayoutObjective, places: Floats, place_indices: Ints, spacing: float
 ) -> Ints:
     """Indices of the places after exchanges of single reflectors until no exchange improves the objective.
 
@@ -286,7 +298,7 @@ def _exchange_places(
     place_indices = place_indices.copy()
     normal_matrix = table.normal_matrix(place_indices)
     value = float(table.objective_values(normal_matrix[None], place_indices[None], objective)[0])
-    gap = distances_in_pairs(places)
+    gap = pairwise_distances(places)
     for _ in range(MAX_REFLECTOR_SWEEPS):
         before = value
         for i in range(len(place_indices)):

@@ -16,13 +16,13 @@ from ltsim.planning.loading import load_plan
 from ltsim.planning.plan_entries import (
     ConfusablePair,
     DetectableSize,
-    LayoutEntry,
-    LossEntry,
-    StationEntry,
+    LossCheckEntry,
+    PlannedLayoutEntry,
+    PlannedStationEntry,
     TradeoffEntry,
 )
 from ltsim.planning.planner import PlannedNetwork
-from ltsim.planning.reasons import equally_good_with_fewest_stations, reason_sentences
+from ltsim.planning.reasons import fewest_stations_not_worse_than_scenario, reason_sentences
 from ltsim.planning.reflector_changes import PlanChange, to_millimetres
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
@@ -40,7 +40,7 @@ FRAME_TEXT = (
 """Description, in the result, of the coordinate system of all coordinates in a plan."""
 
 
-class Plan(ResultFile, LayoutEntry):
+class Plan(ResultFile, PlannedLayoutEntry):
     """Result of planning, the content of `plan.json`: planned layout, reasons, comparisons, settings."""
 
     FILE: ClassVar[str] = "plan.json"
@@ -54,7 +54,7 @@ class Plan(ResultFile, LayoutEntry):
     """Reasons for the layout, its limits and alternatives, a sentence each."""
     frame: str = ""
     """Description of the coordinate system of all coordinates."""
-    reference: LayoutEntry | None = None
+    reference: PlannedLayoutEntry | None = None
     """Layout of the scenario with its expected precision, for comparison."""
     fewest_stations: TradeoffEntry | None = None
     """Measuring procedure with the fewest stations whose best layout is as good as that of the scenario."""
@@ -74,7 +74,7 @@ class Plan(ResultFile, LayoutEntry):
     """
     tolerances_met: bool | None = None
     """True if all points meet their tolerances while no station and no sight is lost; null without tolerances."""
-    losses: tuple[LossEntry, ...] = ()
+    losses: tuple[LossCheckEntry, ...] = ()
     """Check of the tolerances after the loss of each station, and of each sight of a point with a tolerance."""
     settings: PlanFile = PlanFile()
     """Content of the plan file."""
@@ -83,7 +83,7 @@ class Plan(ResultFile, LayoutEntry):
     detectable: tuple[DetectableSize, ...] = ()
     """Minimal detectable sizes of effects."""
     confusable: tuple[ConfusablePair, ...] = ()
-    """Pairs of effects that the layout cannot distinguish."""
+    """Pairs of effects that the layout hardly distinguishes."""
     undetectable_effects: tuple[str, ...] = ()
     """Effects that change no residual, so that a diagnosis cannot detect them."""
 
@@ -91,8 +91,12 @@ class Plan(ResultFile, LayoutEntry):
 
     @classmethod
     def from_network(cls, network: PlannedNetwork) -> Self:
-        """Result file with the content of a planned network, which it retains as arrays."""
-        sentences, few, judged = reason_sentences(network), equally_good_with_fewest_stations(network), network.verdict
+        """Result with the content of the planned network `network`, which the result also keeps as arrays."""
+        sentences, few, judged = (
+            reason_sentences(network),
+            fewest_stations_not_worse_than_scenario(network),
+            network.verdict,
+        )
         report = catalogue_detectability(network.layout.information.adjustment, CATALOGUE)
         result = cls.from_evaluation(
             network.layout,
@@ -103,7 +107,7 @@ class Plan(ResultFile, LayoutEntry):
             frame=FRAME_TEXT,
             reference=None
             if network.reference_evaluation is None
-            else LayoutEntry.from_evaluation(network.reference_evaluation),
+            else PlannedLayoutEntry.from_evaluation(network.reference_evaluation),
             fewest_stations=None if few is None else TradeoffEntry.from_tradeoff_point(few),
             tradeoff=tuple(TradeoffEntry.from_tradeoff_point(option) for option in network.tradeoff_points),
             reflector_changes=network.reflector_changes.reported_changes,
@@ -112,7 +116,7 @@ class Plan(ResultFile, LayoutEntry):
             bodies=tuple(body.description for body in placed_obstacles(network.scenario)),
             reached=None if judged is None else judged.is_goal_reached,
             tolerances_met=None if network.tolerance_check is None else network.tolerance_check.meets_all,
-            losses=tuple(LossEntry.from_check(loss) for loss in network.loss_checks),
+            losses=tuple(LossCheckEntry.from_check(loss) for loss in network.loss_checks),
             settings=PlanFile.model_validate(network.plan_file.model_dump(mode="json")),  # all of it goes to the file
             seed=network.plan_file.search.seed,
             detectable=tuple(DetectableSize.from_minimal_size(row) for row in report.table()),
@@ -180,7 +184,10 @@ class Plan(ResultFile, LayoutEntry):
         )
 
     def _expected_table(self) -> Table:
-        layouts: list[tuple[str, LayoutEntry | None]] = [("this plan", self), ("reference layout", self.reference)]
+        layouts: list[tuple[str, PlannedLayoutEntry | None]] = [
+            ("this plan", self),
+            ("reference layout", self.reference),
+        ]
         return tables.EXPECTED_TABLE.with_rows(
             [layout, name, e.before_um, e.after_um, e.improvement_percent]
             for layout, entry in layouts
@@ -243,13 +250,13 @@ def scenario_of_plan(plan: PlannedNetwork) -> Scenario:
 
 
 def with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> Scenario:
-    """Scenario with the stations, reflectors and measuring procedure of a planned survey, and with a declared air."""
+    """Scenario with stations, reflectors and measuring procedure of a planned survey, and with a table `[air]`."""
     levelled = {name for name, station in scenario.stations.items() if station.levelled}
     stations = {
         place.name: PlannedStation(
             position_mm=place.position_mm, yaw_deg=place.yaw_deg, levelled=place.name in levelled
         )
-        for place in StationEntry.from_survey(survey)
+        for place in PlannedStationEntry.from_survey(survey)
     }
     fixed = set(scenario.gauge.targets) if scenario.gauge else set()
     targets = {

@@ -1,8 +1,7 @@
 """Search for a layout from many starts: exchange of stations over a grid of set-ups, then refinement off the grid.
 
 Both steps replace one station at a time by the best of many candidate set-ups, which are evaluated together. Every step
-decreases the objective, so that each start ends at a layout that no change of a single station improves. Letters in
-shapes: S stations, T targets, N candidate set-ups, B layouts.
+decreases the objective, so that each start ends at a layout that no change of a single station improves.
 """
 
 from collections.abc import Callable
@@ -16,7 +15,8 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import random_stream
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
-from ltsim.planning.layout_scorer import LayoutScorer, NormalBlocks
+from ltsim.planning.layout_scorer import LayoutScorer
+from ltsim.planning.normal_blocks import NormalBlocks
 from ltsim.planning.objective import MIN_SWEEP_IMPROVEMENT, LayoutObjective
 from ltsim.planning.search_space import SearchSpace, StationPlacement
 
@@ -37,9 +37,9 @@ class StationLayout:
     """Layout of stations with its objective."""
 
     positions: Floats
-    """Positions of the stations, (S, 3) [m]."""
+    """Positions (S, 3) [m] of the S stations."""
     yaws: Floats
-    """Yaw of each station, (S,) [rad]."""
+    """Yaw (S,) [rad] of each of the S stations."""
     objective_value: float
     """Objective, smaller is better; infinite for a layout that breaks a rule."""
 
@@ -75,9 +75,9 @@ class LayoutSearcher:
     def candidate_setups(
         self, position: Floats, yaw: Floats, station_index: int, is_visible: Bools | None = None
     ) -> NormalBlocks:
-        """Contributions of set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad], as alternatives for one station.
+        """Contributions of N set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad], as alternatives for one station.
 
-        `is_visible` (N, T) are their sights, which are computed by default.
+        `is_visible` (N, T) flags the ones of T targets that each set-up sees; computed by default.
         """
         is_visible, parts = self.search_space.is_visible(position) if is_visible is None else is_visible, []
         for a in range(0, len(position), SETUPS_PER_BATCH):
@@ -125,13 +125,13 @@ class LayoutSearcher:
         )
 
     def layout_blocks(self, position: Floats, yaw: Floats) -> NormalBlocks:
-        """Contributions of the stations of a layout, at `position` (S, 3) [m] with `yaw` (S,) [rad]."""
+        """Contributions of the S stations of a layout, at `position` (S, 3) [m] with `yaw` (S,) [rad]."""
         return NormalBlocks.concatenate(
             [self.candidate_setups(position[[s]], yaw[[s]], s) for s in range(self.n_stations)]
         )
 
     def evaluate_layout(self, position: Floats, yaw: Floats) -> StationLayout:
-        """Layout of stations at `position` (S, 3) [m] with `yaw` (S,) [rad], with its objective.
+        """Layout of S stations at `position` (S, 3) [m] with `yaw` (S,) [rad], with its objective.
 
         The objective is infinite if a rule is broken.
         """
@@ -147,7 +147,7 @@ class LayoutSearcher:
         return float(self._objectives_of(layout, np.arange(self.n_stations)[None])[0])
 
     def _objectives_of(self, blocks: NormalBlocks, setup_indices: Ints) -> Floats:
-        """Objectives (B,) of layouts; each row of `setup_indices` (B, S) has the indices of its set-ups in `blocks`."""
+        """Objectives (B,) of B layouts of S stations; `setup_indices` (B, S) are the indices of set-ups in `blocks`."""
         objective_batches = [
             self.objective.objective_values(
                 self.scorer.evaluate_layouts(
@@ -167,7 +167,7 @@ class LayoutSearcher:
         self.on_progress(1.0 - REMAINING_PROGRESS_FACTOR**self._n_steps)
 
     def replacement_objectives(self, layout: NormalBlocks, station_index: int, candidates: NormalBlocks) -> Floats:
-        """Objective (N,) of the layout with each candidate in place of one station (by its index).
+        """Objective (N,) of the layout with each of N candidates in place of one station (by its index).
 
         It is infinite if a rule is broken.
         """
@@ -198,7 +198,7 @@ class LayoutSearcher:
         objective_value: float,
         candidate_function: Callable[[NormalBlocks, int], NormalBlocks | None],
     ) -> tuple[NormalBlocks, float]:
-        """Layout and objective after a sweep, in which the best candidate replaces each station if that is better.
+        """Layout and objective after a sweep, in which the best candidate replaces each station if this is better.
 
         `candidate_function` gives the candidates for a layout and a station (by its index), or None for no candidate.
         """
@@ -322,7 +322,7 @@ class LayoutSearcher:
         return layout
 
     def search_from(self, seed: int, start_number: int) -> StationLayout:
-        """Layout that the search from the start with number `start_number` ends with.
+        """Final layout of the search from the start with number `start_number`.
 
         Start 0 is the layout in the scenario if the rules permit it; all other starts are random and depend on `seed`.
         """
@@ -341,7 +341,10 @@ class LayoutSearcher:
 def _layouts_with_candidates(
     layout: NormalBlocks, station_index: int, candidates: NormalBlocks
 ) -> tuple[Floats, Bools]:
-    """Positions (N, S, 3) and visibility (N, S, T) of the layout with each candidate in place of one station."""
+    """Positions (N, S, 3) of S stations, and visibility (N, S, T) of T targets, of N layouts.
+
+    Each layout has one of the N candidates in place of the station `station_index`.
+    """
     n_candidates = len(candidates.setup_positions)
     position: Floats = np.repeat(layout.setup_positions[None], n_candidates, axis=0)
     visible: Bools = np.repeat(layout.is_visible[None], n_candidates, axis=0)

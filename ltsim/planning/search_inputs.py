@@ -87,9 +87,10 @@ def planned_survey(scenario: Scenario) -> PlannedSurvey:
 
 
 def _target_ranks(recording: Recording, layout: WorkshopLayout) -> Ints:
-    """Rank (S, T) of each target in the order of the first round of each station; targets that are not seen come last.
+    """Rank (S, T) of each of T targets in the order of the first round of each of S stations.
 
-    The order is that of the times in `recording`, a simulated measurement of the scenario's `layout`.
+    Targets that are not seen come last. The order is that of the times in `recording`, a simulated measurement of the
+    scenario's `layout`.
     """
     n_targets = len(layout.target_names)
     first_ranks = np.full((len(layout.station_names), n_targets), np.inf)
@@ -153,7 +154,7 @@ def min_sights_of_reflector(scenario: Scenario) -> int:
     return 1 if scenario.instrument.observables == OBSERVABLES else MIN_RANGE_STATIONS
 
 
-def unsearched_plan(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, SearchSpace]:
+def plan_without_search(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, SearchSpace]:
     """Plan file, and search space with the layout in the scenario, for an evaluation without a search.
 
     If the plan file does not give the number of stations per reflector, the smallest sufficient number is required.
@@ -193,7 +194,7 @@ def with_station_count(survey: PlannedSurvey, n_stations: int) -> PlannedSurvey:
 
 
 def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None, tuple[str, ...]]:
-    """Candidate positions (P, 3) [m] of reflectors, and their names; (None, ()) if reflectors do not move.
+    """Candidate positions (P, 3) [m] of reflectors at P places, and their names; (None, ()) if reflectors do not move.
 
     Raises SetupError for more than `MAX_CANDIDATE_PLACES`.
     """
@@ -225,7 +226,7 @@ def _require_few_places(n_places: int) -> None:
 
 
 def _places_on_body(plan: PlanFile, scenario: Scenario, obstacle_name: str) -> Floats:
-    """Candidate positions (P, 3) [mm] of reflectors on an obstacle or on the walls, rounded to a millimetre."""
+    """Candidate positions (P, 3) [mm] of reflectors at P places on an obstacle or the walls, rounded to 1 mm."""
     if obstacle_name == WALLS_NAME:
         triangles = wall_triangles(np.array(scenario.workshop.size_mm) * MILLIMETRE)
     else:
@@ -240,7 +241,10 @@ def _places_on_body(plan: PlanFile, scenario: Scenario, obstacle_name: str) -> F
 
 
 def is_fixed_target(plan: PlanFile, scenario: Scenario) -> Bools:
-    """Flags (T,) of the targets of a scenario that the search does not move: all without candidate positions."""
+    """Flags (T,) of the T targets of a scenario: True if the search does not move the target.
+
+    If the plan has no candidate positions of reflectors, the search moves no target.
+    """
     names, given = scenario.target_names, plan.reflectors
     if not (given.surfaces or given.places or given.on):
         return np.ones(len(names), dtype=bool)
@@ -248,13 +252,14 @@ def is_fixed_target(plan: PlanFile, scenario: Scenario) -> Bools:
 
 
 def is_immovable_target(plan: PlanFile, scenario: Scenario, survey: PlannedSurvey) -> Bools:
-    """Flags (T,) of the targets of a survey that the search does not move and the plan does not declare as movable."""
+    """Flags (T,) of the T targets of a survey that the search does not move and the plan does not name `movable`."""
     free = plan.reflectors.movable
     demanded = [point.name for point in plan.listed_points if point.name not in free and point.group not in free]
     return _fixed_flags(plan, scenario, survey.target_names, demanded)
 
 
 def _fixed_flags(plan: PlanFile, scenario: Scenario, names: Sequence[str], fixed_names: Sequence[str]) -> Bools:
+    """Flags (T,) of the T targets `names`: True for `fixed_names`, for the gauge, and for those that a plan keeps."""
     fixed = {*plan.reflectors.keep, *fixed_names, *(scenario.gauge.targets if scenario.gauge else ())}
     return np.array([name in fixed for name in names], dtype=bool)
 

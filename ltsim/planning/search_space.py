@@ -1,8 +1,7 @@
 """Search space of a plan: candidate positions, and the rules of a layout (floor, heights, obstacles, sights, spacing).
 
 `SearchSpace.is_feasible` tests many layouts at once in a search; `SearchSpace.broken_rules` describes the rules that a
-single layout breaks. Both use the same functions. A sight is an unobstructed line from a station to a target. Letters
-in shapes: B layouts of S stations, T targets, N positions.
+single layout breaks. Both use the same functions. A sight is an unobstructed line from a station to a target.
 """
 
 from __future__ import annotations
@@ -43,7 +42,8 @@ MAX_BRANCH_NODES = 3000
 halls that were tried.
 """
 MAX_RANDOM_PLACE_COST = 1e-4
-"""Largest random cost of a candidate position, which makes each draw different; the cost of a missing sight is 1."""
+"""Largest random cost of a candidate position in the choice of positions, where a missing sight costs 1; it makes each
+random draw of a layout different."""
 
 
 class BrokenRule(NamedTuple):
@@ -63,19 +63,25 @@ def broken_rules_text(rules: Sequence[BrokenRule]) -> str:
 def is_too_near(position: Floats, spacing: float) -> Bools:
     """Flags (B, S, S) of pairs of stations whose horizontal distance is smaller than `spacing` [m].
 
-    `position` (B, S, 3) [m] are the stations of B layouts. Each pair is flagged once.
+    `position` (B, S, 3) [m] are the S stations of B layouts. Each pair is flagged once.
     """
     gap = np.linalg.norm(position[:, :, None, :2] - position[:, None, :, :2], axis=3)
     return np.asarray(np.triu(gap <= spacing - SPACING_TOLERANCE, 1))
 
 
 def has_too_few_sights(is_visible: Bools, min_sights: int) -> Bools:
-    """Flags (B, T) of the targets that fewer than `min_sights` stations see; `is_visible` is (B, S, T)."""
+    """Flags (B, T) of the targets that fewer than `min_sights` stations see.
+
+    `is_visible` (B, S, T) flags the sights from S stations to T targets in B layouts.
+    """
     return np.asarray(is_visible.sum(axis=1) < min_sights)
 
 
 def has_too_few_targets(is_visible: Bools) -> Bools:
-    """Flags (B, S) of the stations that see fewer than `MIN_VISIBLE_TARGETS` targets; `is_visible` is (B, S, T)."""
+    """Flags (B, S) of the stations that see fewer than `MIN_VISIBLE_TARGETS` targets.
+
+    `is_visible` (B, S, T) flags the sights from S stations to T targets in B layouts.
+    """
     return np.asarray(is_visible.sum(axis=2) < MIN_VISIBLE_TARGETS)
 
 
@@ -90,7 +96,8 @@ class SearchSpace(ValueEquality):
     sight_limits: SightLimits
     """Limits of range, elevation and incidence within which a station can measure a target."""
     is_aimed_nest: Bools
-    """Flags (T,) of the targets in fixed nests that are aimed anew for every layout; each must serve all stations."""
+    """Flags (T,) of those of T targets in fixed nests that are aimed anew for every layout; each must serve all
+    stations."""
     obstacles: Obstacles | None = None
     """Obstacles that block sights and tripods; None without obstacles."""
     forbidden_areas: tuple[KeepOutArea, ...] = ()
@@ -104,7 +111,7 @@ class SearchSpace(ValueEquality):
     fixed_stations: tuple[int, ...] = ()
     """Indices of the stations that do not move."""
     candidate_nests: Floats | None = None
-    """Candidate positions of reflectors, (P, 3) [m]; None if reflectors do not move."""
+    """Coordinates (P, 3) [m] of P candidate positions of reflectors; None if reflectors do not move."""
     nest_names: tuple[str, ...] = ()
     """Name that a reflector gets at each of `candidate_nests`."""
     min_reflector_spacing: float = 0.3
@@ -120,14 +127,14 @@ class SearchSpace(ValueEquality):
         return replace(self, **changes)
 
     def is_allowed(self, position: Floats) -> Bools:
-        """Flags (N,) of the positions (N, 3) [m] of heads at which a tripod may stand."""
+        """Flags (N,) of the N positions (N, 3) [m] of heads at which a tripod may stand."""
         return is_allowed_position(self.allowed_areas, self.forbidden_areas, self.obstacles, position)
 
     def is_visible(self, position: Floats, points: Floats | None = None) -> Bools:
-        """Flags (N, T) of the targets that are visible from everywhere within the tolerance of a position (N, 3) [m].
+        """Flags (N, T) of the targets that are visible from everywhere within the tolerance of N positions (N, 3) [m].
 
-        `points` (T, 3) [m] are the targets, by default those of the survey. Fixed nests are aimed later, so that their
-        angles of incidence are not tested here.
+        `points` (T, 3) [m] are the T targets, by default those of the survey. Fixed nests are aimed later, so that
+        their angles of incidence are not tested here.
         """
         goal = self.survey.target_points if points is None else points
         table = compute_visibility(position, goal, self.sight_limits, obstacles=self.obstacles)
@@ -147,9 +154,9 @@ class SearchSpace(ValueEquality):
         return is_visible_place
 
     def is_feasible(self, position: Floats, is_visible: Bools) -> Bools:
-        """Flags (B,) of the layouts that meet all rules on spacing, sights and nests.
+        """Flags (B,) of the layouts, among B, that meet all rules on spacing, sights and nests.
 
-        `position` (B, S, 3) [m] are the stations, `is_visible` (B, S, T) their sights.
+        `position` (B, S, 3) [m] are the S stations, `is_visible` (B, S, T) flags their sights to T targets.
         """
         is_feasible: Bools = np.asarray(~has_too_few_sights(is_visible, self.min_sights).any(axis=1))
         is_feasible &= ~has_too_few_targets(is_visible).any(axis=1)
@@ -212,10 +219,11 @@ class SearchSpace(ValueEquality):
         return tuple(rules)
 
     def connectivity_scores(self, is_visible: Bools) -> Floats:
-        """Score (B,) of layouts: number of stations that are connected to the first one, plus a fraction below 1.
+        """Score (B,) of B layouts: number of stations that are connected to the first one, plus a fraction below 1.
 
         Two stations are connected if they see at least two common targets, or through other stations. The fraction
         grows with the mean number of common targets, of which at most three count for each pair of stations.
+        `is_visible` (B, S, T) flags the sights from S stations to T targets.
         """
         shared = np.minimum(np.einsum("bst,brt->bsr", is_visible, is_visible, dtype=np.int64), MIN_VISIBLE_TARGETS)
         linked = np.linalg.matrix_power((shared > 1).astype(np.float64), shared.shape[1])[:, 0] > 0
@@ -224,7 +232,7 @@ class SearchSpace(ValueEquality):
     def _has_aimed_nest(self, position: Floats) -> Bools:
         """Flags (B, k) of the k fixed nests that can be aimed so that all stations are within the acceptance angle.
 
-        `position` (B, S, 3) [m] are the stations of B layouts.
+        `position` (B, S, 3) [m] are the S stations of B layouts.
         """
         back = position[:, None] - self.survey.target_points[self.is_aimed_nest][:, None, :]
         range_ = np.linalg.norm(back, axis=3, keepdims=True)
@@ -260,7 +268,10 @@ class SearchSpace(ValueEquality):
         )
 
     def grid_places(self, step: float, n_heights: int) -> Floats:
-        """Positions (N, 3) [m] where a tripod may stand, on a grid with a horizontal `step` [m] and several heights."""
+        """Positions (N, 3) [m] of N grid points where a tripod may stand; `step` [m] is the horizontal step.
+
+        Each point of the horizontal grid has `n_heights` heights.
+        """
         grid = np.concatenate([grid_over_area(area, step, n_heights) for area in self.allowed_areas])
         return np.unique(grid[self.is_allowed(grid)], axis=0)
 
@@ -284,15 +295,15 @@ class StationPlacement:
     """Candidate positions for stations, in addition to fixed stations, and the selection of positions from them."""
 
     candidate_positions: Floats
-    """Candidate positions (N, 3) [m], which are referred to by index."""
+    """Coordinates (N, 3) [m] of N candidate positions, which are referred to by index."""
     is_visible: Bools
-    """Visibility flags of the targets from each candidate position, (N, T)."""
+    """Flags (N, T) of the T targets that are visible from each of N candidate positions."""
     min_spacing: float
     """Smallest horizontal distance between two stations [m]."""
     fixed_positions: Floats
-    """Positions of the fixed stations, (F, 3) [m]."""
+    """Positions (F, 3) [m] of the F fixed stations."""
     n_fixed_sights: Ints
-    """Number of fixed stations that see each target, (T,)."""
+    """Number (T,) of fixed stations that see each of T targets."""
 
     def place_stations(
         self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None = None
@@ -313,7 +324,7 @@ class StationPlacement:
         return self._optimal_places(n_stations, wanted_sights, random_generator) or place_indices
 
     def missing_sights(self, place_indices: list[int], wanted_sights: int) -> Ints:
-        """Number (T,) of sights that each target lacks, with stations at these positions, to have `wanted_sights`."""
+        """Number (T,) of sights that each of T targets lacks to have `wanted_sights`, with stations at these places."""
         return np.asarray(
             np.maximum(wanted_sights - self.n_fixed_sights - self.is_visible[place_indices].sum(axis=0), 0)
         )

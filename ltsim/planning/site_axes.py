@@ -114,7 +114,7 @@ def _require_on_allowed_floor(
 ) -> None:
     """Check that at least one station of the recording stands on the permitted floor of the site; raises SetupError.
 
-    `positions` (S, 3) [m] are those of the stations on the floor plan of the recording.
+    `positions` (S, 3) [m] are those of the S stations in the axes of the site.
     """
     if not search_space.is_allowed(positions).any():
         raise SetupError(

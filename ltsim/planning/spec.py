@@ -17,8 +17,8 @@ StationCount = Annotated[int, Field(ge=2, le=40)]
 """Number of stations, 2 to 40."""
 
 
-class PointEntry(TomlSection):
-    """Point to be measured; with ``points = "points.csv"`` these keys are columns of the file.
+class PlanPoint(TomlSection):
+    """Point to be measured, of a plan file; with ``points = "points.csv"`` these keys are columns of the file.
 
     The file is a list of coordinates in any supported format, such as ``Name;X [m];Y [m];Z [m]``.
     """
@@ -207,7 +207,7 @@ class PlanFile(TomlSection):
     """Title of the plan, free text."""
     scenario: str = "paper-workshop"
     """Built-in scenario, or a file in the same folder; not permitted with a `[workshop]` in the plan."""
-    points: str | tuple[PointEntry, ...] = ()
+    points: str | tuple[PlanPoint, ...] = ()
     """Points to measure: the name of a file with a list of coordinates in the same folder, or tables `[[points]]`."""
     workshop: Workshop | None = None
     """Hall in place of a scenario, with the keys of a scenario file; the default height of heads is 1400 to 1800 mm."""
@@ -257,6 +257,6 @@ class PlanFile(TomlSection):
         return has_tolerances and self.stations.count is None
 
     @property
-    def listed_points(self) -> tuple[PointEntry, ...]:
+    def listed_points(self) -> tuple[PlanPoint, ...]:
         """Points of the list; empty before its file has been read."""
         return () if isinstance(self.points, str) else self.points

@@ -29,13 +29,13 @@ class PlannedSurvey:
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
     station_positions: Floats
-    """Position of the centre of each instrument, (S, 3) [m]."""
+    """Position (S, 3) [m] of the centre of the instrument at each of S stations."""
     station_yaws: Floats
-    """Yaw of each instrument, (S,) [rad]."""
+    """Yaw (S,) [rad] of the instrument at each of S stations."""
     target_points: Floats
-    """Coordinates of the targets, (T, 3) [m]."""
+    """Coordinates (T, 3) [m] of the T targets."""
     is_visible: Bools
-    """Flags (S, T) of the targets that each station measures."""
+    """Flags (S, T) of the ones of T targets that each of S stations measures."""
     faces: tuple[int, ...] = (1, 2)
     """Faces that are measured: 1, 2 or both."""
     repeats: int = 1
@@ -45,7 +45,8 @@ class PlannedSurvey:
     seconds_per_move: float = 1200.0
     """Time [s] to move the instrument and set it up, per station."""
     target_ranks: Ints | None = None
-    """Rank of each target in the order of measurement at each station, (S, T); default the order of `target_names`."""
+    """Rank (S, T) of each of T targets in the order of measurement at each of S stations; default the order of
+    `target_names`."""
     measures_face_by_face: bool = True
     """True if a station measures all targets in one face and then in the other; False if both faces of each target
     follow each other.
@@ -72,7 +73,7 @@ class PlannedSurvey:
             raise SetupError(f"faces are {list(self.faces)}, expected [1], [2] or [1, 2]")
 
     def noise_sigmas(self, sightings: Sightings) -> Floats:
-        """Standard deviations (n, 3) [m, rad, rad] of readings by the declared noise, without effects of the air."""
+        """Standard deviations (n, 3) [m, rad, rad] of n pointings by the declared noise, without effects of the air."""
         nominal = [self.setup.instrument.noise]
         return noise_sigma(nominal, sightings.instrument, sightings.range_, sightings.elevation)
 
@@ -109,13 +110,13 @@ class PlannedSurvey:
 
     @property
     def normalised_target_weights(self) -> Floats:
-        """Weight (T,) of the squared point error of each target in the mean over targets; the mean weight is 1."""
+        """Weight (T,) of each of T squared point errors in the mean over the targets; the mean weight is 1."""
         weight = np.array([self.target_weights.get(name, 1.0) for name in self.target_names], dtype=np.float64)
         return weight / weight.mean() if weight.any() else np.ones_like(weight)
 
     @property
     def station_rotations(self) -> Floats:
-        """Rotation from the instrument frame of each station to the network frame, (S, 3, 3)."""
+        """Rotation (S, 3, 3) from the instrument frame to the network frame, for each of S stations."""
         return np.stack([rotation_about_z(float(yaw)) for yaw in self.station_yaws])
 
     def nominal_state(self, construction: GeometricErrorModel) -> NetworkState:
@@ -137,7 +138,7 @@ class PlannedSurvey:
         return empty.with_readings(readings)
 
     def pointing_ranks(self, station: Ints, target: Ints, face: Ints) -> Ints:
-        """Rank (n,), from 0, of n pointings in the first round of their station.
+        """Place (n,), from 0, of each of n pointings in the order of the first round of its station.
 
         The pointings are given by the indices `station` (n,) and `target` (n,) and the faces `face` (n,).
         """
@@ -194,7 +195,7 @@ class PlannedSurvey:
         )
 
     def with_targets_only(self, is_selected: Bools) -> PlannedSurvey:
-        """Survey with only the targets that `is_selected` (T,) flags."""
+        """Survey with only the targets that `is_selected` (T,) flags, of T targets."""
         if is_selected.all():
             return self
         return self.replace(

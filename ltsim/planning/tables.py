@@ -8,6 +8,7 @@ from ltsim.planning.planner import LayoutEvaluation, PlannedNetwork
 PLACE_COLUMNS = number_columns(
     ".10g", ".3f", x_mm="position in the hall, rounded to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm"
 )
+"""Columns with the coordinates of a position."""
 PLANNED_STATIONS_TABLE = Table(
     "stations.csv",
     "positions of the tripods",

@@ -22,8 +22,8 @@ from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 
 DEFAULT_TOLERANCE_FACTOR = 10.0
-"""Ratio of the tolerance that the objective assumes for points without a tolerance to the widest tolerance of the plan.
-"""
+"""Tolerance of points without a declared tolerance in the objective of the search, divided by the widest declared
+tolerance of the plan."""
 MIN_POINT_WEIGHT = 1e-6
 """Smallest weight of a point in the objective, so that every point counts."""
 MAX_POINTS_IN_VERDICT = 5
@@ -48,7 +48,7 @@ def text_distinct_from_limit(value: float, limit: float, digits: int = 3) -> str
 def percent_text(ratio: float) -> str:
     """Text, in percent, of the ratio of an error to its tolerance: `100.4 %` for an error that is 0.4 % too large.
 
-    It has enough digits to show on which side of 100 % the ratio is.
+    The text has enough digits to show on which side of 100 % the ratio is.
     """
     return f"{text_distinct_from_limit(100.0 * ratio, 100.0)} %"
 
@@ -61,7 +61,7 @@ class PointTolerances:
     """Tolerance of each point [m], by name."""
     confidence_level: float = 0.95
     """Confidence level: fraction of cases in which a point must be within its tolerance."""
-    withstood_loss: str = "no"
+    loss_to_withstand: str = "no"
     """Loss after which all tolerances must still be met: of any `sight`, of any `station`, or `no` loss."""
 
     @classmethod
@@ -103,7 +103,7 @@ def point_weights(file: PlanFile) -> dict[str, float]:
 
 
 def error_radius(covariance: Floats, confidence_level: float) -> Floats:
-    """Radius (T,) [m] that the error of each point does not exceed with probability `confidence_level`.
+    """Radius (T,) [m] that the error of each of T points does not exceed with probability `confidence_level`.
 
     `covariance` (T, 3, 3) [m^2] are the covariances of the points. The squared length of a normal error is a weighted
     sum of chi-squares; its quantile is that of the scaled chi-square with the same mean and variance (Satterthwaite,
@@ -269,23 +269,23 @@ def checks_after_required_losses(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel
 ) -> list[ToleranceCheck]:
     """Checks of the layout of `survey` without each station, and without each sight if that loss must be withstood."""
-    kinds = ("station", "sight") if tolerances.withstood_loss == "sight" else ("station",)
+    kinds = ("station", "sight") if tolerances.loss_to_withstand == "sight" else ("station",)
     return [loss for kind in kinds for loss in checks_after_losses(survey, tolerances, construction, kind)]
 
 
-def feasibility_and_ratio(
+def feasibility_and_error_ratio(
     survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel
 ) -> tuple[bool, float]:
-    """Flag that a survey meets its tolerances, and largest ratio of error to tolerance.
+    """Flag that is True if a survey meets its tolerances, and largest ratio of point error to tolerance.
 
     If tolerances must still be met after a loss, both refer to the worst loss; but if the complete survey does not meet
     them, both refer to the complete survey.
     """
     verdict = check_tolerances(survey, tolerances, construction)
-    if not verdict.meets_all or tolerances.withstood_loss == "no":
+    if not verdict.meets_all or tolerances.loss_to_withstand == "no":
         return verdict.meets_all, verdict.max_ratio
     largest_ratio = max(
-        loss.max_ratio for loss in checks_after_losses(survey, tolerances, construction, tolerances.withstood_loss)
+        loss.max_ratio for loss in checks_after_losses(survey, tolerances, construction, tolerances.loss_to_withstand)
     )
     return is_tolerance_met(largest_ratio), largest_ratio
 
@@ -308,7 +308,7 @@ def plan_verdict(
 ) -> PlanVerdict:
     """Verdict from the broken rules, the check of the complete layout, and the checks after losses."""
     asked = [
-        loss for loss in loss_checks if tolerances.withstood_loss == ("sight" if loss.is_sight_loss else "station")
+        loss for loss in loss_checks if tolerances.loss_to_withstand == ("sight" if loss.is_sight_loss else "station")
     ]
     reached = not broken_rules and tolerance_check.meets_all and all(loss.meets_all for loss in asked)
     n_points = len(tolerances.tolerance_by_point_m)

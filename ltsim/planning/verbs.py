@@ -18,7 +18,7 @@ from ltsim.planning.plan_search import SearchCallbacks, make_plan
 from ltsim.planning.planner import PlannedNetwork, evaluate_plan
 from ltsim.planning.proposals import NextMeasurement
 from ltsim.planning.result import Plan, load_plan_and_scenario
-from ltsim.planning.search_inputs import unsearched_plan
+from ltsim.planning.search_inputs import plan_without_search
 from ltsim.planning.search_space import SearchSpace, broken_rules_text
 from ltsim.planning.site_axes import with_positions_on_site
 from ltsim.planning.spec import PlanFile
@@ -134,7 +134,7 @@ def next_measurement(
     True
     """
     measured = load_recording(recording)
-    space = None if site is None else unsearched_plan(*load_plan_and_scenario(site))[1]
+    space = None if site is None else plan_without_search(*load_plan_and_scenario(site))[1]
     made = ranked(
         measured if space is None else with_positions_on_site(measured, space, str(site)),
         explanations=between,
@@ -147,9 +147,9 @@ def next_measurement(
 
 
 def _visibility_function(search_space: SearchSpace) -> VisibilityFunction:
-    """Function that gives the visible targets from positions on a site; no target is visible where no tripod may stand.
+    """Function that gives the visible targets from positions on a site; none where no tripod may stand.
 
-    A height out of the permitted range by less than the position tolerance is accepted.
+    A height outside the permitted range by less than the position tolerance is accepted.
     """
     low, high = np.array([area.heights for area in search_space.allowed_areas]).T
 
@@ -201,7 +201,7 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
         When there is no such station, or no position for it on the floor.
     """
     named, scenario = load_plan_and_scenario(source)
-    file, site = unsearched_plan(named, scenario)
+    file, site = plan_without_search(named, scenario)
     problem, survey = PlanningProblem(file, scenario), site.survey
     station_index = _station_index(survey, station)
     other_stations = [s for s in range(len(survey.station_positions)) if s != station_index]
@@ -245,9 +245,10 @@ def _plan_with_moved_stations(
 ) -> PlannedNetwork:
     """Planned network with stations at new positions, by name: x, y, z [mm] and yaw [deg].
 
-    Without yaw, or without z and yaw, these remain. Raises SetupError for a position where no tripod may stand.
+    If yaw, or z and yaw, are not given, their planned values are kept. Raises SetupError for a position where no tripod
+    may stand.
     """
-    file, site = unsearched_plan(plan, scenario)
+    file, site = plan_without_search(plan, scenario)
     survey = site.survey
     position, yaw = survey.station_positions.copy(), survey.station_yaws.copy()
     for name, given in new_positions.items():
@@ -285,7 +286,7 @@ def _position_text(station: str, place: Floats) -> str:
 
 
 def _horizontal_distances(places: Floats, place: Floats) -> Floats:
-    """Horizontal distances (N,) [m] between positions `places` (N, 3) [m] and the position `place` (3,) [m]."""
+    """Horizontal distances (N,) [m] between N positions `places` (N, 3) [m] and the position `place` (3,) [m]."""
     return np.linalg.norm(places[:, :2] - place[:2], axis=1)
 
 
@@ -310,7 +311,9 @@ def _evaluate_alternative(
     if demands:
         check = check_tolerances(survey, demands, built)
         losses = checks_after_required_losses(survey, demands, built)
-        ratio = max([check.max_ratio, *([loss.max_ratio for loss in losses] if demands.withstood_loss != "no" else [])])
+        ratio = max(
+            [check.max_ratio, *([loss.max_ratio for loss in losses] if demands.loss_to_withstand != "no" else [])]
+        )
         judgement = plan_verdict(demands, check, losses, broken)
         return StationAlternative(description, survey, judgement.sentences, ratio, judgement.is_goal_reached, move)
     check = check_tolerances(survey, PointTolerances(dict.fromkeys(survey.target_names, np.inf)), built)

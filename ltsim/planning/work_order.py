@@ -21,7 +21,7 @@ MAX_PLUMB_HEIGHT = 2.2
 MAX_TAPE_DISTANCE = 15.0
 """Largest distance [m] for a tape or a distance meter; longer ones are used only if there are too few shorter ones."""
 MAX_CONSIDERED_MARKS = 16
-"""Largest number of marks among which the three marks of a station are selected."""
+"""Largest number of marks (end points of tape distances) among which the three marks of a station are selected."""
 MIN_STRAIGHT_STRENGTH_GAIN = 0.1
 """Smallest increase of `intersection_strength` at which a straight distance to a reflector is used instead of a
 distance along the floor."""
@@ -32,15 +32,15 @@ MAX_POSITION_AMBIGUITY = 0.03
 asks for another way to locate the tripod.
 """
 MIN_TAPE_MISCLOSURE = 0.1
-"""Misclosure [m] of the third distance at the second intersection of the first two distances, below which the position
-is ambiguous.
-"""
+"""Difference [m] between the third tape distance and the distance of its mark from the second intersection of the first
+two, below which the position is ambiguous."""
 MIN_TAPE_DISTANCE = 0.3
-"""Smallest distance [m] to a mark at which the mark is used."""
+"""Smallest distance [m] from a tripod at which a mark (end point of a tape distance) is used."""
 FREE_TAPE_HEIGHT = 0.1
 """Height [m] above the floor at which no obstacle may cross the tape."""
 MIN_STRENGTH_GAIN_PER_METRE = 0.03
-"""Smallest increase of `intersection_strength` that justifies a longest distance that is longer by one metre."""
+"""Smallest increase of `intersection_strength` that justifies three tape distances whose longest one is longer by a
+metre."""
 MIN_MOVED_SIGMAS = 3.0
 """Difference between two measurements of a point, in standard deviations, above which tripod or point has moved."""
 N_REPEATED_POINTS = 3
@@ -136,7 +136,8 @@ def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[
 
     Distances within reach of a tape come before longer ones, those along the floor before straight ones, short ones
     before long ones. Distances along the floor lead to points that can be plumbed and to corners of the hall, if no
-    obstacle and no keep-out area is in the path; straight ones lead to reflectors in `is_visible` (T,).
+    obstacle and no keep-out area is in the path; straight ones lead to the reflectors that `is_visible` (T,) flags,
+    among T targets.
     """
     survey, obstacles = plan.layout.survey, plan.search_space.obstacles
     targets = list(zip(survey.target_names, survey.target_points, strict=True))
@@ -170,6 +171,7 @@ def _best_tape_distances(marks: Sequence[TapeDistance], place: Floats) -> tuple[
     """
 
     def preference(candidate_distances: tuple[TapeDistance, ...]) -> tuple[bool, bool, float]:
+        """Sort key of three distances: larger for distances that are preferred."""
         strength, good = (
             intersection_strength(candidate_distances, place),
             not tape_deficiency_sentence(candidate_distances, place),

@@ -5,9 +5,10 @@ from ltsim.recordings.keys import NonNegative, TomlSection
 
 
 class AirUncertainty(TomlSection):
-    """Uncertainty of the air along the beams, as standard deviations of its properties.
+    """Standard deviations of the properties of the air along the beams: temperature, its vertical gradient, turbulence.
 
-    A property that was measured has the standard deviation 0.
+    The standard deviation is 0 for a property that was measured along the beams, so that its effect is already
+    corrected.
     """
 
     temperature_k: NonNegative = 0.5
@@ -21,11 +22,11 @@ class AirUncertainty(TomlSection):
     """Variance of the displacement of a line of sight by turbulence, perpendicular to the beam, divided by the cube of
     the range."""
     beyond_mm: NonNegative = 10_000.0
-    """Longest line of sight of a network above which the adjustment takes the uncertainty of the air into account;
-    in a network with only shorter lines of sight it is neglected."""
+    """Limit of the longest line of sight of a network: above it the adjustment takes the uncertainty of the air into
+    account, in a network with only shorter lines of sight the uncertainty is neglected."""
 
     def is_relevant(self, max_range: float) -> bool:
-        """True if the longest range `max_range` [m] of a network exceeds `beyond_mm`."""
+        """True if the longest line of sight `max_range` [m] exceeds `beyond_mm`, so that the air is not neglected."""
         return max_range > self.beyond_mm * MILLIMETRE
 
 

@@ -40,9 +40,10 @@ class CentringUncertainty(TomlSection):
     def unknown_names(
         self, stations: Sequence[str], targets: Sequence[str]
     ) -> Iterator[tuple[str, str, Sequence[str]]]:
-        """Key (`stations` or `targets`), name, and permitted names, for each declared name that the recording lacks.
+        """Declared names that the recording lacks, each with its key (`stations` or `targets`) and the permitted names.
 
-        `stations` and `targets` are the names in the recording, which are the permitted ones.
+        The items are (key, name, permitted names). `stations` and `targets` are the names in the recording, which are
+        the permitted ones.
         """
         for key, chosen, names in self._declared_names(stations, targets):
             yield from ((key, name, names) for name in chosen if name not in names)
@@ -50,9 +51,9 @@ class CentringUncertainty(TomlSection):
     def _declared_names(
         self, stations: Sequence[str], targets: Sequence[str]
     ) -> Iterator[tuple[str, tuple[str, ...], Sequence[str]]]:
-        """Key (`stations` or `targets`), names declared under it, and names in the recording; empty keys are skipped.
+        """Keys (`stations`, `targets`) with declared names, each with these names and the permitted names of this kind.
 
-        `stations` and `targets` are the names in the recording.
+        `stations` and `targets` are the names in the recording, which are the permitted ones.
         """
         yield from (
             (key, chosen, names)

@@ -29,7 +29,7 @@ MAX_ROWS_AHEAD = 100
 
 
 def circle_orientations(occupation: Ints, sight_number: Ints, readings: Floats) -> Ints | None:
-    """Number (n,) of the orientation of the horizontal circle in each row, counted within the row's occupation.
+    """Number (n,) of the orientation of the horizontal circle in each of n rows, counted within its occupation.
 
     The result is None if no circle was rotated within an occupation. `occupation` (n,) is the number of the occupation
     in each row. `sight_number` (n,) is equal for all pointings from one occupation to one target on one face.
@@ -74,7 +74,9 @@ def _orientations_of_occupation(first_row_of_same_target: list[int], rotations_f
         if not math.isnan(circle_rotation):
             n_repeated += 1
             if not _is_equal_direction(circle_rotation, rotations[-1]):
-                if abs(_wrap(circle_rotation - rotations[-1])) > MIN_CIRCLE_RESET_ROTATION and _is_confirmed(
+                if abs(
+                    _wrap_to_half_circle(circle_rotation - rotations[-1])
+                ) > MIN_CIRCLE_RESET_ROTATION and _is_confirmed(
                     row, first_row_of_same_target, rotations_from_first, circle_rotation, rotations, orientations
                 ):
                     rotations.append(circle_rotation)
@@ -111,8 +113,9 @@ def _is_confirmed(
 
 
 def _is_equal_direction(angle: float, other_angle: float) -> bool:
-    return abs(_wrap(angle - other_angle)) < MAX_DIRECTION_DIFFERENCE
+    return abs(_wrap_to_half_circle(angle - other_angle)) < MAX_DIRECTION_DIFFERENCE
 
 
-def _wrap(angle: float) -> float:
+def _wrap_to_half_circle(angle: float) -> float:
+    """Angle [rad] plus the multiple of a full circle with which it lies between -pi and pi."""
     return math.remainder(angle, math.tau)

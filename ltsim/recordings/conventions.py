@@ -44,9 +44,9 @@ HINTED_ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
 """Possible units of the angles in a file; the data or a hint decide among them."""
 VERTICAL_KINDS: tuple[VerticalKind, ...] = ("zenith", "elevation")
 MIN_MISFIT_RATIO = 10.0
-"""Ratio of the second-smallest to the smallest misfit of the possible conventions, from which the data decide."""
+"""Smallest ratio of the misfit of the second-best convention to that of the best one at which the data decide."""
 MAX_MIRROR_MISFIT = 1e-3
-"""Misfit of a mirror image, divided by the size of the network, below which the mirror image fits."""
+"""Median distance of mirrored points from reference points, divided by the network's size, below which they fit."""
 MAX_ROWS_IN_A_NOTE = 3
 """Largest number of rows that a note lists, and of sentences on mirror images that are reported."""
 MIN_TARGET_INTERVAL_S = 0.1
@@ -94,9 +94,10 @@ class PolarReadings:
     distance: Floats
 
     def points(self, angle: AngleUnit, vertical_kind: VerticalKind) -> Floats:
-        """Coordinates (n, 3) in each station's frame, in the unit of the distances, with counter-clockwise azimuths.
+        """Coordinates (n, 3) of the n measured points in each station's frame, with counter-clockwise azimuths.
 
-        `angle` is the unit of the angles, `vertical_kind` the kind of the vertical angles.
+        `angle` is the unit of the angles, `vertical_kind` the kind of the vertical angles; the coordinates have the
+        unit of the distances.
         """
         vertical_angle = self.vertical_angles * SI_PER_UNIT[angle]
         elevation = np.pi / 2 - vertical_angle if vertical_kind == "zenith" else vertical_angle
@@ -153,7 +154,7 @@ def _is_possible_convention(
 
 
 def _same_target_rows(polar: PolarReadings) -> tuple[Ints, Ints]:
-    """Pairs of successive pointings from a station to the same target: rows (k,) of the earlier and of the later."""
+    """Rows of k pairs of successive pointings from a station to one target: earlier ones (k,), later ones (k,)."""
     order = np.lexsort((np.arange(len(polar.station)), polar.target, polar.station))
     first, next_ = order[:-1], order[1:]
     is_repeated = (polar.station[first] == polar.station[next_]) & (polar.target[first] == polar.target[next_])
@@ -176,9 +177,9 @@ def _count_two_face_pairs(polar: PolarReadings, angle: AngleUnit, vertical_kind:
 def _convention_from_faces(
     polar: PolarReadings, candidates: list[AngleConvention]
 ) -> tuple[AngleConvention, str] | None:
-    """Candidate (unit, kind of vertical angle) with which most repeated targets are on two faces, and this reason.
+    """Candidate (unit, kind of vertical angle) with which most repeated targets are on two faces; this reason as text.
 
-    None if no candidate has clearly more of them than the others.
+    None if the number of such targets does not exceed that of every other candidate by the factor `MIN_MISFIT_RATIO`.
     """
     counts = [_count_two_face_pairs(polar, angle, vertical) for angle, vertical in candidates]
     best_index = int(np.argmax(counts))
@@ -190,7 +191,7 @@ def _convention_from_faces(
 def _convention_from_lengths(
     polar: PolarReadings, candidates: list[AngleConvention]
 ) -> tuple[AngleConvention, str] | None:
-    """Candidate (unit, kind of vertical angle) with which stations measure equal lengths, and this reason.
+    """Candidate (unit, kind of vertical angle) with which stations measure equal lengths; this reason as text.
 
     None if no candidate, or more than one, makes the lengths between targets equal.
     """
@@ -205,7 +206,7 @@ def _convention_from_lengths(
 
 
 def _raise_missing_hint(candidates: list[AngleConvention], file: object) -> tuple[AngleConvention, str]:
-    """Question to the user which of the candidates holds: always raises RecordError, with the option to type."""
+    """RecordError that asks which candidate is right, with the option to type; the function never returns."""
     has_common_unit = len({a for a, _ in candidates}) == 1
     choices = " or ".join(f"{v} angles" if has_common_unit else f"{v} angles in {a}" for a, v in candidates)
     hints = [] if has_common_unit else [f"--hint angle={candidates[0][0]}"]
@@ -215,7 +216,7 @@ def _raise_missing_hint(candidates: list[AngleConvention], file: object) -> tupl
 
 
 def length_unit_from_size(distance: Floats, hints: Hints) -> tuple[LengthUnit, list[str]]:
-    """Unit of `distance` (n,), and notes on it: m if the longest is a number below `MIN_DISTANCE_MM`, otherwise mm."""
+    """Unit of n distances (n,), and notes on it: m if the longest is a number below `MIN_DISTANCE_MM`, otherwise mm."""
     if hints.length is not None:
         return hints.length, []
     longest = float(np.nanmax(distance, initial=0))
@@ -235,7 +236,7 @@ def azimuth_sense_from_points(
 ) -> tuple[AzimuthSense, list[str]]:
     """Sense of the azimuth from coordinates of targets in `file`, and notes on it.
 
-    `local_points` (n, 3) [m] are measured positions in each station's frame, computed with counter-clockwise azimuths.
+    `local_points` (n, 3) [m] are n measured positions in each station's frame, with counter-clockwise azimuths.
     `targets` are the names to which the indices `polar.target` refer. Raises RecordError if the coordinates do not
     decide.
     """
@@ -255,10 +256,10 @@ def azimuth_sense_from_points(
 def _azimuth_sense_by_alignment(
     local_points: Floats, polar: PolarReadings, points_by_target: Mapping[int, Floats]
 ) -> AzimuthSense | None:
-    """Sense of the azimuth under which a rigid motion takes the targets of each station to `points_by_target` [m].
+    """Sense of the azimuth with which the targets of each station fit `points_by_target` [m] after a rigid alignment.
 
-    `local_points` (n, 3) [m] are measured positions with counter-clockwise azimuths. None if neither sense fits ten
-    times better than the other, for example if all points lie in one plane.
+    `local_points` (n, 3) [m] are positions measured in n pointings, computed with counter-clockwise azimuths. None if
+    neither sense fits ten times better than the other, for example if all points lie in one plane.
     """
     station_senses = []
     is_usable = np.isin(polar.target, list(points_by_target)) & np.all(np.isfinite(local_points), axis=1)
@@ -275,9 +276,9 @@ def _azimuth_sense_by_alignment(
 
 
 def _rigid_misfits(points: Floats, fixed_points: Floats) -> list[float]:
-    """Median distances [m] of `points` (n, 3), and of their mirror image, from `fixed_points` (n, 3).
+    """Median distances [m] from n `fixed_points` (n, 3): of `points` (n, 3), and of their mirror image.
 
-    Both are first aligned rigidly with `fixed_points`. A distance is 1 m if the alignment is not possible.
+    Both are first aligned rigidly with `fixed_points`. A median distance is 1 m if the alignment is not possible.
     """
     misfits = []
     for y_sign in (1.0, -1.0):
@@ -293,9 +294,10 @@ def _rigid_misfits(points: Floats, fixed_points: Floats) -> list[float]:
 def azimuth_sense_from_poses(
     local_points: Floats, polar: PolarReadings, poses: Mapping[int, StationPoseArrays]
 ) -> AzimuthSense | None:
-    """Sense of the azimuth under which stations of known pose (by station index) measure equal positions of targets.
+    """Sense of the azimuth with which stations of known pose (by station index) measure equal positions of targets.
 
-    `local_points` (n, 3) [m] are measured positions with counter-clockwise azimuths. None if the data do not decide.
+    `local_points` (n, 3) [m] are positions measured in n pointings, in the frame of their station, computed with
+    counter-clockwise azimuths. None if the data do not decide.
     """
     misfits = []
     rows = np.flatnonzero(np.isin(polar.station, list(poses)))

@@ -46,11 +46,11 @@ MAX_ASYMMETRY = 1e-6
 MIN_RELATIVE_EIGENVALUE = -1e-9
 """Smallest accepted eigenvalue of a correlation matrix, divided by its number of rows: rounding may make 0 negative."""
 MAX_COORDINATE_IN_METRES = 500.0
-"""Largest coordinate in a list without a unit, as a number, below which the unit is metres, otherwise millimetres."""
+"""Largest coordinate of a list without unit, as a number, below which it is in metres, otherwise in millimetres."""
 MIN_GRID_COORDINATE = 1e6
-"""Largest coordinate in a list without a unit, as a number, from which it is in a national grid, in metres."""
+"""Largest coordinate of a list without unit, as a number, from which the list is in a national grid, in metres."""
 GEODETIC_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
-"""Column titles, in lower case, that show that the unit of a list without a unit is the metre."""
+"""Column titles, in lower case, of coordinates in national grids, which are in metres if the list gives no unit."""
 HEADERLESS_FIELD_COUNTS = (4, 7, 8, 16, 17)
 """Numbers of fields in lines without header: name, x, y, z; with 3 or 4 sigmas; with these and a covariance."""
 NAME_ROLES = ("target", "station", "", "time", "date")
@@ -67,12 +67,12 @@ class PointList:
 
     names: tuple[str, ...]
     points: Floats
-    """Coordinates (n, 3) [m]; NaN for a coordinate that the list does not give."""
+    """Coordinates (n, 3) [m] of the n points; NaN for a coordinate that the list does not give."""
     covariance: Floats
-    """Covariance of each point, (n, 3, 3) [m^2]; NaN if not given."""
+    """Covariance matrix [m^2] of the coordinates of each of the n points, (n, 3, 3); NaN if not given."""
     notes: tuple[str, ...] = ()
     additional_columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Texts of each additional column by its header, n each."""
+    """Texts of each additional column by its header, one text for each point."""
     line_numbers: tuple[int, ...] = ()
     """Line number of each point in the file."""
     n_contradictory_rows: int = 0
@@ -82,12 +82,12 @@ class PointList:
 
     @property
     def sigma(self) -> Floats:
-        """Standard deviations (n, 3) [m]; NaN if not given."""
+        """Standard deviations (n, 3) [m] of the coordinates of the n points; NaN if not given."""
         return np.sqrt(np.einsum("nii->ni", self.covariance))
 
     @property
     def coordinates_by_name(self) -> dict[str, Floats]:
-        """Coordinates (3,) [m] of each point that has all three, by name."""
+        """Coordinates x, y, z (3,) [m] by name of the point; points with a missing coordinate are left out."""
         is_whole = np.asarray(np.isfinite(self.points).all(axis=1))
         return {name: p for name, p, whole in zip(self.names, self.points, is_whole.tolist(), strict=True) if whole}
 
@@ -101,7 +101,7 @@ def read_points(path: str | Path, *, requires_all_axes: bool = True) -> PointLis
     ----------
     path : str or Path
     requires_all_axes : bool
-        Refuse a point that is listed again with other coordinates; if False, the first ones are used, with a note.
+        True to refuse a point that is listed again with other coordinates; False to use its first ones, with a note.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | No
 
 
 def _header_columns(sheet_rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] | None:
-    """Number of rows before the first point, and columns that the header names; None without the header of a list."""
+    """Number of rows before the first point, and columns that the header names; None if there is no such header."""
     for place, row in enumerate(sheet_rows):
         if not count_recognised_titles(row.fields) or row.n_values:
             continue
@@ -222,7 +222,7 @@ class _PointRowReader:
         return where.name(unguard_formula(row.cell(self.name.position)), "point"), coordinates
 
     def _unit_factors(self, table: Floats) -> tuple[Floats, list[str]]:
-        """Factor that converts each of the k columns of `table` (n, k) to m or m^2, and notes on the assumed unit."""
+        """Factors (k,) from the k columns of `table` (n points, k) to m or m^2, and notes on the assumed unit."""
         axes = [c for c in self.numbers.values() if c.role in COORDINATE_ROLES]
         largest = np.nanmax(np.abs(table[:, [role in COORDINATE_ROLES for role in self.numbers]]), initial=0.0)
         declared_unit = next((c.unit for c in axes if c.unit in SI_PER_UNIT and c.unit), "")
@@ -236,7 +236,7 @@ class _PointRowReader:
 
 
 def _point_covariances(numbers_by_column: Mapping[str, Floats], n_points: int) -> Floats:
-    """Covariance (n, 3, 3) [m^2] of n points, from columns by role that hold full matrices or standard deviations."""
+    """Covariance (n, 3, 3) [m^2] of n points, from columns (n,), by role, of full matrices or standard deviations."""
     if "covariance 0" in numbers_by_column:
         full = np.stack([numbers_by_column[f"covariance {i}"] for i in range(9)], axis=1).reshape(n_points, 3, 3)
         return np.asarray((full + full.transpose(0, 2, 1)) / 2)
@@ -260,14 +260,14 @@ class EpochCoordinates:
     axes: str
     """Measured axes, a selection of `xyz`."""
     points: Floats
-    """Coordinates (T, 3) [m]; 0 along axes that were not measured."""
+    """Coordinates (T, 3) [m] of the T points; 0 along axes that were not measured."""
     covariance: Floats
-    """Joint covariance matrix (T d, T d) [m^2]; its rows are ordered by point, and by axis within a point."""
+    """Joint covariance (T d, T d) [m^2] of T points along d axes; rows are ordered by point, then by axis."""
     notes: tuple[str, ...] = ()
 
     @property
     def axis_indices(self) -> Ints:
-        """Indices (d,) of the measured axes."""
+        """Indices (d,) of the d measured axes: 0 for x, 1 for y, 2 for z."""
         return np.array([AXIS_NAMES.index(axis) for axis in self.axes])
 
 

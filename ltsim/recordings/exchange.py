@@ -32,13 +32,14 @@ RecordingSource = Recording | str | Path
 MAX_HEAD_BYTES = 16_384
 """Number of bytes at the beginning of a file that are read to recognise its format."""
 MIN_CONTRADICTORY_ROWS = 2
-"""Number of rows that repeat a name with other coordinates, from which a list of coordinates is taken as the successive
-positions of a moving target."""
+"""Smallest number of rows that repeat a name with other coordinates at which a file is taken as successive positions of
+a moving target, and not as a list of points; it must also be at least the number of different names."""
 TRIAL_STATION_NAME = "S1"
 """Station name with which a list of coordinates is read on trial as a table of the positions that one station measured.
 """
 MAX_REPEATED_POINT_M = 1e-3
-"""Distance [m] between rows with the same name below which they count as repeated measurements of a point."""
+"""Distance [m] between rows with the same name below which they count as repeated measurements of one point, not as
+contradictory coordinates."""
 NATIVE_FORMAT = "folder with observations.csv and setup.toml"
 POLAR_TEXT_FORMAT = "plain text: station, target, azimuth, zenith or elevation, distance"
 POINT_LIST_FORMAT = "names and coordinates, which are not a recording"
@@ -124,6 +125,7 @@ FORMATS: tuple[FileFormat, ...] = (
     FileFormat("point-list", POINT_LIST_FORMAT, (".txt", ".xyz", ".csv"), _is_list_of_points, _refuse_point_list),
     _make_format(tables, "table", TABLE_FORMAT, ".csv", ".tsv", ".txt", ".xlsx"),
 )
+"""Supported formats, in the order in which they are tested on a file."""
 
 
 def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Recording:  # noqa: A002
@@ -170,7 +172,7 @@ def is_recording(path: Path) -> bool:
 
 
 def load_recording(source: RecordingSource) -> Recording:
-    """Recording that `source` is, or that is read from the path `source`; raises RecordError for any other object."""
+    """Recording from `source`: the object itself, or read from a path; raises RecordError for any other object."""
     if not isinstance(source, Recording | str | Path):
         raise RecordError(f"expected a recording or the path of one, found a {type(source).__name__}")
     return source if isinstance(source, Recording) else read(source)

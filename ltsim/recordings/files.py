@@ -24,9 +24,13 @@ UTF8_MARK = b"\xef\xbb\xbf"
 UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 """Byte-order marks of UTF-16, little-endian and big-endian."""
 _UNDEFINED_BYTES = frozenset(b"\x81\x8d\x8f\x90\x9d")  # bytes without a meaning in Windows-1252
+"""Bytes that have no character in Windows-1252."""
 NUMBER_PATTERN = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
+"""Pattern of a decimal number in plain ASCII."""
 _NOT_FINITE_PATTERN = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
+"""Pattern of NaN and infinities."""
 _FORBIDDEN_CHARACTERS = re.compile(r"[<>/\\]")
+"""Pattern of the characters of markup and paths, which names must not contain."""
 
 
 def read_bytes(path: Path, max_bytes: int = MAX_FILE_BYTES) -> bytes:

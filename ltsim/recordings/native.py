@@ -67,9 +67,10 @@ WRONG_UNIT_SUFFIXES = ("k", "f", "pa", "bar", "inch")
 TextTable = tuple[list[str], list[Sequence[str]]]
 """Names of columns, and the texts of each column, as in `observations.csv`. A list of rows takes twice the memory."""
 MAX_COMPARED_NAMES = 100_000
-"""Largest number of names with which all notes on unused settings compare to propose similar ones; each takes 5 us."""
+"""Largest number of comparisons of two names, in all notes on unused settings together, by which similar names are
+proposed; each comparison takes 5 us."""
 MAX_INTERNED_TEXTS = 10_000
-"""Largest number of distinct texts of cells, such as names, whose equal cells share one string to save memory."""
+"""Largest number of distinct texts of a file for which equal cells share one string, to save memory."""
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
@@ -216,7 +217,7 @@ def _integer_column(column: list[str], location: SourceLocation, bounds: tuple[i
 
 
 def _float_column(column: list[str], location: SourceLocation, *, is_optional: bool = True) -> Floats:
-    """Numbers (n,) in a column of texts, checked with `COLUMN_BOUNDS`; empty cells are NaN if `is_optional`."""
+    """Numbers (n,) in a column of n texts, checked with `COLUMN_BOUNDS`; empty cells are NaN if `is_optional`."""
     low, high = COLUMN_BOUNDS.get(location.column or "", (-1e15, 1e15))
     numbers = np.full(len(column), np.nan)
     filled_rows = [i for i, text in enumerate(column) if text or not is_optional]
@@ -322,7 +323,10 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
 
 
 def _similar_names(name: str, names: Sequence[str], n_notes: int) -> str:
-    """End of a note, with `names` similar to `name`; empty if `n_notes` earlier notes compared too many names."""
+    """End of a note, with `names` similar to an unknown `name`; empty if too many names would be compared.
+
+    `n_notes` is the number of earlier notes; `MAX_COMPARED_NAMES` limits the comparisons of all notes.
+    """
     if (n_notes + 1) * len(names) > MAX_COMPARED_NAMES:
         return ""
     similar = difflib.get_close_matches(name, names, n=3, cutoff=0.5)

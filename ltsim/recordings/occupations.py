@@ -53,9 +53,10 @@ def check_centring(recording: Recording, file: object) -> None:
 
 
 def target_occupations(recording: Recording, centring: CentringUncertainty) -> Ints:
-    """Index (n,) of the occupation of its target by a reflector, for each pointing; -1 for one without centring errors.
+    """Index (n,) of the occupation of its target by a reflector, for each of n pointings; -1 without centring errors.
 
-    Each target has a single occupation if the recording lacks the column, or the days, that distinguish occupations.
+    The stations and targets with centring errors are those of `centring`. Each target has a single occupation if the
+    recording lacks the column, or the days, that distinguish occupations.
     """
     keys: Sequence[object] = ("",) * len(recording)
     if centring.occupation == "station":

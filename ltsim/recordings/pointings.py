@@ -26,6 +26,7 @@ NOT_MEASURED = float("nan")
 """Value of a reading that was not measured."""
 ObservationKind = Literal["distance", "azimuth", "elevation"]
 _UNIT_BY_KIND = dict(zip(OBSERVABLES, SIGMA_UNITS, strict=True))
+"""SI value of the unit of the standard deviation in additional columns, by the kind of observation."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,16 +19,17 @@ from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
 
 OBSERVABLES = ("distance", "azimuth", "elevation")
+"""Observables of a pointing, in the order of the columns of readings."""
 SIGMA_COLUMNS = ("sigma_distance_mm", "sigma_azimuth_arcsec", "sigma_elevation_arcsec")
-"""Columns with the standard deviation of each range, azimuth and elevation; an empty cell means the instrument's noise.
-"""
+"""Columns with the standard deviation of each range, azimuth and elevation; for an empty cell the declared noise of the
+instrument is used."""
 SIGMA_UNITS = (MILLIMETRE, ARCSECOND, ARCSECOND)
 """Unit [m, rad, rad] of each of `SIGMA_COLUMNS`."""
 UNIT_SUFFIXES = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
 """Ends of the names of columns for each observable, with the unit, such as `distance_mm`."""
 HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
-"""Columns with the heights of instrument and reflector in each pointing; an empty cell means the height in the set-up.
-"""
+"""Columns with the heights of instrument and reflector in each pointing; for an empty cell the height in the set-up is
+used."""
 SHARED_ERROR_COLUMN_PATTERN = re.compile(f"shared_(.+)_({'|'.join(UNIT_SUFFIXES)})")
 """Pattern of the name of a column with the change of each reading by one standard deviation of an error that readings
 share: name of the error, then observable and unit."""
@@ -39,7 +40,7 @@ DISTANCE_KIND_COLUMN = "distance_kind"
 DISTANCE_METER_COLUMN = "distance_mode"
 """Text column with the meter that measured a distance: ``adm``, ``ifm`` or empty."""
 REFLECTOR_COLUMN = "reflector"
-"""Text column with the name of the SMR of a pointing; an empty cell means the SMR of the target."""
+"""Text column with the name of the SMR of a pointing; for an empty cell the SMR of the target is used."""
 _DEFAULT_STATION, _DEFAULT_TARGET = Station(), Target()
 MAX_TIME_S = 2e18
 """Largest permitted time of a pointing [s]. Unix time in nanoseconds that is read as seconds (1.8e18) is smaller."""
@@ -60,8 +61,8 @@ def noise_sigma(noise_declarations: Sequence[Noise], instrument: Ints, range_: F
     """Standard deviation (n, 3) [m, rad, rad] of the range, azimuth and elevation of n pointings by the declared noise.
 
     `instrument` (n,) is the index into `noise_declarations` of the instrument of each pointing; `range_` (n,) is in m,
-    `elevation` (n,) in rad. A range has the standard deviation distance_mm + distance_ppm * range, an azimuth that
-    across the beam divided by the cosine of the elevation.
+    `elevation` (n,) in rad. The standard deviation of a range is distance_mm + distance_ppm * range; that of an azimuth
+    is the declared one across the beam, divided by the cosine of the elevation.
     """
     noise_values = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise_declarations]
     units = np.array([MILLIMETRE, PPM, ARCSECOND, ARCSECOND])
@@ -71,7 +72,7 @@ def noise_sigma(noise_declarations: Sequence[Noise], instrument: Ints, range_: F
 
 
 def repeat_numbers(station: Ints, target: Ints, face: Ints) -> Ints:
-    """Repeat number (n,), 1, 2, ..., of each pointing among those from one station to one target on one face."""
+    """Repeat number (n,), 1, 2, ..., of each of n pointings among those from one station to one target on one face."""
     order = np.lexsort((face, target, station))
     keys = np.stack([station, target, face], axis=1)[order]
     first_rows_of_sights = np.flatnonzero(np.any(np.diff(keys, axis=0, prepend=-1), axis=1))
@@ -92,19 +93,20 @@ class Recording(Result):
     targets: tuple[str, ...]
     """Names of the targets."""
     station: Ints
-    """Index (n,) into `stations` of each pointing."""
+    """Index into `stations` of the station of each of the n pointings, (n,)."""
     target: Ints
-    """Index (n,) into `targets` of each pointing."""
+    """Index into `targets` of the target of each of the n pointings, (n,)."""
     face: Ints
-    """Face of each pointing, (n,): 1 or 2."""
+    """Face (1 or 2) of each of the n pointings, (n,)."""
     repeat: Ints
-    """Repeat number (n,) of each pointing from one station to one target on one face, from 1."""
+    """Number, from 1, of each of the n pointings among those from one station to one target on one face, (n,)."""
     time: Floats
-    """Time (n,) [s] since the start of the recording; the row number if the recording has no clock."""
+    """Time [s] of each of the n pointings since the start of the recording, (n,); the row number without a clock."""
     readings: Floats
-    """Raw range, azimuth and elevation, (n, 3) [m, rad, rad]; NaN if not measured."""
+    """Raw range, azimuth and elevation of each of the n pointings, (n, 3) [m, rad, rad]; NaN if not measured."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    """Additional columns of numbers (n,) by name, including the air readings of the instrument."""
+    """Additional columns of numbers by name, (n,) each for n pointings, including the air readings of the instrument.
+    """
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Additional columns of texts by name, n entries each."""
     has_clock: bool = True
@@ -166,17 +168,17 @@ class Recording(Result):
 
     @property
     def is_measured(self) -> Bools:
-        """Flags (n, 3) of the readings that were measured."""
+        """Flags (n, 3) of the ranges, azimuths and elevations of n pointings that were measured."""
         return np.isfinite(self.readings)
 
     @property
     def is_usable(self) -> Bools:
-        """Flags (n, 3) of the readings that an adjustment uses: all measured ones except angles of vertical sights."""
+        """Flags (n, 3) of the readings of n pointings that an adjustment uses: all except angles of vertical sights."""
         return self.is_measured & ~(self.is_vertical[:, None] & [False, True, True])
 
     @property
     def is_vertical(self) -> Bools:
-        """Flags (n,) of the pointings along the standing axis of the tracker, to its zenith or nadir."""
+        """Flags (n,) of the pointings, among n, along the standing axis of the tracker: to its zenith or nadir."""
         return np.asarray(np.abs(np.cos(self.readings[:, 2])) < MIN_COS_ELEVATION_FOR_ANGLES)
 
     @cached_property
@@ -187,7 +189,7 @@ class Recording(Result):
 
     @cached_property
     def instrument(self) -> Ints:
-        """Index (n,) into `instruments` of the instrument of each row."""
+        """Index into `instruments` of the instrument of each of the n pointings, (n,)."""
         index = {name: i for i, name in enumerate(self.instruments)}
         index_by_station = [index[self._instrument_name(s)] for s in self.stations]
         return np.array(index_by_station, dtype=np.int64)[self.station]
@@ -202,7 +204,7 @@ class Recording(Result):
 
     @property
     def is_corrected(self) -> bool:
-        """True if the set-up declares all instruments of the recording corrected."""
+        """True if the set-up declares that the readings of all instruments of the recording are already corrected."""
         return all(self.setup.instrument_named(name).corrected for name in self.instruments)
 
     def station_setup(self, station: str) -> Station:
@@ -219,7 +221,7 @@ class Recording(Result):
         return self.setup.gauge or Gauge()
 
     def sigma(self) -> Floats:
-        """Declared standard deviation (n, 3) [m, rad, rad] of each range, azimuth and elevation.
+        """Declared standard deviation (n, 3) [m, rad, rad] of the range, azimuth and elevation of each of n pointings.
 
         A value in the columns `SIGMA_COLUMNS` replaces the one that follows from the instrument's noise. For an azimuth
         it is the standard deviation of the reading, not the one across the beam.
@@ -234,7 +236,7 @@ class Recording(Result):
         return sigma
 
     def heights(self) -> tuple[Floats, Floats]:
-        """Heights (n,) [m] of the instrument, and heights (n,) [m] of the reflector, above their survey marks."""
+        """Heights [m] of the instrument (n,) and of the reflector (n,) above survey marks, in each of n pointings."""
         instrument = [self.station_setup(s).instrument_height_mm for s in self.stations]
         target = [self.target_setup(t).height_mm for t in self.targets]
         default_heights = np.array(instrument)[self.station], np.array(target)[self.target]
@@ -247,9 +249,10 @@ class Recording(Result):
 
     @property
     def regressor_covariates(self) -> Mapping[str, Floats]:
-        """Covariates (n,) by name on which readings may depend: all except standard deviations, heights, shared errors.
+        """Covariates by name, (n,) each for n pointings, on which readings may depend.
 
-        If both ADM and IFM measured, `distance_mode` is one of them: 1 for the IFM, 0 otherwise.
+        These are all covariates except standard deviations, heights and shared errors. If both distance meters
+        measured, `distance_mode` is one of the covariates: 1 for the IFM, 0 otherwise.
         """
         columns = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING_COLUMNS}
         regressors = {
@@ -262,7 +265,7 @@ class Recording(Result):
 
     @property
     def is_horizontal(self) -> Bools:
-        """Flags (n,) of the pointings whose distance is reduced to the horizontal plane of the instrument."""
+        """Flags (n,) of the pointings, among n, whose distance is reduced to the horizontal plane of the instrument."""
         kinds = self.labels.get(DISTANCE_KIND_COLUMN, ("",) * len(self))
         return np.array([kind == "horizontal" for kind in kinds], dtype=bool)
 
@@ -336,7 +339,7 @@ class Recording(Result):
         return f"on a machine with more memory set the environment variable {POINTINGS_LIMIT_VARIABLE} to {len(self)}"
 
     def with_readings(self, readings: Floats) -> Recording:
-        """Copy of the recording with these readings (n, 3) [m, rad, rad] instead of its own."""
+        """Copy of the recording with these readings (n, 3) [m, rad, rad] of its n pointings instead of its own."""
         return self.replace(readings=readings)
 
     def replace(self, **changes: Any) -> Recording:

@@ -31,20 +31,18 @@ class ReferenceLengths:
     """The g reference lengths between targets of a recording, with their independent and their shared errors."""
 
     first_targets: Ints
-    """Index (g,) of the target at the first end of each length."""
+    """Index (g,) of the target at the first end of each of the g lengths."""
     second_targets: Ints
-    """Index (g,) of the target at the second end of each length."""
+    """Index (g,) of the target at the second end of each of the g lengths."""
     expansion_factors: Floats
-    """Ratio (g,) of each length at the temperature of use to the length at its calibration."""
+    """Ratio (g,) of each of the g lengths at the temperature of use to the length at its calibration."""
     lengths: Floats
-    """Length (g,) [m] at the temperature of use."""
+    """Lengths (g,) [m] of the g reference lengths at the temperature of use."""
     certificate_sigmas: Floats
-    """Standard deviation (g,) [m] of the independent error of each length, from its certificate."""
+    """Standard deviation (g,) [m] of the independent error of each of the g lengths, from its certificate."""
     shared_error_changes: dict[str, Floats]
-    """Change (g,) [m] of the lengths by one standard deviation of each shared error, by name of the error.
-
-    Such errors are those of an expansion coefficient, a thermometer, and the scale.
-    """
+    """Change (g,) [m] of the g lengths by one standard deviation of each error that several lengths share, by name of
+    the error: of an expansion coefficient, a thermometer, or the scale."""
 
     @classmethod
     def from_recording(cls, recording: Recording, file: object = "setup.toml") -> Self:
@@ -86,17 +84,17 @@ class ReferenceLengths:
 
     @property
     def sigma(self) -> Floats:
-        """Total standard deviation (g,) [m] of each length: certificate and shared errors."""
+        """Total standard deviation (g,) [m] of each of the g lengths: certificate and shared errors."""
         return np.sqrt(self.certificate_sigmas**2 + sum(change**2 for change in self.shared_error_changes.values()))
 
 
 def _expansion_factor_and_changes(
     recording: Recording, gauge_distance: GaugeDistance, location: dict[str, Any]
 ) -> tuple[float, dict[str, float]]:
-    """Ratio of a length at its temperature of use to the length at calibration, and changes of the ratio by errors.
+    """Ratio of a length at its temperature of use to the length at calibration, and changes of this ratio by errors.
 
-    The changes are those by one standard deviation of each error, by name of the error; several lengths may share it.
-    `location` (file and column) is named in errors.
+    The changes are those by one standard deviation of each error (of an expansion coefficient or a thermometer), by
+    name of the error; several lengths may share it. `location` (file and column) is named in errors.
     """
     if gauge_distance.measured_in_place:
         return 1.0, {}
@@ -131,9 +129,10 @@ def _expansion_factor_and_changes(
 
 
 def _mean_of_column(recording: Recording, name: str, gauge: GaugeDistance, location: dict[str, Any]) -> float:
-    """Mean of the column `name` [deg C] over the pointings to both ends of the reference length `gauge`.
+    """Mean of the temperatures [deg C] in the column `name`, over the pointings to both ends of the length `gauge`.
 
-    Raises RecordError, which names `location`, if there is no such column or it is empty there.
+    Raises RecordError, which names `location`, if the recording lacks this column or all of these pointings lack a
+    value.
     """
     if name not in recording.covariates:
         columns = ", ".join(recording.covariates) or "none"

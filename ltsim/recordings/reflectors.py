@@ -65,7 +65,7 @@ def excess_radii_of_names(
 
 
 def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | None:
-    """Height (n,) [m] of the SMR centre above the seat of its nest in each pointing, minus the reference height.
+    """Height (n,) [m] of the SMR centre above the nest's seat in each of n pointings, minus the reference height.
 
     The result is None if all differences are 0. Raises RecordError if an SMR has no table, radii differ without a
     declared reference, or a nest without normal held an SMR whose radius is not the reference.

@@ -23,7 +23,8 @@ ANGLE_STEPS = tuple(
         reverse=True,
     )
 )
-"""Display steps [rad] of theodolites, the largest first; smaller steps have no influence beside the default noise."""
+"""Display steps [rad] of theodolites, the largest first; smaller steps are negligible compared with the default noise.
+"""
 FOOT_STEPS = tuple(step * SI_PER_UNIT["ft"] for step in (0.1, 0.05, 0.01, 0.005, 0.001))
 """Display steps [m] of distance meters that display feet, the largest first."""
 LENGTH_STEPS = tuple(sorted((*FOOT_STEPS, 0.1, 0.05, 0.01, 0.005, 0.001), reverse=True))
@@ -36,7 +37,7 @@ MIN_VALUES_FOR_STEP = 10
 
 
 def reading_step(readings: Floats, steps: Sequence[float]) -> float:
-    """Largest of `steps` of which all finite `readings` (n,) are multiples, in their unit; 0 if there is no such step.
+    """Largest of `steps` of which all finite ones of n `readings` (n,) are multiples; 0 if there is no such step.
 
     `steps` are in descending order and in the unit of the readings.
     """
@@ -51,8 +52,8 @@ def reading_step(readings: Floats, steps: Sequence[float]) -> float:
 def default_total_station(readings: Floats, reason: str) -> tuple[Instrument, str]:
     """Default total station with a noise no smaller than the steps of its readings, and a note that reports this noise.
 
-    `readings` (n, 3) are distance, azimuth and elevation [m, rad, rad]; `reason` completes the note: why the file is
-    taken as one of a total station.
+    `readings` (n, 3) of n pointings are distance, azimuth, elevation [m, rad, rad]; `reason` completes the note: why it
+    is taken as one of a total station.
     """
     noise = TOTAL_STATION.noise
     distance_mm = reading_step(readings[:, 0], LENGTH_STEPS) / MILLIMETRE

@@ -38,11 +38,12 @@ from ltsim.recordings.recording import Recording
 DIGEST_STEP = 1e-6
 """Step [m, rad] to which a digest rounds readings, so that writing and reading a recording does not change it."""
 DIGEST_OFFSET = 1.0 / np.pi
-"""Offset, in steps, that is added before rounding, so that no decimal reading lies on the limit between two steps."""
+"""Offset, in steps of `DIGEST_STEP`, that is added before rounding, so that no decimal reading lies halfway between two
+steps."""
 
 
 def finite_or_none(value: Any) -> Any:
-    """Unchanged `value`; None for a floating-point number that is not finite."""
+    """Unchanged `value`; None in place of NaN or an infinity."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -165,7 +166,7 @@ class ResultFile(Entry, Result):
         return json.dumps(self.content(), indent=1, allow_nan=False) + "\n"
 
     def is_ltsim_file(self, folder: Path, name: str) -> bool:
-        """True if the file `name` in `folder` was written together with this result, by its digest.
+        """True if the file `name` in `folder` has the digest in `files`: it was written together with this result.
 
         Raises RecordError if the file cannot be read.
         """

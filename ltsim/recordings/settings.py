@@ -34,6 +34,7 @@ _TOML_TOKEN_PATTERN = re.compile(
 counted. A string that is not closed, which is no TOML, is one token, so that no character is looked at twice.
 """
 _COMPLETE_LINE_ENDS = ("\n", '"', "'", "]", "}", "true", "false")
+"""Ends of the last line of a complete TOML file."""
 
 
 def read_setup(path: Path) -> Setup:
@@ -110,7 +111,7 @@ def validate_setup(setup_tables: Mapping[str, Any], file: object) -> Setup:
 
 
 def with_completed_instruments(tables: Mapping[str, Any], complete_table: Callable[[Any, str], Any]) -> dict[str, Any]:
-    """Tables of a file in which `complete_table(table, key)` replaces the table of each instrument.
+    """Tables of a file in which the table of each instrument is replaced by the result of `complete_table(table, key)`.
 
     `key` is ``instrument`` or ``instruments.NAME``.
     """
@@ -256,6 +257,7 @@ def _permitted_keys(root: type[BaseModel], path: Iterable[object]) -> list[str]:
 
 
 _COUNT_PATTERN = re.compile(r"^(?:tuple|list) should have (at most|at least) (\d+) items? after validation, not \d+")
+"""Pattern of pydantic's message on a list with too many or too few entries."""
 
 
 def _reworded_message(message: str) -> str:
@@ -277,6 +279,7 @@ def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[Json
     """JSON schemas of the value at a `path` of keys in the model `root`, each with the schemas of its alternatives."""
 
     def choices(node: JsonSchema) -> list[JsonSchema]:
+        """Alternative schemas of a node, with references resolved; the node itself if it has no alternatives."""
         if "$ref" in node:
             return choices(_model_schema(root)["$defs"][node["$ref"].rpartition("/")[2]])
         return [choice for entry in node["anyOf"] for choice in choices(entry)] if "anyOf" in node else [node]
@@ -299,8 +302,8 @@ def _schema_below(node: JsonSchema, path_part: str) -> JsonSchema | None:
 def setup_to_toml(setup: Setup) -> str:
     """Text of a `setup.toml` from which `read_setup` obtains the same set-up.
 
-    Tables of instruments and of the gauge have all keys, tables of stations and targets those that differ from the
-    defaults. The unnamed instrument is left out if named ones exist and it has only defaults.
+    Tables of instruments and of the gauge have all keys; tables of stations and targets have only keys whose values
+    differ from the defaults. The unnamed instrument is left out if named ones exist and it has only defaults.
     """
     tables = {"instrument", "instruments", "gauge", "stations", "targets", "reflectors"}
     table: dict[str, Any] = {"format": setup.format, "title": setup.title}

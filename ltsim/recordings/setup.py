@@ -122,13 +122,11 @@ class LengthConditions(TomlSection):
     """Material of a reference length, and its temperature during use."""
 
     measured_at_c: Finite | SingleLine | None = None
-    """Temperature of this length: a number, or the name of a column of the recording, whose mean over the pointings to
-    both ends is used; default the temperature of the gauge.
-    """
+    """Temperature of this length during use: a number, or the name of a column of the recording, of which the mean over
+    the pointings to both ends is used; default the temperature of the gauge."""
     sigma_temperature_k: NonNegative | None = None
-    """Standard deviation of this temperature, an error that all lengths with the same column share; default that of the
-    gauge temperature.
-    """
+    """Standard deviation of the temperature of this length, an error that all lengths with the same column share;
+    default that of the gauge temperature."""
     material: SingleLine | None = None
     """Name of a table `[gauge.materials.NAME]`; default the expansion coefficient of the gauge."""
     measured_in_place: bool = False
@@ -137,14 +135,14 @@ class LengthConditions(TomlSection):
 
 
 class GaugeDistance(LengthConditions):
-    """Reference length between two targets at the temperature `calibrated_at_c` of the gauge."""
+    """Reference length (known length) between two targets."""
 
     from_: str = Field(alias="from")
     """Target at the first end."""
     to: str
     """Target at the second end."""
     length_mm: Positive
-    """Length at the temperature `calibrated_at_c`, or as measured in the hall (`measured_in_place`)."""
+    """Length at the temperature of calibration `calibrated_at_c`, or as measured in the hall (`measured_in_place`)."""
     sigma_mm: Sigma
     """Standard deviation of `length_mm`."""
 
@@ -157,14 +155,15 @@ class Gauge(TomlSection):
     measured_at_c: Finite | SingleLine = 20.0
     """Temperature of the gauge during the recording: a number, or the name of a column."""
     expansion_per_k: Finite = 0.0
-    """Coefficient of thermal expansion of the lengths without `material`."""
+    """Coefficient of thermal expansion of all lengths that name no `material`."""
     sigma_expansion_per_k: NonNegative | None = None
-    """Standard deviation of the coefficient, an error that all lengths share; by default the coefficient is exact."""
+    """Standard deviation of this coefficient, an error that these lengths share; by default the coefficient is exact.
+    """
     sigma_temperature_k: NonNegative | None = None
-    """Standard deviation of the temperature; by default the temperature is exact."""
+    """Standard deviation of the temperature of the gauge; by default the temperature is exact."""
     sigma_scale_ppm: NonNegative | None = None
-    """Standard deviation of a scale error that all lengths share; from 1000 ppm on the lengths determine only their
-    ratios."""
+    """Standard deviation of a scale error that all lengths share; from 1000 ppm on, the adjustment uses only the ratios
+    of the lengths and not their scale."""
     materials: dict[str, Material] | None = None
     """Other materials by name, tables `[gauge.materials.NAME]`."""
     distance: tuple[GaugeDistance, ...] = ()

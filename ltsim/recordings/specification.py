@@ -37,10 +37,12 @@ NO_NOISE_NOTE = (
     f"{ASSUMED_NOISE_TEXT}: the noise of the default laser tracker is used (3 um + 0.3 ppm, 0.37 arcsec); set it in "
     "setup.toml, or estimate it from the readings (--noise-from-data)"
 )
+"""Note to the user on the assumed noise of a tracker."""
 TOTAL_STATION_NOTE = (
     ASSUMED_NOISE_TEXT + ": the noise of a total station is used ({distance:g} mm + {ppm:g} ppm, {angle:g} arcsec), "
     "because {reason}; set it in setup.toml, or estimate it from the readings (--noise-from-data)"
 )
+"""Note to the user on the assumed noise of a total station, as a format."""
 
 
 def has_assumed_noise(notes: Iterable[str]) -> bool:
@@ -81,15 +83,15 @@ class Specification(TomlSection):
         return self
 
     def transverse_limit(self, range_: Floats) -> Floats:
-        """Limit (k,) [m] of the error of a point perpendicular to the beam, at ranges (k,) [m]."""
+        """Limit (k,) [m] of the error of a point perpendicular to the beam, at k ranges (k,) [m]."""
         return (self.transverse_um + self.transverse_um_per_m * range_) * MICROMETRE
 
     def range_limit(self, range_: Floats) -> Floats:
-        """Limit (k,) [m] of the error of a point along the beam, at ranges (k,) [m], without the range zero error."""
+        """Limit (k,) [m] of the error of a point along the beam, at k ranges (k,) [m], without the range zero error."""
         return (self.range_um + self.range_um_per_m * range_) * MICROMETRE
 
     def length_limits(self, first_points: Floats, second_points: Floats) -> Floats:
-        """Limit (k,) [m] of the errors of lengths between `first_points` and `second_points` (k, 3) [m].
+        """Limit (k,) [m] of the errors of k lengths between `first_points` and `second_points` (k, 3) [m].
 
         Points are in the instrument's frame. The limit is the root sum of squares of the limits at both ends, in the
         direction of the length. The range zero error is the same at both ends and cancels if both are on one line of
@@ -106,16 +108,17 @@ class Specification(TomlSection):
         return np.sqrt(squares + (offset * self.range_offset_um * MICROMETRE) ** 2)
 
     def two_face_limits(self, points: Floats) -> Floats:
-        """Limit (k,) [m] of the distance perpendicular to the beam between the two faces of points (k, 3) [m]."""
+        """Limit (k,) [m] of the distance perpendicular to the beam between both faces of k points (k, 3) [m]."""
         return TWO_FACE_LIMIT_RATIO * self.transverse_limit(to_polar(points)[:, 0])
 
     def to_instrument(self, construction: str = "source-in-head") -> Instrument:
-        """Instrument whose noise and priors correspond to these limits at `MPE_COVERAGE_FACTOR` sigma.
+        """Instrument whose noise and priors correspond to these limits, each `MPE_COVERAGE_FACTOR` standard deviations.
 
         The part of each limit that grows with the range is an angle or a scale, the constant part an offset. The
-        fraction `noise_share` of each variance is noise of the readings, and the rest the prior variance of instrument
-        parameters, of which two angular ones act on each direction perpendicular to the beam. The constant transverse
-        part is that of offsets alone. The constant part of the range is all noise if the range zero has its own limit.
+        fraction `noise_share` of each variance is noise of the readings, the rest the prior variance of instrument
+        parameters, of which two angular ones act on each direction perpendicular to the beam. The constant part of the
+        limit perpendicular to the beam is all prior of offsets, without noise. The constant part of the range limit is
+        all noise if the range zero has its own limit.
         """
         sigma = 1.0 / MPE_COVERAGE_FACTOR
         noise_factor, constants_factor = np.sqrt(self.noise_share), np.sqrt(1 - self.noise_share)

@@ -29,7 +29,8 @@ class TranscriptionError:
     right_content: str
     """Content of the columns without the error, as text such as "millimetres"."""
     reading_conversions: tuple[tuple[int, float, float], ...]
-    """Column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad] of each changed reading."""
+    """Column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad] of each changed reading, which becomes factor
+    * correct reading + offset."""
 
     @property
     def changed_columns(self) -> tuple[int, ...]:
@@ -42,14 +43,14 @@ class TranscriptionError:
         return f"{self.wrong_content} for {self.right_content}"
 
     def with_error(self, readings: Floats) -> Floats:
-        """Readings (n, 3) [m, rad, rad] with the error, from readings without it."""
+        """Readings (n, 3) [m, rad, rad] of n pointings with the error, from readings without it."""
         changed_readings = readings.copy()
         for column, factor, offset in self.reading_conversions:
             changed_readings[:, column] = factor * readings[:, column] + offset
         return changed_readings
 
     def without_error(self, readings: Floats) -> Floats:
-        """Readings (n, 3) [m, rad, rad] without the error, from readings with it."""
+        """Readings (n, 3) [m, rad, rad] of n pointings without the error, from readings with it."""
         corrected = readings.copy()
         for column, factor, offset in self.reading_conversions:
             corrected[:, column] = (readings[:, column] - offset) / factor
@@ -61,6 +62,7 @@ def _length_unit_error(name: str, unit: str, unit_in_mm: float) -> Transcription
 
 
 GON_PER_DEGREE, RADIAN_PER_DEGREE = (SI_PER_UNIT["deg"] / SI_PER_UNIT[unit] for unit in ("gon", "rad"))
+"""Factors from degrees to gon and to radians."""
 
 UNIT_ERRORS = (
     _length_unit_error("inch", "inches", 25.4),
@@ -100,8 +102,8 @@ MAX_COMPARED_PAIRS = 400
 MAX_COMPARED_TARGETS = 60
 """Largest number of common targets of two stations between which lengths are compared."""
 MIN_WRONG_DISAGREEMENT = 2e-3
-"""Median relative difference, between stations, of the lengths between their common targets, above which a
-transcription error is sought."""
+"""Median relative difference, between stations, of the lengths between their common targets, above which the reader
+tests whether a transcription error explains it."""
 MAX_RIGHT_DISAGREEMENT = 2e-4
 """Median relative difference, between stations, of the lengths between their common targets, below which they count as
 equal, so that the correction of a transcription error explains the file."""
@@ -112,7 +114,7 @@ MIN_MIRRORED_TARGETS = 5
 
 @dataclass(frozen=True)
 class StationCloud:
-    """Indices (k,) of the targets of one station, ascending, and their mean positions (k, 3) in the station's frame."""
+    """Indices (k,) of the k targets of one station, ascending, and their mean positions (k, 3) in its frame."""
 
     targets: Ints
     points: Floats
@@ -128,8 +130,8 @@ def station_clouds(
 ) -> dict[int, StationCloud]:
     """Mean positions of the targets of each station, by station index, from n single pointings.
 
-    `points` (n, 3) are positions in each station's frame; rows with NaN are ignored. `station` and `target` (n,) are
-    indices. Only the first `max_stations` stations with a position are returned; by default all.
+    `points` (n, 3) are the measured positions in each station's frame; rows with NaN are ignored. `station` and
+    `target` (n,) are indices. The result has only the first `max_stations` stations with a position; by default all.
     """
     is_valid = np.all(np.isfinite(points), axis=1)
     n_targets = int(target.max(initial=0)) + 1
@@ -146,7 +148,7 @@ def station_clouds(
 
 
 def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
-    """Number (S, S) of targets that each pair of the S stations shares; `station` and `target` (n,) index pointings."""
+    """Number (S, S) of targets that each pair of the S stations shares; `station`, `target` (n,) index n pointings."""
     pairs = np.unique(np.stack([target, station]), axis=1)
     counts = np.zeros((n_stations, n_stations), dtype=np.int64)
     for part in batches(int(target.max(initial=0)) + 1, n_stations):
@@ -158,7 +160,7 @@ def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
 
 
 def neighbour_pairs(station: Ints, target: Ints, n_stations: int) -> list[tuple[int, int]]:
-    """Pairs of the earlier station with which a station shares most targets, and this station, as indices.
+    """Pairs of station indices: each station (second) with the earlier one (first) with which it shares most targets.
 
     Pairs with fewer than `MIN_MIRRORED_TARGETS` common targets are left out: these may lie in a plane, which is its own
     mirror image.
@@ -172,7 +174,8 @@ def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:
     """Median relative difference between the lengths that two stations measure between their common targets.
 
     The result is NaN if no two stations have two common targets. Lengths do not depend on poses: they test units and
-    the kind of vertical angle, but not the sense of the azimuth. `points` (n, 3) are positions in each station's frame.
+    the kind of vertical angle, but not the sense of the azimuth. `points` (n, 3) are n positions in each station's
+    frame.
     """
     clouds = station_clouds(points, station, target, MAX_COMPARED_PAIRS + 1).values()
     disagreements: list[float] = []
@@ -191,7 +194,7 @@ def length_disagreement(points: Floats, station: Ints, target: Ints) -> float:
 def position_disagreement(points: Floats, station: Ints, target: Ints) -> float:
     """Median, over targets, of the distance [m] between their positions from different stations.
 
-    `points` (n, 3) are the positions in a common frame. The result is NaN if no target was measured from two stations.
+    `points` (n, 3) are n positions in a common frame. The result is NaN if no target was measured from two stations.
     """
     clouds = station_clouds(points, station, target).values()
     if not clouds:
@@ -206,7 +209,7 @@ def position_disagreement(points: Floats, station: Ints, target: Ints) -> float:
 
 
 def _two_face_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Floats:
-    """Sum (k,) of the mean vertical angles on face 1 and face 2, for each sight (station, target) on both faces."""
+    """Sum (k,) of the mean vertical angles on face 1 and face 2, for each of k station-target pairs on both faces."""
     keys, place = np.unique(station * (int(target.max(initial=0)) + 1) + target, return_inverse=True)
     means = []
     for side in (1, 2):
@@ -221,7 +224,7 @@ def _two_face_sums(angle: Floats, station: Ints, target: Ints, face: Ints) -> Fl
 def require_degrees_and_millimetres(
     measured_columns: Floats, station: Ints, target: Ints, face: Ints, file: object
 ) -> None:
-    """Check that columns (n, 3) contain distances [mm], azimuths and elevations [deg].
+    """Check that the columns (n, 3) of n rows contain distances [mm], azimuths and elevations [deg].
 
     Raises RecordError that names the unit, or the kind of angle, that a column appears to contain.
     """
@@ -266,8 +269,8 @@ def _face_sum_with_error(error: TranscriptionError) -> float | None:
 def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> TranscriptionError | None:
     """Transcription error of all angles whose correction makes the lengths between targets equal from all stations.
 
-    `readings` (n, 3) [m, rad, rad] are uncorrected. None if there is no such error, or the lengths are already equal.
-    Lengths do not reveal a mirrored network.
+    `readings` (n, 3) [m, rad, rad] of n pointings are uncorrected. None if there is no such error, or the lengths are
+    already equal. Lengths do not reveal a mirrored network.
     """
     if not length_disagreement(from_polar(readings), station, target) > MIN_WRONG_DISAGREEMENT:
         return None

@@ -29,6 +29,7 @@ from ltsim.recordings.files import SourceLocation, quoted_text, read_bytes
 _LONG_TAG_PATTERN = re.compile(rb"<[^<]{4096,}+")
 """Pattern of a tag with more than 4096 characters; a shorter one cannot contain too many attributes."""
 MATRIX_SIZE_MESSAGE = "a <cov-mat> whose numbers do not match dim and band"
+"""Error message on a matrix of GNU Gama with too many or too few numbers."""
 LINE_ATTRIBUTE = "{ltsim}line"
 """Attribute that the parser adds to each element: the number of its line. A value in the file is overwritten."""
 
@@ -219,7 +220,7 @@ def band_matrix_size(node: XmlNode, n_rows: float, band: float) -> int:
 def band_matrix_entries(
     node: XmlNode, n_rows: float, band: float, band_values: Sequence[float]
 ) -> tuple[Ints, Ints, Floats]:
-    """Row index (k,), column index (k,) and value (k,) of each value in the upper band of a symmetric matrix.
+    """Row index (k,), column index (k,) and value (k,) of the k values in the upper band of a symmetric matrix.
 
     `band_values` are row by row: the diagonal and the `band` next values, as in files of GNU Gama. Raises RecordError,
     which names `node`, if their number does not match.

@@ -33,7 +33,7 @@ Assessment = Literal["good", "caution", "bad", "plain"]
 WorkshopDetail = Literal["turn", "plan", "none"]
 """View of the hall in a section: `turn` for interactive 3D, `plan` for a floor plan, `none` for no view."""
 MAX_UNFOLDED_ROWS = 30
-"""Number of rows above which a table on a page starts folded."""
+"""Number of rows of a table above which the page shows the table folded (only its title) until it is clicked."""
 MAX_PRINTED_ROWS = 120
 """Number of rows (three pages) above which a table is not printed on paper."""
 MAX_TERMINAL_ROWS = 8
@@ -46,7 +46,7 @@ MAX_TERMINAL_WIDTH = 160
 
 @dataclass(frozen=True)
 class ReportContext:
-    """Folder and recording of a result, and the view of the hall (`detail`) in its section.
+    """Data from which the section of a result is written: folder, recording, and view of the hall (`detail`).
 
     `is_brief` is True if another section of the page shows the residuals of the same recording.
     """
@@ -228,7 +228,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Document:
-    """Content of a page: sections, and the title, headline, summary and next actions at its head.
+    """Content of a page: sections, and the title, headline, summary and next actions at the head of the page.
 
     `header_lines` and `versions` are pairs of name and text.
     """

@@ -31,23 +31,23 @@ COVARIATE_UNITS = {"azimuth": "°", "elevation": "°", "distance": "m", "time": 
 
 @dataclass(frozen=True)
 class Residuals:
-    """Residuals (n,), observed minus adjusted reading, with the station, target and covariates of each reading."""
+    """Residuals (observed minus adjusted reading) of n readings, with station, target and covariates of each."""
 
     data_row: Ints
-    """Number of the data row in the recording, counted from 1, (n,)."""
+    """Number (n,), from 1, of the row of each of n readings in the table of the recording."""
     station: NameArray
     target: NameArray
-    """Names of station and target, (n,) each."""
+    """Names of the targets of n readings, (n,); `station` are the names of their stations."""
     observable: Ints
-    """Index into `OBSERVABLES`, (n,)."""
+    """Index (n,) into `OBSERVABLES` of the observable of each of n readings."""
     residual: Floats
-    """Residual, (n,), in um for a distance and in arcsec for an angle."""
+    """Residuals (n,) of n readings, in um for a distance and in arcsec for an angle."""
     normalised_residual: Floats
-    """Normalised residual, (n,); standard normal if the model is correct."""
+    """Residuals (n,) of n readings divided by their standard deviations; standard normal if the model is correct."""
     redundancy: Floats
-    """Redundancy of each reading, (n,), from 0 (not checked by other readings) to 1."""
+    """Redundancy number (n,) of each of n readings, from 0 (not checked by other readings) to 1."""
     covariates: Mapping[str, Floats] = field(default_factory=dict)
-    """Covariates by name, (n,) each, in the units of `COVARIATE_UNITS`."""
+    """Covariates of n readings by name, (n,) each, in the units of `COVARIATE_UNITS`."""
 
     def __len__(self) -> int:
         return len(self.data_row)
@@ -58,7 +58,7 @@ class Residuals:
         return list(dict.fromkeys(self.station.tolist()))
 
     def is_of_observable(self, observable: str) -> Bools:
-        """Mask (n,), True for the readings of an observable."""
+        """Mask (n,) of n readings, True for those of an observable."""
         return self.observable == OBSERVABLES.index(observable)
 
     @property
@@ -68,12 +68,15 @@ class Residuals:
 
     @property
     def sigma(self) -> Floats:
-        """Standard deviations (n,) of the readings, as implied by residual, normalised residual and redundancy."""
+        """Standard deviations (n,) of n readings, computed from residual, normalised residual and redundancy."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.abs(self.residual / self.normalised_residual) / np.sqrt(self.redundancy))
 
     def is_at_places(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
-        """Mask (n,), True for readings from the given stations to the given targets; an empty sequence means all."""
+        """Mask (n,) of n readings, True for those from the given stations to the given targets.
+
+        An empty sequence means all stations or all targets.
+        """
         mask = np.ones(len(self), dtype=np.bool_)
         for names, column in ((stations, self.station), (targets, self.target)):
             if names:
@@ -141,7 +144,7 @@ class Residuals:
             return replace(self, normalised_residual=self.residual / (sigma * np.sqrt(self.redundancy)))
 
     def _indices_in(self, reference: Residuals) -> Ints:
-        """Index (n,) in `reference` of the same reading (same data row and observable); -1 if it is missing there."""
+        """Index (n,) in `reference` of each of n readings (same data row and observable); -1 if it is missing there."""
         row_by_key = {
             key: i for i, key in enumerate(zip(reference.data_row.tolist(), reference.observable.tolist(), strict=True))
         }
@@ -150,7 +153,7 @@ class Residuals:
 
 
 def _geometric_covariates(adjustment: Adjustment, rows: Ints) -> dict[str, Floats]:
-    """Covariates (n,) by name, of the pointings `rows` (n,), in the units of `COVARIATE_UNITS`."""
+    """Covariates (n,) by name, of n readings in the pointings `rows` (n,), in the units of `COVARIATE_UNITS`."""
     sightings, has_clock = adjustment.sightings, adjustment.recording.has_clock
     covariates = {
         "azimuth": sightings.azimuth[rows] / DEGREE,

@@ -219,19 +219,19 @@ def _draw_shadow_cones(plotter: pv.Plotter, workshop: WorkshopScene, legend_line
 
 
 def _polygon_mesh(corners: Floats) -> pv.PolyData:
-    """Flat convex face with corners (k, 3)."""
+    """Mesh of a flat convex polygon with k corners (k, 3)."""
     return pv.PolyData(corners, faces=[len(corners), *range(len(corners))])
 
 
 def _cylinder_mesh(begin: Floats, end: Floats, radius: float) -> pv.PolyData:
-    """Cylinder between two points (3,)."""
+    """Mesh of a cylinder of this radius [m] around the line between two points `begin` and `end` (3,) [m]."""
     axis = end - begin
     height = float(np.linalg.norm(axis))
     return pv.Cylinder(center=0.5 * (begin + end), direction=axis, radius=radius, height=height, resolution=12)
 
 
 def ellipsoid_mesh(centres: Floats, axes: Floats) -> pv.PolyData:
-    """Mesh of k ellipsoids around centres (k, 3); the columns of each matrix in `axes` (k, 3, 3) are the semi-axes."""
+    """Mesh of k ellipsoids with centres (k, 3); the columns of each matrix in `axes` (k, 3, 3) are the semi-axes."""
     n_ellipsoids = len(centres)
     facets = (18, 12) if n_ellipsoids <= MAX_FINE_SPHERES else (8, 6) if n_ellipsoids <= MAX_MEDIUM_SPHERES else (6, 4)
     unit = pv.Sphere(radius=1.0, theta_resolution=facets[0], phi_resolution=facets[1])
@@ -362,7 +362,7 @@ def _draw_names(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list
 
 
 def _facing_axes(direction: Floats) -> Floats:
-    """Unit vectors (3, 3) of a plane perpendicular to a direction (3,): right, up, and the direction itself."""
+    """Unit vectors (3, 3) to the right, upwards, and along `direction` (3,), of a plane perpendicular to it."""
     outwards = direction / np.linalg.norm(direction)
     right_axis = np.cross([0.0, 0.0, 1.0] if abs(outwards[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], outwards)
     right_axis /= np.linalg.norm(right_axis)

@@ -32,6 +32,7 @@ GREY = "#8A8F94"
 PALE_GREY = "#E8ECEF"
 INK_COLOUR = "#22272B"
 COLOUR_CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, "#666666", INK_COLOUR)
+"""Colours of successive lines of a figure."""
 MARKERS = "osD^vP*X"
 """Markers, which distinguish lines in grey prints."""
 COLOUR_BEFORE = GREY
@@ -88,6 +89,7 @@ _MATPLOTLIB_SETTINGS: dict[Any, Any] = {
     "savefig.dpi": 120,
     "savefig.transparent": True,
 }
+"""Settings of matplotlib for all figures."""
 DrawParameters = ParamSpec("DrawParameters")
 
 
@@ -167,7 +169,7 @@ def set_grid(ax: Axes, *, grid_axis: str = "y") -> None:
 
 
 def set_category_rows(ax: Axes, names: Sequence[str], *, font_size: float = 8.0) -> Floats:
-    """Set the names of rows on the y axis, the first on top; returns the positions (n,) of the rows."""
+    """Set the names of rows on the y axis, the first on top; returns the positions (n,) of the n rows."""
     places = np.arange(len(names), dtype=np.float64)
     ax.set_yticks(places, [shortened_name(name) for name in names], fontsize=font_size)
     ax.set_ylim(len(names) - 0.4, -0.6)
@@ -177,7 +179,7 @@ def set_category_rows(ax: Axes, names: Sequence[str], *, font_size: float = 8.0)
 
 
 def write_at_right(ax: Axes, positions: Floats, texts: Sequence[str]) -> None:
-    """Write a text at the right end of each row, at `positions` (n,) on the y axis."""
+    """Write a text at the right end of each of n rows, at `positions` (n,) on the y axis."""
     right_axis = ax.secondary_yaxis("right")
     right_axis.set_yticks(positions, [typographic_text(text) for text in texts], fontsize=8)
     right_axis.tick_params(length=0)

@@ -33,10 +33,8 @@ If all of them are higher, the floor is drawn at the lowest target. The limit is
 tripod.
 """
 MIN_WALL_NORMAL_COMPONENT = 0.25
-"""Threshold of the component of a nest's unit normal perpendicular to a wall, above which the nest belongs to the wall.
-
-Dimensionless, a choice for drawing: normals up to 75 degrees from the perpendicular are accepted.
-"""
+"""Component of a nest's unit normal perpendicular to a wall, above which the nest can belong to the wall: the normal is
+at most 75 degrees from the perpendicular. The value is a choice for drawing."""
 MAX_WALL_DEPTH_DIFFERENCE = 0.2
 """Largest distance [m] of a nest from the rearmost target at which the nest belongs to the wall behind that target."""
 FLOOR_MARGIN = 0.4
@@ -45,9 +43,9 @@ FLOOR_MARGIN = 0.4
 
 @dataclass(frozen=True)
 class DrawnSights:
-    """Lines of sight to draw: index of station and target, and the value (n,) that determines the colour.
+    """Lines of sight to draw: index (n,) of the station, index (n,) of the target, and value (n,) of each of n lines.
 
-    `label` is name and unit of the value.
+    The value determines the colour; `label` is its name with the unit.
     """
 
     station: Ints
@@ -65,44 +63,44 @@ class WorkshopScene(ValueEquality):
     station_positions: Floats
     """Positions of the S stations, (S, 3) [m]."""
     station_rotations: Floats
-    """Rotation matrix from the instrument frame to this frame of each station, (S, 3, 3)."""
+    """Rotation matrices (S, 3, 3) from the instrument frame of each of S stations to the frame of the scene."""
     targets: tuple[str, ...]
     target_points: Floats
     nest_normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     """Unit normals of the nests of the T targets, (T, 3); NaN for a reflector that is turned to each station."""
     floor_corners: Floats = field(default_factory=lambda: np.zeros((0, 2)))
-    """Corners of the floor, (k, 2) [m]."""
+    """Coordinates x, y (k, 2) [m] of the k corners of the floor."""
     floor_height: float = 0.0
     wall_corners: Floats = field(default_factory=lambda: np.zeros((0, 4, 3)))
-    """Corners of the W walls, (W, 4, 3) [m]."""
+    """Coordinates (W, 4, 3) [m] of the four corners of each of W walls."""
     gauge_pairs: tuple[tuple[int, int], ...] = ()
     """Pairs of targets with a reference length."""
     elevation_min: float = -55.0 * DEGREE
     sights: DrawnSights | None = None
     target_covariances: Floats | None = None
-    """Covariance of each target, (T, 3, 3) [m^2]; None if unknown."""
+    """Covariance (T, 3, 3) [m^2] of each of T targets; None if unknown."""
     target_corrections: Floats | None = None
-    """Change of the targets by a calibration or a finding, (T, 3) [m]; None if unknown."""
+    """Change (T, 3) [m] of each of T targets by a calibration or a finding; None if unknown."""
     obstacle_triangles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    """Corners of the k triangles of obstacles, (k, 3, 3) [m]."""
+    """Corners (k, 3, 3) [m] of the k triangles of obstacles."""
     blocked_sights: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
-    """Index of station and target of each line of sight that an obstacle blocks, (k, 2)."""
+    """Index of station and target of each of k lines of sight that an obstacle blocks, (k, 2)."""
     notes: tuple[str, ...] = ()
     """Notes for the reader, such as an assumed floor."""
 
     @property
     def station_yaws(self) -> Floats:
-        """Direction of azimuth zero of each station, (S,) [rad]."""
+        """Direction (S,) [rad] of azimuth zero at each of S stations, counter-clockwise from x."""
         return np.arctan2(self.station_rotations[:, 1, 0], self.station_rotations[:, 0, 0])
 
     @property
     def cone_openings(self) -> tuple[float, ...]:
-        """Full angles [rad] of the shadow cones to draw: from the elevation limit, and one of the paper."""
+        """Full angles [rad] of the shadow cones: that of the elevation limit, and `ALTERNATIVE_CONE_OPENING`."""
         limit = shadow_cone_opening(self.elevation_min)
         return (limit,) if abs(limit - ALTERNATIVE_CONE_OPENING) < 1e-9 else (limit, ALTERNATIVE_CONE_OPENING)
 
     def shadow_radius(self, opening: float) -> Floats:
-        """Radius (S,) [m] of the shadow cone of each station on the floor, for its full angle `opening` [rad]."""
+        """Radius (S,) [m] of the shadow cone of each of S stations on the floor, for the full angle `opening` [rad]."""
         return shadow_radii(self.station_positions, self.floor_height, opening)
 
     @property
@@ -166,7 +164,10 @@ def workshop_from_adjustment(
 
 
 def workshop_from_recording(recording: Recording) -> WorkshopScene:
-    """Workshop of a recording adjusted with the instrument's parameters; arrows show how these move the targets."""
+    """Workshop of a recording adjusted with the instrument's parameters.
+
+    Arrows show the change of the targets by the estimation of these parameters.
+    """
     ideal_adjustment = adjust(recording)
     ideal_adjustment.solution.require_success()
     adjustment_with_errors = adjust(recording, declared_construction(recording))
@@ -223,7 +224,7 @@ def _normals_of_nests(setup: Setup, targets: tuple[str, ...]) -> Floats:
 
 
 def _is_reaimed(setup: Setup, targets: tuple[str, ...]) -> Bools:
-    """Mask (T,) of reflectors that are turned towards the station before each pointing (incidence angle zero)."""
+    """Mask (T,) of T targets: True for reflectors that are turned towards the station before each pointing."""
     return np.array([t not in setup.targets or setup.targets[t].reaimed for t in targets], dtype=bool)
 
 
@@ -244,7 +245,7 @@ def _find_wall_planes(points: Floats, nest_normals: Floats) -> list[tuple[int, f
 
 
 def _floor_rectangle(positions: Floats, wall_planes: list[tuple[int, float, float]]) -> Floats:
-    """Corners (4, 2) [m] of the axis-parallel rectangle around positions (n, 2), with a margin where no wall is."""
+    """Corners (4, 2) [m] of the axis-parallel rectangle around n positions (n, 2), with a margin where no wall is."""
     (x0, y0), (x1, y1) = positions.min(axis=0) - FLOOR_MARGIN, positions.max(axis=0) + FLOOR_MARGIN
     wall_by_direction = {(0, 1.0): x0, (0, -1.0): x1, (1, 1.0): y0, (1, -1.0): y1}
     wall_by_direction |= {(axis, side): place for axis, side, place in wall_planes}

@@ -12,7 +12,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.physics.effects.range_cyclic import RangeCyclic
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
-from ltsim.planning.information import CriteriaPredictor, LayoutInformation, expected_length
+from ltsim.planning.information import CriteriaPredictor, LayoutInformation, expected_vector_length
 from tests.planning.fixtures import survey
 
 TRIALS = 60
@@ -22,7 +22,7 @@ def test_expected_length_of_a_normal_vector() -> None:
     """Half-normal on a line, Rayleigh in a plane, Maxwell in space."""
     variances = np.array([[4.0, 0, 0], [4.0, 4.0, 0], [4.0, 4.0, 4.0]])
     exact = 2.0 * np.sqrt([2 / np.pi, np.pi / 2, 8 / np.pi])
-    assert expected_length(variances) == pytest.approx(exact, rel=1e-6)
+    assert expected_vector_length(variances) == pytest.approx(exact, rel=1e-6)
 
 
 @pytest.mark.long

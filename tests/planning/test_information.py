@@ -16,7 +16,8 @@ from ltsim.physics.effects.range_offset import RangeOffset
 from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.planning.information import CriteriaPredictor, LayoutInformation
-from ltsim.planning.layout_scorer import LayoutScorer, NormalBlocks
+from ltsim.planning.layout_scorer import LayoutScorer
+from ltsim.planning.normal_blocks import NormalBlocks
 from ltsim.planning.objective import mean_detectable_size
 from ltsim.planning.search_inputs import planned_survey
 from ltsim.recordings.setup import Station

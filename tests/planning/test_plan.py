@@ -20,7 +20,7 @@ from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan, plan_names, plan_text
 from ltsim.planning.plan_search import SearchCallbacks, make_plan
 from ltsim.planning.planner import PlannedNetwork
-from ltsim.planning.reasons import equally_good_with_fewest_stations
+from ltsim.planning.reasons import fewest_stations_not_worse_than_scenario
 from ltsim.planning.result import Plan, scenario_of_plan, write_plan
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.search_inputs import planned_survey
@@ -117,7 +117,7 @@ def test_the_curve_knows_cost_and_quality(plan: PlannedNetwork) -> None:
     assert ways == {(n, r) for n in (3, 4) for r in (1, 2)}
     one = next(o for o in plan.tradeoff_points if len(o.survey.station_positions) == 3 and o.survey.repeats == 1)
     assert one.survey.duration == 3 * (20 * 60 + 28 * 15)
-    few = equally_good_with_fewest_stations(plan)
+    few = fewest_stations_not_worse_than_scenario(plan)
     assert few is not None
     assert len(few.survey.station_positions) <= 4
 

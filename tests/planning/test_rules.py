@@ -15,7 +15,7 @@ from ltsim.core.errors import SetupError
 from ltsim.planning.planner import evaluate_plan
 from ltsim.planning.result import Plan, load_plan_and_scenario
 from ltsim.planning.search import LayoutSearcher
-from ltsim.planning.search_inputs import unsearched_plan
+from ltsim.planning.search_inputs import plan_without_search
 from ltsim.planning.tolerances import (
     PointTolerances,
     ToleranceCheck,
@@ -86,7 +86,7 @@ def test_a_place_that_breaks_a_rule_is_refused_by_name(
     moves = [f"--move={name}={','.join(map(str, place))}" for name, place in (("S1", first), ("S2", second))]
     assert run(["plan", str(hall), *moves]) == 2
     assert f"--move: {rule}" in capsys.readouterr().err
-    file, site = unsearched_plan(*load_plan_and_scenario(hall))
+    file, site = plan_without_search(*load_plan_and_scenario(hall))
     position = site.survey.station_positions.copy()
     for s, place in enumerate((first, second)):
         position[s, : len(place)] = np.array(place) / 1000
@@ -104,7 +104,7 @@ def test_two_tripods_in_one_place_are_never_reached(hall: Path) -> None:
     hall.write_text(PLAN.replace("[stations]", "[stations]\nspacing_mm = 1"))
     with pytest.raises(SetupError, match=r"^move: S1 and S2 are 0.00 m apart, closer than 0.001 m"):
         lt.plan(hall, move={"S1": (2500, 2000), "S2": (2500, 2000)})
-    file, site = unsearched_plan(*load_plan_and_scenario(hall))
+    file, site = plan_without_search(*load_plan_and_scenario(hall))
     together = np.tile(site.survey.station_positions[:1], (2, 1))
     survey = site.survey.replace(station_positions=together, is_visible=site.is_visible(together))
     network = evaluate_plan(file, load_plan_and_scenario(hall)[1], survey)
@@ -113,7 +113,7 @@ def test_two_tripods_in_one_place_are_never_reached(hall: Path) -> None:
 
 
 def test_the_rules_of_the_search_are_those_that_are_named(hall: Path) -> None:
-    _, site = unsearched_plan(*load_plan_and_scenario(hall))
+    _, site = plan_without_search(*load_plan_and_scenario(hall))
     rng, searcher = np.random.default_rng(3), LayoutSearcher(site, grid_step=1.5)
     visible = set()
     for _ in range(40):

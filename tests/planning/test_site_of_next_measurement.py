@@ -11,7 +11,7 @@ import pytest
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import SetupError
-from ltsim.planning.proposals import NextMeasurement, ProposalEntry
+from ltsim.planning.proposals import MeasurementProposalEntry, NextMeasurement
 from ltsim.planning.result import load_plan_and_scenario
 from ltsim.recordings import Recording
 
@@ -55,7 +55,7 @@ def measured(hall: Path) -> Recording:
     return lt.simulate(load_plan_and_scenario(hall)[1], seed=1).recording
 
 
-def stations_of(found: NextMeasurement) -> list[ProposalEntry]:
+def stations_of(found: NextMeasurement) -> list[MeasurementProposalEntry]:
     return [proposal for proposal in found.proposals if proposal.kind == "station"]
 
 

@@ -19,6 +19,7 @@ from ltsim.recordings.files import SourceLocation, quoted_text
 from ltsim.recordings.setup import Axes, Instrument, Noise
 
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
+"""Size of the unit cc, 1e-4 gon [rad]."""
 FIXED_SIGMA_M = 1e-7
 """Standard deviation [m] that is used for a coordinate declared as fixed."""
 FIXED_AXES: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
@@ -98,7 +99,7 @@ class DeclaredPoint:
     declared_point: Floats
     """Declared coordinates, known or approximate, (3,) [m]."""
     information: Floats = field(default_factory=lambda: np.zeros((3, 3)))
-    """Inverse covariance (3, 3) [1 / m^2] of the observed coordinates; 0 along axes without an observation."""
+    """Inverse covariance (3, 3) [1 / m^2] of the observed coordinates x, y, z; 0 along axes without an observation."""
     weighted_point: Floats = field(default_factory=lambda: np.zeros(3))
     """Product (3,) [1 / m] of `information` and the observed coordinates, for the weighted mean."""
 

@@ -61,6 +61,7 @@ KEYWORDS_WITHOUT_OBSERVATIONS = (
     *("TITR", "OLOC", "HIST", "PREC", "PUNC", "FAUT", "JSON", "APRI", "DEFA", "FMTP", "NODUP", "SOBS", "EREL"),
     *("COVAR", "CONSI", "LM", "TOL", "NOSPC", "PRES", "CHABA", "INSTR", "POLAR", "PDOR", "TSTN", "V0", "END"),
 )
+"""Keywords of sections that contain no observations and are skipped without a note."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +189,8 @@ def _begin_setup(line_words: LineWords, file: _LgcContent) -> None:
 def _begin_direction_set(line_words: LineWords, file: _LgcContent) -> None:
     """Start of a set of directions (``*V0``), all with the same orientation of the circle.
 
-    The first set after ``*TSTN`` belongs to that set-up; each further set adds another set-up over the same point.
+    The first set after ``*TSTN`` belongs to the set-up that this line declares; each further set adds another set-up
+    over the same point.
     """
     if not file.setups:
         raise line_words.location.error("*V0 has no set-up (*TSTN) before it")

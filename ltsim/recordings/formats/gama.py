@@ -48,18 +48,23 @@ MIRRORED_AXES = ("ne", "sw", "es", "wn")
 UNMIRRORED_AXES = ("en", "nw", "se", "ws")
 """Directions of x and y that form a right-handed frame."""
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
+"""Size of the unit cc, 1e-4 gon [rad]."""
 STDEV_ATTRIBUTE_PREFIXES = {"z-angle": "zenith-angle", "s-distance": "distance"} | {
     k: k for k in ("direction", "azimuth", "distance")
 }
-"""Kind in the attribute of the default standard deviation (``KIND-stdev``), by XML element of an observation."""
+"""Beginning of the name of the attribute with the default standard deviation (``direction`` of ``direction-stdev``), by
+the XML element of an observation."""
 NAME_ATTRIBUTES = ("id", "from", "to", "bs", "fs")
 """Attributes of elements that name a point."""
 SigmaAndSharedErrors = tuple[float, dict[str, float]]
 """Standard deviation of the independent error of an observation (NaN for the default of the file), and change of the
 observation by one standard deviation of each shared error, by name of the error [mm, cc]."""
 CORRELATIONS_NOTE = "correlations between observed coordinates of different points are not used"
+"""Note to the user on correlations in ``<coordinates>``."""
 OMITTED_CORRELATIONS_NOTE = "correlations between height differences, or between vectors, are not used"
+"""Note to the user on correlations in ``<height-differences>`` and ``<vectors>``."""
 _SEXAGESIMAL_ANGLE_PATTERN = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
+"""Pattern of an angle as degrees-minutes-seconds."""
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
@@ -128,6 +133,7 @@ def _read_axes(node: XmlNode, network: GamaNetwork) -> None:
 
 
 def _read_parameters(node: XmlNode, network: GamaNetwork) -> None:
+    """Addition of the element ``<parameters>`` to `network`: its a-priori sigma, and notes on unused parameters."""
     network.apriori_sigma = node.number("sigma-apr", network.apriori_sigma)
     if "sigma-apr" in node:
         apriori_sigma = quoted_text(node.get("sigma-apr"))

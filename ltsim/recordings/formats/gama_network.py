@@ -70,7 +70,7 @@ class GamaNetwork:
     """Names of the set-ups with azimuths, whose horizontal circle reads 0 to the north."""
     observations: list[SingleObservation] = field(default_factory=list)
     apriori_sigma: float = 10.0
-    """A-priori standard deviation [mm, cc] of unit weight."""
+    """A-priori standard deviation [mm, cc] of an observation with the weight 1."""
     differences: list[ReferenceDifference] = field(default_factory=list)
     skipped_counts: Counter[str] = field(default_factory=Counter)
     n_shared_errors: int = 0
@@ -158,17 +158,17 @@ def with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[Refe
 
 
 MAX_CORRELATED_OBSERVATIONS = 500
-"""Largest number of correlated observations of a file that is read: each shared error is an unknown of the adjustment.
-"""
+"""Largest permitted number of correlated observations of a file; with more the file is refused, because each shared
+error is an unknown of the adjustment."""
 MAX_ZERO_CORRELATION_EIGENVALUE = 1e-6
-"""Eigenvalue of a correlation matrix below which it counts as zero, so that the matrix is refused.
+"""Eigenvalue of a correlation matrix of observations below which it counts as zero: the matrix is singular and refused.
 
 It is also the relative difference below which two eigenvalues count as equal.
 """
 
 
 def covariance_entries(node: XmlNode) -> tuple[Ints, Ints, Floats]:
-    """Row index (k,), column index (k,) and value (k,) [mm^2, cc^2] of each entry in the upper band of a covariance.
+    """Row index (k,), column index (k,), value (k,) [mm^2, cc^2] of the k entries in the upper band of a covariance.
 
     The covariance is the <cov-mat> inside the element `node`; the arrays are empty if there is none.
     """

@@ -25,7 +25,9 @@ from ltsim.recordings.pointings import NOT_MEASURED
 from ltsim.recordings.recording import Recording
 
 _WORD_PATTERN = re.compile(r"(\d\d)(.{4})([+-])(.{16}|.{8})", re.ASCII)
+"""Pattern of a word: index, information, sign, 16 or 8 characters of data."""
 _PPM_PATTERN = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
+"""Pattern of the word with scale correction and prism constant (51)."""
 GSI_LENGTH_FACTORS = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
 """Factor from the data of a word to m, by the unit code (last character of the word's information)."""
 GSI_ANGLE_FACTORS = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
@@ -177,8 +179,9 @@ class _BlockFacts:
 
         It is the code of the first block with a name and a height, or of the first with a name; other codes describe
         points. If blocks with coordinates of stations name the set-ups, all codes describe points. `is_line_broken` is
-        True if the last line of the file ends with a line break. Raises RecordError, which names `path`, if it does not
-        and has other words than the line before, and for the file of a level.
+        True if the last line of the file ends with a line break. Raises RecordError, which names `path`, for the file
+        of a level, and for an incomplete last line: one without a line break whose words differ from those of the line
+        before.
         """
         if self.last_block is not None and not is_line_broken and self.last_block.words.keys() != self.keys_before_last:
             raise self.last_block.location.error("the last line has no line break and is incomplete")

@@ -29,11 +29,13 @@ SETTING_WORDS = {
 SETTING_WORDS["length"] = get_args(LengthUnit)
 """Permitted words of each convention that a comment can declare."""
 _SETTING_PATTERN = re.compile(r"#\s*(units|azimuth|vertical)\s*:\s*([\w-]+)(?:\s+(\w+))?\s*", re.IGNORECASE | re.ASCII)
+"""Pattern of a comment that declares units, the sense of the azimuth, or the kind of vertical angle."""
 _POLAR_PATTERN = re.compile(r"^#.*(polar|spherical|azimuth)", re.IGNORECASE | re.MULTILINE)
+"""Pattern of a comment on polar data, by which the format is recognised."""
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
-    """True if each of the first lines has two names and three numbers, or, after a comment on polar data, one name."""
+    """True if each of the first lines has two names (or, after a comment on polar data, one name) and three numbers."""
     data_rows = [row.fields for row in head_rows(file_beginning) if not row.is_comment]
     sample = data_rows[: max(1, min(6, len(data_rows) - 1))]
     field_counts = (4, 5) if _POLAR_PATTERN.search(file_beginning) else (5,)

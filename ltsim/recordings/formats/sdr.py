@@ -21,6 +21,7 @@ from ltsim.recordings.pointings import NOT_MEASURED
 from ltsim.recordings.recording import Recording
 
 _HEADER_PATTERN = re.compile(r"00NMSDR(20|33)", re.ASCII)
+"""Pattern of the beginning of a header record; group 1 is the version of the format."""
 FIELD_WIDTHS = {"20": (4, 10), "33": (16, 16)}
 """Number of characters of a name and of a number, by version of the format (SDR20 or SDR33)."""
 SDR_ANGLE_FACTORS = {"1": DEGREE, "2": GON, "4": 2 * np.pi / 6400}
@@ -37,7 +38,7 @@ OBSERVATION_RECORDS = ("09F1", "09F2")
 
 @dataclass(frozen=True)
 class _Dialect:
-    """Dialect of a file: widths of names and numbers in characters, factors to rad and m, order of plan coordinates."""
+    """Dialect of an SDR file: characters of names and numbers, factors to rad and m, order of the plan coordinates."""
 
     name_width: int
     number_width: int

@@ -41,6 +41,7 @@ PERMITTED_UNITS = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UN
 RETAINED_COLUMNS = (*PERMITTED_UNITS, "datetime", "offset1", "offset2")
 """Columns in the table of a set-up that are read; others are ignored."""
 _HEADING_PATTERN = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.MULTILINE)
+"""Pattern of the heading of a table of observations."""
 
 
 @dataclass
@@ -270,12 +271,12 @@ def _new_names_by_group(name: str, groups: dict[str, list[tuple[str, Floats]]]) 
         else:
             near[1].append(group)
 
-    def weight(cluster: tuple[Floats, list[str]]) -> tuple[int, int]:
+    def n_stations_and_pointings(cluster: tuple[Floats, list[str]]) -> tuple[int, int]:
         stations = [station for group in cluster[1] for station, _ in groups[group]]
         return len({*stations}), len(stations)
 
-    clusters.sort(key=weight, reverse=True)
-    is_unique_best = len(clusters) == 1 or weight(clusters[0]) > weight(clusters[1])
+    clusters.sort(key=n_stations_and_pointings, reverse=True)
+    is_unique_best = len(clusters) == 1 or n_stations_and_pointings(clusters[0]) > n_stations_and_pointings(clusters[1])
     return {
         group: name if is_unique_best and i == 0 else f"{groups_at_place[0]}:{name}"
         for i, (_, groups_at_place) in enumerate(clusters)

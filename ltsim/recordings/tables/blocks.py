@@ -26,10 +26,10 @@ _HEIGHT_PATTERN = re.compile(r"(.*?)[\s:=;,]\s*(\d{1,5}(?:[.,]\d{1,6})?)\s*(mm|c
 
 
 @dataclass
-class TableBlock:
-    """Group of rows in a sheet below a line that names their station; the object is updated line by line.
+class StationContext:
+    """Station, and heights above survey marks, that apply to the next rows of a sheet.
 
-    It has the station, and the heights above survey marks, that apply to the next rows.
+    The object is updated by each line that names a station or gives a height.
     """
 
     station: str = ""

@@ -28,13 +28,19 @@ DAY = timedelta(days=1)
 MAX_VALUE_LENGTH = 60
 """Number of characters above which a cell is not tested as a number or an angle."""
 _DEGREES_PATTERN = r"°|º|˚|\^|\*|deg|d"
+"""Pattern of a symbol of degrees."""
 _MINUTES_PATTERN = r"'|′|’|‘|´|`|ʹ|min|m"
+"""Pattern of a symbol of minutes of arc."""
 _SECONDS_PATTERN = rf"\"|″|”|“|ʺ|(?:{_MINUTES_PATTERN})(?:{_MINUTES_PATTERN})|sec|s"
+"""Pattern of a symbol of seconds of arc."""
 _ANGLE_SEPARATOR_PATTERN = r":|-|\s"
+"""Pattern of a separator of degrees, minutes and seconds without symbols."""
 _SEXAGESIMAL_PART_PATTERN = r"\d{1,2}(?:[.,]\d+)?"
+"""Pattern of a number of minutes or seconds."""
 _SEXAGESIMAL_PATTERN = re.compile(
     rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN}|{_ANGLE_SEPARATOR_PATTERN})\s*(\d{{1,2}})\s*(?:{_MINUTES_PATTERN}|{_ANGLE_SEPARATOR_PATTERN})\s*({_SEXAGESIMAL_PART_PATTERN})\s*(?:{_SECONDS_PATTERN})?"
 )
+"""Pattern of degrees, minutes and seconds, with symbols or separators."""
 _DEGREES_AND_MINUTES_PATTERN = re.compile(
     rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES_PATTERN})\s*({_SEXAGESIMAL_PART_PATTERN})\s*(?:{_MINUTES_PATTERN})()"
 )
@@ -52,10 +58,13 @@ UNIT_BY_SYMBOL = {
 _NUMBER_WITH_UNIT_PATTERN = re.compile(
     rf"([+-]?\d[\d.,]*)\s*({'|'.join(sorted(UNIT_BY_SYMBOL, key=len, reverse=True))})", re.IGNORECASE
 )
+"""Pattern of a number followed by one of `UNIT_BY_SYMBOL`."""
 _PACKED_PATTERN = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
+"""Pattern of degrees whose decimals are minutes and seconds."""
 _DIGIT_CHARACTERS = re.compile(r"[0-9.+eE-]*")
 """Pattern of texts with only the characters of decimal numbers."""
 _CLOCK_PATTERN = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
+"""Pattern of a time of day with colons, of 24 or 12 hours: ``8:00:20.5``, ``8:00 pm``."""
 _SPELLED_CLOCK_PATTERN = re.compile(
     r"(\d{1,2})\s*h\s*(\d{1,2})(?:\s*m(?:in)?\s*(\d{1,2})(?:[.,](\d{1,9}))?\s*s?)?()", re.I
 )
@@ -74,7 +83,9 @@ _MONTH_NAMES = (
     "nov november",
     "dec december dez dezember",
 )
+"""English and German names of each month from January on, separated by blanks."""
 _MONTH_BY_NAME = {name: str(number) for number, names in enumerate(_MONTH_NAMES, start=1) for name in names.split()}
+"""Number of a month, as text, by each of its names."""
 _MONTH_NAME_PATTERN = re.compile(r"(\d{1,2})[.\s-]*([^\W\d_]+)[.,\s-]+(\d{4})|([^\W\d_]+)\.?\s+(\d{1,2}),?\s+(\d{4})")
 """Pattern of a date with the name of its month: ``1-Mar-2026``, ``1. März 2026``, ``Mar 1, 2026``."""
 _COMPACT_STAMP_PATTERN = re.compile(
@@ -86,6 +97,7 @@ _DATE_ORDERS = ("ymd", "dmy", "mdy")
 _DATE_ORDERS_12_HOURS = ("ymd", "mdy", "dmy")
 """Orders of year, month and day, most likely first, for dates with a time of 12 hours (am, pm)."""
 _DATE_PATTERN = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})")
+"""Pattern of a date of three numbers with equal separators."""
 
 
 def python_number(text: str) -> str:
@@ -99,9 +111,11 @@ def python_number(text: str) -> str:
 
 
 _GROUPED_PATTERN = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:\{mark}\d{{3}})+", re.ASCII) for mark in ".,"}
+"""Pattern of a number with groups of three digits, by the mark (point or comma) between the groups."""
 _COMMA_AND_POINT_PATTERN = {
     mark: re.compile(_GROUPED_PATTERN[mark].pattern + rf"[{other}]\d+", re.ASCII) for mark, other in (".,", ",.")
 }
+"""Pattern of a number with comma and point, by the mark that separates its groups of three digits."""
 
 
 def thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object) -> str:
@@ -180,7 +194,7 @@ def parse_number(text: str, group_separator: str = "") -> Decimal | None:
 
 
 def plain_numbers(texts: Sequence[str]) -> Floats | None:
-    """Floating-point numbers (n,) of a column, NaN for an empty cell; None if a cell is no decimal number in ASCII."""
+    """Floating-point numbers (n,) of n cells, NaN for an empty one; None if a cell is no decimal number in ASCII."""
     joined_text = "".join(texts)
     if max(map(len, texts), default=0) > MAX_NUMBER_LENGTH or not _DIGIT_CHARACTERS.fullmatch(joined_text):
         return None
@@ -300,6 +314,7 @@ def _without_apostrophe(text: str) -> str:
 
 
 def _seconds_since_first(stamps: list[datetime], *, has_date: bool) -> tuple[list[float], str]:
+    """Time [s] of each stamp after the earliest one, and the earliest one in ISO format (with date if `has_date`)."""
     earliest = min(stamps)
     moment = earliest.isoformat() if has_date else earliest.time().isoformat()
     return [(stamp - earliest).total_seconds() for stamp in stamps], moment

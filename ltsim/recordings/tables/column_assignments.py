@@ -85,7 +85,10 @@ def _title_positions(fields: Sequence[str], title: str) -> tuple[int, ...] | Non
 
 
 def _title_position(fields: Sequence[str], title: str) -> int | None:
-    """Position of `title` among `fields`; None if they lack it. It may be without unit, or a column number from 1."""
+    """Position of `title` among `fields`; None if it is not among them.
+
+    The title may be given without its unit, or as the number of the column, from 1.
+    """
     for fold in (str.strip, lambda text: split_unit(text)[0].casefold()):
         folded_title = fold(title)
         for position, field in enumerate(fields):

@@ -32,6 +32,7 @@ CellsByColumn = Sequence[tuple[str, ...]]
 COLUMNS_TEMPLATE = (
     '--columns "station=HEADER,target=HEADER,azimuth=HEADER[deg],elevation=HEADER[deg],distance=HEADER[mm]"'
 )
+"""Option for a table without recognised titles, with HEADER in place of each title that the user enters."""
 
 
 def unrecognised_header_sentence(sheet: TableSheet, is_readable_with: Callable[[str], bool]) -> str:

@@ -20,14 +20,17 @@ from ltsim.recordings.tables.title_words import (
 )
 
 HORIZONTAL_ROLES = ("horizontal", "azimuth")
-"""Roles of columns with directions: readings of the horizontal circle, and azimuths."""
+"""Roles of columns with horizontal angles: `horizontal` for readings of a horizontal circle, `azimuth` for azimuths."""
 VERTICAL_ROLES = ("vertical", "zenith", "elevation")
-"""Roles of columns with vertical angles: of an undecided kind, zenith angles, and elevations."""
+"""Roles of columns with vertical angles: `vertical` if the title leaves the kind open, `zenith`, `elevation`."""
 DISTANCE_ROLES = ("distance", "flat")
 """Roles of columns with slope distances, and with horizontal distances."""
 COORDINATE_ROLES = ("x", "y", "z")
+"""Roles of columns with coordinates of a target."""
 READING_ROLES = (*HORIZONTAL_ROLES, *VERTICAL_ROLES, *DISTANCE_ROLES, *COORDINATE_ROLES)
+"""Roles of columns with readings, or with coordinates in place of readings."""
 HEIGHT_ROLES = ("instrument_height_mm", "target_height_mm")
+"""Roles of columns with heights above survey marks."""
 SIGMA_ROLES = {
     **dict.fromkeys(DISTANCE_ROLES, "sigma_distance_mm"),
     **dict.fromkeys(HORIZONTAL_ROLES, "sigma_azimuth_arcsec"),
@@ -60,26 +63,32 @@ UNITS_BY_ROLE = {
 }
 """Permitted units by the role of a column; a column whose title has another unit does not have this role."""
 _SETUP_TITLES = ("setup", "setupname", "setupid", "setupno", "setupnr", "setupnumber")
+"""Titles of columns with names or numbers of set-ups."""
 _OCCUPATION_TITLES = ("occupation", "occupationid", "aufstellung", "aufstellungnr", "aufstellungsnr", "besetzung")
+"""Titles of columns with numbers of the occupations of a survey mark by the instrument."""
 FALLBACK_TITLES = {
     "target": ("nr", "nummer", "no", "id"),
     "station": (*_SETUP_TITLES, *_OCCUPATION_TITLES),
 }
 """Titles, by role, that have this role only if no other title in the header has it."""
 FALLBACK_TITLE_ROLES = {"target": "", "station": "instrument_setup"}
-"""Role ('' for none) of a column with a title in `FALLBACK_TITLES` if another column has the usual role: in a table
-with a column of stations, a column of set-up numbers counts the occupations."""
+"""Role ('' for none) of a column with a title in `FALLBACK_TITLES` if another column already has the role there. For
+example, in a table with a column of stations, a column of set-up numbers counts the occupations."""
 MAX_TITLE_LENGTH = 80
 """Number of characters above which a cell is not tested as a title."""
 _BRACKET_PATTERN = re.compile(r"(.*?)\s*[\[({（【]\s*([^\])}）】]*?)\s*[\])}）】]?\s*")
+"""Pattern of a title with its unit in brackets."""
 _OTHER_SIGNS_PATTERN = re.compile(f"[^a-z0-9{EAST_ASIAN_LETTERS}]")
+"""Pattern of the characters that `normalised_title` removes from a title."""
 _FACE_NUMBER_PATTERN = re.compile(r"(.*?)[\s._-]*(?:(?:face|lage|f|l)[\s._-]*)?(1|2|ii|i)", re.IGNORECASE)
+"""Pattern of a title that ends with the number of a face."""
 _SIGMA_TITLE_PATTERN = (
     re.compile(r"(?:sigma|stddev|std|sd|s)([a-z]+)"),
     re.compile(r"([a-z]+?)(?:error|err|sigma|stddev|std|sd)"),
 )
+"""Patterns of titles of standard deviations; group 1 is the title of the quantity."""
 ANGLE_SYMBOLS = ("°", "'", '"')
-"""Symbols that are added to degrees, minutes and seconds from separate columns when these are joined."""
+"""Symbols of degrees, minutes and seconds, with which the cells of separate columns are joined to one angle."""
 ANGLE_PART_UNITS = ("min", "sec", "'", '"', "m", "s")
 """Units in titles of separate columns with the minutes or seconds of an angle."""
 ANGLE_PART_ROLE = "part"
@@ -92,8 +101,11 @@ _ANGLE_PART_PATTERNS = tuple(
         "s|sec|seconds?|sek|sekunden|\"|″|”|''",
     )
 )
+"""Patterns of titles of columns with degrees, minutes and seconds of an angle."""
 _VALUE_PATTERN = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
+"""Pattern of a title that ends with a word for a measured value."""
 _NUMBER_PATTERN = re.compile(rf"([a-z0-9]+?)(?:{'|'.join(NUMBER_TITLE_ENDINGS)})")
+"""Pattern of a title that ends with a word for a number or a name."""
 NUMBERED_ROLES = ("station", "round")
 """Roles of columns whose titles may end with a word for number or name, as in "station no". Titles of targets and
 instruments with such an ending are listed separately."""

@@ -11,7 +11,7 @@ from ltsim.recordings.tables.pointing_table import PointingTable, indices_by_val
 def with_heights_of_setups(table: PointingTable, covariates: dict[str, Floats]) -> tuple[dict[str, Floats], list[str]]:
     """Covariates in which each row has the instrument height of its set-up, and notes on empty cells of heights.
 
-    `covariates` (n,) are the additional columns of numbers by name. Tables often give the height of the instrument only
+    `covariates` (n,) are additional columns of n numbers by name. Tables often give the height of the instrument only
     in the first row of a set-up, because it is constant.
     """
     notes = []

@@ -73,6 +73,7 @@ COORDINATES_NOTE = (
     "coordinates in the axes of each set-up are converted to distance, azimuth and elevation; the declared noise "
     "is that of single readings in both faces"
 )
+"""Note to the user on a table of coordinates in place of readings."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ class ColumnInterpretation:
     notes: tuple[str, ...] = ()
 
     def readings(self, pointings: UnconvertedPointings) -> Floats:
-        """Raw ranges, azimuths and elevations (n, 3) [m, rad, rad], converted without rounding of decimal digits."""
+        """Raw ranges, azimuths and elevations (n, 3) [m, rad, rad] of n pointings, converted without rounding."""
         clockwise, zenith = self.azimuth == "clockwise", self.vertical == "zenith"
 
         def azimuth(reading: Any, units_per_degree: Any) -> Any:
@@ -129,7 +130,7 @@ class ColumnInterpretation:
 def interpret_readings(
     table: PointingTable, poses: Mapping[int, StationPoseArrays], hints: Hints, file: Path
 ) -> tuple[ColumnInterpretation, Floats]:
-    """Interpretation of the numbers in a table, and its raw readings (n, 3) [m, rad, rad].
+    """Interpretation of the numbers in a table of n pointings, and its raw readings (n, 3) [m, rad, rad].
 
     Rough `poses` of stations, by index of the station in the table, can decide the sense of the circle.
 
@@ -281,7 +282,7 @@ def _azimuth_sense(
 
 
 def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -> tuple[ColumnInterpretation, Floats]:
-    """Interpretation of a table of coordinates, and the corresponding readings (n, 3) [m, rad, rad] on face 1.
+    """Interpretation of a table of n measured points, and corresponding readings (n, 3) [m, rad, rad] on face 1.
 
     Raises RecordError if a coordinate is missing, or if the coordinates of several set-ups are in one frame.
     """
@@ -308,7 +309,7 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
 
 
 def _require_separate_frames(table: PointingTable, points: Floats, file: Path) -> None:
-    """Check that points (n, 3) [m] of several set-ups were not transformed into one frame; raises RecordError.
+    """Check that n points (n, 3) [m] of several set-ups were not transformed into one frame; raises RecordError.
 
     Coordinates in one frame contain no information on the network.
     """
@@ -327,7 +328,7 @@ def _require_separate_frames(table: PointingTable, points: Floats, file: Path) -
 
 
 def sigmas_from_coordinates(table: PointingTable, readings: Floats, length: str) -> dict[str, Floats]:
-    """Standard deviations (n,) of range, azimuth and elevation by column name, from those of x, y, z in a table.
+    """Standard deviations (n,) of n ranges, azimuths and elevations by column name, from those of x, y, z.
 
     `readings` (n, 3) are the corresponding readings [m, rad, rad]; `length` is the unit of columns that declare none.
     The result is empty if the table has no coordinates or no standard deviations.

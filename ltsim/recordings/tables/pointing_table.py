@@ -21,25 +21,24 @@ from ltsim.recordings.files import SourceLocation, quoted_text
 from ltsim.recordings.tables.header import COORDINATE_ROLES, READING_ROLES, TableColumn
 
 Digits = NDArray[np.bytes_]
-"""Numbers (n,) as texts of decimal digits in ASCII; an empty text for a missing number."""
+"""Array (n,) of n numbers as texts of decimal digits in ASCII; an empty text for a missing number."""
 ValueType = TypeVar("ValueType")
 MAX_EXACT_PRODUCT = 2**51
-"""Magnitude below which a product of floating-point numbers is rounded to the correct integer; for larger products
-Python's integers are used.
-"""
+"""Magnitude below which a product of floating-point numbers is rounded to the correct integer; larger products are
+computed with Python's integers."""
 MAX_ANGLE_SUM = 720.0
-"""Largest magnitude [deg] that a sum of angles can have in a conversion."""
+"""Largest magnitude [deg] of a sum of angles in a conversion, for which the exact integers must have enough digits."""
 ROWS_PER_BATCH = 8192
 """Number of rows that are converted at once, which limits the memory of intermediate results."""
 
 
 def to_digits(texts: Sequence[str]) -> Digits:
-    """Array (n,) of texts of decimal digits, from a sequence of such texts."""
+    """Array (n,) of n texts of decimal digits, from a sequence of such texts."""
     return np.array(texts, dtype=np.bytes_)
 
 
 def to_floats(digits: Digits) -> Floats:
-    """Floating-point numbers (n,) nearest to the numbers in `digits`; NaN for a missing number."""
+    """Floating-point numbers (n,) nearest to the n numbers in `digits`; NaN for a missing number."""
     numbers = np.full(len(digits), np.nan)
     filled = digits != b""
     numbers[filled] = digits[filled].astype(np.float64)
@@ -56,7 +55,7 @@ def to_decimals(digits: Digits) -> Iterator[Decimal | None]:
 def apply_exactly(
     digits: Digits, factor: Decimal, function: Callable[[Any, int], Any] = lambda products, unit: products
 ) -> Floats:
-    """Floating-point numbers (n,) nearest to the exact values of `function(digits * factor)`; NaN for a missing number.
+    """Floating-point numbers (n,) nearest to n exact values `function(digits * factor)`; NaN for a missing number.
 
     The arguments of `function` are the products as integers (n,), in units of their last digit, and the integer that
     represents 1.0.
@@ -72,7 +71,7 @@ def apply_exactly(
 
 
 def _scaled_integers(digits: Digits, n_decimals: int, multiplier: int, unit: int) -> NDArray[Any]:
-    """Integers (n,) 10^`n_decimals` times the numbers in `digits`, times `multiplier`.
+    """Integers (n,): the n numbers in `digits`, times 10^`n_decimals`, times `multiplier`.
 
     They are int64 if floating-point arithmetic is exact, otherwise Python integers. `unit` is the integer that
     represents 1.0 after the scaling.
@@ -86,7 +85,7 @@ def _scaled_integers(digits: Digits, n_decimals: int, multiplier: int, unit: int
 
 
 def decimal_places(digits: Digits) -> Ints:
-    """Number of decimals (n,) of each number; negative for a number such as 12e3 that ends before its decimal point."""
+    """Number of decimals (n,) of each of n numbers; negative for 12e3, which ends before the decimal point."""
     if np.any(np.char.find(digits, b"e") >= 0) or np.any(np.char.find(digits, b"E") >= 0):
         return np.array([-int(number.as_tuple().exponent) for number in to_decimals(digits) if number is not None])
     point = np.char.find(digits, b".")
@@ -124,7 +123,7 @@ class UnconvertedPointings:
         return SourceLocation(self.file[index], self.line[index])
 
     def name_indices(self, kind: Literal["station", "target"]) -> Ints:
-        """Index (n,) of the station or target of each pointing, in order of appearance.
+        """Index (n,) of the station or target of each of n pointings, in order of appearance.
 
         Raises RecordError for an invalid name, with its line.
         """
@@ -135,7 +134,7 @@ class UnconvertedPointings:
         return indices
 
     def digits_of_roles(self, roles: Sequence[str]) -> Digits:
-        """Digits (n,) of each row, from the column of the first of these roles in which the row has a number."""
+        """Digits (n,) of the number in each of n rows, from the first column with one of these roles that has one."""
         digits: Digits = np.zeros(len(self), dtype="S1")
         for role in roles:
             if role in self.digits_by_role:

@@ -34,14 +34,14 @@ from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPoi
 from ltsim.recordings.tables.rows import parse_header, read_pointing_table
 from ltsim.recordings.tables.setups import (
     common_target_names,
-    connecting_occupations,
-    heights_not_applied,
     marks_with_other_spelling,
+    occupation_columns,
     split_occupations,
+    unapplied_heights_notes,
     with_setups_over_marks,
 )
 from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, ZIP_SIGNATURE, head_rows, is_table_folder, read_sheets
-from ltsim.recordings.tables.station_names import require_station_names, several_positions_notes
+from ltsim.recordings.tables.station_names import ambiguous_target_name_notes, require_station_names
 from ltsim.recordings.tables.unnamed_targets import name_targets_by_position, name_unnamed_targets
 
 SETUP_FILE = "setup.toml"
@@ -85,7 +85,7 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     interpretation, readings = interpret_readings(table, poses, hints, path)
     table = name_targets_by_position(table, readings)
     require_station_names(table, readings, path)
-    table.notes += several_positions_notes(table, readings)
+    table.notes += ambiguous_target_name_notes(table, readings)
     if setup is not None:
         recording = assemble_recording(table, interpretation, readings, setup, hints, path)
         if not hints.incomplete_tail:
@@ -104,7 +104,7 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
 def assemble_recording(
     table: PointingTable, interpretation: ColumnInterpretation, readings: Floats, setup: Setup, hints: Hints, file: Path
 ) -> Recording:
-    """Recording from a table and its interpreted readings (n, 3) [m, rad, rad], in the order of the table.
+    """Recording from a table of n pointings and their readings (n, 3) [m, rad, rad], in the order of the table.
 
     `interpretation` has the units and conventions; `setup` is the prior knowledge that is completed from the table.
     """
@@ -123,13 +123,13 @@ def assemble_recording(
         setup = setup.model_copy(update={"started": start_moment})
     covariates, height_notes = with_heights_of_setups(table, covariates)
     height = np.stack([covariates.get(name, missing_values) for name in HEIGHT_COLUMNS], axis=1) * MILLIMETRE
-    unapplied = heights_not_applied(table, readings, height)
+    unapplied = unapplied_heights_notes(table, readings, height)
     if unapplied:
         height_notes = []
         covariates = {name: column for name, column in covariates.items() if name not in HEIGHT_COLUMNS}
         sigma_mm = setup.heads_sigma_mm or HEAD_HEIGHT_SIGMA_MM
         setup = setup.model_copy(update={"heads_sigma_mm": sigma_mm, "curved": True})
-        labels = _merged_labels(connecting_occupations(table), labels)
+        labels = _merged_labels(occupation_columns(table), labels)
     if time_notes and table.column(("date",)) is not None:  # a text where it is no clock
         labels["date"] = printed.date_and_time
     if "flat" in printed.digits_by_role:
@@ -165,7 +165,7 @@ def assemble_recording(
 
 
 def _merged_labels(default_labels: dict[str, list[str]], priority_labels: dict[str, list[str]]) -> dict[str, list[str]]:
-    """Labels of both mappings by column; in a column of both, an empty label of `priority_labels` has the default."""
+    """Labels of both mappings by column; in a common column `default_labels` replace the empty `priority_labels`."""
     merged_labels = {
         name: [upper or other for upper, other in zip(priority_labels[name], column, strict=True)]
         if name in priority_labels
@@ -190,7 +190,8 @@ def _read_setup(path: Path, hints: Hints) -> Setup | None:
 def _pointing_faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]]:
     """Face (1 or 2) of each pointing, and notes.
 
-    `readings` (n, 3) [m, rad, rad] are changed in place: those of face 2 that were reduced to face 1 become raw again.
+    `readings` (n, 3) [m, rad, rad] of n pointings are changed in place: face-2 readings that the file reduced to face 1
+    become raw readings again.
     """
     beyond_zenith = np.abs(readings[:, 2]) > np.pi / 2 + 1e-9
     faces = [face or int(b) + 1 for face, b in zip(table.pointings.face, beyond_zenith.tolist(), strict=True)]
@@ -251,7 +252,7 @@ def _unit_reason(role: str, unit: str, interpretation: ColumnInterpretation) -> 
 def _covariate_values(
     column: TableColumn, pointings: UnconvertedPointings, interpretation: ColumnInterpretation
 ) -> tuple[Floats, str] | None:
-    """Numbers (n,) of a column in the unit of its role, and unit of its cells; None for a column of texts.
+    """Numbers (n,) in n cells of a column in the unit of its role, and unit of the cells; None for texts.
 
     A number is NaN for an empty cell.
     """
@@ -291,11 +292,14 @@ def _unread_lines_notes(table: PointingTable) -> list[str]:
 
 
 MAX_TRACKER_RANGE_M = 160.0
-"""Range [m] above which a table is from a total station (longest range of trackers in data sheets: 80 to 160)."""
+"""Range [m] above which a table is taken as one of a total station: data sheets of trackers give ranges of 80 to 160 m.
+"""
 MIN_COARSE_DIGIT_M = 0.5e-4
-"""Value [m] of the last digit of ranges above which a table is from a total station; trackers report micrometres."""
+"""Smallest value [m] of the last digit of ranges at which a table is taken as one of a total station; trackers report
+micrometres."""
 MIN_DISPLAYED_DIGIT_M = 0.5e-9
-"""Value [m] of the last digit of ranges below which the digits come from a computation, not from an instrument."""
+"""Value [m] of the last digit of ranges below which the digits are taken as results of a computation, not of an
+instrument."""
 
 MIN_RANGES_FOR_RESOLUTION = 6
 """Number of ranges below which their last digits do not show the resolution of the instrument: fewer may all end in

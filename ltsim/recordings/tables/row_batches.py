@@ -22,7 +22,7 @@ from ltsim.recordings.tables.pointing_table import Digits, UnconvertedPointings,
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
 MAX_READING_MAGNITUDE = 10**9
-"""Magnitude of a reading, in any unit, from which it is refused."""
+"""Smallest magnitude of a reading, in any unit, that is refused."""
 
 
 @dataclass
@@ -125,7 +125,7 @@ class RowBatchReader:
         return [faces[text] or 0 for text in texts]
 
     def _numbers(self, texts: Sequence[str], column: TableColumn, lines: Sequence[int]) -> Digits:
-        """Decimal digits (n,) of the readings in a column, as texts; empty for a missing reading.
+        """Decimal digits (n,) of the readings in n cells of a column, as texts; empty for a missing reading.
 
         Cells with separators, units, or degrees with minutes and seconds are converted first. `lines` are the line
         numbers of the cells. Raises RecordError for a cell that is no number, and for cells in several units.

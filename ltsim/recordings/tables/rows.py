@@ -11,7 +11,7 @@ from ltsim.core.limits import MAX_TABLE_HEADERS
 from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import SourceLocation, is_number, quoted_text
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.blocks import TableBlock
+from ltsim.recordings.tables.blocks import StationContext
 from ltsim.recordings.tables.column_assignments import mapped_columns, parse_assignments
 from ltsim.recordings.tables.column_suggestions import unrecognised_header_sentence
 from ltsim.recordings.tables.header import (
@@ -114,7 +114,7 @@ class _SheetReader:
 
     def __init__(self, sheet: TableSheet, hints: Hints) -> None:
         self.sheet, self.hints = sheet, hints
-        self.block = TableBlock(sheet.station or hints.station or "")
+        self.block = StationContext(sheet.station or hints.station or "")
         self.table = PointingTable([])
         self.parts: list[UnconvertedPointings] = []
         self.header: list[TableColumn] = []
@@ -132,7 +132,10 @@ class _SheetReader:
         """Rows of pointings that are not converted yet."""
 
     def read(self, header_row: int) -> PointingTable:
-        """Pointings of the rows below the header in the row with index `header_row`; -1 for numbered columns."""
+        """Pointings of the rows below the header in the row with index `header_row`.
+
+        The index is -1 if the table has no header, so that columns are numbered.
+        """
         sheet_rows = self.sheet.rows
         for row in sheet_rows[: max(header_row, 0)]:
             self._process_other_line(row)
@@ -154,6 +157,7 @@ class _SheetReader:
         return self._read_rows(self.sheet.rows, reads_all=True)
 
     def _start_header(self, columns: list[TableColumn], row: int | None) -> None:
+        """Change of the current header to `columns`, those of a header in `row`; raises RecordError."""
         self.n_headers += 1
         if self.n_headers > MAX_TABLE_HEADERS:
             raise SourceLocation(self.sheet.file, row).error(

@@ -34,36 +34,41 @@ OCCUPATION_TEXT_BY_ROLE = (
 )
 """Role of each column that can distinguish occupations, by priority, and what a note calls it."""
 MIN_ROWS_OF_OCCUPATION = 3
-"""Number of rows with the same height of the instrument from which this height distinguishes an occupation."""
+"""Smallest number of rows with the same height of the instrument at which this height distinguishes an occupation; a
+height in fewer rows may be a mistake."""
 MIN_RECIPROCAL_LINES = 4
-"""Number of lines measured in both directions from which their misclosures decide on the use of heights."""
+"""Smallest number of lines measured in both directions whose misclosures decide whether heights above survey marks are
+applied."""
 MAX_CLOSURE_RATIO = 0.5
-"""Ratio of the misclosure of lines measured in both directions without heights above survey marks to that with them,
-below which the heights are not applied: correct heights would improve the misclosure."""
-MIN_CIRCLE_ROTATION = 1e-3
-"""Median difference [rad] between the directions of two rounds above which the circle was rotated."""
-MIN_ROTATION_SIGMAS = 6.0
-"""Median difference between the directions of two rounds, in their standard deviations, above which the circle was
-rotated.
+"""Limit of the misclosure of lines measured in both directions, computed without heights above survey marks and divided
+by that computed with them. Below it the heights are not applied, because correct heights would reduce the misclosure.
 """
+MIN_CIRCLE_ROTATION = 1e-3
+"""Median difference [rad] between the directions of two rounds to the same targets, above which the circle was rotated.
+"""
+MIN_ROTATION_SIGMAS = 6.0
+"""Median difference between the directions of two rounds to the same targets, in their standard deviations, above which
+the circle was rotated."""
 MAX_UNAPPLIED_CLOSURE_M = 0.2
-"""Median misclosure [m] of lines measured in both directions, without heights, above which heights are applied
-(curvature of the earth over 1.3 km)."""
+"""Median misclosure [m] in height of lines measured in both directions, computed without heights above survey marks,
+above which these heights are applied (0.2 m: curvature of the earth over 1.3 km)."""
 MAX_CLOSURE_M = 0.02
 """Median misclosure [m] of lines measured in both directions below which heads replace the targets on forced centring;
 above survey marks, the heights of heads and targets differ by decimetres.
 """
-_NAME_AFTER_STATION = re.compile(r"[\s._:/-]+(.+)")
-_NAME_BEFORE_STATION = re.compile(r"(.+?)[\s._:/-]+")
+_TARGET_NAME_AFTER_STATION = re.compile(r"[\s._:/-]+(.+)")
+"""Pattern of a separator and, as group 1, the name of a target after the name of its set-up ("P01" in "S1_P01")."""
+_TARGET_NAME_BEFORE_STATION = re.compile(r"(.+?)[\s._:/-]+")
+"""Pattern of, as group 1, the name of a target before the name of its set-up ("P01" in "P01_S1"), and a separator."""
 OccupationKey = tuple[str, ...]
 """Key of a set-up: station, occupation, and also round or number of the orientation if the circle was rotated."""
 
 
 def common_target_names(pointings: UnconvertedPointings) -> tuple[list[str], list[str]]:
-    """Name of the target of each pointing, common to all set-ups, and notes on changed names.
+    """Name of the target of each pointing, the same from all set-ups, and notes on changed names.
 
-    If the names of all targets contain the name of their set-up, it is removed if set-ups then have common targets.
-    Names that differ only in case, blanks or leading zeros become one name if no set-up has both.
+    If the names of all targets contain the name of their set-up, it is removed, provided that set-ups then have common
+    targets. Names that differ only in case, blanks or leading zeros become one name if no set-up has both.
     """
     sightings, row = indices_by_value(zip(pointings.station, pointings.target, strict=True))
     stations, targets = (list(names) for names in zip(*sightings, strict=True))
@@ -109,9 +114,9 @@ def _without_station_name(station: str, target: str) -> str:
         return ""
     match = None
     if target.startswith(station):
-        match = _NAME_AFTER_STATION.fullmatch(target, len(station))
+        match = _TARGET_NAME_AFTER_STATION.fullmatch(target, len(station))
     if match is None and target.endswith(station):
-        match = _NAME_BEFORE_STATION.fullmatch(target, 0, len(target) - len(station))
+        match = _TARGET_NAME_BEFORE_STATION.fullmatch(target, 0, len(target) - len(station))
     return match[1] if match else ""
 
 
@@ -155,9 +160,9 @@ def split_occupations(
     """Division, in place, of set-ups with several occupations, or with a rotated circle, into separate set-ups.
 
     A column of set-ups, a column of dates or the heights of the instrument distinguish occupations. `readings` (n, 3)
-    are ranges, azimuths and elevations [m, rad, rad]; `sigma` (n,) [rad] are standard deviations of the azimuths, NaN
-    if not given. Without a column of rounds, the directions of an instrument with a horizontal circle (`has_circle`)
-    show rotations of the circle.
+    of n pointings are ranges, azimuths and elevations [m, rad, rad]; `sigma` (n,) [rad] are standard deviations of the
+    azimuths, NaN if not given. Without a column of rounds, the directions of an instrument with a horizontal circle
+    (`has_circle`) show rotations of the circle.
 
     The results are the names of the set-ups that share an occupation, and thus their position, with another, and notes.
     """
@@ -240,11 +245,11 @@ def _occupation_numbers_by_height(table: PointingTable) -> list[str]:
 def _has_rotated_circle(
     table: PointingTable, occupation_index: Ints, round_index: Ints, azimuth: Floats, sigma: Floats
 ) -> bool:
-    """True if the directions of any round differ from earlier ones to the same targets in its occupation.
+    """True if the directions of any round differ from those of earlier rounds of its occupation to the same targets.
 
-    `occupation_index` and `round_index` (n,) number the occupation and the round of each pointing; `azimuth` (n,) and
-    its standard deviation `sigma` (n,) are in rad. The median difference, on which a single outlier has no effect, is
-    compared with `MIN_CIRCLE_ROTATION`, or with `MIN_ROTATION_SIGMAS` standard deviations if this is smaller.
+    `occupation_index` and `round_index` (n,) number the occupation and the round of each of n pointings; `azimuth` (n,)
+    and its standard deviation `sigma` (n,) are in rad. The median difference, on which a single outlier has no effect,
+    is compared with `MIN_CIRCLE_ROTATION`, or with `MIN_ROTATION_SIGMAS` standard deviations if this is smaller.
     """
     pointings = table.pointings
     first_reading: dict[tuple[object, ...], tuple[int, float, float]] = {}
@@ -271,8 +276,8 @@ def with_setups_over_marks(
     """Prior knowledge `setup`, completed with stations that are levelled or over targets with their names, and notes.
 
     Stations with heights above their survey marks are levelled. Without heights, `levelled` stations are over targets
-    with their names if lines measured in both directions close. The set-ups `rounds` (names) share a position with
-    others of the same occupation. `readings` (n, 3) are in m, rad, rad.
+    with their names if lines measured in both directions close. `rounds` are the names of set-ups that share a position
+    with other set-ups of the same occupation. `readings` (n, 3) [m, rad, rad] are those of n pointings.
     """
     heights = table.column(("instrument_height_mm",)) is not None
     targets = {*table.pointings.target}
@@ -332,10 +337,10 @@ def _marks_and_targets(table: PointingTable) -> Iterator[tuple[str, str]]:
     return zip(table.mark, table.pointings.target, strict=True)
 
 
-def connecting_occupations(table: PointingTable) -> dict[str, list[str]]:
+def occupation_columns(table: PointingTable) -> dict[str, list[str]]:
     """Columns that name the occupation of a survey mark by the instrument, and by the reflector, for each pointing.
 
-    They are for a table without such columns: the names of the mark and of the day distinguish occupations.
+    They are computed for a table that lacks such columns: the names of the mark and of the day distinguish occupations.
     """
     pointings = table.pointings
     days = pointings.date_and_time if table.column(("time",)) is None else [""] * len(pointings)
@@ -344,11 +349,12 @@ def connecting_occupations(table: PointingTable) -> dict[str, list[str]]:
     return dict(zip(OCCUPATION_COLUMNS, (setups, targets), strict=True))
 
 
-def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) -> list[str]:
-    """Note that heights above survey marks in a table are not applied, as its readings refer to heads; else empty.
+def unapplied_heights_notes(table: PointingTable, readings: Floats, height: Floats) -> list[str]:
+    """Note that heights in a table are not applied, because its readings refer to heads; otherwise an empty list.
 
-    Lines measured in both directions decide: their height differences cancel either with the heights `height` (n, 2)
-    [m] of instrument and target, or without them. `readings` (n, 3) are in m, rad, rad.
+    Heights are those above survey marks. Lines measured in both directions decide: their height differences cancel
+    either with the heights `height` (n, 2) [m] of instrument and target in n pointings, or without them. `readings` (n,
+    3) are in m, rad, rad.
     """
     heights = np.nan_to_num(height)
     if not heights.any():

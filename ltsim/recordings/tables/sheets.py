@@ -33,6 +33,7 @@ from ltsim.recordings.tables.cells import is_value, thousands_separator
 from ltsim.recordings.xml import check_xml_part
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
+"""Suffixes of the names of files that are read as tables."""
 ZIP_SIGNATURE = b"PK\x03\x04"
 """First bytes of a workbook, which is a zip archive."""
 FIELD_SEPARATORS = ("\t", ";", ",", " ")
@@ -296,6 +297,7 @@ def _workbook_row(line: int, fields: Sequence[str]) -> SheetRow:
 
 
 _DATE_TYPES = (datetime, date, time)
+"""Types of the values of cells of a workbook that are dates or times."""
 WorkbookRow = tuple[int, list[str]]
 """Number of a row, from 1, and its cells up to the last one that is not empty."""
 

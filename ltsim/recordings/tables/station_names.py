@@ -19,7 +19,7 @@ MAX_SPREAD_RATIO = 0.01
 """Largest ratio at which a column counts as the column of set-up names: median difference of readings to one target
 among rows with the same text in the column, divided by the median difference among all rows."""
 MIN_ROWS_PER_SETUP = 3
-"""Mean number of rows per distinct text below which a column does not count as the column of set-up names."""
+"""Smallest mean number of rows per distinct text of a column at which it can count as the column of set-up names."""
 
 
 class UnnamedStationsError(RecordError):
@@ -62,7 +62,7 @@ def require_station_names(table: PointingTable, readings: Floats, file: object) 
         raise RecordError(message, file=file)
 
 
-def several_positions_notes(table: PointingTable, readings: Floats) -> list[str]:
+def ambiguous_target_name_notes(table: PointingTable, readings: Floats) -> list[str]:
     """Note that names of targets stand for several points, if ranges from a set-up to most names differ; else empty.
 
     `readings` (n, 3) are ranges, azimuths and elevations [m, rad, rad].
@@ -84,7 +84,7 @@ def several_positions_notes(table: PointingTable, readings: Floats) -> list[str]
 
 
 def _median_spread(values: Floats, groups: Ints) -> float:
-    """Median, over groups, of the difference between the largest and the smallest value in a group.
+    """Median, over groups of n values, of the difference between the largest and the smallest value in a group.
 
     `groups` (n,) is the index of the group of each of the `values` (n,); values that are not finite are ignored. The
     result is 0 if no group has several values.

@@ -15,15 +15,14 @@ from ltsim.recordings.tables.cells import is_value
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, indices_by_value
 
 MAX_SAME_PLACE_RATIO = 3e-4
-"""Largest distance between rows that count as the same position, divided by the largest range: 1 mm at 3 m, more than
-the repeatability of a robot.
-"""
+"""Largest distance between two measured points that count as the same position, divided by the largest range: 1 mm at 3
+m, more than the repeatability of a robot."""
 MIN_ROWS_FOR_POSITIONS = 3
 """Smallest number of rows, and of different positions, with one target name from which it counts as a moving target."""
 MAX_COINCIDENT_M = 1e-3
 """Largest distance [m] between targets that count as the same point: reflectors have diameters of 12.7 mm and more."""
 MIN_COINCIDENT_POSITIONS = 3
-"""Number of positions with several targets from which a note reports them."""
+"""Smallest number of positions with several targets at which a note reports them."""
 MAX_COINCIDENT_NAMES = 4
 """Largest number of names of targets at one position that a note lists."""
 UNNAMED_TARGET = "pose"
@@ -124,7 +123,7 @@ def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats)
 
 
 def _position_numbers(readings: Floats) -> Ints:
-    """Number (n,) of the position that each pointing measured, from 0 in the order of their first measurement.
+    """Number (n,) of the position that each of n pointings measured, from 0 in the order of first measurement.
 
     `readings` (n, 3) are raw ranges, azimuths and elevations [m, rad, rad] of both faces.
     """

@@ -18,7 +18,7 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.planner import layout_visibility
 from ltsim.planning.result import PLAN_FILE, SCENARIO_FILE, copy_cad_files, load_plan_and_scenario, with_layout
-from ltsim.planning.search_inputs import unsearched_plan
+from ltsim.planning.search_inputs import plan_without_search
 from ltsim.planning.search_space import MAX_COINCIDENCE_DISTANCE, MIN_VISIBLE_TARGETS, SearchSpace, broken_rules_text
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
@@ -58,7 +58,7 @@ MAX_COORDINATE_MM = 1e6
 
 @dataclass(frozen=True)
 class MovableLayout:
-    """Plan of a hall whose stations the user moves, with all that the evaluation of a layout needs."""
+    """Plan of a hall whose stations the user moves in the browser, with all data for the evaluation of a layout."""
 
     plan_file: PlanFile
     scenario: Scenario
@@ -73,7 +73,7 @@ class MovableLayout:
     def from_plan(cls, source: str | Path) -> MovableLayout:
         """Layout of a plan file, a scenario, or a folder that `ltsim plan` wrote; raises SetupError, RecordError."""
         plan_or_scenario, scenario = load_plan_and_scenario(source)
-        plan_file, search_space = unsearched_plan(plan_or_scenario, scenario)
+        plan_file, search_space = plan_without_search(plan_or_scenario, scenario)
         return cls(
             plan_file, scenario, search_space, planned_construction(scenario), PointTolerances.from_plan_file(plan_file)
         )
@@ -114,7 +114,10 @@ class MovableLayout:
 
     @cached_property
     def _offered_positions(self) -> Floats:
-        """Positions (P, 3) [m] for another station with enough visible targets, at most `MAX_OFFERED_POSITIONS`."""
+        """Positions (P, 3) [m] that the page offers for another station, at most `MAX_OFFERED_POSITIONS`.
+
+        These are P grid positions with enough visible targets.
+        """
         search = self.plan_file.search
         places = self.search_space.grid_places(
             grid_step(self.search_space.allowed_areas, search.grid_mm), search.heights
@@ -125,10 +128,10 @@ class MovableLayout:
         )
 
     def survey(self, stations: Sequence[Mapping[str, Any]]) -> PlannedSurvey:
-        """Survey with the given stations (`name`, `mm` (3) and `yaw` [deg] of each); raises SetupError.
+        """Survey with the given stations (mappings with `name`, `mm` (x, y, z), `yaw` [deg]); raises SetupError.
 
-        An additional station has the lines of sight and the order of targets of a station of the plan; the stations of
-        the plan are taken in turn.
+        A station that is not in the plan has the lines of sight and the order of targets of a station of the plan; the
+        stations of the plan are taken in turn.
         """
         survey = self.search_space.survey
         try:
@@ -214,11 +217,11 @@ class MovableLayout:
         return with_layout(self.scenario, self.survey(stations))
 
     def scene_page_with_stations(self, stations: Sequence[Mapping[str, Any]], camera: Camera | None = None) -> str:
-        """Page with the hall in 3D, seen from a camera."""
+        """HTML page of the hall in 3D with the given stations, seen from `camera` if it is given."""
         return scene_page(workshop_from_scenario(self.scenario_with_stations(stations)), camera)
 
     def save(self, stations: Sequence[Mapping[str, Any]], folder: Path) -> list[Path]:
-        """Paths of the written files: scenario.toml, and a plan.toml whose stations are fixed at their positions."""
+        """Paths of the two written files: scenario.toml, and a plan.toml in which all stations are fixed."""
         scenario = self.scenario_with_stations(stations)
         plan = self.plan_file.model_dump(mode="json", exclude_defaults=True)
         for key in ("workshop", "instrument", "smr", "work"):
@@ -233,7 +236,7 @@ class MovableLayout:
 
 
 def _tolerance_entries(error_to_tolerance: float) -> dict[str, Any]:
-    """Entries of a point for the page, by key: ratio of its error to its tolerance, its text, and True if it is met."""
+    """Data of a point for the page, by key: ratio of error to tolerance, this ratio as text, and if it is met."""
     return {
         "ratio": error_to_tolerance,
         "used": percent_text(error_to_tolerance),

@@ -136,7 +136,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
     work_queue: SimpleQueue[tuple[Future[HttpResponse], str, str, bytes]]
     requests: PlannerRequests
     allowed_hosts: frozenset[str]
-    """Allowed values of Host, and of Origin after http://."""
+    """Allowed values of the HTTP header Host, and of the header Origin after `http://`."""
     timeout = REQUEST_TIMEOUT_S
     server_version, sys_version = "ltsim", ""
 

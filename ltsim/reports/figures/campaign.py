@@ -28,11 +28,11 @@ MAX_FIGURE_PANELS = 12
 MAX_PANEL_LINES = 8
 """Largest number of lines of a panel; further lines are omitted."""
 LABEL_WIDTH_PER_PANEL_ROW = 26
-"""Width [characters] at which the label of the y axis is broken, per row of panels."""
+"""Width [characters] at which the label of the y axis is broken, for each row of panels in the figure."""
 CENTRAL_90_PERCENT_LABEL = "90 % of trials"
 """Label of the band between the 5 % and 95 % quantiles of the trials."""
 NOISE_FLOOR_LABEL = "noise floor"
-"""Label of the error that remains if readings are corrected with the true parameters."""
+"""Label of the error of readings that are corrected with the true parameters: only noise remains."""
 PUBLISHED_CRITERIA = MappingProxyType(
     {
         "paper-workshop": {
@@ -210,7 +210,7 @@ def factor_panels_figure(
 
 
 def _axis_positions(line_points: Sequence[SweepPoint], level_texts: Sequence[str], offset_fraction: float) -> Floats:
-    """Positions (n,) of points on the x axis; if the levels are texts, each line is shifted by `offset_fraction`."""
+    """Positions (n,) of n points on the x axis; if the levels are texts, they are shifted by `offset_fraction`."""
     place = [level_texts.index(row.level) if isinstance(row.level, str) else row.level for row in line_points]
     return np.array(place, dtype=np.float64) + (0.3 * (offset_fraction - 0.5) if level_texts else 0.0)
 
@@ -376,7 +376,10 @@ def outside_coverage_flags(summaries: Sequence[ZScoreSummary]) -> list[bool]:
 
 @style.with_figure_style
 def coverage_figure(summaries: Sequence[ZScoreSummary]) -> Figure:
-    """Observed coverage of the 95 % intervals of each parameter, with its own 95 % interval and the allowed band."""
+    """Observed coverage of the 95 % intervals of each parameter, with the uncertainty of this coverage.
+
+    The uncertainty is drawn as a 95 % interval, next to the band of allowed coverage.
+    """
     figure, ax = style.new_panel(0.9 + 0.2 * max(len(summaries), 3))
     places = style.set_category_rows(ax, [row.parameter for row in summaries])
     coverage = np.array([row.coverage_95 for row in summaries])

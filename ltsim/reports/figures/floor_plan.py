@@ -24,9 +24,10 @@ direction."""
 LABEL_DISTANCE_PT = 6.0
 """Distance [pt] from a marker to its label."""
 LETTER_SIZE_RATIOS = (0.62, 1.25)
-"""Width and height of a letter, as fractions of the font size."""
+"""Width and height of a letter of a label, as fractions of the font size."""
 MIN_SIDE_RATIO_OF_VERTICAL_LABEL = 2.0
-"""Ratio of height to width of an area from which its label is vertical, because the label is wider than the area."""
+"""Ratio of height to width of an area above which its label is vertical, because the area is narrower than the label.
+"""
 LABEL_BACKGROUND = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
 """Matplotlib settings of the box behind a label."""
 
@@ -49,7 +50,7 @@ class MapLabel:
 
 
 def draw_labels(figure: Figure, ax: Axes, labels: Sequence[MapLabel], markers: Floats) -> None:
-    """Write labels that cover neither the markers (n, 2) nor earlier labels; a label without space is omitted.
+    """Write labels that cover neither the n markers (n, 2) nor earlier labels; a label without space is omitted.
 
     The limits of the axes must be set before.
     """
@@ -92,14 +93,15 @@ MAX_VECTOR_MARKERS = 150
 """Number of targets above which their markers are rasterised."""
 MAX_LISTED_STATIONS = 16
 """Largest number of stations whose coordinates are listed below a floor plan."""
-MAX_NAMES_PER_LABEL = 4
-"""Number of targets above each other from which their common label contains only the name of the first target."""
+MIN_TARGETS_OF_SHORT_LABEL = 4
+"""Smallest number of targets above each other whose common label has only the first name and the number of others (`T1
++3`)."""
 MAX_LABEL_SHARING_DISTANCE = 0.05
 """Largest distance between targets that share a label, as a fraction of the size of the floor."""
 FLOOR_PLAN_WIDTH = 4.3
-"""Width of the axes [inch]."""
+"""Width of the axes of a floor plan [inch]."""
 FLOOR_PLAN_HEIGHT_RANGE = (3.6, 6.6)
-"""Smallest and largest height of the figure [inch]."""
+"""Smallest and largest height of the figure of a floor plan [inch]."""
 LISTED_STATION_HEIGHT = 0.16
 """Additional height of the figure per listed station [inch]."""
 MAX_WALL_DISTANCE = 0.35
@@ -230,7 +232,7 @@ def _draw_floor_areas(ax: Axes, floor: Floor) -> list[MapLabel]:
 
 
 def _axis_limits(workshop: WorkshopScene) -> Floats:
-    """Lower limits and upper limits of x and y, (2, 2) [m], which include the floor and the inner shadow circles."""
+    """Lower (x, y) and upper (x, y) limits, (2, 2) [m], around the floor and the inner shadow circles."""
     radius = workshop.shadow_radius(workshop.cone_openings[0])[:, None]
     places = np.concatenate(
         [workshop.floor_corners, workshop.station_positions[:, :2] - radius, workshop.station_positions[:, :2] + radius]
@@ -251,7 +253,7 @@ def _draw_shadow_cones(ax: Axes, workshop: WorkshopScene) -> None:
 
 
 def _sight_matrix(workshop: WorkshopScene) -> Bools | None:
-    """Matrix (S, T), True if station s sees target t.
+    """Matrix (S, T), True where one of S stations sees one of T targets.
 
     None if visibility is unknown, if no line of sight is blocked, or if there are more stations than colours.
     """
@@ -342,7 +344,7 @@ def _target_labels(workshop: WorkshopScene) -> list[MapLabel]:
         offset = (place - floor_centre) / size
         is_sideways = abs(offset[0]) > abs(offset[1])
         direction = (0.0 if offset[0] > 0 else np.pi) if is_sideways else (0.5 if offset[1] > 0 else 1.5) * np.pi
-        text = " ".join(names) if len(names) < MAX_NAMES_PER_LABEL else f"{names[0]} +{len(names) - 1}"
+        text = " ".join(names) if len(names) < MIN_TARGETS_OF_SHORT_LABEL else f"{names[0]} +{len(names) - 1}"
         labels.append(MapLabel(text, place, preferred_direction=direction))
     return labels
 

@@ -14,7 +14,7 @@ MAX_VECTOR_TRIANGLES = 2_000
 
 
 def draw_obstacles(ax: Axes, triangles: Floats) -> None:
-    """Draw the triangles (n, 3, 3) of obstacles from above, many of them as one path."""
+    """Draw n triangles (n, 3, 3) of obstacles from above, many of them as one path."""
     if not len(triangles):
         return
     corners = triangles[:, :, :2]

@@ -150,7 +150,7 @@ def correlation_figure(parameters: Sequence[ParameterEntry], covariance: Floats)
 def history_figure(names: Sequence[str], parameter_histories: Sequence[ParameterHistory]) -> Figure:
     """Estimates of each parameter in all calibrations with 95 % intervals, one panel per parameter.
 
-    The band is the mean over the calibrations with the spread of the true values between them.
+    The band is the mean over the calibrations, plus and minus the standard deviation of the true values between them.
     """
     columns = 2 if len(parameter_histories) > 1 else 1
     n_panel_rows = max(1, -(-len(parameter_histories) // columns))
@@ -252,7 +252,10 @@ def values_figure(
     *,
     reference_values: Mapping[str, Sequence[float]] | None = None,
 ) -> Figure:
-    """Values with intervals, one row each; dashed lines at the `reference_values`, with their labels as keys."""
+    """Values with intervals, one row for each name; dashed lines at reference values.
+
+    `reference_values` has the label of each group of lines as key, and as value the reference values of the rows.
+    """
     lines = ["\n".join(wrap(name, 34)) for name in values_by_name]
     figure, ax = style.new_panel(0.9 + 0.15 * sum(1.4 + name.count("\n") for name in lines))
     places = style.set_category_rows(ax, lines)
@@ -301,7 +304,10 @@ LAYOUT_LABELS = {"tried": "tried", "best": "best in its time", "chosen": "the pl
 
 @style.with_figure_style
 def trade_off_figure(plan: Plan, quality_name: str) -> Figure:
-    """Quality of each layout over its duration, by one measure; a line joins layouts that no faster one surpasses."""
+    """Quality of each layout over its duration, by the measure `quality_name`.
+
+    A line joins the layouts whose quality no faster layout exceeds.
+    """
     label, factor = QUALITY_MEASURES.get(quality_name, (quality_name, 1.0))
     points_by_role: dict[str, list[tuple[float, float, str]]] = {"tried": [], "best": [], "reference": [], "chosen": []}
     for option in plan.tradeoff:

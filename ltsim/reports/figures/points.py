@@ -60,7 +60,7 @@ JUDGEMENT_MARKERS = (
 )
 """Judgement of a test, and the marker for it: form, size [pt], colour of the edge and of the face."""
 GROUP_HALF_WIDTH = 0.32
-"""Largest distance at which a test of a group is drawn from the row of the group, in row spacings."""
+"""Largest distance of the markers of a group of tests from the row of the group, as a fraction of the row spacing."""
 
 
 @style.with_figure_style
@@ -131,7 +131,7 @@ AXES_FRACTION_BELOW_LEGEND = 0.86
 
 @style.with_figure_style
 def check_figure(check: Check) -> Figure:
-    """Two panels on a field check: half two-face differences divided by their limits, and rms residuals over time."""
+    """Figure of a field check: half two-face differences divided by their limits, and below rms residuals over time."""
     figure = style.new_figure(5.2)
     above, below = figure.subplots(2, 1)
     _draw_two_face_differences(above, check)

@@ -50,7 +50,7 @@ def residuals_by_covariate_figure(residuals: Residuals) -> Figure:
 def residuals_by_station_figure(residuals: Residuals, reference: Residuals | None = None) -> Figure:
     """Residuals by station as dots, with their root mean square as a bar; one panel per observable.
 
-    `reference` are the residuals before a correction, drawn beside them in another colour.
+    `reference` are the residuals before a correction, drawn next to the residuals in another colour.
     """
     observables = [name for name in OBSERVABLES if residuals.is_of_observable(name).any()]
     stations = residuals.stations[:MAX_STATION_PANELS]
@@ -214,7 +214,7 @@ def _draw_running_mean(ax: Axes, x: Floats, values: Floats, *, colour: str = sty
 def injected_and_estimated_figure(
     covariate: Floats, injected_changes: Floats, estimated_changes: Floats, axis: str, label: str
 ) -> Figure:
-    """Injected changes of n readings as rings and estimated changes as dots, over a covariate (n,).
+    """Injected changes (n,) of n readings as rings, and estimated changes (n,) as dots, over a covariate (n,).
 
     `axis` is the axis label of the covariate, `label` the axis label of the changes.
     """

@@ -62,7 +62,8 @@ if TYPE_CHECKING:
     from ltsim.reports.workshop_scene import DrawnSights, WorkshopScene
 
 MIN_REPORTED_CRITERION_CHANGE = 0.05
-"""Smallest change of a criterion [%] that is reported as better or worse: half of the last displayed digit."""
+"""Smallest change of a criterion (mean disagreement of the stations) [%] that is reported as better or worse: half of
+the last displayed digit."""
 CONVERGED_STATUSES = ("", "converged", "not stated")
 """Statuses of a fit for which the page has no warning."""
 

@@ -61,9 +61,9 @@ MAX_LISTED_LEVELS = 8
 MAX_OPEN_BLOCKS = 4
 """Largest number of blocks that are open on the page."""
 MAX_CELL_ROWS = 48
-"""Number of cells (combinations of factor levels) above which means are tabulated by level and not by cell."""
+"""Number of cells (combinations of factor levels) above which a table has a row per level of a factor, not per cell."""
 IMPROVEMENT_COLUMN = "distance_improvement_percent"
-"""Column of the improvement that the summary of a campaign reports."""
+"""Result column whose mean the summary of a campaign reports: improvement of the distance criterion by calibration."""
 
 STATISTIC_TITLES = MappingProxyType(
     {

@@ -15,7 +15,7 @@ from ltsim.reports.figures.campaign_factors import cell_descriptions
 MAX_COVERAGE_FIGURES = 3
 """Largest number of figures of the coverage of intervals; one per method is drawn up to this number."""
 ERROR_SIZE_FACTOR_KEYS = ("noise_factor", "error_factor", "prior_factor")
-"""Keys of an instrument that make its noise or errors differ from the declared ones if they are not 1."""
+"""Keys of an instrument with factors of its noise or errors; if one is not 1, these differ from the declared ones."""
 
 
 def coverage_key_figures(manifest: ManifestFile, z_scores: Sequence[ZScoreSummary]) -> list[KeyFigure]:

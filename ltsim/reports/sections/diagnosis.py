@@ -347,7 +347,7 @@ def _finding_place_blocks(finding: Finding, finding_number: int, adjustments: Ad
 
 
 def _place_text(scope: FindingScope) -> str:
-    """Observables, instruments, stations, targets and covariates of a finding as text."""
+    """Text of the observables, instruments, stations, targets and covariates on which a finding acts."""
     place_texts = [
         f"{word} {listing(list(names))}"
         for word, names in (

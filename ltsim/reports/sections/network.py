@@ -199,10 +199,10 @@ def coordinates_tables(
 
 
 def target_uncertainty_sentence(sigma: Floats) -> str:
-    """Sentence on the typical and the largest uncertainty of T targets with sigmas (T, 3) [m].
+    """Sentence on the typical and the largest uncertainty of T targets with standard deviations `sigma` (T, 3) [m].
 
-    For a target without a determined height (NaN) it is the horizontal uncertainty. Without determined targets the
-    sentence is empty.
+    For a target without a determined height (NaN) the uncertainty is the horizontal one. The sentence is empty if no
+    target is determined.
     """
     determined = sigma[np.isfinite(sigma[:, :2]).all(axis=1)]
     is_in_plan = bool(np.isnan(determined).any())
@@ -215,7 +215,7 @@ def target_uncertainty_sentence(sigma: Floats) -> str:
 
 
 def recording_section(folder: Path, *, detail: WorkshopDetail = "turn", is_brief: bool = False) -> Section:
-    """Section of a recording; with `is_brief` without residuals, because the section of its calibration shows them.
+    """Section of a recording; if `is_brief`, without residuals, because the section of its calibration shows them.
 
     Raises
     ------

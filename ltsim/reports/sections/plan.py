@@ -6,7 +6,7 @@ import numpy as np
 
 from ltsim.core.notation import number_text
 from ltsim.core.units import MILLIMETRE
-from ltsim.planning.plan_entries import LayoutEntry
+from ltsim.planning.plan_entries import PlannedLayoutEntry
 from ltsim.planning.result import Plan
 from ltsim.reports import figures
 from ltsim.reports.document_model import (
@@ -106,8 +106,8 @@ def _key_figures(content: Plan) -> list[KeyFigure]:
     return facts
 
 
-def _quality_measures(layout: LayoutEntry) -> dict[str, float]:
-    """Quality of a layout in display units, by label: rms sigma of all points, then the measures of the goal."""
+def _quality_measures(layout: PlannedLayoutEntry) -> dict[str, float]:
+    """Qualities of a layout in display units, by label: rms sigma of all points, then the measures of the goal."""
     measures = {name: value for name, value in layout.quality.items() if value is not None}
     labels = {name: QUALITY_MEASURES.get(name, (name, 1.0)) for name in measures}
     rms = {} if layout.rms_sigma_um is None else {"all points: rms sigma [um]": layout.rms_sigma_um}

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 NamedEntryT = TypeVar("NamedEntryT", ChangeEntry, EventEntry)
 MIN_PASS_PROBABILITY = 0.5
-"""Probability to pass all tests, 0 to 1, from which a prediction is assessed as good; by convention one half."""
+"""Smallest probability (0 to 1) to pass all tests at which a prediction is assessed as good; by convention one half."""
 ASSESSMENT_BY_JUDGEMENT: dict[Judgement, Assessment] = {"accepted": "good", "rejected": "bad", "undecided": "caution"}
 """Assessment of measured errors by their judgement."""
 MAX_ZERO_CONSTANT = 1e-6
@@ -57,7 +57,7 @@ UNCERTAINTY_NOTE = (
     "U: expanded uncertainty; mc: limits of the Monte Carlo interval; they replace U if the two do not agree "
     "(JCGM 101, clause 8)."
 )
-"""Note below a table of expanded uncertainties."""
+"""Note below a table of expanded uncertainties, which explains the columns U and mc."""
 UNDETECTABLE_NOTE = (
     "Each size is one standard deviation. The readings do not show these errors, and U does not include them. "
     "Measure a known length or the temperature of the structure to exclude them."

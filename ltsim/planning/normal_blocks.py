@@ -1,0 +1,51 @@
+"""Contributions of candidate set-ups to the normal equations of layouts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ltsim.core.arrays import Bools, Floats, Ints
+
+
+@dataclass(frozen=True)
+class NormalBlocks:
+    """Contributions of N set-ups to the normal equations.
+
+    The shapes refer to T targets and to P parameters of reflectors, instrument and effects.
+    """
+
+    setup_positions: Floats
+    """Positions of the N set-ups, (N, 3) [m]."""
+    setup_yaws: Floats
+    """Yaw of each of the N set-ups, (N,) [rad]."""
+    is_visible: Bools
+    """Flags (N, T) of the targets, among T, that each of the N set-ups measures."""
+    has_determined_pose: Bools
+    """Flags (N,) of the set-ups, among N, whose measured targets determine the pose of the station."""
+    target_blocks: Floats
+    """Contribution of each of N set-ups to the block of the normal matrix of each of T targets, (N, T, 3, 3)."""
+    coupling_blocks: Floats
+    """Contribution of each of N set-ups to the block of the normal matrix between each of T targets and the pose
+    followed by P parameters, (N, T, 3, 6 + P)."""
+    pose_blocks: Floats
+    """Contribution of each of N set-ups to the block of the normal matrix of the pose followed by P parameters, (N, 6 +
+    P, 6 + P)."""
+
+    def select(self, indices: Ints) -> NormalBlocks:
+        """Contributions of only the set-ups with the given indices, in this order."""
+        return NormalBlocks(*(getattr(self, field.name)[indices] for field in fields(self)))
+
+    @classmethod
+    def concatenate(cls, groups: Sequence[NormalBlocks]) -> NormalBlocks:
+        """Contributions of several groups of set-ups, one group after the other."""
+        return cls(*(np.concatenate([getattr(part, field.name) for part in groups]) for field in fields(cls)))
+
+    def with_replaced_station(self, station_index: int, replacement: NormalBlocks) -> NormalBlocks:
+        """Contributions of a layout in which the set-up `replacement` (N = 1) replaces one station, by its index."""
+        stations = np.arange(len(self.setup_positions))
+        return self.concatenate([self, replacement]).select(
+            np.where(stations == station_index, len(stations), stations)
+        )
