@@ -40,8 +40,8 @@ from ltsim.recordings.result_file import SourceEntry
 MAX_PREDICTED_TESTS = 2_000
 """Largest number of tests in a prediction. It draws the errors of 2,000 instruments at a time, in arrays of up to 64
 MB."""
-MAX_TEST_DRAWS = 1e9
-"""Largest product of the numbers of tests and trials in a prediction; 1e9 take a minute."""
+MAX_TEST_DRAWS = 3e8
+"""Largest product of the numbers of tests and trials in a prediction; 3e8 take 23 s."""
 MIN_MARGIN_UM = 1e-3
 """Lower bound [um] of the margin between an error and its limit, for ratios of uncertainty to margin."""
 DECISION_RULE = (

@@ -23,7 +23,7 @@ from joblib import Parallel, delayed, parallel_config
 from ltsim.campaigns.calibrators import estimated_construction, estimated_effects
 from ltsim.campaigns.design import Factor, cell_label
 from ltsim.campaigns.rows import ShardTask, n_rows_of_shard, run_task
-from ltsim.campaigns.schema import CellEntry, ManifestFile, ScenarioSettings
+from ltsim.campaigns.schema import MAX_SHARDS, CellEntry, ManifestFile, ScenarioSettings
 from ltsim.campaigns.spec import (
     VALIDATION_STREAM_KEY,
     CampaignCell,
@@ -234,7 +234,11 @@ def _extended_campaign(
         )
     statistics = tuple(dict.fromkeys((*before.get("statistics", ()), *campaign.statistics)))
     extension = {"trials": max(campaign.trials, manifest.trials), "statistics": statistics}
-    return campaign.model_copy(update=extension), (*ordered, *remaining)
+    extended = campaign.model_copy(update=extension)
+    n_shards = extended.n_shards_per_cell * (len(ordered) + len(remaining))
+    if n_shards > MAX_SHARDS:
+        raise SetupError(f"{store.folder}: the campaign has {n_shards} files of rows, expected at most {MAX_SHARDS}")
+    return extended, (*ordered, *remaining)
 
 
 def _environment_change_notes(store: CampaignFolder) -> list[str]:

@@ -11,6 +11,8 @@ from ltsim.core.results import Column, Table, number_columns, text_columns
 from ltsim.recordings.result_file import Entry, ResultFile
 
 NonNegativeInt = Annotated[int, Field(ge=0)]
+MAX_SHARDS = 500_000
+"""Largest number of files of rows (shards) of a campaign; a campaign with more is rejected."""
 QUANTILE_LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 """Probabilities of the quantiles in the summary of a campaign."""
 
@@ -268,7 +270,7 @@ class ManifestFile(ResultFile):
     """Seed of the random draws."""
     trials: NonNegativeInt
     """Largest number of trials of each cell."""
-    shard: NonNegativeInt | None = None
+    shard: Annotated[int, Field(ge=1)] | None = None
     """Number of trials in a file of rows."""
     methods: tuple[str, ...] = Field(min_length=1)
     """Names of the calibration methods."""
@@ -302,6 +304,9 @@ class ManifestFile(ResultFile):
         for number, cell in enumerate(self.cells):
             if cell.cell != number or {*cell.levels} != {*names}:
                 raise ValueError(f"entry {number + 1} of the cells is not cell {number} with a level of each factor")
+        n_shards = -(-self.trials // self.shard) * len(self.cells) if self.shard else len(self.cells)
+        if n_shards > MAX_SHARDS:
+            raise ValueError(f"trials, shard and cells give {n_shards} files of rows, expected at most {MAX_SHARDS}")
         statistics = self.settings.get("statistics", [])
         if not (isinstance(statistics, list) and all(name in get_args(StatisticGroup) for name in statistics)):
             raise ValueError("the key statistics in settings is not a list of names of statistics")

@@ -3,6 +3,7 @@
 import hashlib
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from pydantic import Field, model_validator
 
 from ltsim.adjustment.evaluation.criteria import read_nominal
 from ltsim.campaigns.design import Design, Factor, short_key_names
-from ltsim.campaigns.schema import RESULT_COLUMNS, ManifestFile, StatisticGroup, find_column
+from ltsim.campaigns.schema import MAX_SHARDS, RESULT_COLUMNS, ManifestFile, StatisticGroup, find_column
 from ltsim.core.errors import SetupError, as_setup_error, unknown_name_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.settings import read_toml, validate_settings
@@ -25,8 +26,6 @@ CAMPAIGN_FORMAT = "ltsim-campaign/1"
 """Format and version of a campaign file."""
 MAX_CELLS = 4096
 """Largest number of cells (combinations of factor levels) of a campaign."""
-MAX_SHARDS = 500_000
-"""Largest number of shards (files of rows) of a campaign."""
 VALIDATION_STREAM_KEY = "judge"
 """Key of the random stream for the measurement of the held-out points of `judge_in`."""
 
@@ -173,7 +172,7 @@ class CampaignFile(TomlSection):
     def _check_each_key_once(self) -> Self:
         places = [*self.grid, *(self.design.ranges if self.design else ())]
         keys = [key for name in places for key in self.link.get(name, (name,))]
-        twice = next((key for key in keys if keys.count(key) > 1), None)
+        twice = next((key for key, count in Counter(keys).items() if count > 1), None)
         if twice:
             raise ValueError(f"it should vary each key once, found {twice} twice in grid, design and link")
         return self

@@ -32,6 +32,7 @@ from ltsim.campaigns.store import CampaignFolder, sql_path
 from ltsim.campaigns.summary import CampaignSummary, SolverComparison, StatisticSummary, ZScoreSummary
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, SetupError, option_text, unknown_name_error
+from ltsim.core.limits import BYTES_PER_MIB, MAX_DATABASE_MEMORY, MAX_FILE_BYTES
 from ltsim.core.results import ColumnValues, Table
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.result_file import Entry
@@ -39,7 +40,6 @@ from ltsim.recordings.result_file import Entry
 NORMAL_QUANTILE_95 = 1.959963984540054
 """Two-sided 95 % quantile of the standard normal distribution."""
 DATABASE_SETTINGS: dict[str, Any] = {
-    "memory_limit": "1GB",
     "threads": 1,
     "autoinstall_known_extensions": False,
     "autoload_known_extensions": False,
@@ -95,7 +95,7 @@ class CampaignStatistics:
         if not shards:
             raise SetupError(f"{folder}: no file of rows of this campaign is complete yet")
         # One thread: sums are computed in the same order in each run, so that no digit of a table changes.
-        self._database = duckdb.connect(config=DATABASE_SETTINGS)
+        self._database = duckdb.connect(config={**DATABASE_SETTINGS, "memory_limit": memory_limit(shards)})
         source = f"read_parquet([{', '.join(map(sql_path, shards))}], union_by_name = true)"
         try:
             store.verify(shards, {cell.cell: cell.digest for cell in self.manifest.cells})
@@ -343,6 +343,12 @@ def _improvement_sql(names: list[str]) -> str:
 
 def _nan_if_none(value: float | None) -> float:
     return math.nan if value is None else float(value)
+
+
+def memory_limit(shards: Sequence[Path]) -> str:
+    """Memory of the database for files of rows, in the words of its setting."""
+    n_bytes = sum(shard.stat().st_size for shard in shards)
+    return f"{MAX_DATABASE_MEMORY * max(1.0, n_bytes / MAX_FILE_BYTES) / BYTES_PER_MIB:.0f}MiB"
 
 
 def _damaged_folder_error(folder: Path, problem: Exception) -> SetupError:

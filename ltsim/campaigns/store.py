@@ -28,6 +28,7 @@ from filelock import FileLock, Timeout
 
 from ltsim.campaigns.schema import SUMMARY_FILE, ManifestFile
 from ltsim.core.errors import RecordError, SetupError, option_text
+from ltsim.core.limits import MAX_SHARD_ROWS
 from ltsim.core.storage import complete_interrupted_moves, path_in_folder, write_files
 from ltsim.recordings.result_file import read_result
 
@@ -61,8 +62,19 @@ def parquet_bytes(table: pa.Table, metadata: Mapping[str, str]) -> bytes:
 
 
 def read_shard(path: Path) -> pa.Table:
-    """Rows of a shard with verified checksums; raises `pyarrow.ArrowException` or OSError."""
-    return pq.ParquetFile(path, page_checksum_verification=True).read()
+    """Rows of a shard with verified checksums.
+
+    Raises `pyarrow.ArrowException` or OSError, also for more rows than a shard can have.
+    """
+    file = pq.ParquetFile(path, page_checksum_verification=True)
+    _require_few_rows(path, file.metadata)
+    return file.read()
+
+
+def _require_few_rows(path: Path, metadata: pq.FileMetaData) -> None:
+    """Check of the number of rows of a shard; raises `pyarrow.ArrowInvalid` for more than a shard can have."""
+    if metadata.num_rows > MAX_SHARD_ROWS:
+        raise pa.ArrowInvalid(f"{path.name} has {metadata.num_rows} rows, expected at most {MAX_SHARD_ROWS}")
 
 
 def interruption_error(folder: Path, reason: object, remedy: str = "") -> SetupError:
@@ -107,6 +119,7 @@ class CampaignFolder:
             if name in digests:
                 if _file_digest(path) != digests[name]:
                     raise ValueError(f"{name} was changed since it was written")
+                _require_few_rows(path, pq.read_metadata(path))
                 continue
             label = _shard_metadata(read_shard(path))
             if label.get("campaign") != cell_digests.get(int(label.get("cell", -1))):

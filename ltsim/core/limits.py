@@ -56,6 +56,8 @@ MAX_DIAGNOSED_POINTINGS = 8_000
 and 310 MB with 2,000 pointings, 30 to 95 s and 450 to 530 MB with a ring of 3,360, and 115 s and 0.85 GB with 8,000
 (measured while other processes ran).
 """
+MAX_SIMULATED_POINTINGS = 300_000
+"""Largest number of pointings of a simulated recording; each takes 1 kB and 30 us."""
 POINTINGS_LIMIT_VARIABLE = "LTSIM_MAX_POINTINGS"
 """Environment variable with a larger limit of the numbers of pointings, set-ups and targets for all commands, for
 machines with more memory."""
@@ -84,9 +86,29 @@ MAX_JSON_VALUES = 1_500_000
 object, with a comma three characters, takes 64 bytes.
 """
 
-MAX_RESULT_ENTRIES = 20_000
+MAX_RESULT_ENTRIES = 10_000
 """Largest number of entries in a list of a result file. Result files have an entry for each parameter, target or test;
 values of pointings are in tables. An entry takes 1 to 2 kB in a report.
+"""
+
+MAX_TASK_RESULTS = 1_000
+"""Largest number of results of all tasks of an evaluation of uncertainty; their correlations are in its result file,
+of at most `MAX_JSON_VALUES` values. A result takes 80 kB for 10,000 trials, four times.
+"""
+MAX_TYPE_B_EFFECTS = 200
+"""Largest number of effects that the readings of an evaluation of uncertainty do not show; each is linearised and drawn
+for all pointings. The catalogue has 60.
+"""
+MAX_RESULT_DRAWS = 20_000_000
+"""Largest number of trials of an evaluation of uncertainty multiplied by the number of results: 16 bytes each."""
+
+MAX_SHARD_ROWS = 1_000_000
+"""Largest number of rows in a file of rows of a campaign: 65,536 trials with 15 methods. Equal rows take no space in
+the file, and 200 bytes each in memory.
+"""
+MAX_DATABASE_MEMORY = 250 * BYTES_PER_MIB
+"""Memory [bytes] of the database that reads the rows of a campaign; proportionally more for files of rows that together
+are larger than `MAX_FILE_BYTES`.
 """
 
 MAX_DRAWN_ITEMS = 1_000
@@ -141,6 +163,10 @@ MAX_CAD_SECONDS = 25
 MAX_IN_PROCESS_CAD_BYTES = BYTES_PER_MIB // 2
 """Largest size [bytes] of an OBJ or PLY file that is read without a separate process. A polygon with many corners takes
 360 bytes of memory for each byte of the file.
+"""
+MAX_FLOOR_PARTS = 200
+"""Largest number of areas, of holes in one, of keep-out areas and of doors of a floor; each is compared with all places
+for tripods. A hall has tens.
 """
 MAX_OBSTACLE_TRIANGLES = 200_000
 """Largest number of triangles in a CAD file, counted for each instance of a part. A triangle takes 700 bytes while it

@@ -20,9 +20,12 @@ from pathlib import Path
 from tempfile import TemporaryFile
 
 from ltsim.core.errors import RecordError
+from ltsim.core.limits import BYTES_PER_MIB
 
 FILE_MODE = 0o666
 """Permissions of a new file, which the umask restricts further."""
+MAX_JOURNAL_BYTES = BYTES_PER_MIB
+"""Largest size [bytes] of a journal, that of 10,000 files; no command writes so many at once."""
 _PROCESS_TOKEN = secrets.token_hex(4)
 """Random identifier of this process, because the operating system reuses process numbers."""
 _TEMPORARY_NAME = re.compile(r"\.ltsim-(\d{1,9})-([0-9a-f]{8})-[0-9a-f]{8}\.(tmp|moves)")
@@ -73,11 +76,12 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
     finished_names: set[str] = set()
     for journal in _abandoned_files(folder, "moves"):
         try:
-            moves = json.loads(journal.read_bytes())
+            with journal.open("rb") as stream:
+                moves = json.loads(stream.read(MAX_JOURNAL_BYTES))
             valid = isinstance(moves, dict) and all(
                 isinstance(name, str) and _TEMPORARY_NAME.fullmatch(Path(source).name) for source, name in moves.items()
             )
-        except ValueError:  # killed while it wrote the journal
+        except (ValueError, RecursionError):  # killed while it wrote the journal, or not written by ltsim
             valid = False
         if valid:
             moves = {source: name for source, name in moves.items() if _is_inside_folder(folder, source)}
@@ -92,7 +96,7 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
 def path_in_folder(folder: Path, file_name: str) -> Path:
     """Path of a file in a folder after resolution of links; RecordError for a link that leads out of the folder."""
     final_path = Path(os.path.realpath(folder / file_name))
-    if not (final_path.is_relative_to(os.path.realpath(folder)) or is_device(final_path)):
+    if not _is_inside_folder(folder, file_name):
         raise RecordError(
             f"is a link that leads out of the folder, to {final_path}; remove the link, or choose another folder",
             file=folder / file_name,
@@ -134,20 +138,24 @@ def check_writable(path: Path, *, is_folder: bool) -> None:
         if is_device(path):
             if not os.access(path, os.W_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-            return
-        above = path if is_folder else path.parent
-        while not os.path.lexists(above):
-            above = above.parent
-        with contextlib.suppress(FileNotFoundError):
-            os.lstat(path)
-        for part in path.parts:  # a name may be too long for the file system
-            with contextlib.suppress(FileNotFoundError):
-                os.lstat(above / part)
-        TemporaryFile(dir=above).close()
+        else:
+            _check_folder_above(path, path if is_folder else path.parent)
     except (OSError, ValueError) as problem:
         raise RecordError(f"cannot be written ({getattr(problem, 'strerror', problem)})", file=path) from None
     if not is_folder:
         path_in_folder(path.parent, path.name)
+
+
+def _check_folder_above(path: Path, folder: Path) -> None:
+    """Check that files can be created in the first existing folder from `folder` upwards; raises OSError otherwise."""
+    while not os.path.lexists(folder):
+        folder = folder.parent
+    with contextlib.suppress(FileNotFoundError):
+        os.lstat(path)
+    for part in path.parts:  # a name may be too long for the file system
+        with contextlib.suppress(FileNotFoundError):
+            os.lstat(folder / part)
+    TemporaryFile(dir=folder).close()
 
 
 def _temporary_name(file_suffix: str) -> str:
@@ -184,10 +192,14 @@ def _is_inside_folder(folder: Path, file_name: str) -> bool:
 
 
 def _abandoned_files(folder: Path, file_suffix: str) -> Iterator[Path]:
-    """Temporary files, with the suffix `file_suffix`, in a folder and its subfolders, whose processes have ended."""
+    """Temporary files, with the suffix `file_suffix`, whose processes have ended, in a folder and its subfolders.
+
+    Files behind symbolic links are left out.
+    """
     for path in [*folder.glob(f".ltsim-*.{file_suffix}"), *folder.glob(f"*/.ltsim-*.{file_suffix}")]:
         match = _TEMPORARY_NAME.fullmatch(path.name)
-        if match and not _is_running(int(match[1]), match[2]):
+        name = path.relative_to(folder).as_posix()
+        if match and _is_inside_folder(folder, name) and not _is_running(int(match[1]), match[2]):
             yield path
 
 

@@ -110,7 +110,7 @@ UNIT_BY_KEY_ENDING = MappingProxyType(
 """Unit of a key by the ending of its name: `_mm` means millimetres."""
 UNIT_BY_KEY_BEGINNING = MappingProxyType({"seconds": "s", "minutes": "min", "hours": "h"})
 """Unit of a key by the first word of its name: `seconds` means s."""
-_QUANTITY_PATTERN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s]\S*)\s*")
+_QUANTITY_PATTERN = re.compile(r"\s*+([-+]?(?:\d++(?:\.\d*+)?+|\.\d++)(?:[eE][-+]?\d++)?+)\s*+([^\d\s]\S*+)\s*+")
 
 
 @functools.cache

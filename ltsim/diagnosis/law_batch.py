@@ -219,7 +219,7 @@ class LawBatch:
                     ]
                 )
         log_evidences = [
-            log_evidence((eigenvectors @ score[..., None])[..., 0] ** 2, eigenvalues)
+            log_evidence(np.square((eigenvectors @ score[..., None])[..., 0], dtype=np.float64), eigenvalues)
             for eigenvalues, eigenvectors in self._cached_eigen_decompositions[regressor_range.start]
         ]
         return log_sum_exp(np.stack(log_evidences)) + self.log_prior_by_place[:, None, None], log_sum_exp(null)

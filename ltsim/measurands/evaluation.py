@@ -8,10 +8,13 @@ from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.calibration.reported_uncertainty import MIN_RELATIVE_HIDDEN_DISPLACEMENT
 from ltsim.calibration.result import frame_text
 from ltsim.core.arrays import Bools, Floats
+from ltsim.core.errors import ModelError
+from ltsim.core.limits import MAX_TASK_RESULTS
 from ltsim.measurands.inputs import TaskInputs
 from ltsim.measurands.measurands import Measurand, TaskOutput
 from ltsim.measurands.propagation import (
     MAX_NONLINEARITY_RATIO,
+    TRIALS_PER_BATCH,
     LinearUncertainty,
     MonteCarloUncertainty,
     nonlinearity_differences,
@@ -80,10 +83,12 @@ class TaskEvaluation:
                 warnings.append(f"{what}: the distribution is not normal; take the interval by Monte Carlo")
         if not self.monte_carlo.is_stable.all():
             count = int(np.sum(~self.monte_carlo.is_stable))
+            is_limited = self.monte_carlo.n_trials + TRIALS_PER_BATCH <= self.tasks.monte_carlo.most_trials
+            remedy = "divide the tasks among task files" if is_limited else "raise most_trials"
             warnings.append(
                 f"{count} of {len(self.monte_carlo.is_stable)} results are not stable to "
                 f"{self.tasks.monte_carlo.digits} digits "
-                f"after {self.monte_carlo.n_trials} trials; raise most_trials, or ask for fewer digits"
+                f"after {self.monte_carlo.n_trials} trials; {remedy}, or ask for fewer digits"
             )
         return warnings
 
@@ -189,9 +194,19 @@ def evaluate_tasks_on_coordinates(coordinates: EpochCoordinates, tasks: Tasks) -
     return _evaluate_tasks(TaskInputs.from_coordinates(coordinates, tasks), tasks)
 
 
+def _require_few_results(tasks: Tasks) -> None:
+    """Check of the number of results of all tasks; raises ModelError above `MAX_TASK_RESULTS`."""
+    n_results = sum(len(Measurand(task, np.zeros(0, dtype=np.int64)).outputs) for task in tasks.task)
+    if n_results > MAX_TASK_RESULTS:
+        raise ModelError(
+            f"the tasks have {n_results} results, expected at most {MAX_TASK_RESULTS}: divide them among task files"
+        )
+
+
 @single_threaded
 def _evaluate_tasks(task_inputs: TaskInputs, tasks: Tasks) -> TaskEvaluation:
     """Results of tasks on points with the sources of uncertainty in `task_inputs`."""
+    _require_few_results(tasks)
     measurands = tuple(Measurand.from_task(task, task_inputs.target_names, task_inputs.points) for task in tasks.task)
     stretch = thermal_expansion_of_part(tasks.growth)
     linear = propagate(task_inputs, measurands, stretch)

@@ -8,7 +8,9 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from ltsim.core.errors import as_setup_error
+from ltsim.core.limits import MAX_TYPE_B_EFFECTS
 from ltsim.recordings.air import AirUncertainty
+from ltsim.recordings.keys import Distinct
 from ltsim.recordings.settings import load_settings, validate_settings
 from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection, Vector
 
@@ -112,9 +114,9 @@ class TypeBEffect(TomlSection):
     units."""
     shared: Literal["all", "station", "instrument", "target", "pointing"] = "all"
     """Pointings that share one random draw: all, those of one station, instrument or target, or each pointing alone."""
-    stations: tuple[str, ...] = ()
+    stations: Distinct[str] = ()
     """Names of the stations where the effect acts; empty for all."""
-    targets: tuple[str, ...] = ()
+    targets: Distinct[str] = ()
     """Names of the targets where the effect acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
     """Fixed constants of the effect's formula by name, such as a time constant, as in a scenario."""
@@ -170,13 +172,13 @@ class Tasks(TomlSection):
     """Path of the recording or scenario, relative to this file."""
     calibrate: bool = True
     """True if the instrument parameters are estimated together with the network."""
-    datum: tuple[str, ...] = ()
+    datum: Distinct[str] = ()
     """Targets that define the datum by inner constraints."""
     robust: bool = False
     """True if outliers among the readings are excluded."""
     task: Annotated[tuple[Task, ...], Field(min_length=1)]
     """Tasks, tables `[[task]]`."""
-    type_b: tuple[TypeBEffect, ...] = ()
+    type_b: Annotated[tuple[TypeBEffect, ...], Field(max_length=MAX_TYPE_B_EFFECTS)] = ()
     """Effects that are not visible in the readings (type B), tables `[[type_b]]`."""
     air: AirUncertainty | None = None
     """Uncertainty of the air for long ranges, without the properties for which `type_b` has an effect; default the

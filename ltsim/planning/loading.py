@@ -39,6 +39,9 @@ MAX_SAME_POINT_DISTANCE_MM = 0.1
 same point; a larger one is an error."""
 DEFAULT_STATION_COUNT = 4
 """Number of initial stations in a hall if the plan file gives no number."""
+MAX_GRID_SETUPS = 200_000
+"""Largest number of candidate set-ups of a grid; a plan with more is rejected, because one search holds all in memory.
+"""
 BUILTIN_FOLDER = files("ltsim.planning") / "builtin"
 """Folder of the built-in plan files."""
 
@@ -96,8 +99,7 @@ def _with_defaults(plan_file: PlanFile, path: Path) -> dict[str, Any]:
     `path` is that of the plan file. Raises SetupError for too many points.
     """
     points = read_points(path.parent / plan_file.points) if isinstance(plan_file.points, str) else plan_file.points
-    if len(points) > MAX_PLAN_POINTS:
-        raise SetupError(f"{path}: {len(points)} points, expected at most {MAX_PLAN_POINTS}; plan parts of the hall")
+    _require_few_points(len(points), path)
     new_fields: dict[str, Any] = {"points": points}
     if plan_file.workshop is not None and plan_file.floor.height_mm is None:
         new_fields["floor"] = plan_file.floor.model_copy(update={"height_mm": USUAL_HEAD_HEIGHTS_MM})
@@ -187,7 +189,14 @@ def read_points(path: Path) -> tuple[PlanPoint, ...]:
             if name not in columns:
                 wanted = f"expected name, x, y, z and, optional, {', '.join(columns)}"
                 raise RecordError(f"has the unknown column '{quoted_text(name)}'; {wanted}", file=path)
+        _require_few_points(len(table.names), path)
         return tuple(_point_from_table(table, i, path) for i in range(len(table.names)))
+
+
+def _require_few_points(n_points: int, file: object) -> None:
+    """Check of the number of points of a plan; raises SetupError above `MAX_PLAN_POINTS`."""
+    if n_points > MAX_PLAN_POINTS:
+        raise SetupError(f"{file}: {n_points} points, expected at most {MAX_PLAN_POINTS}; plan parts of the hall")
 
 
 def _point_from_table(table: PointList, row: int, path: Path) -> PlanPoint:
@@ -232,6 +241,7 @@ def _hall_scenario(plan_file: PlanFile, tables: Mapping[str, Any], points: Seque
     table["targets"] = {p.name: {"position_mm": [p.x_mm, p.y_mm, p.z_mm]} for p in points}
     scenario = validate_scenario(table, file)
     _require_plausible_extent(points, scenario, file)
+    require_small_grid(plan_file, scenario)
     n_stations = plan_file.stations.count or DEFAULT_STATION_COUNT
     places = _initial_places(plan_file, scenario, n_stations)
     stations = {
@@ -273,6 +283,24 @@ def _with_points(scenario: Scenario, points: Sequence[PlanPoint], file: object) 
     existing = scenario.targets
     added = {p.name: PlannedTarget(position_mm=(p.x_mm, p.y_mm, p.z_mm)) for p in points if p.name not in existing}
     return scenario.model_copy(update={"targets": {**existing, **added}})
+
+
+def require_small_grid(plan_file: PlanFile, scenario: Scenario) -> None:
+    """Check that the number of candidate set-ups is at most `MAX_GRID_SETUPS`; raises SetupError."""
+    step = plan_file.search.grid_mm
+    if step is None:
+        return
+    wide, deep, _ = scenario.workshop.size_mm
+    floor = plan_file.floor
+    outlines = [area.corners_mm for area in floor.areas] or [floor.corners_mm or ((0.0, 0.0), (wide, deep))]
+    area_sizes = np.array([np.ptp(np.array(outline), axis=0) for outline in outlines])
+    n_places = float(np.prod(1.0 + area_sizes / step, axis=1).sum()) * plan_file.search.yaws * plan_file.search.heights
+    if n_places > MAX_GRID_SETUPS:
+        raise SetupError(
+            f"search: a grid of {step:g} mm over {area_sizes[:, 0].max():g} x {area_sizes[:, 1].max():g} mm "
+            f"has {n_places:.2g} "
+            f"set-ups, the limit is {MAX_GRID_SETUPS}; give a larger grid_mm or a smaller floor"
+        )
 
 
 def _initial_places(plan_file: PlanFile, scenario: Scenario, n_stations: int) -> Floats:

@@ -9,6 +9,7 @@ from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_prog
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
+from ltsim.planning.loading import require_small_grid
 from ltsim.planning.multistart_search import (
     LayoutsByCount,
     PlanningProblem,
@@ -37,8 +38,6 @@ from ltsim.planning.tolerances import PointTolerances, feasibility_and_error_rat
 from ltsim.scene.floor import grid_step
 from ltsim.simulation.scenario import Scenario
 
-MAX_GRID_SETUPS = 200_000
-"""Largest number of candidate set-ups of a grid; a plan with more is refused, because a search holds all in memory."""
 SEARCH_PROGRESS_FRACTION = 0.8
 """Fraction of the progress bar for the search; the rest is for checks of tolerances and changes of reflectors."""
 MIN_STATIONS = 2
@@ -76,7 +75,7 @@ def make_plan(
     Ctrl-C ends the search with the best layout so far (`PlannedNetwork.is_stopped`). Raises SetupError if no layout
     meets the rules of the plan.
     """
-    _require_grid_fits_memory(file, scenario)
+    require_small_grid(file, scenario)
     progress_callbacks = callbacks or SearchCallbacks()
     progress_callbacks.on_progress("searching layouts", 0.0)
     search = _PlanSearch(PlanningProblem(file, scenario), jobs, progress_callbacks)
@@ -307,23 +306,6 @@ def _never_visible_text(search_space: SearchSpace, placement: StationPlacement) 
     return search_space.unseen_targets_text(
         placement, placement.place_stations(len(position) - len(search_space.fixed_stations), search_space.min_sights)
     )
-
-
-def _require_grid_fits_memory(file: PlanFile, scenario: Scenario) -> None:
-    """Check that the grid of a plan has at most `MAX_GRID_SETUPS` candidate set-ups; raises SetupError."""
-    step = file.search.grid_mm
-    if step is None:
-        return
-    wide, deep, _ = scenario.workshop.size_mm
-    outlines = [area.corners_mm for area in file.floor.areas] or [file.floor.corners_mm or ((0.0, 0.0), (wide, deep))]
-    area_sizes = np.array([np.ptp(np.array(outline), axis=0) for outline in outlines])
-    n_places = float(np.prod(1.0 + area_sizes / step, axis=1).sum()) * file.search.yaws * file.search.heights
-    if n_places > MAX_GRID_SETUPS:
-        raise SetupError(
-            f"search: a grid of {step:g} mm over {area_sizes[:, 0].max():g} x {area_sizes[:, 1].max():g} mm "
-            f"has {n_places:.2g} "
-            f"set-ups, the limit is {MAX_GRID_SETUPS}; give a larger grid_mm or a smaller floor"
-        )
 
 
 def max_stations_seeing_every_target(search_space: SearchSpace, step: float, n_heights: int) -> tuple[int, str]:

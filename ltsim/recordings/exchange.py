@@ -31,6 +31,8 @@ RecordingSource = Recording | str | Path
 """Recording, or the path of a file or folder that contains one."""
 MAX_HEAD_BYTES = 16_384
 """Number of bytes at the beginning of a file that are read to recognise its format."""
+MAX_NOTES = 100
+"""Largest number of notes on a file; a file of unknown keywords could cause 200,000."""
 MIN_CONTRADICTORY_ROWS = 2
 """Smallest number of rows that repeat a name with other coordinates at which a file is taken as successive positions of
 a moving target, and not as a list of points; it must also be at least the number of different names."""
@@ -159,7 +161,10 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
         *clock_questions(recording),
         *vertical_pointings_notes(recording),
     )
-    return recording.replace(notes=notes)
+    n_unlisted = len(notes) - MAX_NOTES
+    return recording.replace(
+        notes=notes if n_unlisted <= 0 else (*notes[:MAX_NOTES], f"{n_unlisted} further notes on the file are left out")
+    )
 
 
 def is_recording(path: Path) -> bool:

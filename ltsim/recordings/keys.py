@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from pydantic import AfterValidator, ConfigDict, Field
 
@@ -11,6 +11,8 @@ from ltsim.core.descriptions import DescribedModel
 
 if TYPE_CHECKING:
     from ltsim.core.arrays import Floats
+
+ListedValue = TypeVar("ListedValue")
 
 
 def _require_nonzero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -23,6 +25,10 @@ def _require_not_tiny(value: float) -> float:
     if value < MIN_POSITIVE:
         raise ValueError(f"it should be at least {MIN_POSITIVE:g}")
     return value
+
+
+def _without_repetitions(values: tuple[ListedValue, ...]) -> tuple[ListedValue, ...]:
+    return tuple(dict.fromkeys(values))
 
 
 def _require_single_line(text: str) -> str:
@@ -71,6 +77,8 @@ Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False), AfterValid
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
+Distinct = Annotated[tuple[ListedValue, ...], AfterValidator(_without_repetitions)]
+"""Values of a list, each once: a file of 1 MB could repeat a name 100,000 times."""
 SingleLine = Annotated[str, Field(max_length=200), AfterValidator(_require_single_line)]
 Date = Annotated[str, AfterValidator(_require_calendar_date)]
 MIN_SIGMA = 1e-6

@@ -348,7 +348,7 @@ def recording_texts(recording: Recording, path: Path) -> dict[str, str]:
 
     Raises RecordError for names or values that could not be read back.
     """
-    (header, columns), toml = observation_table(recording), setup_to_toml(recording.setup)
+    (header, columns), toml = observation_table(recording), setup_to_toml(recording.setup, path / SETUP_FILE)
     validate_setup(recording.setup.model_dump(by_alias=True, mode="json", exclude_none=True), path / SETUP_FILE)
     parse((header, columns), recording.setup, path)
     stream = io.StringIO()

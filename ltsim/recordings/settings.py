@@ -299,11 +299,13 @@ def _schema_below(node: JsonSchema, path_part: str) -> JsonSchema | None:
     return schema if isinstance(schema, dict) else None
 
 
-def setup_to_toml(setup: Setup) -> str:
-    """Text of a `setup.toml` from which `read_setup` obtains the same set-up.
+def setup_to_toml(setup: Setup, file: object) -> str:
+    """Text of a `setup.toml`, named `file` in errors, from which `read_setup` obtains the same set-up.
 
     Tables of instruments and of the gauge have all keys; tables of stations and targets have only keys whose values
     differ from the defaults. The unnamed instrument is left out if named ones exist and it has only defaults.
+
+    Raises RecordError for a set-up of more keys than are read.
     """
     tables = {"instrument", "instruments", "gauge", "stations", "targets", "reflectors"}
     table: dict[str, Any] = {"format": setup.format, "title": setup.title}
@@ -318,7 +320,17 @@ def setup_to_toml(setup: Setup) -> str:
     for kind in ("stations", "targets", "reflectors"):
         entries: dict[str, BaseModel] = getattr(setup, kind)
         table[kind] = {n: e.model_dump(by_alias=True, exclude_defaults=True) for n, e in entries.items()}
+    if _n_keys(table) > MAX_TOML_KEYS:
+        message = f"would hold more than {MAX_TOML_KEYS} keys and tables, the limit for reading"
+        raise RecordError(f"{message}; divide the recording by station", file=file)
     return to_toml(table)
+
+
+def _n_keys(value: Any) -> int:
+    """Number of keys in nested tables."""
+    if isinstance(value, Mapping):
+        return len(value) + sum(map(_n_keys, value.values()))
+    return sum(map(_n_keys, value)) if isinstance(value, list | tuple) else 0
 
 
 def to_toml(table: Mapping[str, Any]) -> str:

@@ -97,7 +97,7 @@ def _read_in_process(path: Path, file_size: int) -> Floats:
     )
     if completed_process.returncode == _REFUSED_STATUS:
         reason = completed_process.stderr.decode(errors="replace").strip()
-        if reason != MemoryError.__name__:
+        if reason not in (MemoryError.__name__, ""):  # without memory the reason may not be written either
             raise _incomplete_file_error(path, reason)
     if completed_process.returncode:
         most = f"{limit_factor * MAX_CAD_MEMORY / BYTES_PER_MIB:.0f} MiB and {limit_factor * MAX_CAD_SECONDS:.0f} s"

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from hashlib import blake2b
 from itertools import product
-from typing import Any
 
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import perpendicular_vectors, rotation_about_z
+from ltsim.scene.ray_caster import RayCaster
 
 RAY_BUNDLE_RADIUS = 1e-4
 """Half-width [m] of a bundle of rays around a line of sight. If only some rays of the bundle are blocked, the line
@@ -64,18 +64,9 @@ class Obstacles:
     """Height [m] of the floor on which tripods stand."""
 
     @cached_property
-    def _ray_caster(self) -> Any:
+    def _ray_caster(self) -> RayCaster | None:
         """Ray caster of Embree; None if it is not installed, or if there are no triangles."""
-        if not len(self.triangles):
-            return None
-        try:
-            import embreex  # noqa: F401  # required by trimesh.ray.ray_pyembree, which does not check for it
-            import trimesh  # takes 0.2 s to import and is rarely needed
-            from trimesh.ray.ray_pyembree import RayMeshIntersector
-        except ImportError:
-            return None
-        faces = np.arange(3 * len(self.triangles)).reshape(-1, 3)
-        return RayMeshIntersector(trimesh.Trimesh(self.triangles.reshape(-1, 3), faces, process=False))
+        return RayCaster.from_triangles(self.triangles) if len(self.triangles) else None
 
     def is_blocked(self, origins: Floats, end_points: Floats) -> Bools:
         """Flags (n,) of those of n straight lines from origins (n, 3) to end points (n, 3) [m] that a triangle blocks.
@@ -121,11 +112,7 @@ class Obstacles:
         beam = (end_points - origins) / sight_lengths[:, None]
         if self._ray_caster is None:
             return np.asarray(count_ray_hits(self.triangles, origins, beam, sight_lengths) > 0)
-        point, ray, _ = self._ray_caster.intersects_location(origins, beam, multiple_hits=False)
-        hit = np.zeros(len(origins), dtype=bool)
-        way = np.linalg.norm(point - origins[ray], axis=1)
-        hit[ray] = way < sight_lengths[ray] - RAY_BUNDLE_RADIUS
-        return hit
+        return self._ray_caster.first_hit_distances(origins, beam) < sight_lengths - RAY_BUNDLE_RADIUS
 
     def is_inside_body(self, points: Floats) -> Bools:
         """Flags (n,) of n points (n, 3) [m] inside a closed body: a ray upwards crosses an odd number of triangles."""

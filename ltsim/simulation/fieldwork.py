@@ -8,6 +8,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError, as_setup_error
+from ltsim.core.limits import MAX_SIMULATED_POINTINGS
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import to_polar
@@ -123,7 +124,16 @@ def _hidden_pair_notes(workshop_layout: WorkshopLayout, visibility: Visibility) 
 def _sightings(
     scenario: Scenario, workshop_layout: WorkshopLayout, is_visible: Bools, seed: int, *stream_key: str | int
 ) -> Sightings:
-    """Pointings in the order of measurement, of targets that at least one station sees."""
+    """Pointings in the order of measurement, of targets that at least one station sees.
+
+    Raises SetupError for more than `MAX_SIMULATED_POINTINGS`.
+    """
+    n_pointings = int(is_visible.sum()) * scenario.work.faces * scenario.work.repeats
+    if n_pointings > MAX_SIMULATED_POINTINGS:
+        raise SetupError(
+            f"the scenario has {n_pointings} pointings, expected at most {MAX_SIMULATED_POINTINGS}: "
+            "give fewer stations, targets or work.repeats"
+        )
     pointed = np.flatnonzero(is_visible.any(axis=0))
     renumbered = np.full(len(workshop_layout.target_names), -1)
     renumbered[pointed] = np.arange(len(pointed))

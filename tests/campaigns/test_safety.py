@@ -7,13 +7,19 @@ import subprocess
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import trimesh
 
 from ltsim.campaigns.campaign import checkout_commit, run_campaign
 from ltsim.campaigns.results import CampaignResults
+from ltsim.campaigns.schema import MAX_SHARDS
+from ltsim.campaigns.statistics import memory_limit
 from ltsim.campaigns.store import CampaignFolder
 from ltsim.core.errors import LtsimError, SetupError
+from ltsim.core.limits import MAX_FILE_BYTES, MAX_SHARD_ROWS
 from ltsim.core.randomness import random_stream
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 from ltsim.simulation.sections import Obstacle
@@ -45,6 +51,47 @@ def test_a_shard_of_another_campaign_is_refused_without_digests(file: Path, tmp_
     (tmp_path / "out" / "rows.sha256").unlink()
     with pytest.raises(SetupError, match="belongs to another campaign"):
         CampaignResults(tmp_path / "out")
+
+
+@pytest.mark.parametrize("with_digests", [True, False])
+def test_a_small_file_of_very_many_rows_is_refused_before_it_is_read(
+    with_digests: bool, file: Path, tmp_path: Path
+) -> None:
+    """30,000,000 equal rows in a file of 100 kB took 2 GB."""
+    run_campaign(file, tmp_path / "out")
+    store = CampaignFolder(tmp_path / "out")
+    shard = store.shard_path(0, 0)
+    table = pq.read_table(shard)
+    rows = {f.name: np.repeat(table[f.name].to_numpy()[:1], MAX_SHARD_ROWS + 1) for f in table.schema}
+    pq.write_table(pa.table(rows, table.schema), shard, compression="zstd")
+    assert shard.stat().st_size < 1e6
+    (tmp_path / "out" / "rows.sha256").unlink()
+    if with_digests:
+        for number in range(2):
+            store.record_digest(0, number)
+    with pytest.raises(SetupError, match=f"{MAX_SHARD_ROWS + 1} rows, expected at most {MAX_SHARD_ROWS}"):
+        CampaignResults(tmp_path / "out")
+
+
+@pytest.mark.parametrize("shard", [24, None])
+def test_a_manifest_of_very_many_files_of_rows_is_refused(shard: int | None, file: Path, tmp_path: Path) -> None:
+    """Their list took 3.5 GB."""
+    few = FILE.replace("trials = 600", "trials = 8")
+    file.write_text(few)
+    run_campaign(file, tmp_path / "out")
+    manifest = tmp_path / "out" / "manifest.json"
+    content = {**json.loads(manifest.read_text()), "trials": 10**18, "shard": shard}
+    manifest.write_text(json.dumps({key: value for key, value in content.items() if value is not None}))
+    with pytest.raises(SetupError, match=f"files of rows, expected at most {MAX_SHARDS}"):
+        run_campaign(file, tmp_path / "out", resume=True)
+
+
+def test_the_database_takes_memory_in_proportion_to_its_files(tmp_path: Path) -> None:
+    (tmp_path / "small").write_bytes(b"x")
+    with (tmp_path / "large").open("wb") as stream:
+        stream.truncate(2 * MAX_FILE_BYTES)
+    assert memory_limit([tmp_path / "small"]) == "250MiB"
+    assert memory_limit([tmp_path / "large"]) == "500MiB"
 
 
 def test_a_folder_is_no_pattern(file: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -12,7 +13,7 @@ import pytest
 
 from ltsim.cli.main import run
 from ltsim.core.errors import RecordError
-from ltsim.core.storage import complete_interrupted_moves, path_in_folder, write_files
+from ltsim.core.storage import check_writable, complete_interrupted_moves, path_in_folder, write_files
 from ltsim.recordings.files import write_texts
 
 KILLED = """
@@ -112,12 +113,36 @@ def test_a_note_of_somebody_else_moves_nothing_out_of_or_into_the_folder(tmp_pat
         "[1]",
         "{",
         "\xff",
+        "[" * 100_000,
     ):
         note = folder / ".ltsim-999999999-00000000-00000000.moves"
         note.write_text(moves, encoding="latin-1")
         complete_interrupted_moves(folder)
         assert contents(folder) == {"mine": b"mine"}
     assert (tmp_path / ".ltsim-1-00000000-00000000.tmp").exists()
+
+
+def test_nothing_behind_a_link_is_removed_or_written(tmp_path: Path) -> None:
+    """What a killed process left in another folder stays; a device or a pipe there is no place to write to."""
+    folder, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    folder.mkdir()
+    elsewhere.mkdir()
+    left, note = ".ltsim-999999999-00000000-00000000.tmp", ".ltsim-999999999-00000000-00000000.moves"
+    (elsewhere / left).write_text("theirs")
+    (elsewhere / "note").write_text(json.dumps({left: "taken"}))
+    (folder / "sub").symlink_to(elsewhere)
+    (folder / note).symlink_to(elsewhere / "note")
+    os.mkfifo(elsewhere / "pipe")
+    (folder / "pipe").symlink_to(elsewhere / "pipe")
+    reader = os.open(elsewhere / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    write_files(folder, {"mine": b"whole"})
+    with pytest.raises(RecordError, match="leads out of the folder"):
+        write_files(folder, {"pipe": b"through"})
+    with pytest.raises(RecordError, match="leads out of the folder"):
+        check_writable(folder / "pipe", is_folder=False)
+    assert os.read(reader, 100) == b""
+    os.close(reader)
+    assert sorted(p.name for p in elsewhere.iterdir()) == [left, "note", "pipe"]
 
 
 def test_what_another_process_is_writing_is_left_alone(tmp_path: Path) -> None:

@@ -55,6 +55,20 @@ def evaluated() -> TaskEvaluation:
     return evaluate_tasks(recording, tasks())
 
 
+def test_the_results_and_trials_of_an_evaluation_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thousand planes took a gigabyte; without the limit of trials, so do 200 results with 5,000,000."""
+    recording, _ = network(faces=2, seed=3, values=drawn(misalignment_construction(), 7))
+    lengths = [{"name": f"length {i}", "kind": "distance", "targets": ["T01", "T12"]} for i in range(1_001)]
+    with pytest.raises(ModelError, match="the tasks have 1001 results, expected at most 1000: divide them"):
+        evaluate_tasks(recording, tasks(task=lengths))
+    monkeypatch.setattr("ltsim.measurands.propagation.MAX_RESULT_DRAWS", 20_000)
+    few = evaluate_tasks(recording, tasks(task=lengths[:2], monte_carlo={"digits": 2, "most_trials": 5_000_000}))
+    assert few.monte_carlo.n_trials == 10_000
+    assert any("divide the tasks among task files" in warning for warning in few.warnings)
+    with pytest.raises(SetupError, match=r"type_b .*at most 200"):
+        tasks(type_b=[{"effect": "range-step"}] * 201)
+
+
 def test_observed_sources_add_up_to_the_covariance_of_the_adjustment() -> None:
     inputs = evaluated().inputs
     evaluation_types = {source.name: source.evaluation_type for source in inputs.sources}

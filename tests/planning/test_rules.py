@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.core.errors import SetupError
+from ltsim.planning.loading import load_plan
 from ltsim.planning.planner import evaluate_plan
 from ltsim.planning.result import Plan, load_plan_and_scenario
 from ltsim.planning.search import LayoutSearcher
@@ -212,6 +214,36 @@ def test_places_of_reflectors_are_bounded_before_any_is_made(rows: int, hall: Pa
     )
     with pytest.raises(SetupError, match=f"reflectors: {count * rows * 100} candidate places, expected at most 3000"):
         lt.plan(file)
+
+
+def test_a_fine_grid_of_a_hall_is_refused_before_it_is_built(tmp_path: Path) -> None:
+    """A million places took 1.3 GB and 27 s; a thousandth of a millimetre would take all memory."""
+    (tmp_path / "points.csv").write_text(POINTS)
+    (tmp_path / "plan.toml").write_text(re.sub(r"grid_mm = .*", "grid_mm = 5", PLAN))
+    tracemalloc.start()
+    try:
+        with pytest.raises(SetupError, match=r"a grid of 5 mm .* the limit is 200000"):
+            load_plan(tmp_path / "plan.toml")
+        assert tracemalloc.get_traced_memory()[1] < 50e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_lists_of_a_plan_hold_each_value_once(tmp_path: Path) -> None:
+    """390,000 times one effect took 40 s before the search began."""
+    (tmp_path / "points.csv").write_text(POINTS)
+    effects = '[goal]\neffects = ["range-step", "range-step"]\n'
+    (tmp_path / "plan.toml").write_text(PLAN.replace("[[goal.tolerances]]", f"{effects}[[goal.tolerances]]"))
+    plan, _ = load_plan(tmp_path / "plan.toml")
+    assert plan.goal.effects == ("range-step",)
+
+
+def test_parts_of_a_floor_are_bounded(tmp_path: Path) -> None:
+    (tmp_path / "points.csv").write_text(POINTS)
+    door = "[[floor.doors]]\nfrom_mm = [0, 0]\nto_mm = [1, 0]\n"
+    (tmp_path / "plan.toml").write_text(PLAN + door * 201)
+    with pytest.raises(SetupError, match=r"floor\.doors .*at most 200"):
+        load_plan(tmp_path / "plan.toml")
 
 
 def test_points_of_a_plan_are_bounded(tmp_path: Path) -> None:

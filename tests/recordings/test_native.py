@@ -427,7 +427,7 @@ def test_any_recording_survives(tmp_path: Path, recording: Recording) -> None:
 @settings(max_examples=25, deadline=None, suppress_health_check=NO_FIXTURE_CHECK)
 @given(setup=setups())
 def test_any_setup_survives(tmp_path: Path, setup: Setup) -> None:
-    (tmp_path / "setup.toml").write_text(setup_to_toml(setup), encoding="utf-8")
+    (tmp_path / "setup.toml").write_text(setup_to_toml(setup, "setup.toml"), encoding="utf-8")
     assert read_setup(tmp_path / "setup.toml") == setup
 
 

@@ -312,3 +312,10 @@ def test_an_effect_without_anything_to_act_on_is_told() -> None:
     entries = [{"name": "dead-path", "draw": True}, {"name": "gauge-scale", "draw": True}]
     recording, _ = simulate(with_(PAPER, effects=entries).model_copy(update={"smr": smr}), 1)
     assert recording.notes[-2:] == ("dead-path changes no reading here", "smr-incidence changes no reading here")
+
+
+def test_a_recording_of_too_many_pointings_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A million took 1 GB and 31 s."""
+    monkeypatch.setattr("ltsim.simulation.fieldwork.MAX_SIMULATED_POINTINGS", 139)
+    with pytest.raises(SetupError, match="the scenario has 140 pointings, expected at most 139: give fewer"):
+        simulate(load_scenario("paper-workshop"), 1)

@@ -211,7 +211,7 @@ TEXT_FORM_EXAMPLES = (
     "a switch of time, on from 5 min to 20 min, 35 min to the end",
 )
 """Examples of the text form of a regressor."""
-_NUMBER_PATTERN = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
+_NUMBER_PATTERN = r"[-+]?(?:\d++(?:\.\d*+)?+|\.\d++)(?:e[-+]?\d++)?+"
 _PLACEHOLDER_PATTERNS = {
     "x": "(?P<x>.+)",
     "k": f"(?P<k>{_NUMBER_PATTERN})",

@@ -14,6 +14,7 @@ line at its position.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,6 +24,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
+from ltsim.core.notation import listing
 from ltsim.core.units import EARTH_RADIUS, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, quoted_text, read_lines, single_line_title
@@ -87,9 +89,11 @@ class _LgcContent:
     frames: list[str] = field(default_factory=list)
     points_in_frames: list[str] = field(default_factory=list)
     observed_points: list[tuple[str, Floats, Floats]] = field(default_factory=list)
-    orientation_points: list[str] = field(default_factory=list)
+    orientation_points: dict[str, None] = field(default_factory=dict)
+    """Names of the points that orient the frame (*PDOR), in the order of the file."""
     instruments: dict[str, PolarInstrument] = field(default_factory=dict)
     setups: dict[str, _SetUp] = field(default_factory=dict)
+    n_setups_by_point: Counter[str] = field(default_factory=Counter)
     observations: list[SingleObservation] = field(default_factory=list)
     n_skipped_by_keyword: dict[str, int] = field(default_factory=dict)
     n_switched_off: int = 0
@@ -102,13 +106,13 @@ class _LgcContent:
 
     def add_setup(self, setup: _SetUp) -> None:
         """Addition of a set-up; a repeated set-up on a point gets a number."""
-        n_earlier = sum(s.point == setup.point for s in self.setups.values())
-        self.setups[numbered_name(setup.point, n_earlier)] = setup
+        self.setups[numbered_name(setup.point, self.n_setups_by_point[setup.point])] = setup
+        self.n_setups_by_point[setup.point] += 1
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
     """True if a file begins like an LGC file."""
-    return re.search(r"^\s*\*(TITR|RS2K|OLOC|INSTR|CALA|POIN)\b", file_beginning, re.MULTILINE) is not None
+    return re.search(r"^[^\S\n]*+\*(TITR|RS2K|OLOC|INSTR|CALA|POIN)\b", file_beginning, re.MULTILINE) is not None
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -198,7 +202,7 @@ def _begin_direction_set(line_words: LineWords, file: _LgcContent) -> None:
     setup = file.setups[name]
     default = options.values.get("TRGT", setup.default_target)
     setup = replace(setup, direction_constant=options.number("ACST", 0.0) * GON, default_target=default)
-    if any(o.station == name for o in file.observations):
+    if file.observations and file.observations[-1].station == name:
         file.add_setup(setup)
     else:
         file.setups[name] = setup
@@ -216,7 +220,7 @@ def _process_line(keyword: str, line_words: LineWords, file: _LgcContent) -> boo
     elif keyword == "OBSXYZ" and not file.curved_reference_keyword:
         file.observed_points.append(parse_observed_point(line_words))
     elif keyword == "PDOR":
-        file.orientation_points.append(line_words.tokens[0])
+        file.orientation_points[line_words.tokens[0]] = None
     elif keyword == "POLAR":
         file.notes += filter(None, [file.instruments[next(reversed(file.instruments))].declare(line_words)])
     elif keyword in OBSERVATION_KEYWORDS:
@@ -381,7 +385,7 @@ def _notes(file: _LgcContent) -> Iterator[str]:
         reason = axes_reason if keyword == "OBSXYZ" else "is not supported"
         yield f"*{quoted_text(keyword)} {reason}: {count} lines are skipped"
     if file.points_in_frames:
-        frames = ", ".join(map(quoted_text, file.frames))
+        frames = listing([*map(quoted_text, file.frames)])
         sentence = f"*OBSXYZ observes {len(file.points_in_frames)} points in a separate frame ({frames})"
         if all(name in file.points and file.points[name].is_fixed for name in file.points_in_frames):
             yield f"{sentence}: they are not used, because all of them are fixed"

@@ -35,6 +35,8 @@ class FieldBook:
     """Name of the set-up that was added last."""
     setups: dict[str, tuple[str, float, Vector | None]] = field(default_factory=dict)
     """Point, height of the instrument [m] and coordinates [mm] of each set-up, by its name."""
+    n_setups_by_point: Counter[str] = field(default_factory=Counter)
+    """Number of set-ups over each point."""
     pointings: list[Pointing] = field(default_factory=list)
     n_skipped: int = 0
     """Number of records that are not used."""
@@ -44,8 +46,8 @@ class FieldBook:
 
         A repeated set-up over a point gets the name of the point and a number.
         """
-        n_earlier = sum(point == location.name(name, "station") for point, _, _ in self.setups.values())
-        self.station = numbered_name(name, n_earlier)
+        self.station = numbered_name(location.name(name, "station"), self.n_setups_by_point[name])
+        self.n_setups_by_point[name] += 1
         self.setups[self.station] = (name, height, coordinates_mm)
 
     def add_pointing(

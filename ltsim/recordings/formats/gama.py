@@ -20,7 +20,7 @@ from ltsim.core.notation import listing
 from ltsim.core.units import ARCSECOND, DEGREE, GON, MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import SourceLocation, quoted_text, single_line_title
+from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, SourceLocation, quoted_text, single_line_title
 from ltsim.recordings.formats.gama_network import (
     GamaNetwork,
     GamaPoint,
@@ -103,15 +103,19 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 def _replace_slashes(root: XmlNode, network: GamaNetwork) -> None:
     """Replacement, in place, of `/` in names of points by `_`, because names of targets must not contain `/`.
 
-    A name with `..` is not changed, because it is refused in any case.
+    A name with `..`, or one that would become too long, is not changed, because it is refused in any case.
     """
     attributes = [(element, key) for element in root.element.iter() for key in NAME_ATTRIBUTES if key in element.attrib]
     file_names = dict.fromkeys(element.attrib[key] for element, key in attributes)
     names: dict[str, str] = {}
+    used_names = {*file_names}
     for name in (name for name in file_names if "/" in name and ".." not in name):
-        names[name] = name.replace("/", "_")
-        while names[name] in file_names or list(names.values()).count(names[name]) > 1:
-            names[name] += "_"
+        new_name = name.replace("/", "_")
+        while new_name in used_names and len(new_name) <= MAX_RECORDING_NAME_LENGTH:
+            new_name += "_"
+        if new_name not in used_names:
+            names[name] = new_name
+            used_names.add(new_name)
     for element, key in attributes:
         element.attrib[key] = names.get(element.attrib[key], element.attrib[key])
     if names:

@@ -24,34 +24,42 @@ class UnsupportedFormat:
     export_advice: str = OBSERVATIONS_ADVICE
 
 
+_XML_PROLOGUE = r"\s*+(?:<\?xml[^>]*+>\s*+)?+(?:(?><!--.*?-->)\s*+)*+"
+"""Pattern of what may precede the root element of an XML file: a declaration and comments."""
+
+
 def _make_format(name: str, pattern: str, export_advice: str = OBSERVATIONS_ADVICE) -> UnsupportedFormat:
     return UnsupportedFormat(name, re.compile(pattern, re.DOTALL), export_advice)
 
 
 UNSUPPORTED_FORMATS = (
-    _make_format("a field book in the format M5 or Rec (Trimble, Zeiss)", r"\s*For[ _](?:M5|REC|R[45E])\|Adr"),
-    _make_format("a job in the format JobXML (Trimble)", r"\s*(?:<\?xml[^>]*>\s*)?(?:<!--.*?-->\s*)*<JOBFile\b"),
-    _make_format("a job in the format LandXML", r"\s*(?:<\?xml[^>]*>\s*)?(?:<!--.*?-->\s*)*<LandXML\b"),
-    _make_format("a file of Leica in the format HeXML", r"\s*(?:<\?xml[^>]*>\s*)?(?:<!--.*?-->\s*)*<HexagonXML\b"),
+    _make_format("a field book in the format M5 or Rec (Trimble, Zeiss)", r"\s*+For[ _](?:M5|REC|R[45E])\|Adr"),
+    _make_format("a job in the format JobXML (Trimble)", rf"{_XML_PROLOGUE}<JOBFile\b"),
+    _make_format("a job in the format LandXML", rf"{_XML_PROLOGUE}<LandXML\b"),
+    _make_format("a file of Leica in the format HeXML", rf"{_XML_PROLOGUE}<HexagonXML\b"),
     _make_format(
-        "a field book in the format RW5 (Carlson)", r"(?:\s*--[^\n]*\n)*\s*(?:JB,NM|MO,AD|OC,OP|BK,OP|LS,H[IR]|SS,OP)"
+        "a field book in the format RW5 (Carlson)",
+        r"(?:\s*+--[^\n]*+\n)*+\s*+(?:JB,NM|MO,AD|OC,OP|BK,OP|LS,H[IR]|SS,OP)",
     ),
-    _make_format("a raw file of Nikon", r"(?:\s*CO,[^\n]*\n)+?\s*(?:CO,(?:Dist Units|Angle Units)|ST,|MP,|UP,)"),
+    _make_format("a raw file of Nikon", r"(?:\s*+CO,[^\n]*+\n)+?\s*+(?:CO,(?:Dist Units|Angle Units)|ST,|MP,|UP,)"),
     _make_format(
         "a raw file of Topcon or Ruide",
-        r"\s*(?:GTS|GPT)-\d|\s*_'[^\n]{0,40}_\(|\s*JOB\s+[^\n]*\n(?:[^\n]*\n){0,8}?\s*STN\s",
+        r"\s*+(?:(?:GTS|GPT)-\d|_'[^\n]{0,40}_\(|JOB(?=\s)[^\n]*+\n(?:[^\n]*+\n){0,8}?\s*+STN\s)",
     ),
-    _make_format("a field book in the format Geodimeter (JOB, ARE)", r"\s*50=[^\n]*\n(?:\d{1,3}=[^\n]*\n){3}"),
+    _make_format("a field book in the format Geodimeter (JOB, ARE)", r"\s*+50=[^\n]*+\n(?:\d{1,3}=[^\n]*+\n){3}"),
     _make_format(
         "input of STAR*NET",
-        r"(?:\s*#[^\n]*\n|\s*\.[A-Za-z][^\n]*\n|\s*C\s[^\n]*\n)*\s*(?:M\s+\S+-\S+-\S+\s|DB\s+\S+\s*\n\s*D[MN]\s)",
+        r"(?:\s*+(?:#|\.[A-Za-z]|C\s)[^\n]*+\n)*+\s*+"
+        r"(?:M\s++\S[^\s-]*+-\S[^\s-]*+-\S++\s|DB\s++\S++[^\S\n]*+\n\s*+D[MN]\s)",
     ),
-    _make_format("a field book in the format GEO (GeoEasy)", r"\s*\{\s*\d+\s+[^}]*\}\s*\{\s*\d+\s"),
+    _make_format("a field book in the format GEO (GeoEasy)", r"\s*+\{\s*+\d++\s[^}]*+\}\s*+\{\s*+\d++\s"),
     _make_format("a file of MATLAB", r"MATLAB 5\.0 MAT-file", ARRAYS_ADVICE),
-    _make_format("a JSON array", r"\s*\[\s*[\[{\d\"-]", ARRAYS_ADVICE),
-    _make_format("a JSON object", r"\s*\{\s*\"[^\"\n]*\"\s*:", ARRAYS_ADVICE),
+    _make_format("a JSON array", r"\s*+\[\s*+[\[{\d\"-]", ARRAYS_ADVICE),
+    _make_format("a JSON object", r"\s*+\{\s*+\"[^\"\n]*+\"\s*+:", ARRAYS_ADVICE),
     _make_format("a database", r"SQLite format 3|\x00\x01\x00\x00Standard (?:Jet|ACE) DB", DATABASES_ADVICE),
     _make_format("a workbook of Excel 97 (xls)", r"\xd0\xcf\x11\xe0", WORKBOOKS_ADVICE),
     _make_format("a workbook of OpenDocument (ods)", r"PK.{28}mimetypeapplication/vnd\.oasis", WORKBOOKS_ADVICE),
 )
-"""Formats that are not read, in the order in which they are tried."""
+"""Formats that are not read, in the order in which they are tried. Their patterns look at each character of a file's
+beginning a bounded number of times.
+"""

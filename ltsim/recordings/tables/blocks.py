@@ -17,11 +17,13 @@ STATION_WORDS_BEFORE_SIGN = frozenset(("from", "fromstn", "fromstation", "frompo
 """Words that precede the name of a station only before a colon or an equals sign; otherwise they belong to a text."""
 MAX_HEIGHT_TITLE_WORDS = 4
 """Largest number of words before a height that are tested as its title."""
-_WORDS_AND_VALUE_PATTERN = re.compile(r"#?\s*([^:=]{1,60}?)\s*[:=]\s*(\S.*?)[\s;,]*")
-"""Pattern of words and a value, separated by a colon or an equals sign."""
-_WORD_PATTERN = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
+_WORDS_AND_VALUE_PATTERN = re.compile(r"#?+\s*+([^:=]{1,60}?)\s*+[:=]\s*+(\S.*+)")
+"""Pattern of words and a value, separated by a colon or an equals sign. In this and the other patterns of a line no two
+repetitions divide a run of blanks between them, which would take a time that grows with the square of its length.
+"""
+_WORD_PATTERN = re.compile(r"#?+\s*+([^\W\d_]++)(?:\s*+[:=;,]|(?=\s))\s*+(\S.*+)")
 """Pattern of a line with a single word and a value, such as ``Station S1``."""
-_HEIGHT_PATTERN = re.compile(r"(.*?)[\s:=;,]\s*(\d{1,5}(?:[.,]\d{1,6})?)\s*(mm|cm|m|ft|in)?[\s;,]*")
+_HEIGHT_PATTERN = re.compile(r"(.*?)(?<=[\s:=;,])(\d{1,5}(?:[.,]\d{1,6})?)\s*+(mm|cm|m|ft|in)?[\s;,]*+")
 """Pattern of a line that ends with a length and possibly its unit."""
 
 

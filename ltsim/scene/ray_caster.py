@@ -1,0 +1,65 @@
+"""First hits of rays on triangles, in single precision, by the library Embree (the extra `cad`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+
+SCENE_EXTENT = 100.0
+"""Diagonal of all triangles in the units of Embree, for which its tolerances are made."""
+MIN_INCIDENCE_COSINE = 1e-12
+"""Smallest cosine between a ray and the normal of a triangle at which the ray hits the triangle."""
+
+
+@dataclass(frozen=True)
+class RayCaster:
+    """Triangles in a scene of Embree."""
+
+    triangles: Floats
+    """Corners (m, 3, 3) [m] of the triangles."""
+    normals: Floats
+    """Unit normals (m, 3) of the triangles; zero for a triangle without area."""
+    low_corner: Floats
+    """Smallest coordinates (3,) [m] of all triangles, the origin of Embree's coordinates."""
+    scale: float
+    """Ratio of the units of Embree to metres."""
+    scene: Any
+    """Scene of Embree."""
+
+    @classmethod
+    def from_triangles(cls, triangles: Floats) -> RayCaster | None:
+        """Ray caster for triangles (m, 3, 3) [m]; None if Embree is not installed."""
+        try:
+            from embreex import rtcore_scene
+            from embreex.mesh_construction import TriangleMesh
+        except ImportError:
+            return None
+        low_corner, high_corner = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+        extent = float(np.linalg.norm(high_corner - low_corner))
+        scale = SCENE_EXTENT / extent if extent else 1.0
+        normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+        scene = rtcore_scene.EmbreeScene()
+        TriangleMesh(scene, vertices=((triangles - low_corner) * scale).astype(np.float32))
+        return cls(triangles, normals, low_corner, scale, scene)
+
+    def first_hit_distances(self, origins: Floats, directions: Floats) -> Floats:
+        """Distances (n,) [m] from origins (n, 3) [m] along unit directions (n, 3) to the first triangle; inf for none.
+
+        Embree finds the triangle; the distance to its plane is computed in double precision.
+        """
+        start = np.ascontiguousarray((origins - self.low_corner) * self.scale, dtype=np.float32)
+        triangle = np.asarray(self.scene.run(start, np.ascontiguousarray(directions, dtype=np.float32)))
+        ray = np.flatnonzero(triangle >= 0)
+        normal, corner = self.normals[triangle[ray]], self.triangles[triangle[ray], 0]
+        cosine = np.einsum("ij,ij->i", normal, directions[ray])
+        height = np.einsum("ij,ij->i", normal, corner - origins[ray])
+        distances = np.full(len(origins), np.inf)
+        is_hit = np.abs(cosine) > MIN_INCIDENCE_COSINE
+        distances[ray[is_hit]] = height[is_hit] / cosine[is_hit]
+        return distances
