@@ -75,13 +75,13 @@ def peers(trials: int) -> None:
     engine, judge = BatchCalibrator(truth, misalignment_construction()), TrialEvaluator(truth)
     block = truth.draw_batch(SEED, 0)
     found = engine.calibrate(block)
-    judge.common_columns(block)
+    judge.method_independent_columns(block)
     judge.method_columns(block, found, engine.construction)
 
     def everything() -> None:
         drawn = truth.draw_batch(SEED, 1)
         fitted = engine.calibrate(drawn)
-        judge.common_columns(drawn)
+        judge.method_independent_columns(drawn)
         judge.method_columns(drawn, fitted, engine.construction)
 
     n, (*_, unknowns) = len(truth.recording), engine.batch_network.end_indices

@@ -5,7 +5,7 @@ import numpy as np
 from experiments.common import Made, Options, Row, batches, tell, write_figure, write_table
 from ltsim.campaigns.calibrators import make_calibrator
 from ltsim.campaigns.cloud_kernels import align_rigidly
-from ltsim.campaigns.spec import Method
+from ltsim.campaigns.spec import CalibrationMethod
 from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
@@ -34,7 +34,7 @@ def squares(scenario: Scenario, weights: dict[str, float], number: int, width: i
     """Weighted mean squared error (B,) [um^2] of the named targets, fitted rigidly to where they truly are."""
     truth = make_cell_truth(scenario, SEED, "campaign")
     block = truth.draw_batch(SEED, number, width)
-    found = make_calibrator(Method(), truth).calibrate(block, np.arange(width))
+    found = make_calibrator(CalibrationMethod(), truth).calibrate(block, np.arange(width))
     weight = np.array([weights.get(name, 0.0) for name in truth.recording.targets])
     true = np.ascontiguousarray(np.broadcast_to(truth.state.target_points[:, :, None], found.target_errors.shape))
     moved = np.empty_like(true)

@@ -13,9 +13,8 @@ from ltsim.recordings.specification import Specification
 
 Judgement = Literal["accepted", "rejected", "undecided"]
 """Judgement of a measured error by ISO 14253-1: `accepted` if it is below its limit by at least its expanded
-uncertainty, `rejected` if it is above its limit by more than that, else `undecided`. An error without an uncertainty is
-compared with its limit directly.
-"""
+uncertainty, `rejected` if it is above its limit by more than its expanded uncertainty, else `undecided`. An error
+without an uncertainty is compared with its limit directly."""
 
 
 JUDGEMENT_ORDER: tuple[Judgement, ...] = ("rejected", "undecided", "accepted")
@@ -23,12 +22,12 @@ JUDGEMENT_ORDER: tuple[Judgement, ...] = ("rejected", "undecided", "accepted")
 
 
 def joint_judgement(judgements: Collection[Judgement]) -> Judgement:
-    """Joint judgement of several errors: rejected if one is rejected, accepted if all are accepted, else undecided."""
+    """Joint judgement of several test errors: rejected if one is rejected, accepted if all are, else undecided."""
     return "rejected" if "rejected" in judgements else "accepted" if {*judgements} <= {"accepted"} else "undecided"
 
 
-class TestEntry(Entry):
-    """Acceptance test with its error, measured or predicted, and its limit."""
+class TestOutcome(Entry):
+    """Outcome of one acceptance test: its measured or predicted error, its limit and the judgement."""
 
     __test__ = False
 
@@ -55,7 +54,7 @@ class TestEntry(Entry):
 
     @property
     def hardest_first_key(self) -> tuple[float, int, float]:
-        """Sort key of the tests; the test with the largest excess, or closest to failure, is first.
+        """Sort key that puts the test first whose error exceeds its limit most, or is closest to its limit.
 
         The key consists of the probability to pass, the judgement, and the ratio of error to limit. The error is
         reduced by its expanded uncertainty if it is rejected, and increased by it otherwise.
@@ -66,7 +65,7 @@ class TestEntry(Entry):
         return self.pass_probability or 0.0, JUDGEMENT_ORDER.index(self.judgement or "accepted"), -share
 
 
-class GroupEntry(Entry):
+class TestGroupSummary(Entry):
     """Summary of the tests of one group."""
 
     name: str
@@ -86,7 +85,7 @@ TESTS_TABLE = Table(
     "accept.csv",
     "errors and limits of the acceptance tests",
     columns_of(
-        TestEntry,
+        TestOutcome,
         name={"name": "test"},
         limit_um={"csv_format": ".6g", "display_format": ".1f"},
         error_um={"csv_format": ".6g", "display_format": ".1f"},
@@ -97,11 +96,11 @@ TESTS_TABLE = Table(
 )
 
 
-GROUPS_TABLE = Table(
+TEST_GROUPS_TABLE = Table(
     "groups.csv",
     "summary of the tests of each group",
     columns_of(
-        GroupEntry,
+        TestGroupSummary,
         name={"name": "group"},
         pass_probability={"title": "all pass", "n_digits": 3},
         judgement={"kind": "text"},
@@ -110,7 +109,7 @@ GROUPS_TABLE = Table(
 )
 
 
-class SensitivityEntry(Entry):
+class ConstantSensitivity(Entry):
     """Sensitivity of the tests to one instrument constant, while all other constants are zero."""
 
     name: str
@@ -126,7 +125,7 @@ class SensitivityEntry(Entry):
     """Name of the test that fails at `smallest_failing`."""
 
 
-class WorstPassingInstrumentEntry(Entry):
+class WorstPassingInstrument(Entry):
     """Instrument that passes every test although its point errors are the largest possible."""
 
     constants: dict[str, Finite]
@@ -134,7 +133,7 @@ class WorstPassingInstrumentEntry(Entry):
     rms_um: Finite
     """Root mean square error of points 1.5 to 9 m around the instrument, after a rigid best fit of all points."""
     largest_um: Finite
-    """Largest error of one of these points."""
+    """Largest error of a point 1.5 to 9 m around the instrument, after the rigid best fit of all points."""
 
 
 class AcceptanceFile(ResultFile):
@@ -167,13 +166,13 @@ class AcceptanceFile(ResultFile):
     """Result of all tests in one sentence."""
     next_actions: tuple[str, ...] = ()
     """Recommended actions, the most urgent first."""
-    groups: tuple[GroupEntry, ...] = Field(min_length=1)
+    groups: tuple[TestGroupSummary, ...] = Field(min_length=1)
     """Summary of the tests of each group."""
-    tests: tuple[TestEntry, ...] = Field(min_length=1)
+    tests: tuple[TestOutcome, ...] = Field(min_length=1)
     """All tests with their errors and limits."""
-    sensitivities: tuple[SensitivityEntry, ...] = ()
+    sensitivities: tuple[ConstantSensitivity, ...] = ()
     """Sensitivity of the tests to each instrument constant."""
-    worst_passing: WorstPassingInstrumentEntry | None = None
+    worst_passing: WorstPassingInstrument | None = None
     """Instrument that passes every test with the largest point errors; null if it was not searched for."""
 
     def _lines(self) -> list[str]:
@@ -182,29 +181,29 @@ class AcceptanceFile(ResultFile):
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
             "tests": lambda: TESTS_TABLE.with_rows(self.tests),
-            "groups": lambda: GROUPS_TABLE.with_rows(self.groups),
+            "groups": lambda: TEST_GROUPS_TABLE.with_rows(self.groups),
         }
 
 
-def group_entries(
-    test_entries: Sequence[TestEntry], pass_probability_by_group: Mapping[str, float] | None = None
-) -> tuple[GroupEntry, ...]:
-    """Summary of the test entries of each group.
+def group_summaries(
+    test_outcomes: Sequence[TestOutcome], pass_probability_by_group: Mapping[str, float] | None = None
+) -> tuple[TestGroupSummary, ...]:
+    """Summary of the tests of each group, from the outcomes of all tests.
 
     `pass_probability_by_group` holds the predicted probability that all tests of a group pass, by name of the group; it
     is None for measured errors.
     """
     predicted = pass_probability_by_group or {}
 
-    def limit_ratio(test_entry: TestEntry) -> float:
-        margin = (test_entry.expanded_um or 0.0) if predicted else 0.0
-        return (abs(test_entry.error_um) + margin) / test_entry.limit_um
+    def limit_ratio(test_outcome: TestOutcome) -> float:
+        margin = (test_outcome.expanded_um or 0.0) if predicted else 0.0
+        return (abs(test_outcome.error_um) + margin) / test_outcome.limit_um
 
     by_group = {
-        name: [t for t in test_entries if t.group == name] for name in dict.fromkeys(t.group for t in test_entries)
+        name: [t for t in test_outcomes if t.group == name] for name in dict.fromkeys(t.group for t in test_outcomes)
     }
     return tuple(
-        GroupEntry(
+        TestGroupSummary(
             name=name,
             tests=len(entries),
             pass_probability=predicted.get(name),
@@ -215,10 +214,10 @@ def group_entries(
     )
 
 
-def make_test_entry(
+def make_test_outcome(
     test_name: str, test_group: str, error: float, limit: float, expanded_uncertainty: float = float("nan")
-) -> TestEntry:
-    """Entry of a measured test, from its name, group, error [m] and limit [m]; the error is judged by ISO 14253-1.
+) -> TestOutcome:
+    """Outcome of a measured test, from its name, group, error [m] and limit [m]; the error is judged by ISO 14253-1.
 
     `expanded_uncertainty` (95 %) [m] belongs to the error; NaN if it is unknown.
     """
@@ -230,4 +229,4 @@ def make_test_entry(
     margin = 0.0 if np.isnan(expanded_uncertainty) else expanded_uncertainty
     is_accepted, is_rejected = abs(error) + margin <= limit, abs(error) - margin > limit
     judgement: Judgement = "accepted" if is_accepted else "rejected" if is_rejected else "undecided"
-    return TestEntry(name=test_name, group=test_group, judgement=judgement, **sizes_um)
+    return TestOutcome(name=test_name, group=test_group, judgement=judgement, **sizes_um)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ltsim.acceptance.files import TestEntry
+from ltsim.acceptance.files import TestOutcome
 from ltsim.acceptance.tested_network import CENTRING_KIND, TestedNetwork
 from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.identification.hypothesis import CauseKind
@@ -30,13 +30,12 @@ from ltsim.recordings.specification import Specification
 MAX_OUTLIER_ROUNDS = 3
 """Largest number of repeated adjustments, each without the outliers identified before."""
 TRACKER_CAUSE_KINDS: tuple[CauseKind, ...] = ("constant-drift", "noise-level", CENTRING_KIND)
-"""Kinds of causes that may be errors of the tracker. Random displacements at each set-up (`centring`) have the same
-effect as errors of the tracker that repeat in all rounds.
-"""
+"""Kinds of causes of a misfit that may be errors of the tracker. Random displacements at each set-up (`centring`) have
+the same effect as errors of the tracker that repeat in all rounds."""
 
 
 def may_be_tracker_error(cause: CauseTest) -> bool:
-    """True for an identified cause that may be an error of the tracker itself.
+    """True for an identified cause of a misfit that may be an error of the tracker itself.
 
     A change of the elevations may come from the tracker's vertical index. An additive constant of the distances that
     differs at one set-up belongs to a reflector, a scale that differs there belongs to the air. An error at one target
@@ -48,7 +47,7 @@ def may_be_tracker_error(cause: CauseTest) -> bool:
 
 
 def _treatment_text(cause: CauseTest, treatment_text: str) -> str:
-    """Phrase on the treatment of a cause: `treatment_text`, adapted for centring errors (part of the uncertainties)."""
+    """Phrase on the treatment of an identified error: `treatment_text`, or another one for centring errors."""
     if cause.kind != CENTRING_KIND:
         return treatment_text
     return treatment_text.partition(",")[0] + ", and the uncertainties of the lengths contain it"
@@ -58,7 +57,7 @@ def _treatment_text(cause: CauseTest, treatment_text: str) -> str:
 class NetworkTests:
     """Acceptance tests of a tracker in a network, and the errors that were identified in the recording."""
 
-    entries: tuple[TestEntry, ...]
+    entries: tuple[TestOutcome, ...]
     """Tests of lengths and two-face differences, with their errors and limits."""
     corrected_causes: tuple[CauseTest, ...]
     """Errors in the recording that are no errors of the tracker. They are removed from the tested readings; centring
@@ -147,23 +146,23 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
     assert adjustment is not None
     adjustment.solution.require_success()
     network = TestedNetwork(adjustment, calibration.uncertainty_factor)
-    test_entries = network.test_entries(instrument_specification)
-    if not test_entries:
+    test_outcomes = network.test_outcomes(instrument_specification)
+    if not test_outcomes:
         raise NetworkError("no station measured distance and both angles of two targets; a length needs both ends")
     n_rejected = 0
-    if any(entry.judgement == "rejected" for entry in test_entries):
-        without_constants = replace(network, is_corrected_for_constants=True).test_entries(instrument_specification)
+    if any(entry.judgement == "rejected" for entry in test_outcomes):
+        without_constants = replace(network, is_corrected_for_constants=True).test_outcomes(instrument_specification)
         n_rejected = sum(entry.judgement == "rejected" for entry in without_constants)
     causes = [test for test in calibration.tests if test.is_fault and test.kind != "outlier"]
     corrected = tuple(c for c in causes if not may_be_tracker_error(c) and network.is_corrected(c))
     tracker = tuple(c for c in causes if may_be_tracker_error(c))
     other_causes = tuple(c for c in causes if c not in corrected and c not in tracker)
     factor = 1.0 if causes else calibration.uncertainty_factor
-    return NetworkTests(tuple(test_entries), corrected, tracker, other_causes, outliers, factor, n_rejected)
+    return NetworkTests(tuple(test_outcomes), corrected, tracker, other_causes, outliers, factor, n_rejected)
 
 
 def _calibrate_without_outliers(recording: Recording) -> tuple[Calibration, tuple[CauseTest, ...]]:
-    """Calibration without the pointings that contain outliers, and the tests of these outliers.
+    """Calibration without the pointings that contain outliers, and the tests that identified these outliers.
 
     After each adjustment further outliers are searched for, at most `MAX_OUTLIER_ROUNDS` times.
     """

@@ -9,10 +9,10 @@ import numpy as np
 
 from ltsim.acceptance.files import (
     AcceptanceFile,
-    SensitivityEntry,
-    TestEntry,
-    WorstPassingInstrumentEntry,
-    group_entries,
+    ConstantSensitivity,
+    TestOutcome,
+    WorstPassingInstrument,
+    group_summaries,
 )
 from ltsim.acceptance.spec import AcceptanceSettings, AcceptanceTest, envelope_points
 from ltsim.core.arrays import Bools, Floats
@@ -27,7 +27,7 @@ from ltsim.recordings.specification import Specification
 
 MAX_ROUNDING_FRACTION = 1e-6
 """Change of a test's error, as a fraction of its limit, that counts as rounding. If an instrument constant with the
-size of its prior standard deviation changes no test by more, no test depends on it."""
+size of its prior standard deviation changes no test's error by more, no test counts as dependent on this constant."""
 MAX_PRIOR_SIGMAS = 3.0
 """Largest size of an instrument constant, in prior standard deviations, in the search for the instrument with the
 largest point errors that passes all tests.
@@ -36,7 +36,7 @@ largest point errors that passes all tests.
 
 @dataclass(frozen=True)
 class AcceptancePlan:
-    """Plan of k acceptance tests with their limits, for an instrument whose error model has p instrument constants."""
+    """Plan of acceptance tests with their limits, for an instrument with a given geometric error model."""
 
     tests: tuple[AcceptanceTest, ...]
     construction: GeometricErrorModel
@@ -48,17 +48,17 @@ class AcceptancePlan:
 
     @cached_property
     def _test_end_points(self) -> tuple[Floats, Floats]:
-        """First and second points of all tests, each of shape (k, 3) [m]."""
+        """First and second points of all tests, each of shape (tests, 3) [m]."""
         return np.array([t.first_point for t in self.tests]), np.array([t.second_point for t in self.tests])
 
     @cached_property
     def is_length(self) -> Bools:
-        """Mask (k,) of the tests of a length; the others are two-face tests."""
+        """Mask (tests,) of the tests of a length; all other tests are two-face tests."""
         return np.array([t.kind == "length" for t in self.tests])
 
     @cached_property
     def permissible_errors(self) -> Floats:
-        """Maximum permissible errors by the specification, (k,) [m]."""
+        """Maximum permissible errors by the specification, (tests,) [m]."""
         first, second = self._test_end_points
         limit = self.specification.two_face_limits(first)
         chosen = self.is_length
@@ -66,7 +66,7 @@ class AcceptancePlan:
         return limit
 
     def test_errors(self, constants: Floats) -> Floats:
-        """Exact errors (k, 2) [m] of the tests for an instrument with `constants` (p,) [SI], without noise.
+        """Exact errors (tests, 2) [m] of the tests without noise, for an instrument with given `constants`.
 
         The row of a length contains measured minus true length, and 0. The row of a two-face test contains front-face
         minus back-face point, to the left and upwards as seen from the instrument.
@@ -82,14 +82,14 @@ class AcceptancePlan:
 
     @cached_property
     def sensitivities(self) -> Floats:
-        """Derivative (k, 2, p) [m per SI unit] of the errors by the instrument constants, from central differences."""
+        """Derivative (tests, 2, constants) [m per SI unit] of the test errors by the instrument constants."""
         steps = np.diag([p.prior_sigma for p in self.construction.parameters])
         columns = [(self.test_errors(s) - self.test_errors(-s)) / (2 * s.sum()) for s in steps]
         return np.stack(columns, axis=2)
 
     @cached_property
     def error_sigmas(self) -> Floats:
-        """Standard deviations (k, 2) [m] of the test errors due to noise of the readings."""
+        """Standard deviations (tests, 2) [m] of the test errors due to noise of the readings."""
         first, second = self._test_end_points
         squares = np.zeros((len(first), 2))
         near, far = (self._point_noise(points) for points in (first, second))
@@ -102,9 +102,9 @@ class AcceptancePlan:
         return np.sqrt(squares)
 
     def _point_noise(self, points: Floats) -> tuple[Floats, Floats]:
-        """Unit vectors (k, 3, 3) along beam, left and up at points (k, 3) [m], and noise of the points along them.
+        """Unit vectors along the beam, left and up at points (tests, 3) [m], and noise of the points along these axes.
 
-        The noise is given as standard deviations (k, 3) [m].
+        The unit vectors have the shape (tests, 3, 3); the noise is given as standard deviations (tests, 3) [m].
         """
         polar = to_polar(points)
         axes = np.stack(unit_vectors(polar[:, 1], polar[:, 2]), axis=1)
@@ -113,10 +113,11 @@ class AcceptancePlan:
         return axes, sigma * np.where([True, False, False], 1.0, polar[:, :1])
 
     def predict(self, mean_constants: Floats, covariance: Floats, *, n_trials: int, seed: int) -> AcceptancePrediction:
-        """Predicted tests of an instrument whose constants have the mean (p,) [SI] and the covariance (p, p) [SI].
+        """Predicted tests of an instrument whose constants have a known mean and covariance.
 
-        The probability to pass is estimated with `n_trials` random draws of constants and noise; the errors are linear
-        in the difference of the constants from their mean.
+        `mean_constants` has the shape (constants,) [SI], `covariance` (constants, constants) [SI]. The probability to
+        pass is estimated with `n_trials` random draws of constants and noise; the errors are linear in the difference
+        of the constants from their mean.
         """
         rng = random_stream(seed, "accept")
         mean_errors = self.test_errors(mean_constants)
@@ -147,11 +148,11 @@ class AcceptancePlan:
         )
 
     def is_within_limits(self, errors: Floats) -> Bools:
-        """Mask (..., k) of the tests whose errors (..., k, 2) [m] are within their limits."""
+        """Mask (..., tests) of the tests whose errors (..., tests, 2) [m] are within their limits."""
         return np.hypot(errors[..., 0], errors[..., 1]) <= self.permissible_errors
 
     def smallest_failing_constants(self) -> tuple[Floats, list[AcceptanceTest]]:
-        """Smallest size (p,) [SI] of each instrument constant at which a test fails, and the test that fails there.
+        """Smallest size of each instrument constant at which a test fails, (constants,) [SI], and this test.
 
         All other constants are zero. The size is infinite if no test depends on the constant.
         """
@@ -167,11 +168,12 @@ class AcceptancePlan:
         return failing_sizes, [self.tests[i] for i in indices]
 
     def worst_passing_constants(self, prior_sigmas: Floats, points: Floats) -> tuple[Floats, float, float]:
-        """Instrument constants that pass all tests with the largest errors of the points (n, 3) [m], and these errors.
+        """Instrument constants that pass all tests although the errors of `points` are largest, and these errors.
 
-        The result is the constants (p,) [SI], the root mean square point error [m] and the largest point error [m]. The
-        search is along the directions with the largest ratio of point errors to test errors, up to the limits of the
-        tests and to `MAX_PRIOR_SIGMAS` times `prior_sigmas` (p,) [SI].
+        `points` has the shape (points, 3) [m]. The result is the constants (constants,) [SI], the root mean square
+        point error [m] and the largest point error [m]. The search is along the directions in the space of constants
+        with the largest ratio of point errors to test errors, up to the limits of the tests and to `MAX_PRIOR_SIGMAS`
+        times `prior_sigmas` (constants,) [SI].
         """
         harm = point_errors_by_constant(self.construction, points, prior_sigmas)
         directions = (self.sensitivities * prior_sigmas / self.permissible_errors[:, None, None]).reshape(
@@ -190,9 +192,9 @@ class AcceptancePlan:
         return tried[best_index], float(rms[best_index]), float(gaps[best_index].max())
 
     def _longest_passing_vector(self, unit_direction: Floats, prior_sigmas: Floats) -> Floats:
-        """Longest vector of constants (p,) [SI] along a direction that passes every test, accurate to 0.1 %.
+        """Longest vector of constants (constants,) [SI] along a direction that passes every test, accurate to 0.1 %.
 
-        `unit_direction` (p,) is in units of `prior_sigmas` (p,) [SI].
+        `unit_direction` (constants,) is in units of `prior_sigmas` (constants,) [SI].
         """
         low, high = 0.0, MAX_PRIOR_SIGMAS
         while high - low > 1e-3 * MAX_PRIOR_SIGMAS:
@@ -204,14 +206,15 @@ class AcceptancePlan:
 
 @dataclass(frozen=True)
 class AcceptancePrediction:
-    """Predicted results of k acceptance tests."""
+    """Predicted results of acceptance tests."""
 
     expected_errors: Floats
-    """Expected errors, (k, 2) [m]: of a length, and 0; of a two-face difference, to the left and upwards."""
+    """Expected errors, (tests, 2) [m]: for a length its error and 0, for a two-face difference its parts to the left
+    and upwards."""
     error_sigmas: Floats
-    """Standard deviations of the errors including noise, (k, 2) [m]."""
+    """Standard deviations of the errors including noise, (tests, 2) [m]."""
     pass_probabilities: Floats
-    """Probability that each test passes, (k,)."""
+    """Probability that each test passes, (tests,)."""
     p_all_pass: float
     """Probability that all tests pass."""
     pass_probability_by_group: dict[str, float]
@@ -219,9 +222,10 @@ class AcceptancePrediction:
 
 
 def point_errors_by_constant(construction: GeometricErrorModel, points: Floats, prior_sigma: Floats) -> Floats:
-    """Displacement (3 n, p) [m] of front-face points (n, 3) [m] by each instrument constant of the size `prior_sigma`.
+    """Displacement of points measured in the front face by each instrument constant with the size `prior_sigma`.
 
-    The rigid motion that fits the displacements best is subtracted. `prior_sigma` has the shape (p,) [SI].
+    The rigid motion that fits the displacements best is subtracted. The shape is (coordinates, constants) [m] for
+    `points` (points, 3) [m] and `prior_sigma` (constants,) [SI].
     """
     front = np.ones(len(points), dtype=np.int64)
     columns = [
@@ -233,7 +237,7 @@ def point_errors_by_constant(construction: GeometricErrorModel, points: Floats, 
 
 
 def _covariance_root(covariance: Floats) -> Floats:
-    """Matrix R (p, r) with R R' equal to a covariance matrix (p, p) of rank r."""
+    """Matrix (constants, rank) whose product with its transpose is the covariance matrix (constants, constants)."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
@@ -248,15 +252,15 @@ def predicted_result(
 ) -> AcceptanceFile:
     """Content of `accept.json` for a prediction: probability that an instrument passes its tests, and expected errors.
 
-    `prior_sigmas` (p,) [SI] are the prior standard deviations of the instrument constants. The sentence of the result
-    begins with `instrument_description`.
+    `prior_sigmas` (constants,) [SI] are the prior standard deviations of the instrument constants. The sentence of the
+    result begins with `instrument_description`.
     """
     values, rms, largest = plan.worst_passing_constants(prior_sigmas, envelope_points())
     error_sizes = np.hypot(prediction.expected_errors[:, 0], prediction.expected_errors[:, 1])
     errors = np.where(plan.is_length, prediction.expected_errors[:, 0], error_sizes)
     expanded_uncertainties = 2 * np.sqrt(np.sum(prediction.error_sigmas**2, axis=1))
     tests = tuple(
-        TestEntry(name=t.name, group=t.group, limit_um=limit, error_um=e, expanded_um=u, pass_probability=float(p))
+        TestOutcome(name=t.name, group=t.group, limit_um=limit, error_um=e, expanded_um=u, pass_probability=float(p))
         for t, limit, e, u, p in zip(
             plan.tests,
             *(np.asarray(x) / MICROMETRE for x in (plan.permissible_errors, errors, expanded_uncertainties)),
@@ -267,7 +271,7 @@ def predicted_result(
     smallest, first = plan.smallest_failing_constants()
     parameters = plan.construction.parameters
     sensitivities = tuple(
-        SensitivityEntry(
+        ConstantSensitivity(
             name=p.name,
             unit=p.unit,
             prior_sigma=float(prior_sigmas[k] / p.si_per_display_unit),
@@ -289,10 +293,10 @@ def predicted_result(
         assumption=plan.specification.assumption_sentence,
         pass_probability=prediction.p_all_pass,
         sentence=sentence,
-        groups=group_entries(tests, prediction.pass_probability_by_group),
+        groups=group_summaries(tests, prediction.pass_probability_by_group),
         tests=tests,
         sensitivities=sensitivities,
-        worst_passing=WorstPassingInstrumentEntry(
+        worst_passing=WorstPassingInstrument(
             constants={p.name: float(v / p.si_per_display_unit) for p, v in zip(parameters, values, strict=True)},
             rms_um=rms / MICROMETRE,
             largest_um=largest / MICROMETRE,

@@ -21,13 +21,15 @@ from ltsim.recordings.specification import Specification, complete_values, data_
 from ltsim.recordings.tables.sheets import table_rows
 
 TestKind = Literal["length", "two-face"]
+"""Kind of an acceptance test: `length`, or `two-face` (one target measured in both faces)."""
 TEST_COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
-"""Columns of a table of tests that a user writes."""
+"""Names of the columns of a CSV table of tests that a user writes."""
 MIN_REFERENCE_LENGTH = 2.3
 """Smallest reference length [m] that ASME B89.4.19-2006 permits; used for the lengths in front of the instrument."""
 CLOSEST_POSITION_DISTANCE = 1.2
 """Distance [m] of the instrument from the reference length in the test at the closest position."""
 StandardName = Literal["asme-b89.4.19-2006", "iso-10360-10", "iso-10360-10-two-face"]
+"""Name of a standard with built-in acceptance tests."""
 TWO_FACE_ONLY_STANDARD: StandardName = "iso-10360-10"
 """Standard of which only the two-face tests are openly published; the user provides its length tests in a CSV table."""
 

@@ -8,7 +8,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from ltsim.acceptance.files import TestEntry, make_test_entry
+from ltsim.acceptance.files import TestOutcome, make_test_outcome
 from ltsim.adjustment import Adjustment
 from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.identification.hypothesis import CauseKind
@@ -45,9 +45,9 @@ def is_recording_error(effect: LinearEffect) -> bool:
 
 @dataclass(frozen=True)
 class TestedNetwork:
-    """Adjusted network with n pointings, whose targets provide reference lengths for the readings of each station.
+    """Adjusted network whose targets provide reference lengths for the readings of each station.
 
-    The adjustment has q additional parameters, of effects and nuisance errors.
+    Additional parameters of the adjustment are those of effects and nuisance errors.
     """
 
     __test__ = False
@@ -68,24 +68,24 @@ class TestedNetwork:
 
     @cached_property
     def _is_recording_error(self) -> Bools:
-        """Mask (q,) of the additional parameters that belong to errors in the recording."""
+        """Mask (additional parameters,) of the parameters of effects that are errors in the recording."""
         flags = [np.full(at.stop - at.start, is_recording_error(effect)) for effect, at in self._extra_parameter_slices]
         return np.concatenate([np.zeros(0, dtype=bool), *flags])
 
     @cached_property
     def _is_nuisance(self) -> Bools:
-        """Mask (q,) of the additional parameters that belong to nuisance errors, such as centring errors."""
+        """Mask (additional parameters,) of the parameters of nuisance errors, such as centring errors."""
         n_effect_parameters = self.adjustment.problem.model.n_effect_parameters
         return np.arange(len(self._is_recording_error)) >= n_effect_parameters
 
     @cached_property
     def _extra_design(self) -> Floats:
-        """Change (n, 3, q) of the readings per unit of each additional parameter."""
+        """Change (pointings, 3, parameters) of the readings per unit of each effect or nuisance parameter."""
         return self.adjustment.problem.model.extra_design(self.adjustment.sightings)
 
     @cached_property
     def readings(self) -> Floats:
-        """Readings (n, 3) [m, rad, rad] converted to the front face, without the errors identified in the recording."""
+        """Readings (pointings, 3) [m, rad, rad] converted to the front face, without identified recording errors."""
         adjustment = self.adjustment
         readings = adjustment.recording.readings.copy()
         if self.is_corrected_for_constants:
@@ -111,39 +111,39 @@ class TestedNetwork:
             is_reference and bool(self.adjustment.rejected_references)
         )
 
-    def test_entries(self, limits: Specification) -> list[TestEntry]:
-        """Test entries of the lengths and two-face differences of all stations, from the pointings in use."""
+    def test_outcomes(self, limits: Specification) -> list[TestOutcome]:
+        """Outcomes of the tests of lengths and two-face differences of all stations, from the pointings in use."""
         is_tested: Bools = np.asarray(self.adjustment.problem.is_used_reading.all(axis=1))
         stations = range(len(self.adjustment.recording.stations))
-        return [entry for s in stations for entry in self.station_entries(s, is_tested, limits)]
+        return [entry for s in stations for entry in self.station_outcomes(s, is_tested, limits)]
 
-    def station_entries(self, station: int, is_tested: Bools, limits: Specification) -> list[TestEntry]:
-        """Test entries of the lengths and two-face differences of a station, from the pointings in `is_tested` (n,)."""
+    def station_outcomes(self, station: int, is_tested: Bools, limits: Specification) -> list[TestOutcome]:
+        """Outcomes of the tests of a station, from the pointings in the mask `is_tested` (pointings,)."""
         recording = self.adjustment.recording
         rows_by_face = [
             np.flatnonzero(is_tested & (recording.station == station) & (recording.face == f)) for f in (1, 2)
         ]
         tested_rows = rows_by_face[0] if len(rows_by_face[0]) else rows_by_face[1]
-        test_entries = self._length_entries(recording.stations[station], tested_rows, limits)
+        test_outcomes = self._length_outcomes(recording.stations[station], tested_rows, limits)
         front, back = map(self._mean_points, rows_by_face)
         targets = sorted(front.keys() & back.keys())
         if not targets:
-            return test_entries
+            return test_outcomes
         points = np.array([front[t] for t in targets])
         differences = points - np.array([back[t] for t in targets])
         error = np.linalg.norm(components_across_beam(differences, points), axis=1)
         expanded = 2 * np.sqrt(self._two_face_variance(targets, rows_by_face, points))
         names = [f"{recording.stations[station]}: {recording.targets[t]} two-face" for t in targets]
         sizes = (error.tolist(), limits.two_face_limits(points).tolist(), expanded.tolist())
-        return test_entries + [make_test_entry(name, "two-face", *v) for name, *v in zip(names, *sizes, strict=True)]
+        return test_outcomes + [make_test_outcome(name, "two-face", *v) for name, *v in zip(names, *sizes, strict=True)]
 
     def _mean_points(self, pointing_rows: Ints) -> dict[int, Floats]:
         """Mean measured point (3,) [m] of each target in the instrument's frame, over the pointings `pointing_rows`."""
         points, targets = from_polar(self.readings[pointing_rows]), self.adjustment.recording.target[pointing_rows]
         return {int(t): points[targets == t].mean(axis=0) for t in np.unique(targets)}
 
-    def _length_entries(self, station: str, row_indices: Ints, limits: Specification) -> list[TestEntry]:
-        """Test entries of all lengths between targets, from the pointings `row_indices` of a station in one face."""
+    def _length_outcomes(self, station: str, row_indices: Ints, limits: Specification) -> list[TestOutcome]:
+        """Outcomes of the tests of all lengths between targets, from the pointings of one station and face."""
         adjustment = self.adjustment
         names, points = adjustment.recording.targets, adjustment.state.target_points
         mean_points = self._mean_points(row_indices)
@@ -159,7 +159,7 @@ class TestedNetwork:
         limit = limits.length_limits(*(measured[target_pairs[:, end]] for end in (0, 1)))
         variance = self._length_variance(targets, row_indices, target_pairs, lengths, reference_lengths)
         return [
-            make_test_entry(
+            make_test_outcome(
                 f"{station}: {names[targets[a]]} to {names[targets[b]]}", f"lengths from {station}", *values
             )
             for (a, b), *values in zip(
@@ -170,12 +170,12 @@ class TestedNetwork:
     def _length_variance(
         self, targets: list[int], row_indices: Ints, point_pairs: Ints, lengths: Floats, reference_lengths: Floats
     ) -> Floats:
-        """Variances (k,) [m^2] of k measured minus reference lengths, without errors of the instrument.
+        """Variances (lengths,) [m^2] of measured minus reference lengths, without errors of the instrument.
 
-        The two ends of a length share most errors (poses, instrument constants), so that their joint covariance is
-        used, together with that of the corrections of the measured lengths. A length does not depend on the datum.
-        Nuisance errors are not corrected, because only the tested readings determine them; their prior variance is
-        added.
+        The two ends of a length share most errors (poses, instrument constants), so that the joint covariance of both
+        ends is used, together with the covariance of the corrections of the measured lengths. A length does not depend
+        on the datum. Nuisance errors are not corrected, because only the tested readings determine them; their prior
+        variance is added.
         """
         unknowns, size = self.adjustment.problem.unknowns, len(targets)
         length_changes = np.einsum(
@@ -198,12 +198,13 @@ class TestedNetwork:
         return np.asarray(adjusted + np.sum((length_changes[:, is_nuisance] * prior) ** 2, axis=1))
 
     def _two_face_variance(self, targets: list[int], rows_by_face: list[Ints], points: Floats) -> Floats:
-        """Variances (t,) [m^2] of the differences between the faces of t targets, without errors of the instrument.
+        """Variances (targets,) [m^2] of two-face differences of targets, without errors of the instrument.
 
         A difference between the faces needs no reference, and the declared noise is an error of the instrument. The
         variance therefore consists of the uncertainty of the errors removed from the recording, and of nuisance errors
         that differ between the faces. Noise beyond the declared noise is added, because its cause may not be the
-        instrument. The result is the variance in the worst direction perpendicular to the beam at `points` (t, 3) [m].
+        instrument. The result is the variance in the worst direction perpendicular to the beam at `points` (targets, 3)
+        [m].
         """
         _, across, up = unit_vectors(*to_polar(points).T[1:])
         directions = np.stack([across, up], axis=1)
@@ -222,28 +223,28 @@ class TestedNetwork:
 
     @cached_property
     def _correction_covariance(self) -> Floats:
-        """Covariance (e, e) [SI] of the e estimated parameters that belong to errors in the recording."""
+        """Covariance (parameters, parameters) [SI] of the estimated parameters of errors in the recording."""
         columns = self.adjustment.problem.unknowns.effect_columns[self._is_recording_error]
         unit = np.zeros((self.adjustment.problem.unknowns.n_columns, len(columns)))
         unit[columns, np.arange(len(columns))] = 1.0
         return np.asarray(self.adjustment.factorised_normals.covariance_columns(unit)[columns])
 
     def _mean_point_changes(self, targets: list[int], row_indices: Ints) -> Floats:
-        """Derivative (t, 3, q) of the mean points of t targets by additional parameters, in the instrument's frame."""
+        """Derivative (targets, 3, parameters) of mean points in the instrument's frame by effects and nuisances."""
         point_changes = self._point_derivatives(row_indices) @ self._extra_design[row_indices]
         return np.einsum("tn,niq->tiq", self._mean_weights(targets, row_indices), point_changes)
 
     def _mean_weights(self, targets: list[int], row_indices: Ints) -> Floats:
-        """Weights (t, r) with which the r pointings `row_indices` contribute to the mean points of t targets."""
+        """Weights (targets, pointings) of the pointings `row_indices` in the mean points of `targets`."""
         is_mine = self.adjustment.recording.target[row_indices] == np.array(targets)[:, None]
         return np.asarray(is_mine / is_mine.sum(axis=1, keepdims=True))
 
     def _point_derivatives(self, row_indices: Ints) -> Floats:
-        """Derivative (r, 3, 3) of the measured points by the raw readings of the r pointings `row_indices`."""
+        """Derivative (pointings, 3, 3) of measured points by the raw readings of the pointings `row_indices`."""
         faces = self.adjustment.recording.face[row_indices]
         return np.asarray(np.linalg.inv(polar_jacobian(self.readings[row_indices], faces)))
 
 
 def _pair_vectors(points: Floats, point_pairs: Ints) -> Floats:
-    """Differences (k, ...) of rows of `points` (t, ...): second minus first row of each index pair (k, 2)."""
+    """Vectors between points: second minus first row of `points` (targets, ...) for each index pair (pairs, 2)."""
     return np.asarray(points[point_pairs[:, 1]] - points[point_pairs[:, 0]])

@@ -11,10 +11,10 @@ from ltsim.acceptance.files import (
     JUDGEMENT_ORDER,
     AcceptanceFile,
     Judgement,
-    TestEntry,
-    group_entries,
+    TestOutcome,
+    group_summaries,
     joint_judgement,
-    make_test_entry,
+    make_test_outcome,
 )
 from ltsim.acceptance.network import NetworkTests, evaluate_network
 from ltsim.acceptance.prediction import AcceptancePlan, predicted_result
@@ -43,7 +43,7 @@ MB."""
 MAX_TEST_DRAWS = 3e8
 """Largest product of the numbers of tests and trials in a prediction; 3e8 take 23 s."""
 MIN_MARGIN_UM = 1e-3
-"""Lower bound [um] of the margin between an error and its limit, for ratios of uncertainty to margin."""
+"""Smallest margin [um] between an error and its limit that is used as divisor; a smaller margin is replaced by it."""
 DECISION_RULE = (
     "By ISO 14253-1, an error e with the expanded uncertainty U (95 %) is accepted if |e| + U is within its limit, "
     "rejected if |e| - U exceeds it, and otherwise undecided."
@@ -142,19 +142,19 @@ def _load_calibration(path: Path) -> Calibration:
 
 
 @as_setup_error()
-def read_measured(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -> list[TestEntry]:
-    """Test entries from a CSV file of measured errors with the columns ``test``, ``error_um`` and optionally ``U_um``.
+def read_measured(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -> list[TestOutcome]:
+    """Outcomes of tests from a CSV file of measured errors with columns ``test``, ``error_um``, optionally ``U_um``.
 
     `limits` (tests,) [m] are the permissible errors of the planned tests. SetupError is raised for an unknown or
     repeated test, and for a cell that is no number.
     """
     place = {test.name: i for i, test in enumerate(tests)}
-    entry_by_test: dict[str, TestEntry] = {}
+    outcome_by_test: dict[str, TestOutcome] = {}
     for line, row in read_table_rows(file, ("test", "error_um"), ("U_um",)):
         name = row["test"].strip()
         if name not in place:
             raise SetupError(f"{file}: row {line}: {unknown_name_error('test', name, place)}")
-        if name in entry_by_test:
+        if name in outcome_by_test:
             raise SetupError(f"{file}: row {line}: test '{quoted_text(name)}' has two rows; keep its largest error")
         numbers = [
             parse_comma_number(row[name], file=file, row=line, column=name) if row.get(name) else float("nan")
@@ -163,16 +163,16 @@ def read_measured(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -
         if not np.isfinite(numbers[0]):
             raise SetupError(f"{file}: row {line}: error_um is empty, expected micrometres")
         i = place[name]
-        entry_by_test[name] = make_test_entry(
+        outcome_by_test[name] = make_test_outcome(
             name, tests[i].group, numbers[0] * MICROMETRE, float(limits[i]), numbers[1] * MICROMETRE
         )
-    if not entry_by_test:
+    if not outcome_by_test:
         raise SetupError(f"{file}: no measured errors; expected one row per test")
-    return list(entry_by_test.values())
+    return list(outcome_by_test.values())
 
 
 def evaluated_result(
-    test_entries: Sequence[TestEntry],
+    test_outcomes: Sequence[TestOutcome],
     acceptance_settings: AcceptanceSettings,
     *,
     unmeasured_tests: Sequence[str] = (),
@@ -182,14 +182,14 @@ def evaluated_result(
     """Result for measured errors, with joint judgement, sentence and next actions.
 
     `unmeasured_tests` names the planned tests without a measured error. For tests in a network, `recording` is the
-    recording and `network_tests` its tests, which are also `test_entries`.
+    recording and `network_tests` its tests, which are also `test_outcomes`.
     """
-    judgement = joint_judgement([t.judgement for t in test_entries if t.judgement])
+    judgement = joint_judgement([t.judgement for t in test_outcomes if t.judgement])
     is_valid = network_tests is None or not network_tests.uncorrected_causes
     if not is_valid or (judgement == "accepted" and unmeasured_tests):
         judgement = "undecided"
-    sentence = _judgement_sentence(test_entries, len(unmeasured_tests))
-    actions = _next_actions(test_entries, unmeasured_tests, network_tests)
+    sentence = _judgement_sentence(test_outcomes, len(unmeasured_tests))
+    actions = _next_actions(test_outcomes, unmeasured_tests, network_tests)
     if network_tests is not None:
         sentence = " ".join((*network_tests.sentences, sentence[0].upper() + sentence[1:]))
         judgement_actions = actions if is_valid else ()
@@ -205,8 +205,8 @@ def evaluated_result(
         unmeasured=tuple(unmeasured_tests),
         sentence=sentence,
         next_actions=actions,
-        groups=group_entries(test_entries),
-        tests=tuple(test_entries),
+        groups=group_summaries(test_outcomes),
+        tests=tuple(test_outcomes),
     )
     return (
         content
@@ -215,15 +215,15 @@ def evaluated_result(
     )
 
 
-def _worst_entry(test_entries: Sequence[TestEntry], judgement: Judgement) -> TestEntry:
-    return max((t for t in test_entries if t.judgement == judgement), key=lambda t: t.guarded_limit_ratio)
+def _worst_outcome(test_outcomes: Sequence[TestOutcome], judgement: Judgement) -> TestOutcome:
+    return max((t for t in test_outcomes if t.judgement == judgement), key=lambda t: t.guarded_limit_ratio)
 
 
-def _judgement_sentence(test_entries: Sequence[TestEntry], n_unmeasured_tests: int) -> str:
+def _judgement_sentence(test_outcomes: Sequence[TestOutcome], n_unmeasured_tests: int) -> str:
     """Sentence with the number of errors of each judgement, and the worst error."""
-    numbers, total = Counter(t.judgement for t in test_entries), len(test_entries)
+    numbers, total = Counter(t.judgement for t in test_outcomes), len(test_outcomes)
     judgement = next(j for j in JUDGEMENT_ORDER if numbers[j])
-    worst_entry = _worst_entry(test_entries, judgement)
+    worst_entry = _worst_outcome(test_outcomes, judgement)
     error_text = f"{worst_entry.error_um:.1f} um" + (
         "" if worst_entry.expanded_um is None else f" +- {worst_entry.expanded_um:.1f} um"
     )
@@ -237,25 +237,25 @@ def _judgement_sentence(test_entries: Sequence[TestEntry], n_unmeasured_tests: i
         sentence += f"because the limit lies within their uncertainty; the closest is {phrase}"
     else:
         sentence = f"all {total} measured errors are within their limits"
-    n_without = sum(t.expanded_um is None for t in test_entries)
+    n_without = sum(t.expanded_um is None for t in test_outcomes)
     if n_without:
         sentence += f"; without an uncertainty and compared with their limits alone: {n_without} of {total}"
     return sentence + (f"; tests of the plan that are not measured: {n_unmeasured_tests}" if n_unmeasured_tests else "")
 
 
 def _next_actions(
-    test_entries: Sequence[TestEntry], unmeasured_tests: Sequence[str], network_tests: NetworkTests | None
+    test_outcomes: Sequence[TestOutcome], unmeasured_tests: Sequence[str], network_tests: NetworkTests | None
 ) -> tuple[str, ...]:
     """Next actions that can change the judgement, the most urgent first.
 
     Smaller uncertainties and further tests do not change a rejection. `network_tests` is None for errors that were not
     measured in a network.
     """
-    rejected = [t for t in test_entries if t.judgement == "rejected"]
+    rejected = [t for t in test_outcomes if t.judgement == "rejected"]
     if rejected:
         return _actions_after_rejection(rejected) if network_tests is None else (network_tests.action_after_rejection,)
     actions = []
-    undecided = [t for t in test_entries if t.judgement == "undecided"]
+    undecided = [t for t in test_outcomes if t.judgement == "undecided"]
     if undecided:
         how = "Use a better reference or more readings" if network_tests is None else "Measure more rounds"
         actions.append(f"{how}: {_sufficient_uncertainty_text(undecided)}.")
@@ -264,12 +264,12 @@ def _next_actions(
     return tuple(actions)
 
 
-def _actions_after_rejection(rejected_entries: Sequence[TestEntry]) -> tuple[str, ...]:
+def _actions_after_rejection(rejected_outcomes: Sequence[TestOutcome]) -> tuple[str, ...]:
     """Actions after a rejection; a single rejected error is to be measured again, because it may be a blunder."""
-    worst = _worst_entry(rejected_entries, "rejected")
+    worst = _worst_outcome(rejected_outcomes, "rejected")
     excess = f"{abs(worst.error_um) - (worst.expanded_um or 0.0) - worst.limit_um:.1f} um"
-    if len(rejected_entries) > 1:
-        names = listing([t.name for t in rejected_entries], 3)
+    if len(rejected_outcomes) > 1:
+        names = listing([t.name for t in rejected_outcomes], 3)
         return (f"Have the maker adjust the tracker, and repeat all tests: {names} exceed their limits.",)
     return (
         f"Repeat {worst.name}: it stays rejected unless its error is smaller by {excess} or more.",
@@ -277,25 +277,26 @@ def _actions_after_rejection(rejected_entries: Sequence[TestEntry]) -> tuple[str
     )
 
 
-def _sufficient_uncertainty_text(undecided_entries: Sequence[TestEntry]) -> str:
-    """Sentence part on the expanded uncertainty with which the same errors would be decided.
+def _sufficient_uncertainty_text(undecided_outcomes: Sequence[TestOutcome]) -> str:
+    """Sentence part on the expanded uncertainty with which the undecided errors would be accepted or rejected.
 
-    With it an error beyond its limit is rejected, and the tracker too. Without such an error all undecided errors must
-    be accepted; the error with the largest ratio of uncertainty to margin needs the largest reduction.
+    With this uncertainty an error beyond its limit is rejected, and the tracker too. If no error is beyond its limit,
+    all undecided errors must be accepted; the error with the largest ratio of uncertainty to margin needs the largest
+    reduction.
     """
 
-    def margin(test_entry: TestEntry) -> float:
-        return abs(test_entry.limit_um - abs(test_entry.error_um))
+    def margin(test_outcome: TestOutcome) -> float:
+        return abs(test_outcome.limit_um - abs(test_outcome.error_um))
 
-    def ratio(test_entry: TestEntry) -> float:
-        return (test_entry.expanded_um or 0.0) / max(margin(test_entry), MIN_MARGIN_UM)
+    def ratio(test_outcome: TestOutcome) -> float:
+        return (test_outcome.expanded_um or 0.0) / max(margin(test_outcome), MIN_MARGIN_UM)
 
-    beyond = [t for t in undecided_entries if abs(t.error_um) > t.limit_um]
-    entry = min(beyond, key=ratio) if beyond else max(undecided_entries, key=ratio)
+    beyond = [t for t in undecided_outcomes if abs(t.error_um) > t.limit_um]
+    entry = min(beyond, key=ratio) if beyond else max(undecided_outcomes, key=ratio)
     needed = f"an expanded uncertainty of {entry.name} below {margin(entry):.2g} um (it has {entry.expanded_um:.3g} um)"
     if beyond:
         return f"{needed} rejects the tracker, because this error of {abs(entry.error_um):.1f} um exceeds its limit"
-    count = len(undecided_entries)
+    count = len(undecided_outcomes)
     if count == 1:
         return f"{needed} accepts it"
     return (

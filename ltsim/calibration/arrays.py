@@ -23,18 +23,19 @@ from ltsim.recordings.recording import OBSERVABLES
 
 @dataclass(frozen=True)
 class CalibrationArrays(ValueEquality):
-    """Arrays of a calibration in SI units: p parameters of each of I instruments, and the coordinates of T targets."""
+    """Arrays of a calibration in SI units: parameters of each instrument, and coordinates of the targets."""
 
     construction: GeometricErrorModel
     """Instrument model whose parameters were estimated."""
     instruments: tuple[str, ...]
     """Names of the instruments; a single unnamed instrument is called ''."""
     estimates: Floats
-    """Estimates of the p parameters of each of I instruments, shape (I, p) [SI]."""
+    """Estimates of the parameters of each instrument, shape (instruments, parameters) [SI]."""
     prior_sigma: Floats
-    """Prior standard deviations of the p parameters of each of I instruments, shape (I, p) [SI]."""
+    """Prior standard deviations of the parameters of each instrument, shape (instruments, parameters) [SI]."""
     covariance: Floats
-    """Covariance of the p parameters of all I instruments, shape (I p, I p) [SI]. Rows of fixed parameters are zero."""
+    """Covariance of the parameters of all instruments, instrument by instrument, shape (parameters, parameters) [SI].
+    Rows and columns of fixed parameters are zero."""
     is_fixed: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
     """Mask (instruments, parameters) of the parameters that were not estimated but fixed at a value."""
     is_prior_rejected: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
@@ -49,9 +50,9 @@ class CalibrationArrays(ValueEquality):
     target_names: tuple[str, ...] = ()
     """Names of the targets."""
     target_points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    """Coordinates of the T targets, shape (T, 3) [m]."""
+    """Coordinates of the targets, shape (targets, 3) [m]."""
     target_covariance: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    """Covariance of the coordinates of each of T targets, shape (T, 3, 3) [m^2]."""
+    """Covariance of the coordinates of each target, shape (targets, 3, 3) [m^2]."""
     adjustment: Adjustment | None = field(default=None, repr=False, compare=False)
     """Adjusted network; None for a calibration that was read from a file."""
 
@@ -75,10 +76,10 @@ class CalibrationArrays(ValueEquality):
 
     @property
     def bias_operator(self) -> Floats:
-        """Matrix (q, q) from the true parameters to the expected bias of their estimates, with the opposite sign.
+        """Matrix that maps the true parameters to the expected bias of their estimates by the prior, times -1.
 
-        The q parameters are those of all instruments, in units of their prior standard deviations. The expected error
-        of the estimates is -bias_operator @ truth.
+        The expected error of the estimates is -bias_operator @ truth. The shape is (parameters, parameters), for the
+        parameters of all instruments in units of their prior standard deviations.
         """
         if self.null_space is not None:
             return self.null_space.T @ self.null_space
@@ -191,10 +192,10 @@ def _parameter_vector_indices(
 
 
 def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> Table:
-    """Table of the coordinates and standard deviations of T targets.
+    """Table of the coordinates and standard deviations of targets.
 
-    `points` (T, 3) [m] are the coordinates, `covariance` (T, 3, 3) [m^2] is the covariance of each target. A target
-    without determined coordinates has no row; a target without a determined height has an empty cell.
+    `points` (targets, 3) [m] are the coordinates, `covariance` (targets, 3, 3) [m^2] is the covariance of each target.
+    A target without determined coordinates has no row; a target without a determined height has an empty cell.
     """
     sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
     cells = np.concatenate([np.where(np.isfinite(sigma), points / MILLIMETRE, np.nan), sigma], axis=1)

@@ -49,12 +49,13 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import Finite, ResultFile
 
 EntryT = TypeVar("EntryT", DeterminedEntry, HarmonicEntry)
+"""Type of the result entries that are made for each instrument."""
 MAX_SIGMA_RATIO_DETERMINED = 0.975
-"""Ratio of sigma to prior sigma below which the readings determine a parameter: they removed at least 5 % of the prior
-variance (0.975 squared is 0.95)."""
+"""Ratio of the posterior to the prior standard deviation below which a parameter counts as determined: the readings
+then removed at least 5 % of the prior variance (0.975 squared is 0.95)."""
 MAX_ESTIMATED_NOISE_FRACTION = 0.9
-"""Fraction of the redundancy with estimated noise above which the global test is not valid: chi-square is then equal to
-the redundancy by construction."""
+"""Fraction of the total redundancy that belongs to readings with estimated noise, above which the global test is not
+valid: the estimation of the noise makes chi-square equal to the redundancy."""
 
 
 FIELDS_NOT_COPIED = frozenset(
@@ -65,7 +66,7 @@ FIELDS_NOT_COPIED = frozenset(
 
 
 def _none_if_empty(value: Any) -> Any:
-    """Value of a field of the file; None if the file contains an empty object."""
+    """Value of a field of `calibration.json`; None if the file contains an empty object there."""
     return value or None
 
 
@@ -79,7 +80,8 @@ class Calibration(UncertaintyEntry, ResultFile):
     format: Literal["ltsim-calibration/1"] = "ltsim-calibration/1"
     """Format and version of this file."""
     method: str = "network"
-    """`network`, `distance`, `distance-l1`, `equation-9` or `equation-9-l1`; `adjustment` without parameters."""
+    """Method: `network`, `distance`, `distance-l1`, `equation-9`, `equation-9-l1`, or `adjustment` without parameters.
+    """
     construction_name: str = Field(alias="construction")
     """Model of the instrument: `misalignment`, `dh` or `ideal`."""
     fit: FitEntry = FitEntry()
@@ -95,7 +97,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     undetermined: tuple[UndeterminedEntry, ...] = ()
     """Combinations of parameters that the recording does not determine."""
     determined: tuple[DeterminedEntry, ...] = ()
-    """Combinations of parameters that the recording determines far better than each of these parameters."""
+    """Combinations of parameters that the recording determines far better than their single parameters."""
     stations: tuple[StationPose, ...] = ()
     """Poses of the stations."""
     criteria: Annotated[CriteriaEntry | None, BeforeValidator(_none_if_empty)] = None
@@ -109,13 +111,13 @@ class Calibration(UncertaintyEntry, ResultFile):
     noise: tuple[NoiseRow, ...] = ()
     """Noise estimated from the readings, one entry per group of readings."""
     with_constants: FitEntry | None = None
-    """Fit in which the instrument constants are estimated too; null unless `adjust` rejects the fit without them."""
+    """Fit in which the instrument constants are estimated too; null unless the fit without constants is rejected."""
     noise_estimated: bool = False
     """True if the adjustment used noise that was estimated from the readings."""
     verdict: VerdictEntry = VerdictEntry()
     """Verdict on which test to trust, if the tests disagree."""
     reference_values: tuple[ReferenceValueEntry, ...] = ()
-    """Reference coordinates, lengths and levels, each tested against the other observations."""
+    """Reference coordinates, lengths and levels, each tested against all other observations."""
     undetermined_targets: tuple[str, ...] = ()
     """Targets that their readings do not determine."""
     axes: AxesEntry | None = None
@@ -228,7 +230,7 @@ class Calibration(UncertaintyEntry, ResultFile):
 
     @property
     def covariance(self) -> Floats:
-        """Covariance of the p parameters of all I instruments, shape (I p, I p) [SI]."""
+        """Covariance of the parameters of all instruments, shape (parameters, parameters) [SI]."""
         return self.arrays.covariance
 
     @property

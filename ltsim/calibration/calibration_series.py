@@ -1,8 +1,8 @@
 """Calibrations of one instrument over time: changes of its parameters from date to date, and tests of these changes.
 
-Two calibrations with the same prior are not independent: without information both give the prior mean, and their
-agreement means nothing. All tests therefore use the joint covariance of the estimates. It assumes one unchanged
-instrument that is drawn from the prior once and is measured independently each time.
+Two calibrations with the same prior are not independent: if the readings have no information, both give the prior mean,
+and their agreement means nothing. All tests therefore use the joint covariance of the estimates. It assumes one
+unchanged instrument that is drawn from the prior once and is measured independently each time.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ltsim.solve.design import NORMAL_RANK_TOLERANCE
 
 MAX_EM_STEPS = 2000
 """Largest number of expectation-maximisation steps, which converge linearly."""
-EM_TOLERANCE = 1e-4
+MAX_CONVERGED_EM_CHANGE = 1e-4
 """Largest change of a log variance in one step at which the expectation-maximisation has converged."""
 
 
@@ -183,7 +183,7 @@ class CalibrationSeries(ValueEquality):
 
     @cached_property
     def _informative_combinations(self) -> Floats:
-        """Orthonormal combinations (p, k) of the p parameters that the calibrations determine on average.
+        """Orthonormal combinations (parameters, combinations) of parameters that the calibrations determine on average.
 
         The parameters are in units of their prior standard deviations.
         """
@@ -195,9 +195,9 @@ class CalibrationSeries(ValueEquality):
     def _joint_covariance(self) -> Floats:
         """Joint covariance of the estimates of all calibrations of an unchanged instrument, in prior variances.
 
-        The shape is (K, p, K, p) for K calibrations of p parameters. Calibration i has the posterior covariance C_i and
-        the information N_i; its estimate is C_i N_i x + noise with the noise covariance C_i N_i C_i. The parameters x
-        are drawn from the prior once for all calibrations.
+        The shape is (calibrations, parameters, calibrations, parameters). Calibration i has the posterior covariance
+        C_i and the information N_i; its estimate is C_i N_i x + noise with the noise covariance C_i N_i C_i. The
+        parameters x are drawn from the prior once for all calibrations.
         """
         remaining = np.array([e.posterior_covariance for e in self._likelihood_information])
         pull = np.array([e.posterior_covariance @ e.information for e in self._likelihood_information])
@@ -262,9 +262,9 @@ class CalibrationSeries(ValueEquality):
     def _contrasts_and_covariance(self, contrast: Floats, combination: Floats) -> tuple[Floats, Floats]:
         """Differences between calibrations, and their covariance for an unchanged instrument.
 
-        Each of the m rows of `contrast` (m, K) holds the coefficients of K calibrations; each of the r columns of
-        `combination` (p, r) holds the coefficients of p parameters. The differences have the shape (m r,), in prior
-        standard deviations.
+        Each row of `contrast` (contrasts, calibrations) holds a coefficient of each calibration, each column of
+        `combination` (parameters, combinations) a coefficient of each parameter. The differences have one entry for
+        each pair of contrast and combination, in prior standard deviations.
         """
         contrasts = contrast @ (self.estimates / self.prior_sigma) @ combination
         half_product: Floats = np.einsum(
@@ -296,7 +296,7 @@ class CalibrationSeries(ValueEquality):
             remaining = keeps * variance + deviation @ of_mean @ np.swapaxes(deviation, 1, 2)
             spread = np.mean((single - mean) ** 2 + np.einsum("kaa->ka", remaining), axis=0)
             spread = np.maximum(spread, NORMAL_RANK_TOLERANCE)
-            settled = np.max(np.abs(np.log(spread / variance))) < EM_TOLERANCE
+            settled = np.max(np.abs(np.log(spread / variance))) < MAX_CONVERGED_EM_CHANGE
             variance = spread
             if settled:
                 break
@@ -350,7 +350,7 @@ def single_instrument(calibration: Calibration, instrument: str | None, label: s
 
 
 def _with_common_parameters(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
-    """Calibrations of one instrument, reduced to the parameters that all of them estimated.
+    """Calibrations of one instrument, reduced to the parameters that all calibrations estimated.
 
     RecordError is raised if there is no such parameter.
     """
@@ -361,9 +361,9 @@ def _with_common_parameters(calibrations: Sequence[Calibration]) -> tuple[Calibr
 
 
 def _chi_square_test(difference: Floats, covariance: Floats) -> ChiSquareEntry:
-    """Chi-square test that a vector is zero, over the combinations that its covariance determines.
+    """Chi-square test that a vector is zero, over the combinations of its components with a regular covariance.
 
-    `difference` has the shape (m,), `covariance` the shape (m, m).
+    `difference` has the shape (components,), `covariance` the shape (components, components).
     """
     values, vectors = linalg.eigh(0.5 * (covariance + covariance.T))
     is_resolved = values > NORMAL_RANK_TOLERANCE * max(float(values[-1]), 0.0)

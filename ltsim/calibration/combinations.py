@@ -29,11 +29,12 @@ class UndeterminedEntry(CombinationTerms):
     cure: str = ""
     """Measurement that would determine the combination, and its benefit."""
     measurement: str = ""
-    """Instruction of this measurement without its benefit; empty if no tested measurement determines it."""
+    """Instruction for the measurement that would determine the combination, without its benefit; empty if no tested
+    measurement determines the combination."""
 
 
 class DeterminedEntry(CombinationTerms):
-    """Combination of parameters that the recording determines far better than each of them."""
+    """Combination of parameters that the recording determines far better than its single parameters."""
 
     combination: dict[str, NonZero] = Field(min_length=1)
     """Coefficient of each parameter; the first parameter has the coefficient 1 and gives the combination its name."""

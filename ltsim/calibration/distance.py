@@ -52,7 +52,7 @@ def calibrate_distance(
     parameter_selection: ParameterSelection | None = None,
     bound_in_prior_sigmas: float | None = None,
 ) -> Calibration:
-    """Calibration by one of the distance methods of `ltsim.calibrate` (eq. 9 and 10), with its options and errors.
+    """Calibration by a distance method (Sensors 2021, 21, 7479, eq. 9 and 10), with options as in `ltsim.calibrate`.
 
     Stations and targets follow from an adjustment of the corrected readings. Their covariance includes the uncertainty
     of the parameters, which were estimated from the same readings.

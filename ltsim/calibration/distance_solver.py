@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from scipy.optimize import linprog, lsq_linear
 
 from ltsim.adjustment.remedies.undetermined import MIN_DETERMINED_GAIN, ParameterCombination
-from ltsim.calibration.objective import DistanceProblem, SetDistances, mean_removal_matrix, set_pairs
+from ltsim.calibration.objective import DistanceProblem, PairDistances, compared_distance_indices, mean_removal_matrix
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
@@ -75,16 +75,16 @@ class DistanceEstimate:
     """True if the last step was below the tolerance."""
 
 
-def mean_deviation_comparisons(problem: DistanceProblem, distances: SetDistances) -> ComparedDistances:
-    """Comparisons whose sum of squares is the objective of eq. 9: weighted deviations from the mean over the sets."""
+def mean_deviation_comparisons(problem: DistanceProblem, distances: PairDistances) -> ComparedDistances:
+    """Weighted deviations of distances from their mean over sets; their sum of squares is the distance objective."""
     centre, count = mean_removal_matrix(distances)
     scaled_centring = sp.diags_array(np.sqrt(count)) @ centre
     return _append_gauge_rows(problem, distances, sp.csr_array(scaled_centring))
 
 
-def pair_difference_comparisons(problem: DistanceProblem, distances: SetDistances) -> ComparedDistances:
-    """Comparisons that are the single terms of eq. 9: differences of two sets, and deviations from gauge lengths."""
-    first, second = set_pairs(distances)
+def pair_difference_comparisons(problem: DistanceProblem, distances: PairDistances) -> ComparedDistances:
+    """Terms of the distance objective: differences of distances between two sets, and deviations from gauge lengths."""
+    first, second = compared_distance_indices(distances)
     problem._check_matrix_size(len(first))
     n_distances = len(distances.lengths)
     return _append_gauge_rows(
@@ -100,7 +100,7 @@ def _selection_matrix(row_indices: Ints, n_columns: int) -> sp.csr_array:
 
 
 def _append_gauge_rows(
-    problem: DistanceProblem, distances: SetDistances, set_comparison_matrix: sp.csr_array
+    problem: DistanceProblem, distances: PairDistances, set_comparison_matrix: sp.csr_array
 ) -> ComparedDistances:
     """Comparisons between sets, followed by the deviations of distances from their gauge lengths."""
     at, which = problem.gauge_match_indices(distances)
@@ -125,7 +125,7 @@ def solve_distances(
     start_values: Floats | None = None,
     fixed_mask: Bools | None = None,
 ) -> DistanceEstimate:
-    """Minimum of eq. 9 over the combinations of unknowns that the readings determine.
+    """Minimum of the distance objective over the combinations of unknowns that the readings determine.
 
     The iteration starts at `start_values` (default zero). Unknowns in `fixed_mask` keep their start value. Both have
     the shape (unknowns,).
@@ -161,7 +161,7 @@ def solve_equation_9(
     start_values: Floats | None = None,
     fixed_mask: Bools | None = None,
 ) -> DistanceEstimate:
-    """Minimum of eq. 9 over all combinations of unknowns.
+    """Minimum of the distance objective (Sensors 2021, 21, 7479, eq. 9) over all combinations of unknowns.
 
     Each unknown stays within `bound_in_prior_sigmas` prior standard deviations of zero, if given. The other arguments
     and the errors are as in `solve_distances`.
@@ -231,7 +231,7 @@ def _make_estimate(
 
 
 def compared_distances_at(problem: DistanceProblem, unknowns: Floats, norm: ObjectiveNorm) -> ComparedDistances:
-    """Comparisons whose sum of squares, or of absolute values, is the objective of eq. 9."""
+    """Comparisons of distances whose sum of squares, or of absolute values, is the distance objective."""
     distances = problem.distances_at(unknowns)
     comparisons_of = mean_deviation_comparisons if norm == "squares" else pair_difference_comparisons
     return comparisons_of(problem, distances)
@@ -249,8 +249,8 @@ def determined_combinations(
 ) -> tuple[Floats, tuple[ParameterCombination, ...]]:
     """Combinations of unknowns to estimate, and combinations to fix at zero.
 
-    The estimated combinations are an array (unknowns, combinations). The combinations fixed at zero have a gain below
-    `MIN_DETERMINED_GAIN`, in the order of their gains. Only unknowns in the mask `is_free_unknown` take part.
+    The estimated ones are an array (unknowns, combinations). Those fixed at zero reduce the prior variance by a
+    fraction below `MIN_DETERMINED_GAIN`, in ascending order. Unknowns outside `is_free_unknown` take no part.
     """
     strength, eigenvectors = np.linalg.eigh(
         compared_distances.unknown_derivatives[:, is_free_unknown].T

@@ -20,17 +20,17 @@ from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.recordings.result_file import Entry, Finite, NotNegative
 
 MIN_STEPS_FOR_TEST = 3
-"""Number of steps between calibrations from which events are tested: the t-test then has two degrees of freedom."""
+"""Smallest number of steps between calibrations for which events are tested: the t-test has two degrees of freedom."""
 MIN_STEPS_TO_CALL_USUAL = 5
-"""Number of steps from which a report calls a step usual if it is no event: their variance then has four degrees of
-freedom."""
+"""Smallest number of steps between calibrations for which a report calls a step that is no event a usual one: the
+variance of the steps then has four degrees of freedom."""
 TIME_GROWTH_FRACTIONS = np.linspace(0.0, 1.0, 5)
-"""Fractions of the variance of usual steps that grow with the days between calibrations; results are averaged over them
-by their likelihood."""
+"""Tested fractions of the variance of usual steps that grow with the days between calibrations; p-values are averaged
+over these fractions, weighted by likelihood."""
 
 
 class EventEntry(Entry):
-    """Step of one parameter between two calibrations that is an outlier among its steps."""
+    """Step of one parameter between two calibrations that is an outlier among all steps of this parameter."""
 
     from_: str = Field(alias="from")
     """Label of the earlier calibration."""
@@ -43,7 +43,7 @@ class EventEntry(Entry):
     sigma: NotNegative
     """Standard deviation of the difference."""
     usual_step_sigma: NotNegative
-    """Standard deviation of the other steps of this parameter between successive calibrations, without estimation
+    """Standard deviation of all other steps of this parameter between successive calibrations, without estimation
     errors."""
     unit: str
     """Unit of `difference`, `sigma` and `usual_step_sigma`."""
@@ -119,7 +119,7 @@ def _significant_steps_of(
 def _step_p_value(
     difference: Floats, sigma: Floats, relative_durations: Floats, step_index: int, other_steps: Ints
 ) -> tuple[float, float]:
-    """Two-sided p-value of one step relative to the other steps, and the standard deviation of usual steps.
+    """Two-sided p-value of one step relative to other steps of its parameter, and standard deviation of usual steps.
 
     The steps have the sizes `difference`, the standard deviations `sigma` and the durations `relative_durations`, each
     (steps,). The tested step is `step_index`, `other_steps` are the indices of the steps it is compared with.

@@ -1,4 +1,4 @@
-"""Likelihood information of calibrations, score tests, determined combinations, and evidence averaged over sizes."""
+"""Information of the readings of calibrations, score tests, determined combinations, and log evidences of effects."""
 
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -24,17 +24,17 @@ MAX_TRUNCATION_SIGMA_RATIO = 1.2
 smallest coefficients are omitted."""
 MIN_REFERENCE_COEFFICIENT = 0.5
 """Coefficient, relative to the largest coefficient of a combination, above which a parameter can be the reference
-parameter with coefficient 1. The first such parameter in the order of the model is used: the vertical index before the
-harmonics of the circle."""
+parameter with coefficient 1. The first such parameter in the order of the model is used, for example the vertical index
+rather than a harmonic of the circle."""
 RELATIVE_EFFECT_SIZES = np.array(list(probability.SIZE_PRIOR))
 """Sizes of an effect over which the evidence is averaged, relative to its plausible size."""
 LOG_SIZE_PRIOR = np.log(np.array(list(probability.SIZE_PRIOR.values())))
 """Logarithms of the prior probabilities of `RELATIVE_EFFECT_SIZES`."""
 MAX_SINGLE_CALL_ENTRIES = 100
-"""Number of array entries up to which one NumPy call computes a log-sum-exp; several vectorised calls are faster above
-it."""
-# 'azimuth-eccentricity-cos', and 'J1.eY_cos2' with an order behind.
-_COSINE_SUFFIX = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
+"""Largest number of array entries for which one NumPy call computes a log-sum-exp; for larger arrays several vectorised
+calls are faster."""
+_COSINE_PARAMETER_NAME = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
+"""Pattern of the names of cosine parameters, such as ``azimuth-eccentricity-cos`` and ``J1.eY_cos2`` (order 2)."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ def likelihood_information(
 ) -> LikelihoodInformation:
     """Information of the readings in an estimate with a prior of mean zero.
 
-    `estimates`, `prior_sigma` and `unit` have the shape (p,) [SI], `covariance` the shape (p, p). The result is in
-    multiples of `unit`.
+    `estimates`, `prior_sigma` and `unit` have the shape (parameters,) [SI], `covariance` the shape (parameters,
+    parameters). The result is in multiples of `unit`.
     """
     prior = prior_sigma / unit
     remaining = covariance / np.outer(unit, unit)
@@ -73,9 +73,10 @@ def likelihood_information(
 def score_test(information: Floats, score: Floats, prior_covariance: Floats) -> tuple[Floats, Floats]:
     """Score and information of a change of each parameter, with random changes of all parameters as null hypothesis.
 
-    The random changes have the covariance `prior_covariance` (p, p). `score` (p,) is the information vector minus the
-    information matrix `information` (p, p) times the expected parameters. The result is a vector s (p,) and a matrix M
-    (p, p): s[k] / M[k, k] estimates a change of parameter k alone, with the variance 1 / M[k, k].
+    The random changes have the covariance `prior_covariance` (parameters, parameters). `score` (parameters,) is the
+    information vector minus the information matrix `information` (parameters, parameters) times the expected
+    parameters. The result is a vector s (parameters,) and a matrix M (parameters, parameters). The quotient s[k] / M[k,
+    k] estimates a change of parameter number k alone, with the variance 1 / M[k, k].
     """
     keeps = np.linalg.inv(np.eye(len(score)) + information @ prior_covariance)
     return keeps @ score, keeps @ information
@@ -97,10 +98,10 @@ def log_marginal_likelihood(
 
 
 def forward_select(score_function: Callable[[Collection[int]], Floats], min_score: float) -> dict[int, Floats]:
-    """Scores at the selection of each selected change, by its index, from forward selection with exchange.
+    """Index of each selected change, with the scores of all candidates at its selection; forward selection.
 
-    `score_function` returns the score of each of h candidate changes, given the indices of the changes selected so far.
-    The change with the largest score is added while this score exceeds `min_score`. After each addition, every earlier
+    `score_function` returns the score of each candidate change, given the indices of the changes selected so far. The
+    change with the largest score is added while this score exceeds `min_score`. After each addition, every earlier
     change is exchanged for the change with the largest score given the other selected changes.
     """
     odds_by_index: dict[int, Floats] = {}
@@ -116,9 +117,10 @@ def forward_select(score_function: Callable[[Collection[int]], Floats], min_scor
 def estimates_with_plausible_priors(
     parameters: Sequence[Parameter], estimates: Floats, covariance: Floats, prior_sigma: Floats
 ) -> tuple[Floats, Floats]:
-    """Estimates (p,) and covariance (p, p) [SI] that the plausible priors of the parameters would give.
+    """Estimates and covariance [SI] that the plausible priors of the parameters would give.
 
-    A tight prior would conceal combinations that the readings determine.
+    A tight prior would conceal combinations that the readings determine. `estimates` and `prior_sigma` have the shape
+    (parameters,), `covariance` (parameters, parameters).
     """
     free_indices = np.flatnonzero(np.diag(covariance) > 0)
     unit, block = np.array([p.prior_sigma for p in parameters])[free_indices], np.ix_(free_indices, free_indices)
@@ -140,11 +142,12 @@ def estimates_with_plausible_priors(
 def determined_combinations(
     parameters: Sequence[Parameter], estimates: Floats, covariance: Floats
 ) -> list[DeterminedEntry]:
-    """Combinations of parameters that the readings determine far better than each of these parameters.
+    """Combinations of parameters that the readings determine far better than their single parameters.
 
     In a single face, for example, the vertical index and two eccentricities of the circle are determined to 12 urad
     each, and their sum to 0.3 urad. A combination is an eigenvector of the covariance of parameters with the same unit.
-    Its reference parameter has the coefficient 1. `estimates` (p,) and `covariance` (p, p) are in SI units.
+    Its reference parameter has the coefficient 1. `estimates` (parameters,) and `covariance` (parameters, parameters)
+    are in SI units.
     """
     combination_entries = []
     for unit in dict.fromkeys(p.unit for p in parameters):
@@ -192,7 +195,7 @@ def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float
 def cosine_sine_pairs(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
     """Pairs of a cosine and a sine coefficient: name of the harmonic, index of the cosine, index of the sine."""
     for i, name in enumerate(names):
-        match = _COSINE_SUFFIX.match(name)
+        match = _COSINE_PARAMETER_NAME.match(name)
         if match:
             sine = f"{match['front']}sin{match['order']}"
             if sine in names:
@@ -200,7 +203,7 @@ def cosine_sine_pairs(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
 
 
 def harmonic_entries(parameters: Sequence[Parameter], estimates: Floats, covariance: Floats) -> list[HarmonicEntry]:
-    """Amplitude and phase of each pair of a cosine and a sine parameter; the arrays (p,) and (p, p) are in SI units."""
+    """Amplitude and phase of each pair of a cosine and a sine parameter, from estimates and covariance in SI units."""
     harmonic_list = []
     for name, *at in cosine_sine_pairs([p.name for p in parameters]):
         parameter = parameters[at[0]]
@@ -235,8 +238,8 @@ def size_weights_and_constants(
 ) -> tuple[Floats, Floats]:
     """Weights of the squared scores and additive constants in the log evidence of an effect, at each of its sizes.
 
-    `information_strength` (..., k) holds the information on k independent components. The weights have the shape (...,
-    k, sizes), the constants (..., sizes).
+    `information_strength` (..., components) holds the information on each independent component. The weights have the
+    shape (..., components, sizes), the constants (..., sizes).
     """
     scale = 1.0 + sizes**2 * np.asarray(information_strength)[..., None]
     return 0.5 * sizes**2 / scale, log_size_prior - 0.5 * np.log(scale).sum(axis=-2)
@@ -245,7 +248,8 @@ def size_weights_and_constants(
 def log_evidence_by_size(squared_scores: Floats, weights_and_constants: tuple[Floats, Floats]) -> Floats:
     """Log evidence of an effect at each size, including the prior probability of the size, shape (..., sizes).
 
-    `squared_scores` has the shape (..., k); `weights_and_constants` is the result of `size_weights_and_constants`.
+    `squared_scores` has the shape (..., components); `weights_and_constants` is the result of
+    `size_weights_and_constants`.
     """
     log_evidences: Floats = (squared_scores[..., None, :] @ weights_and_constants[0])[
         ..., 0, :
@@ -258,9 +262,9 @@ def log_evidence(squared_scores: Floats, information_strength: Floats) -> Floats
 
     Parameters
     ----------
-    squared_scores : (..., k) float
-        Squared scores of k independent components of the effect.
-    information_strength : (..., k) float
+    squared_scores : (..., components) float
+        Squared scores of the independent components of the effect.
+    information_strength : (..., components) float
         Information on each component, in units of its plausible variance.
     """
     return log_sum_exp(log_evidence_by_size(squared_scores, size_weights_and_constants(information_strength)), axis=-1)

@@ -126,7 +126,7 @@ def _refit_with_best_constants(
     effects: Sequence[CandidateEffect],
     fixed_fields: Sequence[frozenset[str]],
 ) -> tuple[Adjustment, Refit]:
-    """Adjustment with effects at the shape constants of smallest chi-square, and the last refit of these."""
+    """Adjustment with effects whose shape constants minimise chi-square, and the last refit of these constants."""
     for _ in range(MAX_ALTERNATIONS):
         adjustment = adjust_with(effects)
         near = adjustment.with_effects

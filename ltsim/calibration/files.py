@@ -38,7 +38,7 @@ def write_calibration(calibration: Calibration, folder: Path) -> Calibration:
 
 
 def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:
-    """Names, coordinates (T, 3) [m] and standard deviations (T, 3) [m] of T targets from a `targets.csv`.
+    """Names, coordinates (targets, 3) [m] and standard deviations (targets, 3) [m] of targets from a `targets.csv`.
 
     Raises
     ------

@@ -70,7 +70,7 @@ PARAMETER_HISTORIES_TABLE = Table(
         Column("p_constant", "p-value of no change", "chance"),
     ),
 )
-FITS_TABLE = Table(
+CALIBRATION_FITS_TABLE = Table(
     "fits.csv",
     "agreement of readings and model of each calibration",
     (
@@ -171,7 +171,7 @@ class History(ResultFile):
             "changes": self._changes_table,
             "events": lambda: EVENTS_TABLE.with_rows(self.events),
             "parameters": self._parameters_table,
-            "fits": lambda: FITS_TABLE.with_rows(
+            "fits": lambda: CALIBRATION_FITS_TABLE.with_rows(
                 [c.label, c.fit.chi2, c.fit.dof, c.fit.sigma0] for c in self.calibrations
             ),
         }

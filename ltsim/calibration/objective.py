@@ -23,7 +23,7 @@ from ltsim.recordings.recording import Recording
 
 
 @dataclass(frozen=True)
-class SetDistances:
+class PairDistances:
     """Distances between targets within each set (one station and one face), and their derivatives."""
 
     lengths: Floats
@@ -38,12 +38,12 @@ class SetDistances:
 
 @dataclass(frozen=True)
 class DistanceProblem:
-    """Distances within the sets of a recording, as functions of the instrument parameters and the readings."""
+    """Distances within each set (station and face) of pointings, as functions of instrument parameters and readings."""
 
     recording: Recording
     """Recording; pointings without a range or an angle are not used."""
     construction: GeometricErrorModel
-    """Instrument model."""
+    """Geometric error model of the instruments."""
     prior_sigma: Floats
     """Prior standard deviations, shape (instruments, parameters) [SI]; the units of the unknowns."""
 
@@ -60,9 +60,9 @@ class DistanceProblem:
 
     @cached_property
     def _averaging_matrix(self) -> tuple[sp.csr_array, Floats]:
-        """Matrix (M, n) that averages n pointings to M mean points, one per set and target, and indices (M, 2).
+        """Matrix (mean points, pointings) that averages the pointings of each set to each target, and indices.
 
-        The indices are the set and the target of each mean point.
+        The indices (mean points, 2) are the set (station and face) and the target of each mean point.
         """
         n_targets = len(self.recording.targets)
         key = self.set_indices * n_targets + self.recording.target
@@ -87,20 +87,23 @@ class DistanceProblem:
         if n_rows * (self.prior_sigma.size + 8) > MAX_MATRIX_ENTRIES:
             raise NetworkError(f"the distance objective has {n_rows} distances, too many; use the network method")
 
-    def distances_at(self, unknowns: Floats) -> SetDistances:
-        """Distances within all sets, for parameters of all instruments in units of their prior standard deviations."""
+    def distances_at(self, unknowns: Floats) -> PairDistances:
+        """Distances within all sets (station and face), for `unknowns`: instrument parameters in prior sigmas."""
         point, by_reading, by_value = self._points_and_derivatives(self.recording.readings, unknowns)
         group = self._distance_ends[2]
         length, unit, by_parameter = self._distances_and_derivatives(point, by_value)
-        return SetDistances(length, group, by_parameter, self._reading_derivatives(unit, by_reading))
+        return PairDistances(length, group, by_parameter, self._reading_derivatives(unit, by_reading))
 
     def parameter_derivatives(self, readings: Floats, unknowns: Floats) -> Floats:
-        """Derivative (distances, unknowns) of the distances with respect to the parameters, at other readings."""
+        """Derivative (distances, unknowns) of the distances with respect to the parameters, at given `readings`."""
         point, _, by_value = self._points_and_derivatives(readings, unknowns)
         return self._distances_and_derivatives(point, by_value)[2]
 
     def _distances_and_derivatives(self, point: Floats, point_derivatives: Floats) -> tuple[Floats, Floats, Floats]:
-        """Distances (D,), unit vectors along them (D, 3), and derivatives (D, q) with respect to q parameters."""
+        """Distances between mean points, unit vectors along them, and derivatives with respect to the parameters.
+
+        The shapes are (distances,), (distances, 3) and (distances, parameters).
+        """
         averaging, _ = self._averaging_matrix
         a, b, _ = self._distance_ends
         points = averaging @ point
@@ -111,17 +114,17 @@ class DistanceProblem:
         return distances, unit, np.einsum("di,dip->dp", unit, means[a]) - np.einsum("di,dip->dp", unit, means[b])
 
     def distances_of_points(self, points: Floats) -> Floats:
-        """Distances (D, B) within sets, for B realisations of the n measured points in instrument frames, (n, 3, B)."""
+        """Distances (distances, trials) within sets (station and face), for points (pointings, 3, trials)."""
         averaging, _ = self._averaging_matrix
         a, b, _ = self._distance_ends
         means = (averaging @ points.reshape(len(points), -1)).reshape(-1, *points.shape[1:])
         return np.linalg.norm(means[a] - means[b], axis=1)
 
     def _points_and_derivatives(self, readings: Floats, unknowns: Floats) -> tuple[Floats, Floats, Floats]:
-        """Measured points (n, 3) of n pointings, and their derivatives.
+        """Measured points (pointings, 3), and their derivatives.
 
-        The derivatives are with respect to the whitened readings, shape (n, 3, 3), and to the q parameters of all
-        instruments in prior standard deviations, shape (n, 3, q).
+        The derivatives are with respect to the whitened readings, shape (pointings, 3, 3), and to the parameters of all
+        instruments in prior standard deviations, shape (pointings, 3, parameters).
         """
         recording, (count, size) = self.recording, self.prior_sigma.shape
         parameter_values = unknowns.reshape(self.prior_sigma.shape) * self.prior_sigma
@@ -148,7 +151,7 @@ class DistanceProblem:
             total = total + along[i] @ (point_rows @ block)
         return sp.csr_array(total)
 
-    def gauge_match_indices(self, distances: SetDistances) -> tuple[Ints, Ints]:
+    def gauge_match_indices(self, distances: PairDistances) -> tuple[Ints, Ints]:
         """Indices of the distances that have a reference length, and the index of this length for each."""
         n_targets = len(self.recording.targets)
         lower_targets = np.minimum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
@@ -159,8 +162,8 @@ class DistanceProblem:
         return matched_rows, gauge_indices[matched_rows]
 
 
-def mean_removal_matrix(distances: SetDistances) -> tuple[sp.csr_array, Floats]:
-    """Matrix that subtracts from each distance the mean over all sets, and the number of sets with this distance.
+def mean_removal_matrix(distances: PairDistances) -> tuple[sp.csr_array, Floats]:
+    """Matrix that subtracts from each distance its mean over all sets (station and face), and the number of sets.
 
     The matrix has the shape (distances, distances).
     """
@@ -171,14 +174,14 @@ def mean_removal_matrix(distances: SetDistances) -> tuple[sp.csr_array, Floats]:
     return sp.csr_array(sp.eye_array(len(group)) - mean), count[group].astype(np.float64)
 
 
-def set_pairs(distances: SetDistances) -> tuple[Ints, Ints]:
-    """Indices of the first and second distance of each comparison: the same pair of targets in two sets."""
+def compared_distance_indices(distances: PairDistances) -> tuple[Ints, Ints]:
+    """Indices of the first and second distance of each comparison: distances of one pair of targets in two sets."""
     order = np.argsort(distances.pair_indices, kind="stable")
     return _index_pairs(np.split(order, np.flatnonzero(np.diff(distances.pair_indices[order])) + 1))
 
 
 def _index_pairs(groups: Iterable[Ints]) -> tuple[Ints, Ints]:
-    """First and second index of all pairs of members of the same group."""
+    """First and second index of all pairs of indices that are in the same group."""
     pairs_by_group = [members[np.stack(np.triu_indices(len(members), k=1))] for members in groups]
     first, second = np.concatenate(pairs_by_group, axis=1)
     return first, second

@@ -16,14 +16,15 @@ from ltsim.core.notation import MAX_LISTED_ITEMS, MAX_LISTED_SENTENCES, with_sig
 from ltsim.core.probability import P_WRONG_CONSTANT
 
 MAX_NOISE_FREE_SIGMA0 = 0.1
-"""Value of sigma0 below which readings count as free of noise, as in a simulation without noise."""
+"""Sigma0 (root of chi-square per degree of freedom) below which readings count as simulated without noise."""
 MAX_SIGMA0_FOR_WIDENING = 2.0
-"""Value of sigma0 from which no prior is widened: the readings contradict each other, not only the prior."""
+"""Largest sigma0 at which a contradicted prior is widened; above it the readings contradict each other, not only the
+prior."""
 MAX_WIDENED_FRACTION = 0.25
-"""Fraction of an instrument's parameters up to which contradicted priors are widened one by one. If more parameters
+"""Largest fraction of an instrument's parameters whose contradicted priors are widened one by one. If more parameters
 contradict their prior, the scale of all priors is wrong, and `shrinkage` estimates this scale."""
 CORRECTED_INSTRUMENT_TEXT = "its declared correction, which leaves"
-"""Text in a sentence for the prior of an instrument that the set-up declares corrected."""
+"""Noun phrase in sentences in place of `its prior`, for an instrument that the set-up declares corrected."""
 
 
 def sigma0_of_readings(adjustment: Adjustment) -> float:
@@ -33,7 +34,7 @@ def sigma0_of_readings(adjustment: Adjustment) -> float:
 
 
 def informative_mask(adjustment: Adjustment) -> Bools:
-    """Mask (q,) of the free parameters of all instruments on which the readings have information."""
+    """Mask (parameters,) of the free parameters of all instruments on which the readings have information."""
     prior, columns = adjustment.problem.prior, adjustment.problem.unknowns.instrument_columns.ravel()
     remaining = np.diag(adjustment.reduced_covariance)[columns] / prior.sigma.ravel() ** 2
     return np.asarray(~prior.is_fixed.ravel() & (remaining < 1.0 - MAX_UNINFORMATIVE_GAIN))
@@ -48,9 +49,9 @@ def is_noise_overstated(adjustment: Adjustment) -> bool:
 def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bools:
     """Mask (instruments, parameters) of the parameters whose prior the readings contradict.
 
-    A contradiction concerns one instrument, or all instruments in the same way. The parameters are selected by
-    `forward_select`; a selected parameter has a wide prior while the other parameters are tested. The prior of the
-    adjustment may already be wider than `prior`.
+    A tested contradiction is a change of one parameter of one instrument, or of the same parameter of all instruments.
+    The parameters are selected by `forward_select`; a selected parameter has a wide prior while the other parameters
+    are tested. The prior of the adjustment may already be wider than `prior`.
     """
     rejected, scale = np.zeros(prior.mean.shape, dtype=bool), max(1.0, adjustment.sigma0)
     if prior.has_correlations or not np.isfinite(prior.sigma).all() or not scale < MAX_SIGMA0_FOR_WIDENING:
@@ -127,12 +128,12 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
 
 
 def log_odds_of_errors(normalised_changes: Floats, information: Floats, n_constants: int) -> Floats:
-    """Log posterior odds that each constant is wrong, shape (h,) for h possible errors.
+    """Log posterior odds that each constant is wrong, shape (candidates,).
 
-    `normalised_changes` (h,) are the changes of the constants divided by their standard deviations, `information` (h,)
-    is the information on each constant, in inverse prior variances. One error is expected among `n_constants` constants
-    with a fixed probability. The evidence is averaged over sizes, so that a constant with little information needs a
-    larger change.
+    `normalised_changes` (candidates,) are the changes of the constants divided by their standard deviations,
+    `information` (candidates,) is the information on each constant, in inverse prior variances. One error is expected
+    among `n_constants` constants with a fixed probability. The evidence is averaged over sizes, so that a constant with
+    little information needs a larger change.
     """
     information = np.maximum(information, 0.0)
     return log_evidence((normalised_changes**2 * information)[:, None], information[:, None]) + np.log(

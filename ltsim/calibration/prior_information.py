@@ -20,8 +20,8 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import read_json, read_result
 
 NO_PRIOR_SIGMA_FACTOR = 1000.0
-"""Factor on the prior standard deviations that stands for no prior. The priors are then 10 to 20 mm and 15 mrad, for
-which the linearisation is still valid."""
+"""Factor on the prior standard deviations of the set-up that represents a calibration without a prior. The prior
+standard deviations are then 10 to 20 mm and 15 mrad, for which the linearisation is still valid."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class EarlierCalibrationPrior:
     mean: Floats
     """Mean of the parameters, shape (instruments, parameters) [SI]."""
     covariance: Floats
-    """Covariance of the parameters of each of I instruments, shape (I, parameters, parameters) [SI]."""
+    """Covariance of the parameters of each instrument, shape (instruments, parameters, parameters) [SI]."""
     between_calibration_sigma: Floats
     """Standard deviation of each parameter from calibration to calibration [SI]; 0 for a single calibration."""
     n_calibrations: int = 1
@@ -47,7 +47,7 @@ class EarlierCalibrationPrior:
     def from_source(
         cls, source: Calibration | History | EarlierCalibrationPrior | str | Path
     ) -> EarlierCalibrationPrior:
-        """Prior from a calibration, a history, or the file of one of these; raises RecordError for other files."""
+        """Prior from a calibration or history, or from the file of one; raises RecordError for other files."""
         if isinstance(source, EarlierCalibrationPrior):
             return source
         if isinstance(source, Calibration):
@@ -192,7 +192,7 @@ class ParameterSelection:
 def parameter_vector_indices(
     parameter_or_prefix: str, parameters: Sequence[str], instruments: Sequence[str]
 ) -> list[int]:
-    """Indices of a parameter, or of all parameters with a common prefix, in the vector of all instruments' parameters.
+    """Indices of a parameter, or of all parameters with a given prefix, in the vector of all instruments' parameters.
 
     ModelError is raised if there is none.
     """

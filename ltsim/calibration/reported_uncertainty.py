@@ -31,9 +31,10 @@ from ltsim.recordings.specification import noise_origin
 from ltsim.recordings.summary import recording_noise_text
 
 FittedEntryT = TypeVar("FittedEntryT", FittedEffectEntry, ReflectorEntry)
+"""Type of a result entry with estimated parameters: effect or reflector."""
 MIN_RELATIVE_HIDDEN_DISPLACEMENT = 0.2
-"""Displacement of the targets, relative to their rms standard deviation, from which an error without effect on the
-readings is reported."""
+"""Smallest rms displacement of the targets by an error without effect on the readings, relative to their rms standard
+deviation, at which this error is reported."""
 
 
 def uncertainty_factor(fit: FitEntry, *, is_sigma0_credible: bool | None = None) -> float:
@@ -74,7 +75,7 @@ def with_reported_uncertainty(calibration: Calibration) -> Calibration:
 
 
 def target_covariance_csv_text(calibration: Calibration) -> str | None:
-    """Text of `targets.covariance.csv`, the joint covariance of the targets; None without a network or for too many."""
+    """Text of `targets.covariance.csv`, the joint covariance of targets; None for no network or too many targets."""
     adjustment = calibration.adjustment
     if adjustment is None or len(calibration.target_names) > MAX_TARGETS_IN_FILE:
         return None
@@ -87,8 +88,8 @@ def target_covariance_csv_text(calibration: Calibration) -> str | None:
 def _scaled_parameter_covariance(calibration: Calibration, factor: float) -> Floats:
     """Covariance of the parameters if the noise of the readings is `factor` times as large, with an unchanged prior.
 
-    The shape is (q, q) for the q parameters of all instruments. With C the covariance in prior standard deviations,
-    C^-1 - 1 is the information of the readings, which is divided by the square of the factor.
+    The shape is (parameters, parameters) for the parameters of all instruments. With C the covariance in prior standard
+    deviations, C^-1 - 1 is the information of the readings, which is divided by the square of the factor.
     """
     covariance, adjustment = calibration.covariance, calibration.adjustment
     free_indices = np.flatnonzero(~calibration.is_fixed.ravel())

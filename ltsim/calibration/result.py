@@ -202,7 +202,7 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry
 
 
 def axes_entry(adjustment: Adjustment) -> AxesEntry | None:
-    """Standard deviations of the axes that declared coordinates define, from the misfit of these to the network.
+    """Standard deviations of the axes that declared coordinates define, from their misfit to the network.
 
     None if no coordinates are declared.
     """
@@ -309,7 +309,7 @@ def undetermined_entries(
     *,
     recommend_measurements: bool,
 ) -> tuple[UndeterminedEntry, ...]:
-    """Entries of each instrument's undetermined combinations, on request with the measurements that determine them."""
+    """Entries of undetermined combinations by instrument, on request with measurements that would determine these."""
     instruments = adjustment.recording.instruments
     measurements = [[MeasurementForCombination()] * len(group) for group in undetermined_by_instrument]
     if recommend_measurements:
@@ -325,7 +325,7 @@ def undetermined_entries(
 
 
 def undetermined_by_instrument(covariance: Floats, prior_sigma: Floats) -> list[list[ParameterCombination]]:
-    """Undetermined combinations of each instrument; covariance (I p, I p) and prior sigmas (I, p) of I instruments."""
+    """Undetermined combinations of each instrument, from covariance and prior sigmas of all instruments."""
     n_instruments, n_parameters = prior_sigma.shape
     if not n_parameters:
         return [[] for _ in range(n_instruments)]

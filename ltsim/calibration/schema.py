@@ -154,12 +154,12 @@ class StationPose(Entry):
 
 
 class AxesEntry(Entry):
-    """Standard deviations of a frame that declared target coordinates define, from the residuals of these."""
+    """Standard deviations of a frame that declared target coordinates define, from residuals of these coordinates."""
 
     target_names: tuple[str, ...]
     """Names of the targets whose coordinates define the axes."""
     sigma_position_mm: Vector
-    """Standard deviation of the translation of the frame along x, y and z [mm], at the centroid of these targets."""
+    """Standard deviation of the frame's translation along x, y and z [mm], at the centroid of its defining targets."""
     sigma_rotation_arcsec: Vector
     """Standard deviation of the rotation of the frame about x, y and z [arcsec]; 0 for rotations fixed by levels."""
 
@@ -192,7 +192,7 @@ class OutlierRow(Entry):
 
 
 class ReferenceValueEntry(Entry):
-    """Component of a reference value, tested against the other observations like a reading.
+    """Component of a reference value, tested against all other observations like a reading.
 
     Coordinates that define only the axes have the kind `axes`.
     """
@@ -218,7 +218,7 @@ class ReferenceValueEntry(Entry):
     w: Finite
     """Test statistic: square root of the decrease of chi-square if the whole reference value is left out."""
     excluded: bool = False
-    """True if the value contradicts the other observations and was excluded from the adjustment."""
+    """True if the value contradicts all other observations and was excluded from the adjustment."""
 
 
 class NoiseRow(Entry):
@@ -272,7 +272,7 @@ class RecommendedCorrection(Entry):
     corrected_um: NotNegative
     """Expected rms error [um] of a corrected point, from the instrument's constants alone."""
     noise_um: NotNegative = 0.0
-    """Rms 3D error [um] of such a point from the noise of its reading."""
+    """Rms 3D error [um] of a new point from the noise of its reading."""
     not_applied: tuple[str, ...] = ()
     """Names of parameters that are not applied, because held-out targets are predicted better without them."""
     sentences: tuple[str, ...] = ()

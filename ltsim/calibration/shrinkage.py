@@ -39,23 +39,24 @@ from ltsim.solve.design import to_dense
 PRIOR_SCALES = np.geomspace(1e-4, 1e4, 161)
 """Tested scales of the prior (factors on the declared standard deviations), in steps of 12 %."""
 MIN_LOG_LIKELIHOOD_EXCESS_REJECTED = 0.5 * float(special.chdtri(1, FAMILY_WISE_LEVEL))
-"""Log-likelihood of the most likely scale of the prior minus the log-likelihood of the declared scale, 1, from which
-the declared scale is rejected (likelihood ratio test)."""
+"""Log-likelihood of the most likely scale of the prior minus that of the declared scale, 1, above which the declared
+scale is rejected (likelihood ratio test)."""
 MAX_LOG_LIKELIHOOD_DEFICIT_PLAUSIBLE = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_TEST_LEVEL))
-"""Log-likelihood of the most likely scale minus that of another scale, up to which the other scale is plausible."""
+"""Largest difference between the log-likelihood of the most likely scale of the prior and that of another scale at
+which the other scale counts as plausible."""
 MAX_PRIOR_SCALE = 30.0
 """Largest plausible scale of the prior: no instrument exceeds its whole specification by more; a larger misfit has
 another cause."""
 MIN_RELATIVE_CORRECTION = 0.02
 """Ratio of the applied to the estimated correction (rms effect on a point) below which no correction is applied."""
 MIN_HELD_OUT_IMPROVEMENT = 2.0
-"""Decrease of squared held-out residuals above which a parameter is not applied: Akaike's penalty of a parameter."""
+"""Decrease of the sum of squared held-out residuals above which a parameter is not applied; 2 is Akaike's penalty for
+one parameter."""
 MAX_DENSE_UNKNOWNS = 500
-"""Number of unknowns up to which a dense inverse, or an orthonormal basis of the unknowns, is computed (processor
-time): for held-out targets, and for Gram matrices of simulated recordings.
-"""
+"""Largest number of unknowns for which a dense inverse or an orthonormal basis is computed, because of processor time;
+it limits the prediction of held-out targets and the Gram matrices of simulated recordings."""
 MIN_PREDICTED_TARGETS = 5
-"""Smallest number of held-out targets with predicted readings for a test whether a parameter is applied."""
+"""Smallest number of held-out targets with predicted readings at which parameters are tested for application."""
 
 
 def recommend_correction(
@@ -125,8 +126,8 @@ class ScaledPrior:
 
     Parameters
     ----------
-    information : (q, q) float
-    information_vector : (q,) float
+    information : (parameters, parameters) float
+    information_vector : (parameters,) float
         Information matrix times the estimate from the readings alone.
     min_scale : float
         Smallest permitted scale of the prior.
@@ -185,7 +186,7 @@ class ScaledPrior:
 
     @property
     def scale_of_applied_values(self) -> float:
-        """Scale of the prior for the applied parameters: 1 unless it is rejected or there is no prior."""
+        """Scale of the prior for the applied parameters: 1, unless the scale 1 is rejected or there is no prior."""
         return (
             self.most_likely_scale
             if (self.rejects_declared_scale and not self._exceeds_plausible_scale) or self._is_scale_estimated
@@ -194,7 +195,7 @@ class ScaledPrior:
 
     @property
     def scale_sentence(self) -> str:
-        """Sentence on the scale of the prior if it was rejected or estimated; empty otherwise."""
+        """Sentence on the scale of the prior if the declared scale was rejected or the scale estimated; else empty."""
         if not (self.rejects_declared_scale or self._is_scale_estimated):
             return ""
         low, high = self.plausible_scale_limits
@@ -213,14 +214,14 @@ class ScaledPrior:
         return f"without a prior, parameters of the usual proportions and {scale_phrase}; {phrase}, the others by less"
 
     def estimate(self, prior_scale: float) -> Floats:
-        """Estimate (q,) in prior standard deviations, if all priors are `prior_scale` times as wide as declared."""
+        """Estimate (parameters,) in prior sigmas, if all priors are `prior_scale` times as wide as declared."""
         return self._basis @ (self._information_vector / (self._strength + prior_scale**-2))
 
     def shrunk_correction(self, point_error_matrix: Floats, prior_mean: Floats | float = 0.0) -> tuple[Floats, str]:
-        """Parameters (q,) to apply, shrunk towards the prior mean where necessary, and a sentence if they are shrunk.
+        """Parameters to apply (parameters,), shrunk towards the prior mean where necessary, and a sentence on this.
 
-        The mean square error of a new point is the quadratic form `point_error_matrix` (q, q) of the errors of the
-        parameters. `prior_mean` (q,) is the mean of the prior.
+        The mean square error of a new point is the quadratic form `point_error_matrix` (parameters, parameters) of the
+        errors of the parameters. `prior_mean` (parameters,) is the mean of the prior.
         """
         if self._exceeds_plausible_scale:
             return np.zeros(len(self._information_vector)), ""
@@ -261,10 +262,10 @@ def point_noise_rms(recording: Recording, sigma: Floats) -> float:
 
 
 def point_error_matrix(adjustment: Adjustment) -> Floats:
-    """Mean square error of a new point as a quadratic form (q, q) of the errors of the parameters [m^2 / SI^2].
+    """Matrix of the quadratic form that gives the mean square error of a new point from errors of the parameters.
 
-    The mean is over the pointings of each set-up, in the frame of the instrument. The part that a rigid motion of the
-    set-up explains is removed, because it needs no calibration.
+    The shape is (parameters, parameters) [m^2 / SI^2]. The mean is over the pointings of each set-up, in the frame of
+    the instrument. The part that a rigid motion of the set-up explains is removed, because it needs no calibration.
     """
     recording, state = adjustment.recording, adjustment.state
     count, size = state.instrument_parameters.shape
@@ -287,25 +288,25 @@ def point_error_matrix(adjustment: Adjustment) -> Floats:
 class HeldOutTarget:
     """Prediction of the readings of one target from all other targets.
 
-    Let r (m,) be the residuals and A (m, K) their design by poses and parameters, both after elimination of the
-    coordinates of the target. With the covariance C of poses and parameters from all readings, H = A C A' and S = (1 -
-    H)^-1, the held-out residual is S r. A parameter fixed at zero changes the prediction by a rank-one update. All
-    matrices are m x m or p x p, so that one adjustment is sufficient for all targets and parameters.
+    Let r (rows,) be the residuals of the target's observations and A (rows, unknowns) their design matrix by poses and
+    parameters, both after elimination of the coordinates of the target. With the covariance C of poses and parameters
+    from all readings and S = (1 - A C A')^-1, the held-out residual is S r. A parameter fixed at zero changes the
+    prediction by a rank-one update, so that one adjustment is sufficient for all targets and parameters.
     """
 
     held_out_residual: Floats
-    """Difference S r of the readings from their prediction, shape (m,)."""
-    parameter_covariance: Floats
-    """Covariance S B' of the prediction with the q parameters, B = C A', shape (m, q)."""
+    """Differences of the target's observations from their prediction by all other targets, whitened, shape (rows,)."""
+    prediction_parameter_covariance: Floats
+    """Covariance of the held-out residuals with the instrument parameters, shape (rows, parameters)."""
     covariance: Floats
-    """Covariance of the q parameters from the other targets, shape (q, q)."""
+    """Covariance of the instrument parameters, estimated without this target, shape (parameters, parameters)."""
     estimate_shift: Floats
-    """Estimates from all readings minus estimates from the other targets, b S r, shape (q,)."""
+    """Estimates of the parameters from all targets minus estimates without this target, shape (parameters,)."""
 
     def sum_of_squares(self, parameters: Floats, fixed_indices: Ints) -> float:
         """Sum of squared held-out residuals if the parameters `fixed_indices` are zero.
 
-        `parameters` (q,) are the estimates from all readings.
+        `parameters` (parameters,) are the estimates from all readings.
         """
         if not len(fixed_indices):
             return float(self.held_out_residual @ self.held_out_residual)
@@ -313,12 +314,12 @@ class HeldOutTarget:
             self.covariance[np.ix_(fixed_indices, fixed_indices)],
             self.estimate_shift[fixed_indices] - parameters[fixed_indices],
         )
-        residual = self.held_out_residual - self.parameter_covariance[:, fixed_indices] @ change
+        residual = self.held_out_residual - self.prediction_parameter_covariance[:, fixed_indices] @ change
         return float(residual @ residual)
 
 
 def parameters_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Ints:
-    """Indices of the parameters without which held-out targets are predicted better, in the vector of all instruments.
+    """Indices, among the parameters of all instruments, of those without which held-out targets are predicted better.
 
     Parameters are dropped one after the other, beginning with the one that degrades the predictions most. None is
     dropped in a large network, or in a network with few targets. `noise_factor` multiplies the noise of the readings.
@@ -383,13 +384,13 @@ def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
 
 
 def _eliminate_target(target_design: Floats, design: Floats, residual: Floats) -> tuple[Floats, Floats]:
-    """Design (m, K) and residuals (m,) after elimination of a target's coordinates (`target_design`, (m, 3))."""
+    """Design and residuals (rows,) after elimination of the coordinates that have `target_design` (rows, 3)."""
     basis = np.linalg.qr(target_design)[0]
     return design - basis @ (basis.T @ design), residual - basis @ (basis.T @ residual)
 
 
 def _hold_out_target(adjustment: Adjustment, design: Floats, residual: Floats) -> HeldOutTarget:
-    """Prediction of a target's m rows, from design (m, K) and residuals (m,) after elimination of its coordinates."""
+    """Prediction of a target's observations, from design and residuals after elimination of its coordinates."""
     covariance, at = adjustment.reduced_covariance, adjustment.problem.unknowns.instrument_columns.ravel()
     spread = covariance @ design.T
     inverse = np.linalg.inv(np.eye(len(residual)) - design @ spread)

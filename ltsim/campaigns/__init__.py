@@ -5,7 +5,7 @@ import os
 from ltsim.core.errors import require_extra
 
 REQUIRED_PACKAGES = ("duckdb", "filelock", "numba", "pyarrow")
-"""Packages that only campaigns need, a third of the size of a complete installation."""
+"""Packages that only campaigns need; they take a third of the disk space of a complete installation."""
 
 
 def require_packages() -> None:

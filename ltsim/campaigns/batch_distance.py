@@ -25,7 +25,7 @@ from ltsim.calibration.distance_solver import (
     solve_distances,
     solve_equation_9,
 )
-from ltsim.calibration.objective import DistanceProblem, SetDistances
+from ltsim.calibration.objective import DistanceProblem, PairDistances
 from ltsim.campaigns.batch_fit import BatchFit
 from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.cloud_kernels import add_station_means, distance_gradient
@@ -50,8 +50,8 @@ The remaining error is a hundredth of this change.
 class BatchDistance(BatchCalibrator):
     """Batch calibration by the distance objective (Sensors 2021, 21, 7479), for methods `distance` and `equation-9`.
 
-    The unknowns are the q = I p parameters of I instruments. Methods whose name ends in `-l1` minimise absolute
-    deviations, all others minimise squares.
+    The unknowns are the parameters of all instruments. Methods whose name ends in `-l1` minimise absolute deviations,
+    all others minimise squares.
     """
 
     method: str = "distance"
@@ -81,12 +81,12 @@ class BatchDistance(BatchCalibrator):
         return solve_distances(self.distance_problem, NORM_BY_DISTANCE_METHOD[self.method])
 
     @cached_property
-    def _nominal_distances(self) -> SetDistances:
+    def _nominal_distances(self) -> PairDistances:
         return self.distance_problem.distances_at(np.zeros(self.distance_problem.prior_sigma.size))
 
     @cached_property
     def _estimated_combinations(self) -> Floats:
-        """Estimated combinations of parameters: k orthonormal columns (q, k), in units of prior standard deviations."""
+        """Estimated combinations of the parameters: orthonormal columns (unknowns, combinations) [prior sigma]."""
         excluded_vectors = np.array([d.vector for d in self.nominal_estimate.undetermined_combinations]).reshape(
             -1, self.distance_problem.prior_sigma.size
         )
@@ -96,7 +96,7 @@ class BatchDistance(BatchCalibrator):
 
     @cached_property
     def step_matrix(self) -> Floats:
-        """Matrix (q, q) by which half the gradient is multiplied to get a step of the q unknowns [prior sigma].
+        """Matrix (unknowns, unknowns) that maps half the gradient of the objective to a step [prior sigma].
 
         A step contains only the estimated combinations of parameters.
         """
@@ -118,17 +118,18 @@ class BatchDistance(BatchCalibrator):
 
     @cached_property
     def _set_membership(self) -> tuple[Ints, Bools, Floats, Ints]:
-        """Set of each pointing (n,), mask (O, T) of the targets of each set, weights (n,), pairs of targets (g, 2).
+        """Set and weight of each pointing, mask of the targets of each set, pairs of targets with a reference length.
 
         A set contains the pointings of one station in one face. The weight of a pointing is its share in the mean point
-        of its set and target. The pairs of targets are the ends of the reference lengths.
+        of its set and target. In the order of the result: sets (pointings,), mask (sets, targets), weights
+        (pointings,), pairs (lengths, 2).
         """
         gauge, sets = self.distance_problem.reference_lengths, self.distance_problem.set_indices
         visible, share = measured_targets_and_weights(self.truth, sets)
         return sets, visible, share, np.stack([gauge.first_targets, gauge.second_targets], axis=1).reshape(-1, 2)
 
     def calibrate_batch(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBatch, Bools]:
-        """Estimates of the trials, and mask (B,) of the converged trials.
+        """Estimates of the trials, and mask (trials,) of the converged trials.
 
         The targets are adjusted from readings that are corrected by the estimated parameters.
         """
@@ -148,7 +149,10 @@ class BatchDistance(BatchCalibrator):
         ) & fit.has_converged
 
     def _least_squares_values(self, trial_batch: TrialBatch) -> tuple[Floats, Floats]:
-        """Estimated parameters (I, p, B) [SI], and their largest change (B,) in the last step [prior sigma]."""
+        """Estimated parameters of all trials, and their largest change in the last step.
+
+        The shapes are (instruments, parameters, trials) [SI] and (trials,) [prior sigma].
+        """
         deviation, prior = trial_batch.reading_deviations, self.distance_problem.prior_sigma[:, :, None]
         sets, visible, share, gauge = self._set_membership
         recording, trials = self.truth.recording, deviation.shape[2]
@@ -171,10 +175,10 @@ class BatchDistance(BatchCalibrator):
         return parameter_values, moved
 
     def _separate_trial_values(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[Floats, Floats]:
-        """Parameters (I, p, B) [SI] of selected trials, and their largest change (B,) in the last step [prior sigma].
+        """Parameters of selected trials, and their largest change in the last step, with a normal matrix per trial.
 
-        Each trial has its own normal matrix. `trial_numbers` are the indices of the selected trials in the batch; the
-        change of the other trials is infinite.
+        The parameters have the shape (instruments, parameters, trials) [SI], the changes (trials,) [prior sigma].
+        `trial_numbers` are the indices of the selected trials in the batch; the change of all other trials is infinite.
         """
         prior, trials = self.distance_problem.prior_sigma[:, :, None], trial_batch.reading_deviations.shape[2]
         unknowns, moved = np.zeros((self.distance_problem.prior_sigma.size, trials)), np.full(trials, np.inf)
@@ -211,9 +215,10 @@ class BatchDistance(BatchCalibrator):
         return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
 
     def _trial_combinations(self, readings: Floats) -> Floats:
-        """Combinations of parameters (q, k) that are estimated in a trial with the `readings` (n, 3).
+        """Combinations of the unknowns that are estimated in a trial, shape (unknowns, combinations).
 
-        They are the principal axes of the trial's objective that are nearest to `_estimated_combinations`.
+        They are the principal axes of the objective for the trial's `readings` (pointings, 3) that are nearest to the
+        combinations estimated at the nominal readings (`_estimated_combinations`).
         """
         design = self._mean_deviation_rows.comparison_matrix @ self.distance_problem.parameter_derivatives(
             readings, np.zeros(self.distance_problem.prior_sigma.size)
@@ -225,10 +230,10 @@ class BatchDistance(BatchCalibrator):
         return axes[:, order]
 
     def _objective_terms(self, trial_batch: TrialBatch, parameter_values: Floats, trial_indices: Ints) -> Floats:
-        """R terms (R, B) whose sum is the distance objective of B trials.
+        """Terms whose sum is the distance objective of each trial, shape (terms, trials).
 
-        `trial_indices` (B,) are the indices of these trials in the batch, `parameter_values` (I, p, B) [SI] their
-        instrument parameters.
+        `trial_indices` (trials,) are the indices of these trials in the batch, `parameter_values` (instruments,
+        parameters, trials) [SI] their instrument parameters.
         """
         deviation, parameter_values = (
             np.ascontiguousarray(a) for a in (trial_batch.reading_deviations[:, :, trial_indices], parameter_values)
@@ -242,7 +247,7 @@ class BatchDistance(BatchCalibrator):
         return rows.residuals[:, None] + rows.comparison_matrix @ change + by_gauge @ length_errors
 
     def _fit_corrected_readings(self, trial_batch: TrialBatch, parameter_values: Floats) -> BatchFit:
-        """Network adjustment of the trials after correction of the readings by the parameters (I, p, B) [SI]."""
+        """Network adjustment of the trials, after correction of their readings by `parameter_values` [SI]."""
         deviation = trial_batch.reading_deviations
         points = np.empty(deviation.shape)
         compute_points(self._chain_program, self.truth.recording.instrument, deviation, parameter_values, points)

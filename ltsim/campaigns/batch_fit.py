@@ -13,26 +13,24 @@ divided by its standard deviation. A trial with a larger distance is solved agai
 
 @dataclass(frozen=True)
 class BatchFit:
-    """Adjusted networks of B trials: T targets, I instruments with p parameters each, q parameters of effects."""
+    """Adjusted networks of a batch of trials; the last index of each array is the trial."""
 
     target_increments: Floats
-    """Adjusted minus nominal coordinates of the targets, (T, 3, B) [m]."""
+    """Adjusted minus nominal coordinates of the targets, (targets, 3, trials) [m]."""
     instrument_values: Floats
-    """Estimated instrument parameters, (I, p, B) [SI]."""
+    """Estimated instrument parameters, (instruments, parameters, trials) [SI]."""
     effect_values: Floats
-    """Estimated parameters of the additional effects, (q, B) [SI]."""
+    """Estimated parameters of the additional effects, (effect parameters, trials) [SI]."""
     incidence_parameters: Mapping[str, Floats]
-    """Estimated parameters, (14, B) [SI], of each reflector's range error as a function of the incidence angle (effect
-    `smr-incidence`), by name of the reflector.
-    """
+    """Estimated parameters, (14, trials) [SI], of each reflector's range error as a function of the incidence angle
+    (effect `smr-incidence`), by name of the reflector."""
     chi2: Floats
-    """Chi-square of each trial, (B,)."""
+    """Chi-square of each trial, (trials,)."""
     distance_to_optimum: Floats
-    """Estimated distance to the optimum after the last step, (B,): norm of the remaining step, with each unknown
-    divided by its standard deviation.
-    """
+    """Estimated distance to the optimum after the last step, (trials,): norm of the remaining step, with each unknown
+    divided by its standard deviation."""
 
     @property
     def has_converged(self) -> Bools:
-        """Mask (B,) of the converged trials; a distance of NaN counts as not converged."""
+        """Mask (trials,) of the converged trials; a distance of NaN counts as not converged."""
         return self.distance_to_optimum < MAX_DISTANCE_TO_OPTIMUM

@@ -41,24 +41,20 @@ last two steps."""
 
 
 @dataclass(frozen=True)
-class SharedQuantities:
-    """Quantities of one network that are reused for another network with the same set-up and pointings."""
+class SharedDerivatives:
+    """Derivatives of one network that are reused for another network with the same set-up and pointings."""
 
     network: BatchNetwork
-    """Network from which the quantities are reused, with the same set-up and pointings but other coordinates."""
+    """Network from which the derivatives are taken; it has the same set-up and pointings but other coordinates."""
     point_derivatives: Floats
-    """Derivative of the nominal readings with respect to the targets in the instruments' frames, (n, 3, 3)."""
+    """Derivative of the nominal readings with respect to the targets in the instruments' frames, (pointings, 3, 3)."""
     parameter_derivatives: Floats
-    """Derivative of the nominal readings with respect to p instrument parameters, (n, 3, p)."""
+    """Derivative of the nominal readings with respect to the instrument parameters, (pointings, 3, parameters)."""
 
 
 @dataclass(frozen=True)
 class BatchNetwork:
-    """Network with nominal readings, for the adjustment of B trials.
-
-    Letters in shapes: S stations, T targets, I instruments with p parameters, q parameters of effects, n pointings, K
-    unknowns, m observations, r observations other than readings, g reference lengths.
-    """
+    """Network with nominal (error-free) readings, for the adjustment of a batch of trials."""
 
     recording: Recording
     """Recording with nominal readings, which an ideal tracker reads at `state`."""
@@ -70,27 +66,27 @@ class BatchNetwork:
     """Kinematic chain of the geometric error model, linearised at the nominal readings."""
     effects: tuple[Effect, ...] = ()
     """Additional effects that are estimated; the nuisance errors that the recording declares are estimated too."""
-    shared_quantities: SharedQuantities | None = None
-    """Quantities reused from another network with the same set-up, or None; not used with additional effects."""
+    shared_derivatives: SharedDerivatives | None = None
+    """Derivatives of another network with the same set-up, to be reused; None if they are to be computed."""
     is_adjusted_observable: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """Mask (3,) of the observables (range, azimuth, elevation) that are adjusted."""
 
     @cached_property
     def model(self) -> MeasurementModel:
-        """Measurement model, the same as for a single adjustment."""
+        """Measurement model, the same as in the adjustment of a single recording."""
         model = MeasurementModel(self.recording, self.construction, self.effects)
-        if self.shared_quantities is not None:
-            vars(model)["nuisance_errors"] = self.shared_quantities.network.model.nuisance_errors
+        if self.shared_derivatives is not None:
+            vars(model)["nuisance_errors"] = self.shared_derivatives.network.model.nuisance_errors
         return model
 
     @cached_property
     def problem(self) -> NetworkProblem:
-        """Least-squares problem at the nominal state, with the same rows as a single adjustment."""
-        if self.shared_quantities is None:
+        """Least-squares problem at the nominal state, with the observations of the adjustment of a single recording."""
+        if self.shared_derivatives is None:
             return NetworkProblem.from_model(
                 self.model, reading_mask=np.tile(self.is_adjusted_observable, (len(self.recording), 1))
             )
-        return self.shared_quantities.network.problem.with_other_positions(self.model)
+        return self.shared_derivatives.network.problem.with_other_positions(self.model)
 
     @cached_property
     def nominal_state(self) -> NetworkState:
@@ -115,9 +111,9 @@ class BatchNetwork:
 
     @cached_property
     def column_order(self) -> Ints:
-        """Columns (K,) of `problem`'s design in the order of this class: poses, targets, parameters, effects."""
-        if self.shared_quantities is not None:
-            return self.shared_quantities.network.column_order
+        """Columns (unknowns,) of the design matrix of `problem`, reordered to poses, targets, parameters, effects."""
+        if self.shared_derivatives is not None:
+            return self.shared_derivatives.network.column_order
         unknowns = self.problem.unknowns
         column_groups = (
             unknowns.pose_columns,
@@ -132,37 +128,37 @@ class BatchNetwork:
 
     @cached_property
     def _non_reading_design(self) -> tuple[Floats, Floats]:
-        """Whitened design (r, K) of the observations other than readings, and their nominal residuals (r, 1)."""
+        """Whitened design (rows, unknowns) of all observations except readings, and nominal residuals (rows, 1)."""
         design, residual = self._whitened_design_and_residuals
         n_readings = int(self.problem.is_used_reading.sum())
         return design[n_readings:, self.column_order], residual[n_readings:, None]
 
     @cached_property
     def _whitened_design_and_residuals(self) -> tuple[Floats, Floats]:
-        """Whitened design (m, K) of all observations, in the order of `problem`, and their nominal residuals (m,)."""
+        """Whitened design (rows, unknowns) of all observations of `problem`, and their nominal residuals (rows,)."""
         prediction = (
             self.problem.model.linearise(self.nominal_state)
-            if self.shared_quantities is None
-            else self._nominal_prediction(self.shared_quantities)
+            if self.shared_derivatives is None
+            else self._nominal_prediction(self.shared_derivatives)
         )
         system = self.problem.linear_system(
             self.nominal_state, replace(prediction, extra_derivatives=self._extra_design)
         )
         return to_dense(system.design), system.whitened_residuals
 
-    def _nominal_prediction(self, quantities: SharedQuantities) -> Prediction:
+    def _nominal_prediction(self, derivatives: SharedDerivatives) -> Prediction:
         """Predicted readings at the nominal state and their derivatives, equal to `MeasurementModel.linearise`."""
         recording, state = self.recording, self.state
-        by_target = quantities.point_derivatives @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]
+        by_target = derivatives.point_derivatives @ np.swapaxes(state.station_rotations, 1, 2)[recording.station]
         arm = state.target_points[recording.target] - state.station_positions[recording.station]
         by_pose = pose_design(by_target, arm)
         return Prediction(
-            recording.readings, by_pose, by_target, quantities.parameter_derivatives, np.zeros((len(recording), 3, 0))
+            recording.readings, by_pose, by_target, derivatives.parameter_derivatives, np.zeros((len(recording), 3, 0))
         )
 
     @cached_property
     def cholesky_and_scales(self) -> tuple[Floats, Floats]:
-        """Lower Cholesky factor (K, K) of the nominal normal matrix, scaled to a unit diagonal, and the scales (K,).
+        """Lower Cholesky factor of the nominal normal matrix, scaled to a unit diagonal, and the scales (unknowns,).
 
         SetupError is raised for undetermined unknowns.
         """
@@ -178,13 +174,13 @@ class BatchNetwork:
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance (K, K) [SI] of all unknowns at the nominal state; the first pose defines the datum."""
+        """Covariance (unknowns, unknowns) [SI] at the nominal state; the first pose defines the datum."""
         root, scale = self.cholesky_and_scales
         return inverse_from_cholesky(root) * np.outer(scale, scale)
 
     @cached_property
     def parameter_sigmas(self) -> Floats:
-        """Standard deviation (I, p) [SI] of the instrument parameters after adjustment."""
+        """Standard deviation (instruments, parameters) [SI] of the instrument parameters after adjustment."""
         (_, start, end, _), (root, scale) = self.end_indices, self.cholesky_and_scales
         inverse_block = inverse_from_cholesky(
             root[start:, start:]
@@ -193,7 +189,7 @@ class BatchNetwork:
         return roots.reshape(self.problem.unknowns.instrument_columns.shape)
 
     def step(self, gradient: Floats) -> Floats:
-        """Gauss-Newton step (K, B) of the unknowns for negative gradients (K, B) of half the sum of squares."""
+        """Gauss-Newton step (unknowns, trials) for the negative gradient of half the sum of squares."""
         return self.covariance @ gradient
 
     @cached_property
@@ -211,19 +207,19 @@ class BatchNetwork:
 
     @cached_property
     def _point_derivatives(self) -> Floats:
-        """Derivative (n, 3, 3) of an ideal tracker's readings with respect to the target in the instrument's frame."""
+        """Derivative (pointings, 3, 3) of an ideal tracker's readings by the target in the instrument's frame."""
         return (
             sightings_at_state(self.recording, self.state).local_derivatives
-            if self.shared_quantities is None
-            else self.shared_quantities.point_derivatives
+            if self.shared_derivatives is None
+            else self.shared_derivatives.point_derivatives
         )
 
     @cached_property
     def _network_frame(self) -> DeclaredFrame:
         return (
             DeclaredFrame.from_recording(self.recording)
-            if self.shared_quantities is None
-            else self.shared_quantities.network._network_frame
+            if self.shared_derivatives is None
+            else self.shared_derivatives.network._network_frame
         )
 
     @cached_property
@@ -238,22 +234,22 @@ class BatchNetwork:
                 "target_points": state.target_points @ turn.T + shift,
             }
             state = replace(state, station_rotations=turn @ state.station_rotations, **places)
-        if self.shared_quantities is None:
+        if self.shared_derivatives is None:
             return self.model.sightings(state)
-        return self.shared_quantities.network._extra_sightings.with_geometry(
+        return self.shared_derivatives.network._extra_sightings.with_geometry(
             state.station_positions, state.station_rotations, state.target_points
         )
 
     @cached_property
     def _extra_design(self) -> Floats:
-        """Change (n, 3, q) of the readings per unit of each parameter of effects and declared nuisance errors."""
+        """Change (pointings, 3, effect parameters) of the readings per unit of each effect or nuisance parameter."""
         if not self.model.extra_effects:
             return np.zeros((len(self.recording), 3, 0))
         return self.model.extra_design(self._extra_sightings)
 
     @cached_property
     def _expected_reading_change(self) -> Floats | None:
-        """Expected change (n, 3, 1) of the readings by range errors of bench-tested reflectors; None without these."""
+        """Expected change (pointings, 3, 1) of readings by bench-tested reflectors; None without such reflectors."""
         if not any(
             isinstance(error, IncidenceErrors) and error.mean_parameters.any() for error in self.model.nuisance_errors
         ):
@@ -264,11 +260,14 @@ class BatchNetwork:
 
     @cached_property
     def reading_sigmas(self) -> Floats:
-        """Standard deviation (n, 3) [m, rad, rad] of the readings; infinite for unmeasured readings."""
+        """Standard deviation (pointings, 3) [m, rad, rad] of the readings; infinite for unmeasured readings."""
         return np.where(self.problem.is_used_reading, self.problem.sigma, np.inf)
 
     def split_unknowns(self, unknowns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Views of the unknowns (K, B): poses (S, 6, B), targets (T, 3, B), instruments (I, p, B), effects (q, B)."""
+        """Views of the unknowns (unknowns, trials): poses, targets, instrument parameters and effect parameters.
+
+        The last index of each view is the trial; the first is station, target, instrument or effect parameter.
+        """
         pose, targets, values, _ = self.end_indices
         shape = self.nominal_state.instrument_parameters.shape
         return (
@@ -279,10 +278,10 @@ class BatchNetwork:
         )
 
     def fit_trials(self, reading_deviations: Floats, length_errors: Floats | None = None) -> BatchFit:
-        """Adjusted network of each of B trials.
+        """Adjusted network of each trial.
 
-        `reading_deviations` (n, 3, B) are readings minus nominal readings, `length_errors` (g, B) [m] are declared
-        minus true reference lengths.
+        `reading_deviations` (pointings, 3, trials) are readings minus nominal readings, `length_errors` (lengths,
+        trials) [m] are declared minus true reference lengths.
         """
         if self._expected_reading_change is not None:
             reading_deviations = reading_deviations - self._expected_reading_change
@@ -311,9 +310,10 @@ class BatchNetwork:
 
     @cached_property
     def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
-        """Indices (a,) of the readings that effects change, among all 3 n, and their design (a, q), plain and whitened.
+        """Indices of the readings that effects change, and their design matrix, plain and whitened.
 
-        Effects include declared nuisance errors. For trials with separate geometries the designs are (B, a, q).
+        Effects include declared nuisance errors. The indices (affected readings,) refer to the flattened readings. The
+        designs have the shape (affected readings, effect parameters), after an axis of trials for separate geometries.
         """
         flattened = self._extra_design.reshape(self.reading_sigmas.size, -1)
         indices = np.flatnonzero(flattened.any(axis=1))
@@ -321,10 +321,10 @@ class BatchNetwork:
 
     @cached_property
     def _first_step_matrices(self) -> tuple[Floats, Floats, Floats]:
-        """Matrices (K, 3 n) and (K, r) of the first step, and matrix (3 n, K') of the readings that it predicts.
+        """Matrices of the first step from the nominal state, and matrix of the readings predicted after this step.
 
-        The first step is the first matrix times the reading deviations, plus the second times the residuals of other
-        observations. The K' unknowns exclude effects, whose changes are subtracted from the measured readings.
+        The step is the first matrix times the reading deviations, plus the second times the residuals of all other
+        observations. The third, (readings, unknowns), excludes effects; their changes are subtracted from the readings.
         """
         use, design = self.problem.is_used_reading, np.zeros((3 * len(self.recording), self.end_indices[-1]))
         design[use.ravel()] = self._whitened_design_and_residuals[0][
@@ -336,7 +336,7 @@ class BatchNetwork:
         return by_reading, self.covariance @ self._non_reading_design[0].T, predicting
 
     def _first_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
-        """First step (K, B) from the nominal state, and predicted minus nominal readings (n, 3, B) after the step."""
+        """First step (unknowns, trials), and predicted minus nominal readings (pointings, 3, trials) after it."""
         by_reading, by_other, predicting = self._first_step_matrices
         nowhere = np.zeros((self.end_indices[-1], reading_deviations.shape[2]))
         x = by_reading @ reading_deviations.reshape(len(predicting), -1) + by_other @ self._non_reading_residuals(
@@ -353,7 +353,7 @@ class BatchNetwork:
         gradient: Floats,
         cost: Floats,
     ) -> None:
-        """Negative gradient (K, B) and sum of squares (B,) at `increments` (K, B), written to `gradient` and `cost`."""
+        """Negative gradient (unknowns, trials) and sum of squares (trials,), written to `gradient` and `cost`."""
         gradient[:], cost[:] = 0.0, 0.0
         pose, points, values, extra = self.split_unknowns(increments)
         if self._has_additional_parameters:
@@ -371,9 +371,9 @@ class BatchNetwork:
         cost += np.sum(residuals**2, axis=0)
 
     def _non_reading_residuals(self, increments: Floats, length_errors: Floats | None) -> Floats:
-        """Whitened residuals (r, B) of reference lengths, control points, levels, priors and datum.
+        """Whitened residuals (rows, trials) of reference lengths, control points, levels, priors and datum.
 
-        The residuals of lengths are exact; all others are linear in `increments` (K, B) of the unknowns.
+        The residuals of lengths are exact; all others are linear in the `increments` (unknowns, trials).
         """
         design, nominal = self._non_reading_design
         residuals = nominal - multiply_by_trial(design, increments)
@@ -394,7 +394,7 @@ class BatchNetwork:
 
 
 def multiply_by_trial(matrix: Floats, columns: Floats) -> Floats:
-    """Product (j, B) of a matrix (j, k), or of one matrix per trial (B, j, k), with the columns (k, B) of B trials."""
+    """Product (rows, trials) of one matrix for all trials, or of one per trial, with `columns` (terms, trials)."""
     if matrix.ndim == 2:
         return matrix @ columns
     return np.matmul(matrix, columns.T[:, :, None])[:, :, 0].T

@@ -18,10 +18,10 @@ from scipy.linalg.lapack import dpotrs
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.campaigns.batch_distance import BatchDistance
-from ltsim.campaigns.batch_network import BatchNetwork, SharedQuantities
+from ltsim.campaigns.batch_network import BatchNetwork, SharedDerivatives
 from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.kernels import compute_readings
-from ltsim.campaigns.spec import Method
+from ltsim.campaigns.spec import CalibrationMethod
 from ltsim.campaigns.trial_calibrators import (
     BatchCalibrator,
     CalibratedBatch,
@@ -39,17 +39,17 @@ from ltsim.physics.model.measurement import NetworkState
 from ltsim.simulation.draws import StandardNormalSource
 
 
-def estimated_construction(method: Method) -> GeometricErrorModel:
+def estimated_construction(method: CalibrationMethod) -> GeometricErrorModel:
     """Geometric error model whose parameters a calibration method estimates."""
     return construction_with_orders(method.construction, method.harmonics, method.degree)
 
 
-def estimated_effects(method: Method) -> tuple[Effect, ...]:
+def estimated_effects(method: CalibrationMethod) -> tuple[Effect, ...]:
     """Additional effects that a method estimates; SetupError names an invalid entry and the permitted values."""
     return tuple(e.effect(f"methods.{method.title}.effects.{i}") for i, e in enumerate(method.effects, 1))
 
 
-def make_calibrator(method: Method, truth: CellTruth) -> TrialCalibrator:
+def make_calibrator(method: CalibrationMethod, truth: CellTruth) -> TrialCalibrator:
     """Calibrator for a method of a campaign file, for trials in the network geometry `truth`."""
     if method.method != "network" and not truth.is_recorded_observable.all():
         raise SetupError(f"methods.{method.title}: {method.method} compares points, which need ranges and angles")
@@ -63,14 +63,13 @@ def make_calibrator(method: Method, truth: CellTruth) -> TrialCalibrator:
 
 @dataclass(frozen=True)
 class GeometryStack(CellTruth):
-    """True network geometries of B trials with the same n pointings; the last index of their arrays is the trial."""
+    """True network geometries of trials with the same pointings; the last index of their arrays is the trial."""
 
     truths: tuple[CellTruth, ...] = ()
     """True network geometry of each trial. Quantities that all trials share are taken from the first trial."""
     recording_row_of_pointing: Ints = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
-    """Row index, in the recording of each trial, of each pointing of the first trial, (n, B). The recordings of the
-    trials may list the pointings in different orders.
-    """
+    """Row index, in the recording of each trial, of each pointing of the first trial, (pointings, trials). The
+    recordings of the trials may list the pointings in different orders."""
 
     @classmethod
     def from_truths(cls, truths: tuple[CellTruth, ...]) -> Self:
@@ -93,37 +92,40 @@ class GeometryStack(CellTruth):
         )
 
     def stack_arrays(self, arrays: Iterable[Floats]) -> Floats:
-        """Array (n, ..., B) from one array (n, ...) per trial, in the order of the first trial's pointings."""
+        """Array (pointings, ..., trials) from one array per trial, in the order of the first trial's pointings."""
         return np.ascontiguousarray(
             np.stack([a[r] for a, r in zip(arrays, self.recording_row_of_pointing.T, strict=True)], axis=-1)
         )
 
     def array_of_trial(self, stacked_array: Floats, trial: int) -> Floats:
-        """Array (n, ...) of the trial with index `trial`, in the order of its pointings, from an array (n, ..., B)."""
+        """Array (pointings, ...) of one trial, in the order of its pointings, from one (pointings, ..., trials)."""
         trial_array = np.empty(stacked_array.shape[:-1])
         trial_array[self.recording_row_of_pointing[:, trial]] = stacked_array[..., trial]
         return trial_array
 
     @cached_property
     def nominal_readings(self) -> Floats:
-        """Nominal readings of all trials, (n, 3, B) [m, rad, rad]."""
+        """Nominal readings of all trials, (pointings, 3, trials) [m, rad, rad]."""
         return self.stack_arrays(truth.recording.readings for truth in self.truths)
 
     @cached_property
     def local_points(self) -> Floats:
-        """Targets in the instruments' frames, (n, 3, B) [m]."""
+        """Targets in the instruments' frames, (pointings, 3, trials) [m]."""
         return self.stack_arrays(truth.sightings.local_points for truth in self.truths)
 
     @cached_property
     def reading_derivatives(self) -> Floats:
-        """Derivative of an ideal tracker's readings with respect to `local_points`, (n, 3, 3, B)."""
+        """Derivative (pointings, 3, 3, trials) of an ideal tracker's readings by targets in instrument frames."""
         return self.stack_arrays(truth.sightings.local_derivatives for truth in self.truths)
 
     def _effect_design(self, effects: tuple[Effect, ...]) -> Floats:
         return self.stack_arrays(truth.effect_design_function(effects)[..., 0] for truth in self.truths)
 
     def _compute_chain_and_design(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
-        """Kinematic chain of all trials, and derivative (n, 3, p, B) of the readings by the p instrument parameters."""
+        """Kinematic chain of all trials, and derivative of the readings by the instrument parameters.
+
+        The derivative has the shape (pointings, 3, parameters, trials).
+        """
         flattened = np.swapaxes(self.nominal_readings, 1, 2).reshape(-1, 3)
         by_value = construction.reading_design(flattened, np.zeros(construction.n_parameters))[1]
         by_trial = np.moveaxis(by_value.reshape(*self.recording_row_of_pointing.shape, *by_value.shape[1:]), 1, -1)
@@ -132,14 +134,14 @@ class GeometryStack(CellTruth):
         ), np.ascontiguousarray(by_trial)
 
     def _exact_deviations(self, true_parameters: Floats) -> Floats:
-        """Exact minus nominal readings (n, 3, B) for true instrument parameters (I, p, B) [SI]."""
+        """Exact minus nominal readings (pointings, 3, trials) for true instrument parameters [SI]."""
         which, (program, by_value) = self.recording.instrument, self.chain_and_design(self.construction)
         deviation = np.einsum("nckb,nkb->ncb", by_value, true_parameters[which])
         compute_readings(program, which, self.local_points, self.reading_derivatives, true_parameters, deviation)
         return deviation
 
     def draw_numbered_trials(self, seed: int, trial_numbers: Ints) -> TrialBatch:
-        """Batch of the trials `trial_numbers` (B,), one for each geometry of the stack, with their random values."""
+        """Batch of the trials `trial_numbers`, one for each geometry of the stack, with their random values."""
         sources = StandardNormalSource(seed, trial_numbers).single_trial_sources()
         draws = [
             truth.distributions.draw(numbers_of_trial)
@@ -161,7 +163,7 @@ class GeometryStack(CellTruth):
 
 
 def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometryStack, Ints]]:
-    """Stacks of the trials whose stations see the same targets, each with the numbers (B,) of its trials.
+    """Stacks of the trials whose stations see the same targets, each stack with the numbers of its trials.
 
     `truths` holds the true network geometry of each trial by number. A trial with an incomplete pointing forms a stack
     of one trial.
@@ -179,14 +181,14 @@ def stack_geometries(truths: dict[int, CellTruth]) -> Iterator[tuple[GeometrySta
 
 
 def _pointing_keys(truth: CellTruth) -> Ints:
-    """Integer key of each pointing, (n,), from its repeat, station, face and target."""
+    """Integer key of each pointing, (pointings,), from its repeat, station, face and target."""
     r = truth.recording
     return ((r.repeat * len(r.stations) + r.station) * 3 + r.face) * len(r.targets) + r.target
 
 
 @dataclass(frozen=True)
 class StackCalibrator(TrialCalibrator):
-    """Calibrator of the trials of a stack.
+    """Calibrator of a stack of trials, which have separate network geometries but the same pointings.
 
     The network method calibrates the trials in a batch. Trials that do not converge there are calibrated one by one, as
     are the trials of all other methods.
@@ -194,11 +196,11 @@ class StackCalibrator(TrialCalibrator):
 
     truth: GeometryStack
     """True network geometries of the trials."""
-    requested_method: Method = field(default_factory=Method)
+    requested_method: CalibrationMethod = field(default_factory=CalibrationMethod)
     """Calibration method of the campaign file."""
 
     @classmethod
-    def for_stack(cls, method: Method, stack: GeometryStack) -> Self:
+    def for_stack(cls, method: CalibrationMethod, stack: GeometryStack) -> Self:
         """Calibrator of a stack by a method of the campaign file."""
         first_calibrator = make_calibrator(method, stack.truths[0])
         return cls(stack, first_calibrator.construction, first_calibrator.effects, method.method, method)
@@ -235,7 +237,9 @@ class StackCalibrator(TrialCalibrator):
         for k, truth in enumerate(stack.truths):
             recording = stack.recording.with_readings(stack.nominal_readings[:, :, k])
             shared = (
-                SharedQuantities(networks[0], stack.reading_derivatives[..., k], by_value[..., k]) if networks else None
+                SharedDerivatives(networks[0], stack.reading_derivatives[..., k], by_value[..., k])
+                if networks
+                else None
             )
             networks.append(
                 BatchNetwork(
@@ -243,7 +247,7 @@ class StackCalibrator(TrialCalibrator):
                     truth.state,
                     built,
                     program,
-                    shared_quantities=shared,
+                    shared_derivatives=shared,
                     is_adjusted_observable=truth.is_recorded_observable,
                 )
             )
@@ -267,7 +271,7 @@ class StackCalibrator(TrialCalibrator):
         return np.flatnonzero(is_doubtful)
 
     def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBatch) -> float:
-        """Largest difference [sigma] between the batch `results` of a trial and those of the full solver."""
+        """Largest difference between the batch `results` of a trial and the full solver, in standard deviations."""
         trial_slice = slice(trial, trial + 1)
         arrays = (
             results.instrument_values[..., trial_slice],
@@ -296,7 +300,7 @@ class StackedNetwork(BatchNetwork):
         return self.networks[0].problem
 
     def step(self, gradient: Floats) -> Floats:
-        """Gauss-Newton step (K, B) for negative gradients (K, B), with a separate normal matrix for each trial."""
+        """Gauss-Newton step (unknowns, trials) for negative gradients, with a separate normal matrix for each trial."""
         step = np.empty_like(gradient)
         for trial, (root, scale) in enumerate(part.cholesky_and_scales for part in self.networks):
             step[:, trial] = scale * dpotrs(root.T, scale * gradient[:, trial])[0]
@@ -304,28 +308,31 @@ class StackedNetwork(BatchNetwork):
 
     @cached_property
     def parameter_sigmas(self) -> Floats:
-        """Standard deviation of the instrument parameters after adjustment, (I, p, B) [SI]."""
+        """Standard deviation of the instrument parameters after adjustment, (instruments, parameters, trials) [SI]."""
         return np.stack([part.parameter_sigmas for part in self.networks], axis=-1)
 
     @cached_property
     def reading_sigmas(self) -> Floats:
-        """Standard deviation of the readings, (n, 3, B) [m, rad, rad]; infinite for unmeasured readings."""
+        """Standard deviation (pointings, 3, trials) [m, rad, rad] of the readings; infinite for unmeasured ones."""
         return np.stack([part.reading_sigmas for part in self.networks], axis=-1)
 
     @cached_property
     def _point_derivatives(self) -> Floats:
-        """Derivative (n, 3, 3, B) of an ideal tracker's readings by the target in the instrument's frame."""
+        """Derivative (pointings, 3, 3, trials) of an ideal tracker's readings by targets in instrument frames."""
         return np.stack([part._point_derivatives for part in self.networks], axis=-1)
 
     @cached_property
     def _expected_reading_change(self) -> Floats | None:
-        """Expected change (n, 3, B) of the readings by range errors of bench-tested reflectors; None without these."""
+        """Expected change (pointings, 3, trials) of readings by bench-tested reflectors; None without such ones."""
         shifts = [shift for part in self.networks if (shift := part._expected_reading_change) is not None]
         return np.concatenate(shifts, axis=-1) if shifts else None
 
     @cached_property
     def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
-        """Indices (a,) of the readings that effects change, and their designs (B, a, q), plain and whitened."""
+        """Indices of the readings that effects change, and their design matrices, plain and whitened.
+
+        The indices have the shape (affected readings,), the designs (trials, affected readings, effect parameters).
+        """
         n_readings = 3 * len(self.recording)
         flattened = [part._extra_design.reshape(n_readings, -1) for part in self.networks]
         affected_rows = np.flatnonzero(np.any([design.any(axis=1) for design in flattened], axis=0))
@@ -335,7 +342,7 @@ class StackedNetwork(BatchNetwork):
 
     @cached_property
     def _non_reading_design(self) -> tuple[Floats, Floats]:
-        """Whitened design (B, r, K) of the observations other than readings, and their nominal residuals (r, B)."""
+        """Whitened design (trials, rows, unknowns) of observations except readings, and residuals (rows, trials)."""
         designs, nominal = zip(*(part._non_reading_design for part in self.networks), strict=True)
         return np.stack(designs), np.concatenate(nominal, axis=1)
 

@@ -35,7 +35,7 @@ from ltsim.campaigns.spec import (
     read_cad,
 )
 from ltsim.campaigns.statistics import CampaignStatistics
-from ltsim.campaigns.stopping import ShardKey, iterate_rounds
+from ltsim.campaigns.stopping import ShardKey, iterate_stopping_rounds
 from ltsim.campaigns.store import CAMPAIGN_FILE, CampaignFolder, interruption_error
 from ltsim.core.arguments import check_bounds, check_choice
 from ltsim.core.errors import SetupError, WorkerError, as_setup_error, option_text
@@ -139,7 +139,7 @@ def run_campaign(
             store.write_manifest(manifest, sources)
         store.remove_unfinished_files()
         done, existing = 0, 0
-        for wanted in iterate_rounds(campaign, len(cells), partial(_confidence_half_widths, folder)):
+        for wanted in iterate_stopping_rounds(campaign, len(cells), partial(_confidence_half_widths, folder)):
             waiting, damaged = _pending_shards(store, campaign, cells, wanted, progress)
             notes += damaged
             done, existing = done + len(waiting), existing + len(wanted) - len(waiting)

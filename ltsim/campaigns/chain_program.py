@@ -22,37 +22,36 @@ is 1e-9.
 
 
 class ChainProgram(NamedTuple):
-    """Kinematic chain as arrays: M motions from the base to the target, n pointings, p parameters."""
+    """Kinematic chain as arrays: rotations and translations (motions) from the base to the target, with parameters."""
 
     is_rotation: Ints
-    """Kind of each motion, (M,): 1 for a rotation, 0 for a translation."""
+    """Kind of each motion, (motions,): 1 for a rotation, 0 for a translation."""
     axis_indices: Ints
-    """Coordinate axis of each motion, (M,): 0 for x, 1 for y, 2 for z."""
+    """Coordinate axis of each motion, (motions,): 0 for x, 1 for y, 2 for z."""
     reading_signs: Floats
-    """Sign with which the reading enters the amount of each motion, (M,)."""
+    """Sign with which the reading enters the amount of each motion, (motions,)."""
     reading_indices: Ints
-    """Index of the reading that determines the amount of each motion, (M,): 0 range, 1 azimuth, 2 elevation, -1
+    """Index of the reading that determines the amount of each motion, (motions,): 0 range, 1 azimuth, 2 elevation, -1
     none."""
     nominal_amounts: Floats
-    """Amount of each motion at the nominal readings, (M, n, 2): length [m] of a translation in the first entry, or
-    cosine and sine of a rotation.
-    """
+    """Amount of each motion at the nominal readings, (motions, pointings, 2): length [m] of a translation in the first
+    entry, or cosine and sine of a rotation."""
     parameter_offsets: Ints
-    """Offsets (M + 1,) into `parameter_indices`: the parameters of motion m are ``parameter_indices[offsets[m] :
-    offsets[m + 1]]``.
-    """
+    """Offsets (motions + 1,) into `parameter_indices`: the parameters of motion m are ``parameter_indices[offsets[m] :
+    offsets[m + 1]]``."""
     parameter_indices: Ints
-    """Indices (f,) of the parameters that act on the motions, listed motion by motion."""
+    """Indices of the parameters that act on the motions, listed motion by motion, shape (pairs of motion and
+    parameter,)."""
     depends_on_readings: Ints
-    """Mask (p,) of the parameters whose basis function depends on the readings."""
+    """Mask (parameters,) of the parameters whose basis function depends on the readings."""
     basis_values: Floats
-    """Basis function of each parameter at the nominal readings, (p, n)."""
+    """Basis function of each parameter at the nominal readings, (parameters, pointings)."""
     basis_derivatives: Floats
-    """Derivative of each basis function with respect to the three readings, (p, n, 3)."""
+    """Derivative of each basis function with respect to the three readings, (parameters, pointings, 3)."""
 
     @classmethod
     def from_construction(cls, construction: GeometricErrorModel, readings: Floats) -> Self:
-        """Chain of a geometric error model, linearised at `readings` (n, 3), without motions that are always zero."""
+        """Chain of an error model, linearised at `readings` (pointings, 3), without motions that are always zero."""
         slots = [term.slot for term in construction.terms]
         motions_by_slot = {
             m.error_slot: [k for k, slot in enumerate(slots) if slot == m.error_slot]
@@ -108,7 +107,7 @@ def _reading_index(motion: ElementaryMotion) -> int:
 
 
 def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
-    """Amount (n, 2) of a motion at readings (n, 3): length and 0 of a translation, cosine and sine of a rotation."""
+    """Amount of a motion, (pointings, 2): length [m] and 0 of a translation, or cosine and sine of a rotation."""
     nominal_amounts = (
         np.zeros(len(readings)) if motion.nominal_function is None else motion.sign * motion.nominal_function(readings)
     )
@@ -118,7 +117,7 @@ def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
 
 
 def _basis_derivatives(construction: GeometricErrorModel, readings: Floats) -> Floats:
-    """Derivative (p, n, 3) of each parameter's basis function by the readings, from central differences."""
+    """Derivative (parameters, pointings, 3) of each parameter's basis function by the readings, by differences."""
     step = DERIVATIVE_STEP * np.eye(3)[:, None, :]
     shifted_readings = np.concatenate([readings + step, readings - step]).reshape(-1, 3)
     ahead, behind = (

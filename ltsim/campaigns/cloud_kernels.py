@@ -1,4 +1,4 @@
-"""Compiled functions on point clouds of B trials: means, rigid fits, disagreement of stations and distance objective.
+"""Compiled functions on the measured points of many trials: means, rigid fits, disagreement, distance objective.
 
 `ltsim.adjustment.evaluation` computes the same quantities for single recordings. The last index of each array is the
 trial. A rigid fit starts from frames that agree within the size of the errors. Three Newton steps on the rotation then
@@ -13,14 +13,15 @@ from ltsim.core.arrays import Bools, Floats, Ints
 N_ROTATION_STEPS = 3
 """Number of Newton steps for the rotation of a rigid fit."""
 MICROMETRES_PER_METRE = 1e6
+"""Number of micrometres in a metre, for criteria in um."""
 
 
 @compile_function
 def add_station_means(points: Floats, station: Ints, target: Ints, weights: Floats, clouds: Floats) -> None:
-    """Addition of points (n, 3, B), multiplied by weights (n,), to the clouds (S, T, 3, B), in place.
+    """Addition of measured points (pointings, 3, trials), times weights (pointings,), to point clouds, in place.
 
-    A cloud contains the points of one station (or set of pointings) on T targets. `station` and `target` (n,) are the
-    indices of the cloud and of the target of each point.
+    `clouds` (stations, targets, 3, trials) has the mean point of each station (or other set of pointings) on each
+    target. `station` and `target` (pointings,) are the indices of the cloud and of the target of each point.
     """
     for i in range(len(points)):
         cloud = clouds[station[i], target[i]]
@@ -32,9 +33,10 @@ def add_station_means(points: Floats, station: Ints, target: Ints, weights: Floa
 
 @compile_function
 def transform_to_network(clouds: Floats, rotation: Floats, position: Floats) -> None:
-    """Transformation of the clouds (S, T, 3, B) of S stations from instrument frames to the network frame, in place.
+    """Transformation of the points of each station from its instrument frame to the network frame, in place.
 
-    `rotation` (S, 3, 3) and `position` (S, 3) are the nominal poses.
+    `clouds` (stations, targets, 3, trials) are the points, `rotation` (stations, 3, 3) and `position` (stations, 3) the
+    nominal poses [m].
     """
     for s in range(len(clouds)):
         r, place = rotation[s], position[s]
@@ -67,7 +69,7 @@ def transform_to_network(clouds: Floats, rotation: Floats, position: Floats) -> 
 
 @compile_function
 def _centre_cloud(cloud: Floats, is_used_target: Bools, centred_cloud: Floats) -> None:
-    """Cloud (T, 3, B) minus its mean over the targets in `is_used_target` (T,), written to `centred_cloud`."""
+    """Points (targets, 3, trials) minus their mean over the targets in `is_used_target`, written to `centred_cloud`."""
     centred_cloud[:] = 0.0
     n_points = 0
     for k in range(len(cloud)):
@@ -83,9 +85,9 @@ def _centre_cloud(cloud: Floats, is_used_target: Bools, centred_cloud: Floats) -
 
 @compile_function
 def align_rigidly(cloud: Floats, reference_cloud: Floats, is_used_target: Bools, aligned_cloud: Floats) -> None:
-    """Rigid least-squares alignment of a cloud (T, 3, B) to `reference_cloud`, written to `aligned_cloud`.
+    """Rigid least-squares alignment of points (targets, 3, trials) to `reference_cloud`, written to `aligned_cloud`.
 
-    Only the targets in the mask `is_used_target` (T,) are fitted.
+    Only the targets in the mask `is_used_target` (targets,) are fitted.
     """
     trials = cloud.shape[2]
     middle, aim = np.empty((3, trials)), np.empty((3, trials))
@@ -116,9 +118,10 @@ def align_rigidly(cloud: Floats, reference_cloud: Floats, is_used_target: Bools,
 
 @compile_function
 def _rotation_step(correlation: Floats, step: Floats) -> None:
-    """Newton step (3, B) of the rotation that maximises the trace of a correlation matrix, written to `step`.
+    """Newton step (3, trials) of the rotation that maximises the trace of a correlation matrix, written to `step`.
 
-    The correlation matrix (3, 3, B) is the sum of a b^T over the fitted targets, with centred points a and goals b.
+    The correlation matrix (3, 3, trials) is the sum over the fitted targets of the outer product of a centred point and
+    the centred reference point to which it is fitted.
     """
     for t in range(correlation.shape[2]):
         trace = correlation[0, 0, t] + correlation[1, 1, t] + correlation[2, 2, t]
@@ -154,7 +157,7 @@ def _rotation_step(correlation: Floats, step: Floats) -> None:
 
 @compile_function
 def _rotate_columns(rotations: Floats, columns: Floats) -> None:
-    """Rotation of columns (3, 3, B) by rotations (3, 3, B), in place."""
+    """Product of a rotation matrix and a matrix in each trial, both (3, 3, trials), written to `columns`."""
     for b in range(3):
         for t in range(rotations.shape[2]):
             x, y, z = columns[0, b, t], columns[1, b, t], columns[2, b, t]
@@ -164,10 +167,12 @@ def _rotate_columns(rotations: Floats, columns: Floats) -> None:
 
 
 @compile_function
-def add_square_error(aligned_cloud: Floats, reference_cloud: Floats, is_used_target: Bools, square_sum: Floats) -> int:
-    """Number of targets in the mask `is_used_target` (T,), whose squared errors are added to `square_sum` (B,).
+def add_squared_errors(
+    aligned_cloud: Floats, reference_cloud: Floats, is_used_target: Bools, square_sum: Floats
+) -> int:
+    """Number of targets in the mask `is_used_target`; their squared errors are added to `square_sum` (trials,).
 
-    The error of a target is its distance between `aligned_cloud` and `reference_cloud`, both (T, 3, B) [m].
+    The error of a target is its distance between `aligned_cloud` and `reference_cloud`, both (targets, 3, trials) [m].
     """
     n_points = 0
     for i in range(len(aligned_cloud)):
@@ -182,11 +187,12 @@ def add_square_error(aligned_cloud: Floats, reference_cloud: Floats, is_used_tar
 
 @compile_function
 def distance_criterion(clouds: Floats, is_visible: Bools, mean_criterion: Floats, max_criterion: Floats) -> None:
-    """Disagreement of stations in distances (Sensors 2021, 21, 7479): mean, maximum over pairs of targets, (B,) [um].
+    """Disagreement of stations in distances [um] (Sensors 2021, 21, 7479): mean and maximum over pairs of targets.
 
-    Mean and maximum are written to `mean_criterion` and `max_criterion`. The disagreement on a pair is the mean
-    absolute deviation of its distance, as measured from each station, from the mean over stations. `clouds` (S, T, 3,
-    B) [m] are the points of the stations, `is_visible` (S, T) is the mask of the measured targets.
+    Mean and maximum are written to `mean_criterion` and `max_criterion` (trials,). The disagreement on a pair is the
+    mean absolute deviation of its distance, as measured from each station, from the mean over stations. `clouds`
+    (stations, targets, 3, trials) [m] are the points of the stations, `is_visible` (stations, targets) is the mask of
+    the measured targets.
     """
     stations, targets, _, trials = clouds.shape
     length, middle, spread = np.empty((stations, trials)), np.empty(trials), np.empty(trials)
@@ -224,11 +230,12 @@ def distance_criterion(clouds: Floats, is_visible: Bools, mean_criterion: Floats
 def coordinate_criterion(
     aligned_clouds: Floats, is_visible: Bools, mean_criterion: Floats, max_criterion: Floats
 ) -> None:
-    """Disagreement of stations in coordinates (Sensors 2021, 21, 7479): mean and maximum over targets, (B,) [um].
+    """Disagreement of stations in coordinates [um] (Sensors 2021, 21, 7479): mean and maximum over targets.
 
-    Mean and maximum are written to `mean_criterion` and `max_criterion`. The disagreement on a target is the mean
-    distance between its positions from two stations, over all pairs of stations. `aligned_clouds` (S, T, 3, B) [m] are
-    the points of the stations in one frame, `is_visible` (S, T) is the mask of the measured targets.
+    Mean and maximum are written to `mean_criterion` and `max_criterion` (trials,). The disagreement on a target is the
+    mean distance between its positions from two stations, over all pairs of stations. `aligned_clouds` (stations,
+    targets, 3, trials) [m] are the points of the stations in one frame, `is_visible` (stations, targets) is the mask of
+    the measured targets.
     """
     stations, targets, _, trials = aligned_clouds.shape
     spread = np.empty(trials)
@@ -257,7 +264,7 @@ def coordinate_criterion(
 
 
 @compile_function
-def _add_line_derivative(
+def _add_distance_gradient(
     first_point: Floats,
     second_point: Floats,
     first_gradient: Floats,
@@ -265,10 +272,11 @@ def _add_line_derivative(
     derivative_size: Floats,
     distance: Floats,
 ) -> None:
-    """Addition of the derivative of an objective by one distance to its gradients (3, B) by the two end points.
+    """Addition of the part of an objective's gradient that comes from one distance, at both end points of the distance.
 
-    `derivative_size` (B,) is the derivative of the objective by the distance between `first_point` and `second_point`
-    (3, B) [m]; it acts along their line. `distance` (B,) [m] is the distance between the two points.
+    `first_gradient` and `second_gradient` (3, trials) are the gradients by the end points. `derivative_size` (trials,)
+    is the derivative of the objective by the distance between `first_point` and `second_point` (3, trials) [m]; it acts
+    along their line. `distance` (trials,) [m] is the distance between the two points.
     """
     for c in range(3):
         for t in range(len(derivative_size)):
@@ -279,7 +287,7 @@ def _add_line_derivative(
 
 @compile_function
 def _point_distances(first_point: Floats, second_point: Floats, distances: Floats) -> None:
-    """Distances (B,) [m] between two points (3, B) in each trial, written to `distances`."""
+    """Distances (trials,) [m] between two points (3, trials) in each trial, written to `distances`."""
     for t in range(len(distances)):
         x, y, z = (
             first_point[0, t] - second_point[0, t],
@@ -291,7 +299,7 @@ def _point_distances(first_point: Floats, second_point: Floats, distances: Float
 
 @compile_function
 def _reference_length_index(gauge_pairs: Ints, first_target: int, second_target: int) -> int:
-    """Index, in `gauge_pairs` (g, 2), of the reference length between two targets; -1 without a reference length."""
+    """Index of the reference length between two targets in `gauge_pairs` (lengths, 2); -1 if there is none."""
     for g in range(len(gauge_pairs)):
         if (gauge_pairs[g, 0] == first_target and gauge_pairs[g, 1] == second_target) or (
             gauge_pairs[g, 0] == second_target and gauge_pairs[g, 1] == first_target
@@ -304,11 +312,12 @@ def _reference_length_index(gauge_pairs: Ints, first_target: int, second_target:
 def distance_gradient(
     clouds: Floats, is_visible: Bools, gauge_pairs: Ints, gauge_lengths: Floats, point_gradient: Floats, cost: Floats
 ) -> None:
-    """Half of the derivative of the distance objective by the points, added to `point_gradient` (O, T, 3, B).
+    """Half of the derivative of the distance objective by the points, added to `point_gradient`.
 
-    `clouds` (O, T, 3, B) [m] are the points on T targets in O sets, each of one station and face; `is_visible` (O, T)
-    is the mask of the measured targets. `gauge_lengths` (g, B) [m] are the reference lengths between the pairs of
-    targets `gauge_pairs` (g, 2). The value of the objective is added to `cost` (B,).
+    `clouds` (sets, targets, 3, trials) [m] are the points of each set (one station and face) on each target;
+    `point_gradient` has the same shape; `is_visible` (sets, targets) is the mask of the measured targets.
+    `gauge_lengths` (lengths, trials) [m] are the reference lengths between the pairs of targets `gauge_pairs` (lengths,
+    2). The value of the objective is added to `cost` (trials,).
     """
     sets, targets, _, trials = clouds.shape
     lengths, middle = np.empty((sets, trials)), np.empty(trials)
@@ -336,6 +345,6 @@ def distance_gradient(
                         gap = lengths[s, t] - gauge_lengths[gauge_index, t]
                         distances[t] += gap
                         cost[t] += gap * gap
-                _add_line_derivative(
+                _add_distance_gradient(
                     clouds[s, i], clouds[s, j], point_gradient[s, i], point_gradient[s, j], distances, lengths[s]
                 )

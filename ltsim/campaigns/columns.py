@@ -15,9 +15,9 @@ from ltsim.physics.effects.effect import Effect, Parameter, effect_parameter_nam
 from ltsim.physics.model.construction import GeometricErrorModel
 
 ResultColumns = dict[str, NDArray[Any]]
-"""Results by name of the column, each (B,) with one value per trial; names of columns with lengths contain the unit."""
+"""Values of result columns by column name, each array (trials,); the name of a length column contains its unit."""
 ARROW_TYPES = {"number": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
-"""Arrow type of a column, by the type of its values."""
+"""Arrow data type of a column, by the type of its values (`number`, `integer`, `boolean`)."""
 
 
 class ParameterLabel(NamedTuple):
@@ -44,10 +44,10 @@ def parameter_labels(
     return labels + [ParameterLabel(name, *pair) for name, pair in zip(names_of_effects, parameters, strict=True)]
 
 
-def error_parameter_columns(labels: Sequence[ParameterLabel], parameters: Floats, prefix: str) -> ResultColumns:
-    """Columns of P parameters (P, B) [SI], converted to display units, with names such as ``estimate:beam-tilt``.
+def parameter_value_columns(labels: Sequence[ParameterLabel], parameters: Floats, prefix: str) -> ResultColumns:
+    """Columns of parameter values, converted to display units, with names such as ``estimate:beam-tilt``.
 
-    `prefix` is the part of the name before the colon.
+    `parameters` (parameters, trials) [SI] are the values; `prefix` is the part of the name before the colon.
     """
     return {
         f"{prefix}:{label.text}": row / label.parameter.si_per_display_unit
@@ -64,8 +64,8 @@ def z_score_columns(
 ) -> ResultColumns:
     """Columns of z-scores, (estimate - true value) / sigma, of the parameters that have a true value.
 
-    `estimates` and `sigma` (P, B) [SI] belong to the parameters `labels`, `truths` [SI] to the parameters
-    `true_labels`, in B trials.
+    `estimates` and `sigma` (parameters, trials) [SI] belong to the parameters `labels`, `truths` [SI] to the parameters
+    `true_labels`, in the same trials.
     """
     true_values = {
         (label.text, label.effect): true_value for label, true_value in zip(true_labels, truths, strict=True)

@@ -11,6 +11,7 @@ from numba.extending import overload
 from ltsim.core.arrays import Floats
 
 ReturnType = TypeVar("ReturnType")
+"""Type of the result of a compiled function."""
 
 if llvmlite.binding.llvm_version_info[0] >= 17:
     # Otherwise rows of one array are checked for overlap over all iterations of the outer loop, which always fails.
@@ -41,7 +42,7 @@ def compile_inlined(function: Callable[..., ReturnType]) -> Callable[..., Return
 
 
 def value_of_trial(value: Floats | float, trial: int) -> float:
-    """Value of a quantity in a trial: the number that all trials share, or the trial's entry of an array (B,)."""
+    """Value of a quantity in a trial: the number that all trials share, or the trial's entry of an array (trials,)."""
     return value if isinstance(value, float) else float(value[trial])
 
 

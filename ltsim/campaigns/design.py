@@ -47,13 +47,16 @@ class LevelRange(TomlSection):
         return self
 
     def values_at(self, fractions: Floats, *, is_integer: bool) -> list[float]:
-        """Values at `fractions` (n,) of the range, from 0 to 1; all integers of the range are equally likely."""
+        """Values at `fractions` (points,) of the range, 0 for its lowest value and 1 for its highest.
+
+        All integers of the range are equally likely.
+        """
         low, high = (self.low, self.high + 1.0) if is_integer else (self.low, self.high)
         values = low * (high / low) ** fractions if self.scale == "log" else low + fractions * (high - low)
         return [int(min(v, self.high)) if is_integer else float(f"{v:.{SIGNIFICANT_DIGITS}g}") for v in values]
 
 
-class Design(TomlSection):
+class SpaceFillingDesign(TomlSection):
     """Design points distributed evenly over ranges of several keys, in place of a grid with too many combinations."""
 
     kind: Literal["latin-hypercube", "sobol"]

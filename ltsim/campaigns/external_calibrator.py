@@ -51,6 +51,7 @@ ExternalCalibrator = str | Callable[[Recording], Mapping[str, ParameterEstimate 
 of each estimated parameter by its name.
 """
 _ESTIMATES_ADAPTER = TypeAdapter(dict[str, ParameterEstimate])
+"""Validator (pydantic) of the estimates of an external calibrator, by parameter name."""
 
 
 def split_command(command: str) -> list[str]:

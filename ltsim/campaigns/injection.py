@@ -34,13 +34,11 @@ observable on which the law acts, in um or urad.
 DEFAULT_NONCENTRALITIES = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
 """Default noncentralities of the injections for a detection curve."""
 MAX_PLACE_DRAWS = 25
-"""Largest number of draws of the unspecified values of an effect until the effect is visible in the residuals. If it is
-still not visible, an error is raised.
-"""
+"""Largest number of draws of the values of an effect that the user does not specify, until the effect changes the
+residuals. If it still does not, an error is raised."""
 MIN_PLACE_OVERLAP = 0.5
-"""Smallest Jaccard index of two groups of stations or targets (number of common ones divided by number in either group)
-at which a reported group counts as the injected group.
-"""
+"""Smallest overlap of a reported and the injected group of stations or targets at which the reported group counts as
+the injected one: number of members in both groups divided by number in at least one (Jaccard index)."""
 
 
 def inject(
@@ -154,20 +152,20 @@ def injection_curve(
         judged = [
             compare_with_injection(diagnose(made), truth.injected_effects[0], background) for made, truth in draws
         ]
-        curve_rows.append(_curve_row(strength, [truth.injected_effects[0] for _, truth in draws], judged))
+        curve_rows.append(_detection_curve_row(strength, [truth.injected_effects[0] for _, truth in draws], judged))
     effect_names = tuple(sorted({f.effect for f in background.findings}))
     return DetectionCurve(_catalogue_name(cause), effect_names, tuple(curve_rows))
 
 
 def _catalogue_name(cause: str | CandidateEffect | SizedEffect) -> str:
-    """Name of an effect object; a specification in text form is returned unchanged."""
+    """Name of an effect from its catalogue object; a text is returned unchanged."""
     return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, SizedEffect) else cause.name
 
 
 def compare_with_injection(
     diagnosis: Diagnosis, cause: InjectedEffect, background_diagnosis: Diagnosis
 ) -> dict[str, bool]:
-    """Success of a diagnosis for an injected effect: whether it is `detected`, `placed` (located), `named` and `right`.
+    """Success of a diagnosis for an injected effect, as flags `detected`, `placed` (located), `named` and `right`.
 
     Findings that `background_diagnosis`, the diagnosis of the recording without injection, reports too do not count.
     `right` is True if the first new finding has the name and the stations and targets of the effect.
@@ -193,7 +191,7 @@ def _finding_key(finding: Any) -> tuple[Any, ...]:
 
 
 def _has_same_place(cause: CandidateEffect, finding: Any) -> bool:
-    """True if a finding has the stations and targets of the injected effect, and a common observable."""
+    """True if a finding has the stations and targets of the injected effect, and acts on one of its observables."""
     scope = finding.where
     place_pairs = [(set(cause.stations), set(scope.stations)), (set(cause.targets), set(scope.targets))]
     overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_PLACE_OVERLAP * len(a | b) for a, b in place_pairs)
@@ -201,7 +199,7 @@ def _has_same_place(cause: CandidateEffect, finding: Any) -> bool:
     return overlaps and bool(observables & set(cause.observables))
 
 
-def _curve_row(
+def _detection_curve_row(
     noncentrality: float, injected_effects: Sequence[InjectedEffect], comparisons: Sequence[Mapping[str, bool]]
 ) -> dict[str, float]:
     """Row of a detection curve at one noncentrality: counts, and confidence intervals of the fractions.
@@ -227,7 +225,7 @@ def _scaled_injection(
     noncentrality: float | None,
     random_generator: np.random.Generator,
 ) -> tuple[CandidateEffect, Floats]:
-    """Effect with its stations and targets, and its q parameters (q,) [SI] scaled to a noncentrality.
+    """Effect with its stations and targets, and its parameter values (parameters,) [SI], scaled to a noncentrality.
 
     If the drawn effect changes no residual, its unspecified values are drawn again.
     """
@@ -246,7 +244,7 @@ def _scaled_injection(
 def _drawn_effect(
     injector: Injector, cause: str | CandidateEffect | SizedEffect, random_generator: np.random.Generator
 ) -> tuple[CandidateEffect, Floats]:
-    """Effect with its stations and targets, and its q parameters (q,) [SI]; values that are not given are drawn."""
+    """Effect with its stations and targets, and its parameter values (parameters,) [SI]; missing ones are drawn."""
     if isinstance(cause, str):
         text, sizes = _split_parameter_values(cause)
         requested_effect = parse_requested_effect(text, injector.recording)
@@ -268,7 +266,7 @@ def _drawn_effect(
 
 
 def _split_parameter_values(effect_text: str) -> tuple[str, dict[str, float]]:
-    """Specification of an effect without its parameter values, and these values by parameter name."""
+    """Specification of an effect without the parameter values in it, and the parameter values by parameter name."""
     name, _, rest = effect_text.partition(":")
     names = {AMPLITUDE_NAME} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
     items, sizes = [part.strip() for part in rest.split(",") if part.strip()], {}
@@ -286,7 +284,7 @@ def _split_parameter_values(effect_text: str) -> tuple[str, dict[str, float]]:
 def _parameter_values(
     cause: CandidateEffect, given_values: Mapping[str, float], injector: Injector, random_generator: np.random.Generator
 ) -> Floats:
-    """Parameters (q,) [SI] of an effect: `given_values` by name [display units], the others drawn from their priors."""
+    """Parameter values (parameters,) [SI] of an effect: `given_values` by name, all others drawn from their priors."""
     drawn_values = np.array([p.prior_sigma for p in cause.parameters]) * random_generator.standard_normal(
         len(cause.parameters)
     )

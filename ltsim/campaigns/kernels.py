@@ -1,9 +1,8 @@
-"""Compiled functions for a batch of B trials: exact kinematic chain, and residuals of the network.
+"""Compiled functions for a batch of trials: exact kinematic chain, and residuals of the network.
 
 The last index of all arrays is the trial, so that every inner loop is vectorised. A quantity of the network geometry is
-one number for all trials or an array (B,). Small angles use power series, which are exact to rounding below 0.01 rad.
-All functions are in one file because the compiler's cache depends only on the file of the compiled function. Letters in
-shapes: n pointings, M motions of the chain, I instruments with p parameters, S stations, T targets.
+a number that all trials share, or an array (trials,). Small angles use power series, which are exact to rounding below
+0.01 rad. All functions are in one file because the compiler's cache depends only on the file of the compiled function.
 """
 
 from pathlib import Path
@@ -19,7 +18,7 @@ NEWTON_STEP_TOLERANCE = 1e-9
 the step by a factor of 1e-4.
 """
 MAX_BATCH_NEWTON_STEPS = 8
-"""Largest number of Newton steps for the inversion of the chain."""
+"""Largest number of Newton steps for the inversion of the kinematic chain: readings from target positions."""
 
 
 @compile_inlined
@@ -45,7 +44,7 @@ def _rotate_by_small_vector(u: float, v: float, w: float, x: float, y: float, z:
 def _motion_amounts(
     pointing: int, chain: ChainProgram, deviation: Floats, parameter_values: Floats, amounts: Floats
 ) -> None:
-    """Deviations of the motions' amounts from nominal, written to `amounts` (M, B), for parameters (p, B) [SI]."""
+    """Deviations of the motions' amounts from nominal [m, rad], written to `amounts` (motions, trials)."""
     _, _, sign, driven, _, first, fed, varies, basis, slope = chain
     n_trials = amounts.shape[1]
     for m in range(len(driven)):
@@ -81,7 +80,7 @@ def _motion_amounts(
 
 @compile_function
 def _forward_chain(pointing: int, chain: ChainProgram, amounts: Floats, path: Floats) -> None:
-    """Target in the frame before each motion, written to `path` (M + 1, 3, B) [m]; path[0]: instrument's frame."""
+    """Target [m] in the frame before each motion of the chain, written to `path` (motions + 1, 3, trials)."""
     is_rotation, axis, _, _, amount, _, _, _, _, _ = chain
     n_trials = amounts.shape[1]
     n_motions = len(is_rotation)
@@ -120,7 +119,7 @@ def _backpropagate(
     moment: Floats,
     gradient: Floats,
 ) -> None:
-    """Subtraction of `force` (3, B) on a target times its derivative by each parameter from `gradient` (p, B)."""
+    """Subtraction of `force` (3, trials) times the target's derivative by each parameter from `gradient`."""
     is_rotation, axis, sign, _, amount, first, fed, varies, basis, slope = chain
     n_trials = amounts.shape[1]
     for m in range(len(is_rotation)):
@@ -164,7 +163,7 @@ def _backpropagate(
 
 @compile_function
 def compute_points(chain: ChainProgram, instrument: Ints, deviation: Floats, values: Floats, points: Floats) -> None:
-    """Targets in the instruments' frames, written to `points` (n, 3, B) [m], for parameters `values` (I, p, B) [SI]."""
+    """Targets in instrument frames for parameters `values` [SI], written to `points` (pointings, 3, trials) [m]."""
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):
@@ -185,10 +184,11 @@ def compute_readings(
     parameter_values: Floats,
     deviation: Floats,
 ) -> None:
-    """Readings minus nominal readings (n, 3, B) at which the chain gives `local_points` (n, 3) [m], by Newton's method.
+    """Readings minus nominal readings (pointings, 3, trials) at which the chain gives `local_points`, by Newton steps.
 
-    `deviation` contains the start values and receives the result. `point_derivatives` (n, 3, 3) is the derivative of an
-    ideal tracker's readings by the point; each step multiplies the error by the size of the instrument's errors.
+    `local_points` (pointings, 3) [m] are targets in instrument frames. `deviation` contains the start values and
+    receives the result. `point_derivatives` (pointings, 3, 3) is the derivative of an ideal tracker's readings by the
+    point; each step multiplies the error by the size of the instrument's errors.
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
@@ -227,10 +227,10 @@ def backpropagate_mean_forces(
     forces: Floats,
     parameter_gradient: Floats,
 ) -> None:
-    """Negative gradient of an objective by the parameters, added to `parameter_gradient` (I, p, B).
+    """Negative gradient of an objective by the instrument parameters, added to `parameter_gradient`.
 
-    `forces` (O, T, 3, B) is the derivative of the objective by the mean point of each of O sets on T targets. A
-    pointing contributes to the mean point of its set (n,) and target (n,) with the weight `mean_weights` (n,).
+    `forces` (sets, targets, 3, trials) is the derivative of the objective by the mean point of each set (one station
+    and face) and target. A pointing contributes to it with the weight `mean_weights` (pointings,).
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
@@ -266,19 +266,19 @@ def network_gradient(
     parameter_gradient: Floats,
     cost: Floats,
 ) -> None:
-    """Whitened residuals (n, 3, B) of readings at a state, and negative gradients of half their sum of squares.
+    """Whitened residuals (pointings, 3, trials) of readings, and negative gradients of half their sum of squares.
 
     The negative gradient is the right side of the normal equations. The chain is evaluated at the *predicted* readings,
     never at the measured ones: the derivative at a reading with noise is correlated with this noise, which would bias
     the range scale by chi-square times its sigma (5e-4 sigma).
 
-    Nominal quantities: `station_to_target` (n, 3) vectors [m], `rotation` (S, 3, 3) of the stations,
-    `point_derivatives` (n, 3, 3) of an ideal tracker's readings by the target in the instrument's frame. `weight` (n,
-    3) is one over the standard deviation, zero for an unmeasured reading. `deviation` (n, 3, B) is measured minus
-    nominal readings, without the changes by additional effects. `predicted` (n, 3, B) is predicted minus nominal
-    readings: it contains the values of the previous state and is improved by one Newton step to this state. `pose` (S,
-    6, B), `points` (T, 3, B) and `values` (I, p, B) are increments of the state. The gradients and the sum of squares
-    are added to the last four arguments.
+    Nominal quantities: `station_to_target` (pointings, 3) vectors [m], `rotation` (stations, 3, 3) of the stations,
+    `point_derivatives` (pointings, 3, 3) of an ideal tracker's readings by the target in the instrument's frame.
+    `weight` (pointings, 3) is one over the standard deviation, zero for an unmeasured reading. `deviation` (pointings,
+    3, trials) is measured minus nominal readings, without the changes by additional effects. `predicted` (pointings, 3,
+    trials) is predicted minus nominal readings: it contains the values of the previous state and is improved by one
+    Newton step to this state. `pose` (stations, 6, trials), `points` (targets, 3, trials) and `values` (instruments,
+    parameters, trials) are increments of the state. Gradients and sum of squares are added to the last four arguments.
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
@@ -333,9 +333,9 @@ def _reading_force(
     force: Floats,
     cost: Floats,
 ) -> None:
-    """Negative gradient by the target from one pointing of each trial, written to `force` (3, B).
+    """Negative gradient by the target from one pointing of each trial, written to `force` (3, trials).
 
-    Whitened residuals are written to `residual` (3, B), and their squares are added to `cost` (B,).
+    Whitened residuals are written to `residual` (3, trials), and their squares are added to `cost` (trials,).
     """
     j00, j01, j02 = point_derivatives[0, 0], point_derivatives[0, 1], point_derivatives[0, 2]
     j10, j11, j12 = point_derivatives[1, 0], point_derivatives[1, 1], point_derivatives[1, 2]
@@ -368,7 +368,7 @@ def _reading_force(
 def _add_forces(
     rotation: Floats, pose: Floats, work_rows: Floats, force: Floats, pose_gradient: Floats, target_gradient: Floats
 ) -> None:
-    """Addition of a pointing's negative gradient `force` (3, B) to the gradients of its target and its station."""
+    """Addition of a pointing's negative gradient `force` (3, trials) to the gradients of its target and its station."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]

@@ -28,7 +28,7 @@ from pydantic import Field, PrivateAttr
 from ltsim.calibration.distance import NORM_BY_DISTANCE_METHOD
 from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.campaigns.external_calibrator import ExternalCalibrator, split_command
-from ltsim.campaigns.recovery_checks import CHECKS_TABLE, RecoveryCheck
+from ltsim.campaigns.recovery_checks import RECOVERY_CHECKS_TABLE, RecoveryCheck
 from ltsim.campaigns.recovery_trials import (
     CONVERGENCE_CHECK_NAME,
     RECOVERED_PARAMETERS_TABLE,
@@ -79,7 +79,7 @@ class Recovery(ResultFile):
     seed: NonNegativeInt
     """Seed of the random draws."""
     checks: tuple[RecoveryCheck, ...]
-    """Checks of one number each. A correct model fails at least one of them in one run of a hundred."""
+    """Checks, each of one number against two bounds. A correct model fails a check in one run of a hundred."""
     parameters: tuple[RecoveredParameter, ...] = ()
     """Errors of each parameter over the trials."""
     ltsim_parameters: tuple[str, ...] = ()
@@ -131,7 +131,7 @@ class Recovery(ResultFile):
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
-            "checks": lambda: CHECKS_TABLE.with_rows(self.checks),
+            "checks": lambda: RECOVERY_CHECKS_TABLE.with_rows(self.checks),
             "parameters": lambda: RECOVERED_PARAMETERS_TABLE.with_rows(self.parameters),
             "trials": lambda: TRIALS_TABLE.with_rows(self.arrays.trial_rows()),
         }
@@ -141,7 +141,7 @@ class Recovery(ResultFile):
         return [check for check in self.checks if not check.passed]
 
     def comparison_sentences(self) -> list[str]:
-        """Sentence on parameters that ltsim estimates but the checked calibrator does not; no sentence without them."""
+        """Sentence on the parameters that ltsim estimates but the checked calibrator does not; empty without any."""
         more = [name for name in self.ltsim_parameters if name not in {p.parameter for p in self.parameters}]
         if not more:
             return []
@@ -307,7 +307,7 @@ def _failed_if_parameters_differ(
 def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[str, RecoveryTolerance]:
     """Tolerances such as ``2 urad`` by parameter, converted to the units of the parameters in `trial`.
 
-    SetupError is raised for a unit of another quantity.
+    SetupError is raised for a unit of another kind than the parameter's, such as a length for an angle.
     """
     given_values = {}
     for name, words in tolerance.items():
@@ -322,5 +322,5 @@ def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[s
 
 
 def suggested_error_origin(scenario: Scenario) -> ErrorOrigin:
-    """Origin of the true instrument errors for a scenario: `stated` if it declares such an error, otherwise `drawn`."""
+    """Origin of the true instrument errors for a scenario: `stated` if it declares any, otherwise `drawn`."""
     return "stated" if any(set(tracker.errors) - {"draw"} for tracker in scenario.trackers_in_use.values()) else "drawn"

@@ -23,7 +23,7 @@ FALSE_ALARM_RATE = 0.01
 NOMINAL_COVERAGE = 0.95
 """Nominal fraction of the confidence intervals that contain the true value."""
 MIN_TRIALS = 2
-"""Smallest number of trials from which a standard deviation is computed."""
+"""Smallest number of trials for which a standard deviation is computed."""
 MEAN_Z_MARGIN = 0.1
 """Permitted deviation of the mean z-score from 0, in addition to its sampling error."""
 DEVIATION_Z_MARGIN = 0.05
@@ -35,9 +35,8 @@ CHI2_MARGIN = 0.02
 MEAN_SQUARE_Z_MARGIN = 0.05
 """Permitted deviation of the mean squared z-score of targets and stations from 1, in addition to its sampling error."""
 MAX_RELATIVE_MEAN_SQUARE_DEVIATION = float(np.sqrt(2.0))
-"""Upper bound for the ratio of the standard deviation to the mean of a mean squared z-score. The bound is reached if
-all averaged z-scores of a trial are equal.
-"""
+"""Upper bound for the ratio of standard deviation to mean of the mean squared z-score of a trial. The bound is reached
+if all z-scores of the trial are equal."""
 
 
 class RecoveryCheck(Entry):
@@ -79,7 +78,7 @@ class RecoveryCheck(Entry):
         return f"{self.subject} {verdict}: {self.statistic} = {value} (allowed {self.low:.4g} to {self.high:.4g})"
 
 
-CHECKS_TABLE = Table("checks.csv", "numbers that have to lie between two bounds", columns_of(RecoveryCheck))
+RECOVERY_CHECKS_TABLE = Table("checks.csv", "numbers that have to lie between two bounds", columns_of(RecoveryCheck))
 
 
 def recovery_checks(
@@ -95,9 +94,9 @@ def recovery_checks(
 
     Parameters
     ----------
-    estimate, truth : (N, p) float
-        Estimates and true values of p parameters in N trials, in any unit.
-    sigma : (N, p) float, optional
+    estimate, truth : (trials, parameters) float
+        Estimates and true values of each parameter in each trial, in any unit.
+    sigma : (trials, parameters) float, optional
         Standard deviations that the calibrator declares; without them only tolerances are checked.
     names : sequence of str, optional
         Names of the parameters; default their indices.
@@ -156,7 +155,7 @@ def recovery_checks(
 
 
 def tolerance_check(name: str, errors: Floats, tolerance: float, tolerance_text: str = "") -> RecoveryCheck:
-    """Check that 95 % of the errors (N,) of the parameter `name` are within a tolerance, in the unit of the errors.
+    """Check that 95 % of the errors (trials,) of the parameter `name` are within a tolerance in the same unit.
 
     `tolerance_text` is the tolerance with its unit, for the name of the check.
     """
@@ -167,7 +166,7 @@ def tolerance_check(name: str, errors: Floats, tolerance: float, tolerance_text:
 
 
 def parameter_checks(name: str, z_scores: Floats, alpha: float) -> list[RecoveryCheck]:
-    """Checks of mean, standard deviation and coverage of the z-scores (N,) of the parameter `name`.
+    """Checks of mean, standard deviation and coverage of the z-scores (trials,) of the parameter `name`.
 
     `alpha` is the false-alarm rate of each check.
     """
@@ -191,7 +190,7 @@ def parameter_checks(name: str, z_scores: Floats, alpha: float) -> list[Recovery
 
 
 def fixed_truth_checks(name: str, z_scores: Floats, alpha: float) -> list[RecoveryCheck]:
-    """Checks of z-scores (N,) of an external calibrator for a true parameter that is the same in all trials.
+    """Checks of z-scores (trials,) of an external calibrator for a true parameter that is the same in all trials.
 
     The prior of the calibrator is unknown. A prior can make declared standard deviations larger than the scatter of the
     estimates, but not smaller. Standard deviation and coverage of the z-scores therefore have one limit each, and their
@@ -202,11 +201,11 @@ def fixed_truth_checks(name: str, z_scores: Floats, alpha: float) -> list[Recove
 
 
 def chi_square_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, alpha: float) -> RecoveryCheck:
-    """Check of the sum of chi-square over all N trials, divided by its expectation.
+    """Check of the sum of chi-square over all trials, divided by its expectation.
 
-    `chi2` (N,) is the chi-square of each trial, `expected_chi2` and `chi2_sigma` (N,) its expectation and standard
-    deviation. `alpha` is the false-alarm rate of the check. The limits come from a scaled chi-square distribution with
-    the same mean and variance (Satterthwaite).
+    `chi2` (trials,) is the chi-square of each trial, `expected_chi2` and `chi2_sigma` (trials,) its expectation and
+    standard deviation. `alpha` is the false-alarm rate of the check. The limits come from a scaled chi-square
+    distribution with the same mean and variance (Satterthwaite).
     """
     mean, variance = float(np.sum(expected_chi2)), float(np.sum(chi2_sigma**2))
     freedom = 2 * mean**2 / variance
@@ -216,7 +215,7 @@ def chi_square_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, al
 
 
 def mean_check(subject: str, statistic: str, trial_values: Floats, alpha: float) -> RecoveryCheck:
-    """Check that the mean of `trial_values` (N,), each with expectation one, is one.
+    """Check that the mean over the trials of a value with expectation one, `trial_values` (trials,), is one.
 
     The limits follow from the median absolute deviation divided by the median, so that neither a few outliers nor
     values that are all too large widen them. `alpha` is the false-alarm rate.

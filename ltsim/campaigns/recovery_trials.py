@@ -42,7 +42,7 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import simulate
 
 CONVERGENCE_CHECK_NAME = "convergence"
-"""Name, in the table of checks, of the check that every trial has a result."""
+"""Name of the check that every trial has a result, in the table of checks."""
 
 
 class RecoveryTolerance(NamedTuple):
@@ -213,12 +213,12 @@ class RecoveryTrials(ValueEquality):
         return [trial for trial in self.trials if trial is not None]
 
     def _stack_attribute(self, attribute: str) -> Floats:
-        """Values (N, p) of an attribute of `TrialScore` with p entries, for the N trials with a result."""
+        """Values (trials, parameters) of an attribute of `TrialScore` for all trials with a result."""
         return np.stack([getattr(trial, attribute) for trial in self.trials_with_result])
 
     @property
     def z_scores(self) -> Floats:
-        """Errors of p parameters divided by their declared standard deviations, for N trials with a result, (N, p)."""
+        """Errors divided by declared standard deviations, (trials, parameters), for the trials with a result."""
         return self._stack_attribute("z_scores")
 
     def unchecked_parameters(self) -> tuple[str, ...]:
@@ -261,7 +261,7 @@ class RecoveryTrials(ValueEquality):
     def _comparison_columns(self, error: Floats) -> dict[str, Sequence[float]]:
         """Columns that compare the checked calibrator with ltsim's calibrator in the same recordings.
 
-        `error` (N, p) are the errors of the checked calibrator.
+        `error` (trials, parameters) are the errors of the checked calibrator.
         """
         trial_indices = [k for k, trial in enumerate(self.trials_with_result) if trial.ltsim_score is not None]
         if len(trial_indices) < MIN_TRIALS:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ltsim.campaigns.columns import columns_from_rows
-from ltsim.campaigns.schema import RATIO_STATISTICS, SOLVER_DIFFERENCE_COLUMN, find_column, sql_terms
+from ltsim.campaigns.schema import RATIO_STATISTICS, SOLVER_DIFFERENCE_COLUMN, find_column, statistic_sql_expressions
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.summary import StatisticSummary
 from ltsim.core.arrays import Floats
@@ -31,7 +31,7 @@ METHOD_AXIS = "calibrator"
 N_BOOTSTRAP_RESAMPLES = 400
 """Number of resamples of a bootstrap interval; the sampling error of its limits is about a tenth of its width."""
 RESERVED_AXIS_NAMES = frozenset({METHOD_AXIS, "indexers", "method", "tolerance", "drop"})
-"""Names that an axis of an xarray dataset cannot have; an underscore is appended to the name of such a factor."""
+"""Names that an axis of an xarray dataset cannot have; a factor with one of these names gets an underscore."""
 
 
 class CampaignResults(CampaignStatistics, Result):
@@ -65,7 +65,7 @@ class CampaignResults(CampaignStatistics, Result):
         Parameters
         ----------
         function : callable
-            Function of one array (n,) per column, with the values of the same n trials, that returns a number. Trials
+            Function of one array (trials,) per column, with values of the same trials, that returns a number. Trials
             without a value in a column are omitted.
         *columns : str
             Columns of the rows.
@@ -89,7 +89,7 @@ class CampaignResults(CampaignStatistics, Result):
         spreads = []
         for cell in range(len(self.levels)):
             for method in sorted(self.manifest.methods):
-                values = self.term_values(sql_columns, cell, method, condition_text)
+                values = self.sql_expression_values(sql_columns, cell, method, condition_text)
                 count = values.shape[1]
                 if not count:
                     continue
@@ -186,7 +186,7 @@ class CampaignResults(CampaignStatistics, Result):
 
 
 def _statistic_value(function: Callable[..., float], columns: Floats) -> float:
-    """Value of `function` for k columns of n trials, `columns` (k, n); ModelError if the value is not a number."""
+    """Value of `function` for the values `columns` (columns, trials); ModelError if the value is not a number."""
     result = np.asarray(function(*columns))
     if result.size != 1 or result.dtype.kind not in "fiub":
         raise ModelError(f"the statistic returns {type(result.tolist()).__name__}, expected one number")
@@ -212,7 +212,7 @@ class PairedDifference:
     """Paired difference of a statistic: first minus second method or level, in trials with the same random draws."""
 
     settings: Mapping[str, Any]
-    """Levels of all other factors, by name of the factor."""
+    """Levels of the factors that are not compared, by name of the factor."""
     first: str
     """First method or level."""
     second: str
@@ -222,7 +222,7 @@ class PairedDifference:
     unit: str
     """Unit of the statistic."""
     trials: int
-    """Number of trials with a value of the statistic on both sides."""
+    """Number of trials with a value of the statistic for both methods or levels."""
     difference: float
     """Difference of the means: first minus second method or level."""
     low: float
@@ -246,7 +246,7 @@ class PairedDifferences(Result):
     """Paired differences between two methods or levels of a campaign, on the same random draws."""
 
     entries: tuple[PairedDifference, ...]
-    """Difference for each combination of levels of the other factors."""
+    """Paired difference for each combination of levels of the factors that are not compared."""
 
     def _lines(self) -> list[str]:
         return [entry.sentence for entry in self.entries]
@@ -257,13 +257,13 @@ class PairedDifferences(Result):
 
 
 def paired_differences(results: CampaignStatistics, statistic: str, **pair: tuple[Any, Any]) -> PairedDifferences:
-    """Paired differences of a statistic between two methods or levels; see `CampaignResults.paired_differences`."""
+    """Paired differences of a statistic between two methods or levels, in trials with the same random draws."""
     if len(pair) != 1:
         raise ModelError("give either two methods, method=(A, B), or two levels of one factor")
     ((along, (first, second)),) = pair.items()
     differences = []
     for common, this, other in _comparison_pairs(results, along, first, second):
-        values = [_trial_values(results, statistic, *place) for place in (this, other)]
+        values = [_trial_numbers_and_values(results, statistic, *place) for place in (this, other)]
         both = np.isin(values[0][0], values[1][0]), np.isin(values[1][0], values[0][0])
         (mean, scatter), (less, less_scatter) = (
             _mean_and_influence(v[1][:, keep]) for v, keep in zip(values, both, strict=True)
@@ -283,7 +283,7 @@ def paired_differences(results: CampaignStatistics, statistic: str, **pair: tupl
 def _comparison_pairs(
     results: CampaignStatistics, factor_name: str, first_level: Any, second_level: Any
 ) -> Iterator[tuple[dict[str, Any], CellAndMethod, CellAndMethod]]:
-    """Common factor levels, first cell and method, and second cell and method of each paired comparison.
+    """Shared factor levels, first cell and method, and second cell and method of each paired comparison.
 
     The compared factor is `factor_name`, or `method`. ModelError is raised if there is no such factor, method or level.
     """
@@ -324,19 +324,24 @@ def _matching_level(factor_name: str, requested_level: Any, levels: Sequence[Any
     raise unknown_name_error(f"level of {factor_name}", str(requested_level), [str(k) for k in distinct])
 
 
-def _trial_values(results: CampaignStatistics, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:
-    """Numbers (N,) of the trials of a cell and method, and the terms whose means give the statistic.
+def _trial_numbers_and_values(
+    results: CampaignStatistics, statistic: str, cell: int, method: str
+) -> tuple[Floats, Floats]:
+    """Numbers of the trials of a cell and method, shape (trials,), and the values whose means give the statistic.
 
-    The terms are (1, N) for a mean, and (2, N), numerator and denominator, for a ratio of means.
+    The values have the shape (1, trials) for a mean, and (2, trials), numerator and denominator, for a ratio of means.
     """
-    terms = sql_terms(statistic)
-    table = results.term_values(("trial", *terms), cell, method, f"{terms[0]} IS NOT NULL")
+    expressions = statistic_sql_expressions(statistic)
+    table = results.sql_expression_values(("trial", *expressions), cell, method, f"{expressions[0]} IS NOT NULL")
     return table[0], table[1:]
 
 
-def _mean_and_influence(trial_terms: Floats) -> tuple[float, Floats]:
-    """Mean of terms (1, N), or ratio of the means of terms (2, N), and influence function (N,) of each trial on it."""
-    if len(trial_terms) == 1:
-        return float(np.mean(trial_terms)), trial_terms[0]
-    ratio = float(trial_terms[0].mean() / trial_terms[1].mean())
-    return ratio, (trial_terms[0] - ratio * trial_terms[1]) / trial_terms[1].mean()
+def _mean_and_influence(trial_values: Floats) -> tuple[float, Floats]:
+    """Mean of one row of values, or ratio of the means of two rows, and influence of each trial on it.
+
+    The values have the shape (1, trials) or (2, trials), the influence function (trials,).
+    """
+    if len(trial_values) == 1:
+        return float(np.mean(trial_values)), trial_values[0]
+    ratio = float(trial_values[0].mean() / trial_values[1].mean())
+    return ratio, (trial_values[0] - ratio * trial_values[1]) / trial_values[1].mean()

@@ -21,9 +21,9 @@ from ltsim.campaigns.calibrators import (
 from ltsim.campaigns.columns import (
     ResultColumns,
     append_factor_levels,
-    error_parameter_columns,
     method_table,
     parameter_labels,
+    parameter_value_columns,
     z_score_columns,
 )
 from ltsim.campaigns.design import Factor
@@ -64,10 +64,9 @@ class ShardTask:
     shard: int
     """Index of the shard in the cell, from 0."""
     validation_scenario: Scenario | None = None
-    """Scenario of the held-out points that the campaign key `judge_in` defines; None without this key."""
+    """Scenario of the held-out points; None if the campaign names none (key `judge_in`)."""
     session_effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.session_effects)
-    """Classes of effects that the user registered in this session; they are sent to worker processes, which lack
-    them."""
+    """Classes of effects that the user registered in this session; worker processes do not have these classes."""
     existing_rows: pa.Table | None = None
     """Existing rows of the shard, if trials or statistics were added to the campaign."""
 
@@ -92,14 +91,14 @@ class CellContext:
     validation_scenario: Scenario | None = None
 
     @cached_property
-    def common_evaluator_and_calibrators(self) -> tuple[TrialEvaluator, list[TrialCalibrator]]:
+    def shared_geometry_evaluator_and_calibrators(self) -> tuple[TrialEvaluator, list[TrialCalibrator]]:
         """Evaluator for the network geometry that all trials share, and calibrators in the order of the methods."""
         truth = make_cell_truth(self.scenario, self.campaign.seed)
         return TrialEvaluator(truth), [make_calibrator(method, truth) for method in self.campaign.methods]
 
     @cached_property
     def validation_evaluator(self) -> TrialEvaluator | None:
-        """Evaluator for the held-out points of the campaign key `judge_in`; None without this key.
+        """Evaluator for the held-out points; None if the campaign names none (key `judge_in`).
 
         The instruments of each trial measure these points, but no calibration uses them.
         """
@@ -143,7 +142,7 @@ class CellContext:
         """
         seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
-            judge, calibrators = self.common_evaluator_and_calibrators
+            judge, calibrators = self.shared_geometry_evaluator_and_calibrators
             for number in range(first_trial // TRIALS_PER_STREAM, -(-end_trial // TRIALS_PER_STREAM)):
                 yield judge, calibrators, judge.truth.draw_batch(seed, number)
             return
@@ -160,14 +159,14 @@ class CellContext:
     def _trial_geometries(self, trials: range) -> dict[int, CellTruth]:
         """True network geometry of each trial with a possible geometry, by number of the trial.
 
-        All of these geometries have the set-up of the common geometry.
+        Each has the set-up of the network geometry that all trials of the cell share otherwise.
         """
         geometries, seed = {}, self.campaign.seed
         for trial in trials:
             with suppress(SetupError):
                 key, like = (
                     placing_stream_key(trial, self.campaign.geometry),
-                    self.common_evaluator_and_calibrators[0].truth,
+                    self.shared_geometry_evaluator_and_calibrators[0].truth,
                 )
                 geometries[trial] = make_cell_truth(
                     self.scenario, seed, *key, reference_truth=like, planned_layout=self._planned_layout
@@ -257,30 +256,31 @@ def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bo
 
 @dataclass(frozen=True)
 class TrialBatchRows:
-    """Batch of drawn trials, from which the rows of every method are computed."""
+    """Batch of drawn trials, and computation of the campaign rows of every method from it."""
 
     campaign: CampaignFile
     evaluator: TrialEvaluator
     trial_batch: TrialBatch
     validation_evaluator: TrialEvaluator | None
-    """Evaluator for the held-out points of the campaign key `judge_in`; None without this key."""
+    """Evaluator for the held-out points; None if the campaign names none (key `judge_in`)."""
     requested_trial_indices: Ints
     """Indices, in the batch, of the trials whose rows are requested."""
     verified_trial_indices: Ints
     """Indices, in the batch, of the trials that the full solver repeats for verification."""
     has_truth_only: bool = False
-    """True if the rows contain only the drawn true values, without a calibration."""
+    """True if the rows contain only the drawn true values, and no trial is calibrated."""
 
     @cached_property
-    def common_columns(self) -> ResultColumns:
+    def method_independent_columns(self) -> ResultColumns:
         """Columns of results that do not depend on the method."""
-        return self.evaluator.common_columns(self.trial_batch)
+        return self.evaluator.method_independent_columns(self.trial_batch)
 
     @cached_property
     def validation_batch(self) -> tuple[TrialEvaluator, TrialBatch, ResultColumns] | None:
-        """Measurements of the held-out points by the same instruments: evaluator, drawn trials, and common columns.
+        """Measurements of the held-out points: evaluator, drawn trials, and columns that all methods share.
 
-        The noise is independent of the calibrated recordings, the effects have the same sizes. None without `judge_in`.
+        The instruments are those of the trials. The noise is independent of the calibrated recordings, the effects have
+        the same sizes. None if the campaign names no held-out points (key `judge_in`).
         """
         if self.validation_evaluator is None:
             return None
@@ -288,10 +288,13 @@ class TrialBatchRows:
         batch = self.validation_evaluator.truth.draw_trials(
             normal_source, self._drifted_instrument_values(), stream_key=VALIDATION_STREAM_KEY
         )
-        return self.validation_evaluator, batch, self.validation_evaluator.common_columns(batch)
+        return self.validation_evaluator, batch, self.validation_evaluator.method_independent_columns(batch)
 
     def _drifted_instrument_values(self) -> Floats:
-        """Instrument errors (I, p, B) [SI] at the measurement of the held-out points, after the drift `judge_drift`."""
+        """Instrument errors at the measurement of the held-out points, after the random drift (key `judge_drift`).
+
+        The shape is (instruments, parameters, trials) [SI].
+        """
         values, share = self.trial_batch.instrument_values, self.campaign.judge_drift
         if not share:
             return values
@@ -315,7 +318,9 @@ class TrialBatchRows:
                 batch, int(place), calibrated
             )
         if CORRECTED_STATISTICS & {*wanted}:
-            judged = self.common_columns | self.evaluator.method_columns(batch, calibrated, construction, effects)
+            judged = self.method_independent_columns | self.evaluator.method_columns(
+                batch, calibrated, construction, effects
+            )
             judged |= self._validation_columns(calibrated, calibrator)
             columns |= {
                 n: column_values
@@ -330,15 +335,15 @@ class TrialBatchRows:
         if "z-scores" in wanted:
             columns |= z_score_columns(labels, values, sigma, true_labels, true)
         if "estimates" in wanted:
-            columns |= error_parameter_columns(labels, values, "estimate") | error_parameter_columns(
+            columns |= parameter_value_columns(labels, values, "estimate") | parameter_value_columns(
                 labels, sigma, "sigma"
             )
         if "truth" in wanted:
-            columns |= error_parameter_columns(true_labels, true, "true")
+            columns |= parameter_value_columns(true_labels, true, "true")
         return columns
 
     def _validation_columns(self, calibrated_batch: CalibratedBatch, calibrator: TrialCalibrator) -> ResultColumns:
-        """Columns of a method with the errors at the held-out points; empty without `judge_in`."""
+        """Columns of a method with the errors at held-out points; empty if the campaign has none (key `judge_in`)."""
         if self.validation_batch is None:
             return {}
         there, batch, before = self.validation_batch

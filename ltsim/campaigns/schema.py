@@ -17,6 +17,7 @@ QUANTILE_LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 """Probabilities of the quantiles in the summary of a campaign."""
 
 SUMMARY_FILE = "summary.csv"
+"""Name of the file with the statistics of a campaign."""
 SOLVER_DIFFERENCE_COLUMN = "full_difference_sigma"
 """Name of the column with the largest difference between batch solver and full solver, for the verified trials."""
 PARAMETER_UNIT_TEXT = "of the parameter"
@@ -32,13 +33,16 @@ READING_ERROR_TEXT = (
     "rms over stations and targets of the 3D distance between the true point and the point that the readings give, "
     "after a rigid fit of each station's points to the true points; noise of these readings included"
 )
+"""Meaning of the result columns with an error of the measured points, for tables and documentation."""
 NEW_POINT_TEXT = "error at the held-out points of `judge_in`, whose readings no calibration used: "
+"""Beginning of the meaning of result columns at held-out points, for tables and documentation."""
 REMOVED_FRACTION_TEXT = (
     "(R - C) / (R - P), where R, C and P are the mean squares of {0}error_raw_um, {0}error_calibrated_um and "
     "{0}error_true_parameters_um over all trials of a cell (combination of factor levels) and method: 1 for a "
     "calibration with the true parameters, 0 for no correction, below 0 for a correction that increases the error; its "
     "interval is that of a ratio of means"
 )
+"""Meaning of the fraction of the error that a calibration removes; ``{0}`` is the prefix of the column names."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,7 @@ class RowColumn(Column):
 
 
 def _result_columns(group: StatisticGroup | None, unit: str, **meanings: str) -> list[RowColumn]:
-    """Columns of one group with a common unit; the arguments are names and meanings of the columns."""
+    """Columns of one group of results, all with the same unit; `meanings` has name and meaning of each column."""
     return [RowColumn(name, meaning, unit=unit, group=group) for name, meaning in meanings.items()]
 
 
@@ -125,7 +129,7 @@ def sql_identifier(name: str) -> str:
     return '"' + name.replace('"', '""') + '"'
 
 
-def sql_terms(statistic: str) -> tuple[str, ...]:
+def statistic_sql_expressions(statistic: str) -> tuple[str, ...]:
     """SQL expressions whose means over the trials give a statistic.
 
     A column needs one expression. A ratio over all trials is the ratio of the means of two expressions: the squared
@@ -200,6 +204,7 @@ class ScenarioSettings(Entry):
 
 
 LevelValue = StrictBool | StrictInt | StrictFloat | StrictStr | None
+"""Level of a factor in `manifest.json`: flag, integer, number, text, or null for a missing key."""
 
 
 class CellEntry(Entry):

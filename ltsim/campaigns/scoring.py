@@ -46,18 +46,17 @@ class NetworkScore:
 
 @dataclass(frozen=True)
 class TrialScore(ValueEquality):
-    """Estimates of p parameters by a calibrator in one trial, with the true values, in display units."""
+    """Estimates of parameters by a calibrator in one trial, with the true values, in display units."""
 
     parameter_names: tuple[str, ...]
     parameter_units: tuple[str, ...]
     estimates: Floats
     declared_sigmas: Floats
-    """Standard deviations that the calibrator declares, (p,); NaN for a parameter without one."""
+    """Standard deviations that the calibrator declares, (parameters,); NaN for a parameter without one."""
     true_values: Floats
     standard_z_scores: Floats
-    """z-scores (p,) that are standard normal for a correct calibrator, even if the true values were not drawn from the
-    prior. NaN for parameters whose error does not come from noise, and for a calibrator with unknown prior.
-    """
+    """z-scores (parameters,) that are standard normal for a correct calibrator, even if the true values were not drawn
+    from the prior. NaN for parameters whose error does not come from noise, and for a calibrator with unknown prior."""
     network_score: NetworkScore = NetworkScore()
     is_external: bool = False
     """True for an external calibrator, whose prior is unknown."""
@@ -69,7 +68,7 @@ class TrialScore(ValueEquality):
 
     @property
     def z_scores(self) -> Floats:
-        """Errors (estimate - true value) divided by declared standard deviations, (p,)."""
+        """Errors (estimate - true value) divided by declared standard deviations, (parameters,)."""
         return (self.estimates - self.true_values) / self.declared_sigmas
 
 
@@ -107,22 +106,23 @@ def check_true_parameters(names: Sequence[str], true_names: Collection[str], tru
 
 @dataclass(frozen=True)
 class TrueParameterDistribution:
-    """Distribution of the true values of P parameters, and bias of the estimates by the prior [prior sigma].
+    """Distribution of the true values of parameters, and bias of the estimates by the prior [prior sigma].
 
     All values are divided by the prior standard deviations of the parameters.
     """
 
     mean_truth: Floats
-    """Mean of the distribution of the true parameters, (P,); the true values if they were not drawn."""
+    """Mean of the distribution of the true parameters, (parameters,); the true values if they were not drawn."""
     truth_sigmas: Floats
-    """Standard deviation of the distribution of the true parameters, (P,); 0 for declared values."""
+    """Standard deviation of the distribution of the true parameters, (parameters,); 0 for declared values."""
     bias_matrix: Floats
-    """Matrix (P, P) of the bias by the prior: without noise, estimate minus true value is -bias_matrix @ true
-    values."""
+    """Matrix (parameters, parameters) of the bias by the prior: without noise, estimate minus true value is
+    -bias_matrix @ true values."""
     network_columns: Ints
-    """Columns of the parameters in the design of the adjusted network, (P,); empty for a method without a network."""
+    """Columns of the parameters in the design of the adjusted network, (parameters,); empty for a method without a
+    network."""
     prior_sigmas: Floats
-    """Prior standard deviations of the parameters, (P,) [SI]."""
+    """Prior standard deviations of the parameters, (parameters,) [SI]."""
 
     @classmethod
     def from_calibration(
@@ -163,7 +163,7 @@ class TrueParameterDistribution:
 
     @property
     def missing_variance_fraction(self) -> Floats:
-        """Fraction (P,) by which the variance of the true parameters is smaller than that of the prior."""
+        """Fraction (parameters,) by which the variance of the true parameters is smaller than that of the prior."""
         return 1.0 - self.truth_sigmas**2
 
 

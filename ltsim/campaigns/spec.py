@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from ltsim.adjustment.evaluation.criteria import read_nominal
-from ltsim.campaigns.design import Design, Factor, short_key_names
+from ltsim.campaigns.design import Factor, SpaceFillingDesign, short_key_names
 from ltsim.campaigns.schema import MAX_SHARDS, RESULT_COLUMNS, ManifestFile, StatisticGroup, find_column
 from ltsim.core.errors import SetupError, as_setup_error, unknown_name_error
 from ltsim.core.units import MILLIMETRE
@@ -30,7 +30,7 @@ VALIDATION_STREAM_KEY = "judge"
 """Key of the random stream for the measurement of the held-out points of `judge_in`."""
 
 
-class Method(TomlSection):
+class CalibrationMethod(TomlSection):
     """Calibration method of a campaign.
 
     With the solver ``batch`` all trials in one network geometry are calibrated together, hundreds of times as fast as
@@ -41,10 +41,9 @@ class Method(TomlSection):
     name: str = ""
     """Name of the method in the results; default the value of `method`."""
     method: Literal["network", "distance", "distance-l1", "equation-9", "equation-9-l1"] = "network"
-    """Estimator: network adjustment, or the paper's distance objective by least squares or least absolute deviations
-    (`-l1`). `distance` estimates the combinations of parameters that the readings determine, `equation-9` minimises the
-    objective as printed.
-    """
+    """Estimator: network adjustment, or the distance objective of Sensors 2021, 21, 7479 by least squares or least
+    absolute deviations (`-l1`). `distance` estimates the combinations of parameters that the readings determine,
+    `equation-9` minimises the objective as printed."""
     construction: Literal["misalignment", "dh", "steering-mirror", "ideal"] = "misalignment"
     """Geometric error model whose parameters are estimated; `ideal` has none."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
@@ -135,13 +134,13 @@ class CampaignFile(TomlSection):
     """Keys that always take the same value, by a name for the group; the column in the rows has this name."""
     grid: dict[str, list[Any]] = Field(default_factory=dict)
     """Lists of levels by dotted key; all combinations of these levels are cells."""
-    design: Design | None = None
+    design: SpaceFillingDesign | None = None
     """Space-filling design: points of a Latin hypercube or a Sobol sequence in ranges of several keys."""
     cells: tuple[dict[str, Any], ...] = ()
     """Combinations of factor levels that are listed one by one, tables `[[cells]]`."""
     stop: StoppingRule | None = None
     """Rule that stops a cell before it has all its trials."""
-    methods: tuple[Method, ...] = (Method(),)
+    methods: tuple[CalibrationMethod, ...] = (CalibrationMethod(),)
     """Calibration methods to compare, tables `[[methods]]`."""
 
     @model_validator(mode="after")
@@ -289,7 +288,7 @@ class CampaignCell:
 
     scenario: Scenario
     validation_scenario: Scenario | None
-    """Scenario of the held-out points; None without `judge_in`."""
+    """Scenario of the held-out points; None if the campaign names none (key `judge_in`)."""
     settings: dict[str, Any]
     """Values that replace those of the base scenario in this cell, by dotted key."""
     levels: dict[str, Any]

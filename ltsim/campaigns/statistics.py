@@ -24,7 +24,7 @@ from ltsim.campaigns.schema import (
     find_column,
     ratio_columns,
     sql_identifier,
-    sql_terms,
+    statistic_sql_expressions,
     summary_table,
 )
 from ltsim.campaigns.stopping import interval_error_rate, student_quantile
@@ -44,7 +44,7 @@ DATABASE_SETTINGS: dict[str, Any] = {
     "autoinstall_known_extensions": False,
     "autoload_known_extensions": False,
 }
-"""Configuration of the database DuckDB; no query or file can make it download or load an extension."""
+"""Settings of the database DuckDB; no query or file can make it download or load an extension."""
 MAX_ROWS_EXACT_QUANTILES = 50_000_000
 """Largest number of rows for which quantiles are exact. Exact quantiles need all values of a column in memory; with
 more rows the quantiles are approximated by a t-digest.
@@ -245,12 +245,12 @@ class CampaignStatistics:
 
     def _ratios_of_means(self, column: str) -> list[StatisticSummary]:
         """Ratio of two means over all trials for each cell and method, with its interval by the delta method."""
-        gained, correctable = sql_terms(column)
-        terms = f"(SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows)"
+        gained, correctable = statistic_sql_expressions(column)
+        row_selection = f"(SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows)"
         select_list = "count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b)"
         shares = []
         for cell, method, count, above, below, *moments in self._query_each_cell(
-            select_list, "a IS NOT NULL AND b IS NOT NULL", terms
+            select_list, "a IS NOT NULL AND b IS NOT NULL", row_selection
         ):
             value = half = math.nan
             if below > 0:
@@ -263,18 +263,18 @@ class CampaignStatistics:
         return shares
 
     def column_values(self, column: str, cell: int, method: str, *, max_trials: int) -> Floats:
-        """Finite values (n,) of a column for a cell and method, from the first `max_trials` trials."""
+        """Finite values (trials,) of a column for a cell and method, from the first `max_trials` trials."""
         name = self._sql_column(column)
-        return self.term_values((name,), cell, method, f"isfinite({name}) AND trial < {int(max_trials)}")[0]
+        return self.sql_expression_values((name,), cell, method, f"isfinite({name}) AND trial < {int(max_trials)}")[0]
 
-    def term_values(self, terms: Sequence[str], cell: int, method: str, condition: str) -> Floats:
-        """Values (k, n) of k SQL expressions for the n trials of a cell and method that meet the SQL condition."""
+    def sql_expression_values(self, sql_expressions: Sequence[str], cell: int, method: str, condition: str) -> Floats:
+        """Values (expressions, trials) of SQL expressions in the rows of a cell and method that meet a condition."""
         word = method.replace("'", "''")
         query_rows = self.query(
-            f"SELECT {', '.join(terms)} FROM rows WHERE cell = {int(cell)} AND method = '{word}' AND {condition} "
-            "ORDER BY trial"
+            f"SELECT {', '.join(sql_expressions)} FROM rows WHERE cell = {int(cell)} AND method = '{word}' "
+            f"AND {condition} ORDER BY trial"
         )
-        return np.array(query_rows, dtype=np.float64).reshape(len(query_rows), len(terms)).T
+        return np.array(query_rows, dtype=np.float64).reshape(len(query_rows), len(sql_expressions)).T
 
     def z_score_summaries(self) -> list[ZScoreSummary]:
         """Mean, standard deviation and coverage of the z-scores of each parameter, for each cell and method."""

@@ -42,10 +42,14 @@ def interval_error_rate(n_trials: int, shard_size: int, *, is_stopping: bool) ->
 
     `n_trials` is the largest number of trials, `shard_size` the number of trials in a shard.
     """
-    return INTERVAL_ERROR_RATE / len(evaluation_schedule(n_trials, shard_size)) if is_stopping else INTERVAL_ERROR_RATE
+    return (
+        INTERVAL_ERROR_RATE / len(stopping_evaluation_schedule(n_trials, shard_size))
+        if is_stopping
+        else INTERVAL_ERROR_RATE
+    )
 
 
-def evaluation_schedule(n_trials: int, shard_size: int) -> list[int]:
+def stopping_evaluation_schedule(n_trials: int, shard_size: int) -> list[int]:
     """Numbers of finished shards of `shard_size` trials after which a cell of `n_trials` trials is evaluated."""
     n_shards = -(-n_trials // shard_size)
     schedule = [min(-(-MIN_TRIALS_BEFORE_STOP // shard_size), n_shards)]
@@ -54,7 +58,7 @@ def evaluation_schedule(n_trials: int, shard_size: int) -> list[int]:
     return schedule
 
 
-def iterate_rounds(
+def iterate_stopping_rounds(
     campaign: CampaignFile, n_cells: int, interval_half_widths: Callable[[str, int], Mapping[tuple[int, str], float]]
 ) -> Iterator[list[ShardKey]]:
     """Shards to be computed, round by round; a round begins when all shards of the previous round are finished.
@@ -66,7 +70,7 @@ def iterate_rounds(
         yield [(cell, shard) for cell in range(n_cells) for shard in range(campaign.n_shards_per_cell)]
         return
     open_, done = list(range(n_cells)), 0
-    for goal in evaluation_schedule(campaign.trials, campaign.shard):
+    for goal in stopping_evaluation_schedule(campaign.trials, campaign.shard):
         yield [(cell, shard) for cell in open_ for shard in range(done, goal)]
         half, done = interval_half_widths(stop.statistic, goal), goal
         sure = {place for place, half_width in half.items() if half_width <= stop.within}

@@ -33,10 +33,15 @@ from ltsim.core.storage import complete_interrupted_moves, path_in_folder, write
 from ltsim.recordings.result_file import read_result
 
 MANIFEST_FILE = ManifestFile.FILE
+"""Name of the file that defines a campaign."""
 CAMPAIGN_FILE = "campaign.toml"
+"""Name of the copy of the campaign file in the folder of a campaign."""
 ROWS_FOLDER = "rows"
+"""Name of the subfolder with the files of rows (shards)."""
 LOCK_FILE = ".lock"
+"""Name of the file that a running process locks."""
 DIGESTS_FILE = "rows.sha256"
+"""Name of the file with the SHA-256 digest of each shard."""
 DIGEST_LINE = re.compile(r"^(?P<digest>[0-9a-f]{64})  (?P<name>rows/cell-\d+/shard-\d+\.parquet)\n", re.MULTILINE)
 """Pattern of a complete line in the file of digests."""
 

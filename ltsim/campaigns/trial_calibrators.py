@@ -27,46 +27,44 @@ from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
-from ltsim.simulation.simulator import with_certificates
+from ltsim.simulation.simulator import with_certified_lengths
 
 MIN_SUSPECT_DEVIATION_M = 0.6e-3
-"""Smallest displacement [m] of a measured point by one reading at which the trial may contain a gross error. If
-`MIN_SUSPECT_RATIO` is exceeded too, the trial is solved by the full solver, which rejects gross errors.
-"""
+"""Displacement [m] of a measured point from its nominal position above which the trial may contain a gross error. If
+`MIN_SUSPECT_RATIO` is exceeded too, the trial is solved by the full solver, which rejects gross errors."""
 MIN_SUSPECT_RATIO = 10.0
-"""Smallest ratio of the largest displacement of a measured point to the median displacement over the trial's pointings,
-at which the trial may contain a gross error.
-"""
+"""Ratio of the largest to the median displacement of the measured points of a trial from their nominal positions, above
+which the trial may contain a gross error."""
 
 
 @dataclass(frozen=True)
 class CalibratedBatch:
-    """Estimates of a calibration for B trials, with I instruments of p parameters and T targets."""
+    """Estimates of a calibration for each trial of a batch."""
 
     instrument_values: Floats
-    """Estimated instrument parameters, (I, p, B) [SI]."""
+    """Estimated instrument parameters, (instruments, parameters, trials) [SI]."""
     instrument_sigmas: Floats
-    """Standard deviations of the instrument parameters [SI]: (I, p) if all trials share them, else (I, p, B)."""
+    """Standard deviations of the instrument parameters [SI]: (instruments, parameters) if all trials share them, else
+    (instruments, parameters, trials)."""
     target_errors: Floats
-    """Adjusted minus true coordinates of the targets, (T, 3, B) [m], both in the same frame; NaN for a method that does
-    not adjust targets.
-    """
+    """Adjusted minus true coordinates of the targets, (targets, 3, trials) [m], both in the same frame; NaN for a
+    method that does not adjust targets."""
     chi2: Floats
-    """Chi-square of each trial, (B,)."""
+    """Chi-square of each trial, (trials,)."""
     status_indices: Ints
-    """Status of each trial, (B,), as index into `TRIAL_STATUSES`."""
+    """Status of each trial, (trials,), as index into `TRIAL_STATUSES`."""
     effect_values: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """Estimated parameters of the additional effects, (q, B) [SI]; (0, 0) without effects."""
+    """Estimated parameters of the additional effects, (effect parameters, trials) [SI]; (0, 0) without effects."""
     effect_sigmas: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """Standard deviations of the parameters of effects [SI]: (q, 1) if all trials share them, else (q, B)."""
+    """Standard deviations of the parameters of effects [SI]: (effect parameters, 1) if all trials share them, else
+    (effect parameters, trials)."""
     incidence_parameters: Mapping[str, Floats] = field(default_factory=dict)
-    """Estimated parameters, (14, B) [SI], of the effect `smr-incidence` (range error by incidence angle), by name of
-    the reflector, for reflectors whose error is estimated.
-    """
+    """Estimated parameters, (14, trials) [SI], of the effect `smr-incidence` (range error by incidence angle), by name
+    of the reflector, for reflectors whose error is estimated."""
 
     @property
     def estimates(self) -> tuple[Floats, Floats]:
-        """All estimated parameters, and their standard deviations, (I p + q, B) [SI] each.
+        """All estimated parameters, and their standard deviations, each (all parameters, trials) [SI].
 
         The rows are the parameters of each instrument, followed by those of the effects.
         """
@@ -132,7 +130,7 @@ class TrialCalibrator:
         raise NotImplementedError
 
     def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBatch) -> float:
-        """Largest difference [sigma] between the `results` of this calibrator for a trial and those of the full solver.
+        """Largest difference between the `results` of this calibrator for a trial and the full solver, in sigmas.
 
         The difference is NaN if this calibrator is the full solver.
         """
@@ -143,13 +141,13 @@ def recording_of_trial(truth: CellTruth, trial_batch: TrialBatch, trial: int) ->
     """Recording of the trial with index `trial` in a batch: readings and declarations, without true values."""
     recording = truth.recording.with_readings(truth.trial_readings(trial_batch, trial))
     lengths = ReferenceLengths.from_recording(recording)
-    return with_certificates(
+    return with_certified_lengths(
         recording, (lengths.lengths + trial_batch.length_errors[:, trial]) / lengths.expansion_factors
     )
 
 
 def align_targets(adjustment: Adjustment, reference_points: Floats) -> Floats:
-    """Adjusted targets (T, 3) [m] after rigid alignment to `reference_points` (T, 3); NaN for undetermined targets.
+    """Adjusted targets (targets, 3) [m] after rigid alignment to `reference_points`; NaN for undetermined targets.
 
     Ranges alone do not determine the handedness of the network; the mirror image that fits better is then used.
     """
@@ -162,10 +160,10 @@ def align_targets(adjustment: Adjustment, reference_points: Floats) -> Floats:
 
 
 def measured_targets_and_weights(truth: CellTruth, set_numbers: Ints) -> tuple[Bools, Floats]:
-    """Mask (O, T) of the T targets that O sets of pointings measured completely, and weights (n,) of n pointings.
+    """Mask (sets, targets) of the targets measured completely in each set of pointings, and weights (pointings,).
 
-    The weight of a pointing is its share in the mean point of its set and target. `set_numbers` (n,) is the set of each
-    pointing.
+    The weight of a pointing is its share in the mean point of its set and target. `set_numbers` (pointings,) is the set
+    of each pointing.
     """
     recording, targets = truth.recording, len(truth.recording.targets)
     is_complete = np.asarray(recording.is_measured.all(axis=1) & truth.is_recorded_observable.all())
@@ -175,10 +173,10 @@ def measured_targets_and_weights(truth: CellTruth, set_numbers: Ints) -> tuple[B
 
 
 def suspect_trial_mask(reading_deviations: Floats, local_points: Floats) -> Bools:
-    """Mask (B,) of the trials that may contain a gross error, so that the full solver must solve them.
+    """Mask (trials,) of the trials that may contain a gross error, so that the full solver must solve them.
 
-    `reading_deviations` (n, 3, B) are readings minus nominal readings. `local_points`, (n, 3, B) or (n, 3, 1) if all
-    trials share them, are the targets in the instruments' frames [m].
+    `reading_deviations` (pointings, 3, trials) are readings minus nominal readings. `local_points`, (pointings, 3,
+    trials) or (pointings, 3, 1) if all trials share them, are the targets in the instruments' frames [m].
     """
     horizontal = np.hypot(local_points[:, 0], local_points[:, 1])
     miss = reading_deviations * np.stack(
@@ -230,9 +228,10 @@ class SerialCalibrator(TrialCalibrator):
         return calibrated
 
     def adjust_recording(self, recording: Recording) -> tuple[Adjustment | None, Floats, Floats]:
-        """Adjustment of a recording, instrument parameters (I, p) [SI], and their standard deviations (I, p) [SI].
+        """Adjustment of a recording, its instrument parameters, and their standard deviations.
 
-        The adjustment is None for a calibration that adjusts no network.
+        The arrays have the shape (instruments, parameters) [SI]. The adjustment is None for a calibration that adjusts
+        no network.
         """
         if self.uses_applied_corrections:
             calibration = calibrate_network(recording, self.construction, recommend_measurements=False)
@@ -266,7 +265,7 @@ class BatchCalibrator(TrialCalibrator):
         return BatchNetwork(truth.recording, truth.state, built, program, self.effects, is_adjusted_observable=recorded)
 
     def calibrate_batch(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[CalibratedBatch, Bools]:
-        """Estimates for the trials of a batch without the full solver, and mask (B,) of the converged trials."""
+        """Estimates for the trials of a batch without the full solver, and mask (trials,) of the converged trials."""
         network, fit = (
             self.batch_network,
             self.batch_network.fit_trials(trial_batch.reading_deviations, trial_batch.length_errors),
@@ -296,7 +295,7 @@ class BatchCalibrator(TrialCalibrator):
         return calibrated
 
     def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBatch) -> float:
-        """Largest difference [sigma] of parameters and targets of a trial between `results` and the full solver.
+        """Largest difference of parameters and targets of a trial between `results` and the full solver, in sigmas.
 
         Targets are compared after a rigid fit, relative to their standard deviations after this fit. The difference is
         NaN for a failed trial.
@@ -317,7 +316,7 @@ class BatchCalibrator(TrialCalibrator):
 
     @cached_property
     def target_sigmas(self) -> Floats:
-        """Standard deviation (T, 3) [m] of the adjusted targets after a rigid fit to other coordinates."""
+        """Standard deviation (targets, 3) [m] of the adjusted targets after a rigid fit to other coordinates."""
         start, end = self.batch_network.end_indices[:2]
         covariance = self.batch_network.covariance[start:end, start:end]
         columns = np.arange(end - start).reshape(-1, 3)

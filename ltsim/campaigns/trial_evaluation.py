@@ -1,7 +1,6 @@
 """Evaluation of the calibrations of a batch of trials: disagreement of stations, and errors relative to true values.
 
-`ltsim.adjustment.evaluation` computes the same quantities for single recordings; tests compare both. Letters in shapes:
-S stations, T targets, I instruments with p parameters, n pointings, B trials.
+`ltsim.adjustment.evaluation` computes the same quantities for single recordings; tests compare both.
 """
 
 from collections.abc import Sequence
@@ -12,7 +11,7 @@ import numpy as np
 
 from ltsim.campaigns.cloud_kernels import (
     MICROMETRES_PER_METRE,
-    add_square_error,
+    add_squared_errors,
     add_station_means,
     align_rigidly,
     coordinate_criterion,
@@ -46,12 +45,12 @@ class TrialEvaluator:
 
     @cached_property
     def _mean_weights(self) -> tuple[Bools, Floats]:
-        """Mask (S, T) of completely measured targets, and weight (n,) of each pointing in its target's mean point."""
+        """Mask (stations, targets) of completely measured targets, and weights (pointings,) in their mean points."""
         return measured_targets_and_weights(self.truth, self.truth.recording.station)
 
     @property
     def is_measured(self) -> Bools:
-        """Mask (S, T) of the targets that each station measured completely."""
+        """Mask (stations, targets) of the targets that each station measured completely."""
         return self._mean_weights[0]
 
     @cached_property
@@ -65,11 +64,11 @@ class TrialEvaluator:
 
     @cached_property
     def has_frame(self) -> Bools:
-        """Mask (S,) of the stations whose targets determine a frame; only these are compared with the true targets."""
+        """Mask (stations,) of stations whose targets determine a frame; only these are compared with the truth."""
         return self._determines_frame(self.is_measured)
 
     def _determines_frame(self, is_used_target: Bools) -> Bools:
-        """Mask (k,) of those among k sets of targets, given as masks (k, T), that determine a frame."""
+        """Mask (target sets,) of the sets of targets, given as masks (target sets, targets), that determine a frame."""
         return determines_pose(
             self._true_targets(1)[:, :, 0], is_used_target, min_relative_width=MAX_UNDETERMINED_ROTATION_RATIO
         )
@@ -80,10 +79,11 @@ class TrialEvaluator:
         construction: GeometricErrorModel | None = None,
         parameter_values: Floats | None = None,
     ) -> Floats:
-        """Points (S, T, 3, B) [m] of each station in the nominal network frame, averaged over faces and repeats.
+        """Mean measured point of each station on each target in the nominal network frame.
 
-        `reading_deviations` (n, 3, B) are readings minus nominal readings. The readings are corrected by the parameters
-        `parameter_values` (I, p, B) [SI] of the geometric error model.
+        The shape is (stations, targets, 3, trials) [m]; the mean is over faces and repeats. `reading_deviations`
+        (pointings, 3, trials) are readings minus nominal readings. The readings are corrected by the parameters
+        `parameter_values` (instruments, parameters, trials) [SI] of the geometric error model.
         """
         recording, trials = self.truth.recording, reading_deviations.shape[2]
         if construction is None or parameter_values is None:
@@ -99,9 +99,10 @@ class TrialEvaluator:
         return clouds
 
     def criteria_columns(self, clouds: Floats, stage: str) -> ResultColumns:
-        """Columns of the distance and coordinate criteria, mean and maximum [um], from clouds (S, T, 3, B) [m].
+        """Columns of the disagreement of stations in distances and coordinates, mean and maximum [um].
 
-        `stage` is the word `before` or `after` (calibration) in the names of the columns.
+        `clouds` (stations, targets, 3, trials) [m] are the points of each station. `stage` is the word `before` or
+        `after` (calibration) in the names of the columns.
         """
         trials = clouds.shape[3]
         columns = {
@@ -119,28 +120,28 @@ class TrialEvaluator:
         return columns
 
     def _true_targets(self, n_trials: int) -> Floats:
-        """True positions of the targets for each of `n_trials` trials, (T, 3, B) [m]."""
+        """True positions of the targets for each of `n_trials` trials, (targets, 3, trials) [m]."""
         points = self.truth.state.target_points
         return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], n_trials, axis=2))
 
     def cloud_error(self, clouds: Floats) -> Floats:
-        """Rms distance (B,) [um] between measured and true targets, after a rigid fit of each station's points.
+        """Rms distance (trials,) [um] between measured and true targets, after a rigid fit of each station's points.
 
-        `clouds` (S, T, 3, B) [m] are the points of each station. Stations whose targets determine no frame are omitted.
-        The result is NaN if no station remains.
+        `clouds` (stations, targets, 3, trials) [m] are the points of each station. Stations whose targets determine no
+        frame are omitted. The result is NaN if no station remains.
         """
         trials = clouds.shape[3]
         truth, total, count = self._true_targets(trials), np.zeros(trials), 0
         aligned = np.empty_like(truth)
         for cloud, visible in zip(clouds[self.has_frame], self.is_measured[self.has_frame], strict=True):
             align_rigidly(cloud, truth, visible, aligned)
-            count += add_square_error(aligned, truth, visible, total)
+            count += add_squared_errors(aligned, truth, visible, total)
         return MICROMETRES_PER_METRE * np.sqrt(total / count) if count else np.full(trials, np.nan)
 
     def target_error(self, points: Floats) -> Floats:
-        """Rms error (B,) [um] of adjusted targets after a rigid fit of all targets to the true ones.
+        """Rms error (trials,) [um] of adjusted targets after a rigid fit of all targets to the true ones.
 
-        `points` (T, 3, B) [m] are adjusted minus true coordinates. Undetermined targets (NaN) are omitted.
+        `points` (targets, 3, trials) [m] are adjusted minus true coordinates. Undetermined targets (NaN) are omitted.
         """
         is_determined = np.isfinite(points).all(axis=1)
         error = np.full(points.shape[2], np.nan)
@@ -151,11 +152,11 @@ class TrialEvaluator:
                 truth = np.ascontiguousarray(self._true_targets(len(error))[:, :, trials])
                 moved, total = np.empty_like(truth), np.zeros(len(trials))
                 align_rigidly(truth + points[:, :, trials], truth, pattern, moved)
-                count = add_square_error(moved, truth, pattern, total)
+                count = add_squared_errors(moved, truth, pattern, total)
                 error[trials] = MICROMETRES_PER_METRE * np.sqrt(total / count)
         return error
 
-    def common_columns(self, trial_batch: TrialBatch) -> ResultColumns:
+    def method_independent_columns(self, trial_batch: TrialBatch) -> ResultColumns:
         """Columns that all methods share: criteria and error before calibration, and error with true parameters."""
         raw_clouds = self.station_clouds(trial_batch.reading_deviations)
         perfect = self.station_clouds(

@@ -43,34 +43,31 @@ for all trials. For a larger difference the exact change is computed trial by tr
 
 @dataclass(frozen=True)
 class TrialBatch:
-    """Batch of B drawn trials, with n pointings, I instruments of p parameters, and g reference lengths."""
+    """Batch of drawn trials: true values, readings and reference lengths of each trial."""
 
     trials: Ints
-    """Numbers of the trials, (B,)."""
+    """Numbers of the trials, (trials,)."""
     instrument_values: Floats
-    """True instrument parameters, (I, p, B) [SI]."""
+    """True instrument parameters, (instruments, parameters, trials) [SI]."""
     effect_values: tuple[Floats, ...]
-    """True parameters of each additional effect, each (q, B) [SI]."""
+    """True parameters of each additional effect, each (effect parameters, trials) [SI]."""
     reading_deviations: Floats
-    """Readings minus nominal readings, (n, 3, B) [m, rad, rad]."""
+    """Readings minus nominal readings, (pointings, 3, trials) [m, rad, rad]."""
     length_errors: Floats
-    """Declared minus true reference lengths, (g, B) [m]."""
+    """Declared minus true reference lengths, (lengths, trials) [m]."""
     single_trials: tuple[TrialBatch, ...] = ()
     """Batch of one trial for each trial, in the order of its pointings, if network geometries differ; otherwise
     empty."""
 
     @property
     def true_values(self) -> Floats:
-        """All true parameters, (I p + q, B) [SI]: parameters of each instrument, followed by parameters of effects."""
+        """All true parameters (parameters, trials) [SI]: those of each instrument, then those of the effects."""
         return np.concatenate([self.instrument_values.reshape(-1, len(self.trials)), *self.effect_values])
 
 
 @dataclass(frozen=True)
 class CellTruth:
-    """True network geometry of a cell, and the distributions from which its trials are drawn.
-
-    Letters in shapes: n pointings, I instruments with p parameters, q parameters of an effect, B trials.
-    """
+    """True network geometry of a cell (combination of factor levels), and distributions of its random values."""
 
     recording: Recording
     """Recording with nominal readings, which an ideal tracker reads at `state`."""
@@ -79,9 +76,10 @@ class CellTruth:
     distributions: TrialDistributions
     """Distributions of the random values of a trial; their sightings may be in another frame than `state`."""
     resolution: Floats = field(default_factory=lambda: np.zeros((1, 3)))
-    """Resolution of the readings of each instrument, (I, 3) [m, rad, rad]; 0 for none."""
+    """Resolution of the readings of each instrument, (instruments, 3) [m, rad, rad]; 0 for none."""
     is_recorded_observable: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
-    """Mask (3,) of the observables (range, azimuth, elevation) that are recorded; the deviation of the others is 0."""
+    """Mask (3,) of the observables (range, azimuth, elevation) that are recorded; an observable that is not recorded
+    has the deviation 0."""
     geometry: MeasurementGeometry | None = None
     """Network geometry with which the simulator computes trials with blunders one by one; None without blunders."""
 
@@ -102,10 +100,10 @@ class CellTruth:
 
     @cached_property
     def effect_design_function(self) -> Callable[[tuple[Effect, ...]], Floats]:
-        """Function that returns, for effects with q parameters in all, the change of the readings per unit of each.
+        """Function that returns the change of the readings per unit of each parameter of given effects.
 
-        The result of the function has the shape (n, 3, q, 1), or (n, 3, q, B) if trials have separate network
-        geometries.
+        The result of the function has the shape (pointings, 3, effect parameters, 1), or (pointings, 3, effect
+        parameters, trials) if trials have separate network geometries.
         """
         return lru_cache(maxsize=8)(self._effect_design)
 
@@ -114,14 +112,14 @@ class CellTruth:
 
     @cached_property
     def reflector_masks(self) -> dict[str, Bools]:
-        """Mask (n,) of the pointings to each reflector, by name of the reflector; '' for a reflector without a name."""
+        """Mask (pointings,) of the pointings to each reflector, by its name; '' for a reflector without a name."""
         names = smr_names(self.recording)
         return {name: np.array([other == name for other in names]) for name in dict.fromkeys(names)}
 
     def incidence_errors(self, parameters_by_reflector: Mapping[str, Floats]) -> Floats:
-        """Range errors (n, B) [m] of the pointings by the incidence angles at the reflectors.
+        """Range errors (pointings, trials) [m] of the pointings by the incidence angles at the reflectors.
 
-        `parameters_by_reflector` holds the parameters (14, B) [SI] of the effect `smr-incidence` by name of the
+        `parameters_by_reflector` holds the parameters (14, trials) [SI] of the effect `smr-incidence` by name of the
         reflector.
         """
         range_errors = np.zeros((len(self.recording), 1))
@@ -139,7 +137,7 @@ class CellTruth:
         return []
 
     def chain_and_design(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
-        """Kinematic chain at the nominal readings, and derivative (n, 3, p) of the readings by the parameters."""
+        """Kinematic chain, and derivative (pointings, 3, parameters) of readings, at the nominal readings."""
         for other, chain in self._chain_cache:  # comparing a few models is quicker than hashing one model
             if other == construction:
                 return chain
@@ -157,11 +155,17 @@ class CellTruth:
 
     @cached_property
     def _linear_effects(self) -> list[tuple[Floats, Floats] | None]:
-        """Constant change (n, 3) and design (n, 3, q) of the readings by each effect; None for a nonlinear effect."""
+        """Change of the readings by each effect as a linear function of its parameters; None for a nonlinear effect.
+
+        The constant part has the shape (pointings, 3), the design matrix (pointings, 3, effect parameters).
+        """
         return [self._linear_effect(entry) for entry in self.effects]
 
     def _linear_effect(self, effect_distribution: EffectDistribution) -> tuple[Floats, Floats] | None:
-        """Constant change (n, 3) and design (n, 3, q) of the readings by an effect; None for a nonlinear effect."""
+        """Change of the readings by an effect as a linear function of its parameters; None for a nonlinear effect.
+
+        The constant part has the shape (pointings, 3), the design matrix (pointings, 3, effect parameters).
+        """
         constant = effect_distribution.effect.reading_change(self.sightings, effect_distribution.mean_values)
         if not np.any(effect_distribution.value_sigmas):  # nothing is drawn
             return constant, np.zeros((*constant.shape, len(effect_distribution.mean_values)))
@@ -183,8 +187,8 @@ class CellTruth:
     ) -> TrialBatch:
         """Batch of the trials whose numbers `normal_source` contains.
 
-        `instrument_values` (I, p, B) [SI] replaces the drawn errors of the instruments. Another `stream_key` gives the
-        same trials independent noise, for a second measurement.
+        `instrument_values` (instruments, parameters, trials) [SI] replaces the drawn errors of the instruments. Another
+        `stream_key` gives the same trials independent noise, for a second measurement.
         """
         draw = self.distributions.draw(normal_source, instrument_values, stream_key=stream_key)
         return self.batch_from_draw(draw, self._exact_deviations(draw.instrument_values))
@@ -192,7 +196,8 @@ class CellTruth:
     def batch_from_draw(self, draw: TrialDraw, reading_deviations: Floats) -> TrialBatch:
         """Batch of trials from drawn random values: readings, reference lengths and true parameters.
 
-        `reading_deviations` (n, 3, B) are exact minus nominal readings; the noise is added to this array in place.
+        `reading_deviations` (pointings, 3, trials) are exact minus nominal readings; the noise is added to this array
+        in place.
         """
         if occurring_blunders([law.effect for law in self.effects], draw.effect_values):
             reading_deviations = self._deviations_with_blunders(draw)
@@ -206,7 +211,7 @@ class CellTruth:
         return TrialBatch(draw.trials, draw.instrument_values, draw.effect_values, reading_deviations, length_errors)
 
     def _deviations_with_blunders(self, draw: TrialDraw) -> Floats:
-        """Readings minus nominal readings (n, 3, B) of trials with blunders, as the simulator computes them."""
+        """Readings minus nominal readings (pointings, 3, trials) of trials with blunders, from the simulator."""
         assert self.geometry is not None
         nominal, parts = self.recording.readings, []
         for k in range(len(draw.trials)):
@@ -220,7 +225,7 @@ class CellTruth:
         return np.stack(parts, axis=2)
 
     def _exact_deviations(self, true_parameters: Floats) -> Floats:
-        """Exact minus nominal readings (n, 3, B) for true parameters (I, p, B) [SI] of the instruments.
+        """Exact minus nominal readings (pointings, 3, trials) for true parameters [SI] of the instruments.
 
         Newton's method starts from the linear change of the readings.
         """
@@ -235,7 +240,7 @@ class CellTruth:
         return deviation
 
     def _effect_change(self, effect_index: int, amounts: Floats) -> Floats:
-        """Change (n, 3, B) of the readings by one effect with the parameters `amounts` (q, B) [SI]."""
+        """Change (pointings, 3, trials) of the readings by one effect with the parameter values `amounts` [SI]."""
         entry, linear = self.effects[effect_index], self._linear_effects[effect_index]
         if linear is None:
             return np.stack([entry.effect.reading_change(self.sightings, v) for v in amounts.T], axis=2)
@@ -243,7 +248,7 @@ class CellTruth:
         return constant[:, :, None] + np.tensordot(design, amounts - entry.mean_values[:, None], axes=1)
 
     def _round_to_resolution(self, reading_deviations: Floats) -> Floats:
-        """Readings minus nominal readings (n, 3, B), after rounding of the readings to their resolution in place."""
+        """Deviations from nominal readings, (pointings, 3, trials), changed in place by rounding of the readings."""
         of_row = np.broadcast_to(self.resolution[self.recording.instrument], reading_deviations.shape[:2])
         for column in range(3):
             rows = np.flatnonzero(of_row[:, column])
@@ -255,7 +260,7 @@ class CellTruth:
         return reading_deviations
 
     def trial_readings(self, trial_batch: TrialBatch, trial: int) -> Floats:
-        """Readings (n, 3) [m, rad, rad] of the trial with index `trial` in a batch, with azimuths within +-180 deg."""
+        """Readings (pointings, 3) [m, rad, rad] of one trial of a batch, with azimuths within +-180 degrees."""
         readings: Floats = self.recording.readings + trial_batch.reading_deviations[:, :, trial]
         readings[:, 1] = np.where(np.abs(readings[:, 1]) < FULL_TURN, wrap_angle(readings[:, 1]), readings[:, 1])
         readings[:, ~self.is_recorded_observable] = np.nan

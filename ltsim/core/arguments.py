@@ -10,7 +10,7 @@ from typing import Any
 from ltsim.core.errors import SetupError, option_text
 
 MAX_JOBS = 256
-"""Largest number of worker processes that `jobs` accepts."""
+"""Largest number of worker processes that the argument `jobs` accepts."""
 ARGUMENT_BOUNDS: dict[str, tuple[float, float | None]] = {
     "seed": (0, None), "trial": (0, 10**12), "trials": (2, 10**9), "starts": (1, 10**4), "injections": (1, 10**5),
     "jobs": (1, MAX_JOBS), "level": (1e-3, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),

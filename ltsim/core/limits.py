@@ -53,9 +53,8 @@ set-ups.
 """
 MAX_DIAGNOSED_POINTINGS = 8_000
 """Largest number of pointings of a network that is diagnosed. The diagnosis of a misfit takes 24 s of processor time
-and 310 MB with 2,000 pointings, 30 to 95 s and 450 to 530 MB with a ring of 3,360, and 115 s and 0.85 GB with 8,000
-(measured while other processes ran).
-"""
+and 310 MB with 2,000 pointings, 30 to 95 s and 450 to 530 MB with a ring of 210 set-ups (3,360 pointings), and 115 s
+and 0.85 GB with 8,000 (measured while other processes ran)."""
 MAX_SIMULATED_POINTINGS = 300_000
 """Largest number of pointings of a simulated recording; each takes 1 kB and 30 us."""
 POINTINGS_LIMIT_VARIABLE = "LTSIM_MAX_POINTINGS"
@@ -112,9 +111,8 @@ are larger than `MAX_FILE_BYTES`.
 """
 
 MAX_DRAWN_ITEMS = 1_000
-"""Largest number of points, bars or curves in a figure of a report; each takes 5 ms and 0.1 MB. More of them cannot be
-distinguished.
-"""
+"""Largest number of points, bars or curves in a figure of a report; each takes 5 ms and 0.1 MB. A reader cannot
+distinguish more of them."""
 
 MAX_XML_TAGS = 600_000
 """Largest number of tags in an XML file; each element has one or two and takes 400 bytes."""

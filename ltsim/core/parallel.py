@@ -16,6 +16,7 @@ PARENT_CHECK_INTERVAL_S = 1.0
 SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
 """Environment variable that keeps Python from adding the working folder to its module search path."""
 ReturnType = TypeVar("ReturnType")
+"""Type of the result of a function that worker processes call."""
 
 
 def run_parallel(

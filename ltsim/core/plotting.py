@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 _plotting_loaders: list[Callable[[str], Any]] = []
+"""Function that imports a module of `ltsim.reports` by its name, in a list that is empty until it is registered."""
 
 
 def register_plotting(import_module: Callable[[str], Any]) -> None:

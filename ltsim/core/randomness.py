@@ -60,8 +60,8 @@ def standard_normal_trials(
 ) -> NDArray[np.float64]:
     """Standard normal numbers of several trials, shape (n_values, trials), for the key `stream_key`.
 
-    The numbers of a trial do not depend on the other trials in `trial_numbers`. Trial 0 has a stream for itself; all
-    other trials share a stream with the others of `TRIALS_PER_STREAM` consecutive trials.
+    The numbers of a trial do not depend on the other trials in `trial_numbers`. Trial 0 has a separate stream; all
+    other trials share one stream in groups of `TRIALS_PER_STREAM` consecutive trials.
     """
     first, count = int(trial_numbers[0]), len(trial_numbers)
     if (

@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMULA_STARTS = ("=", "+", "-", "@", "'")
-"""First characters of texts that are written to CSV with an apostrophe before them, see `guard_formula`."""
+"""First characters of a text that is written to CSV with an apostrophe, so that it is no spreadsheet formula."""
 MAX_MAGNITUDE = 1e40
-"""Largest absolute value of a number in a result file; a product of eight larger numbers could overflow."""
+"""Largest absolute value of a number in a result file; a product of seven such numbers does not overflow."""
 MAX_NOTEBOOK_ROWS = 12
 """Largest number of rows of a table that a notebook shows."""
 ColumnKind = Literal["text", "number", "flag", "chance"]

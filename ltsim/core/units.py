@@ -71,7 +71,7 @@ CONVERTIBLE_UNITS = (
     frozenset({"ms", "s", "min", "h"}),
     frozenset({"um/m", "ppm"}),
 )
-"""Groups of units of the same kind of quantity, which can be converted into each other."""
+"""Groups of units that can be converted into each other: lengths, angles, times and others."""
 _SPELLINGS_BY_UNIT = MappingProxyType(
     {
         "deg": "deg degree degrees ° grad° º", "gon": "gon gons grad grads g gr neugrad", "rad": "rad radian radians",
@@ -83,6 +83,7 @@ _SPELLINGS_BY_UNIT = MappingProxyType(
         "c": "c °c degc", "hpa": "hpa mbar", "%": "% pct",
     }
 )  # fmt: skip
+"""Accepted spellings of each unit in lower case, separated by blanks; an underscore stands for a blank."""
 UNITS_BY_SPELLING = MappingProxyType(
     {word.replace("_", " "): unit for unit, words in _SPELLINGS_BY_UNIT.items() for word in words.split()}
 )
@@ -94,6 +95,7 @@ LENGTH_UNITS = ("mm", "m", "in", "cm", "ft", "um")
 SMALL_ANGLE_UNITS = ("arcsec", "cc", "mgon", "urad", "mrad", "deg", "gon", "rad")
 """Units of small angles, such as standard deviations."""
 _PI = Decimal("3.14159265358979323846264338327950288")
+"""Pi with 36 digits, for exact conversions of angles."""
 _CIRCLE_PARTS = MappingProxyType(
     {
         "deg": Decimal(360), "dms": Decimal(360), "gon": Decimal(400), "rad": 2 * _PI, "mrad": 2000 * _PI,
@@ -111,6 +113,7 @@ UNIT_BY_KEY_ENDING = MappingProxyType(
 UNIT_BY_KEY_BEGINNING = MappingProxyType({"seconds": "s", "minutes": "min", "hours": "h"})
 """Unit of a key by the first word of its name: `seconds` means s."""
 _QUANTITY_PATTERN = re.compile(r"\s*+([-+]?(?:\d++(?:\.\d*+)?+|\.\d++)(?:[eE][-+]?\d++)?+)\s*+([^\d\s]\S*+)\s*+")
+"""Pattern of a number followed by a unit, such as ``2 urad``."""
 
 
 @functools.cache
@@ -140,9 +143,9 @@ def are_convertible_units(unit: str, other_unit: str) -> bool:
 
 
 def parse_in_unit(text: str, unit: str) -> float | None:
-    """Number in the unit `unit` from a text with another unit of the same quantity, such as ``2 urad``.
+    """Number in the unit `unit` from a text with a convertible unit, such as ``2 urad``.
 
-    The result is None if the text is not a number with such a unit.
+    The result is None if the text is not a number with a unit that can be converted into `unit`.
     """
     match = _QUANTITY_PATTERN.fullmatch(text)
     if match is None:

@@ -25,7 +25,7 @@ from ltsim.diagnosis.noise_groups import (
     TAIL_VARIANCE_FACTORS,
 )
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
-from ltsim.diagnosis.repeats import normalised_sum_matrix_of_repeats, redundancy_of_means, relative_variance_of_means
+from ltsim.diagnosis.repeats import normalised_sum_matrix_of_repeats, redundancy_of_means, added_variance_of_means
 from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 from ltsim.physics.laws.centring import CentringVariance
 
@@ -51,7 +51,7 @@ def reml_gain_function(
 
     def variance_factors_at(values: Floats) -> Floats:
         factor = (effect.variance(space.sightings, sigma, values) / space.sigma**2)[used]
-        return factor if means is None else 1.0 + relative_variance_of_means(means, factor - 1.0)
+        return factor if means is None else 1.0 + added_variance_of_means(means, factor - 1.0)
 
     parameter = np.argmax(
         [variance_factors_at(unit) != variance_factors_at(0.0 * scale) for unit in np.diag(scale)], axis=0

@@ -35,7 +35,7 @@ def redundancy_of_means(averaging_matrix: sp.csr_array, redundancy: Floats) -> F
     return np.maximum(1.0 - lost, MIN_CHECKED_REDUNDANCY)
 
 
-def relative_variance_of_means(averaging_matrix: sp.csr_array, added_variance: Floats) -> Floats:
+def added_variance_of_means(averaging_matrix: sp.csr_array, added_variance: Floats) -> Floats:
     """Added variance (g,) of g scaled means of repeated readings that share their errors.
 
     Added variances are divided by the declared variance. `added_variance` is that of the first rows of the residual

@@ -60,13 +60,13 @@ class Displacement(Entry):
     """Semi-axes of the 95 % error ellipsoid of the displacement [um], the largest first."""
     p_value: Finite
     """p-value of the hypothesis that the point did not move, corrected for the number of tested points. The
-    displacements of the other displaced points are estimated together with it."""
+    displacements of all other displaced points are estimated together with this one."""
     detectable_um: tuple[Finite, Finite]
     """Smallest displacements that are detected with a probability of 80 % [um]: in the most favourable direction and in
     the least favourable one."""
     point_chi2: OptionalFloat = None
     """Chi-square of the coordinate difference of this point between the epochs, from this point alone; null if the
-    frames of the epochs are free."""
+    epochs have separate frames."""
 
     @property
     def row(self) -> list[Any]:
@@ -98,11 +98,12 @@ class Comparison(ResultFile):
     scale_ppm: OptionalFloat = None
     """Scale of the second epoch relative to the first [ppm]; null if it was not estimated."""
     notes: tuple[str, ...] = ()
-    """Notes on the epochs: undetermined motions of the network, exchanged names, a common motion of all points."""
+    """Notes on the epochs: undetermined motions of the network, exchanged point names, a common motion of all points.
+    """
     is_rigid_motion: bool = False
     """True if one rigid motion of all points explains most displacements: the lists may have different frames."""
     displacements: tuple[Displacement, ...] = Field(min_length=1)
-    """Displacement and test of each common point, in the order of the first recording."""
+    """Displacement and test of each point that both epochs contain, in the order of the first recording."""
 
     def _lines(self) -> list[str]:
         return [
@@ -131,21 +132,21 @@ def coordinate_rows(points: Sequence[int] | Ints, n_axes: int) -> Ints:
 
 @dataclass(frozen=True)
 class EpochDifference:
-    """Coordinate differences of the common points between two aligned epochs, their covariance, and the free motions.
+    """Coordinate differences of the points in two aligned epochs, their covariance, and the free motions.
 
-    T is the number of points, a the number of compared axes, f the number of free motions: rigid motions of all points
-    that an epoch does not determine. The covariance of a free network is singular along them. A variance added along
-    the free motions makes it regular and does not change results.
+    Free motions are rigid motions of all points that an epoch does not determine. The covariance of a free network is
+    singular along its free motions; a variance added along them makes it regular and does not change results.
     """
 
     point_names: Sequence[str]
-    """Names of the common points."""
+    """Names of the points that both epochs contain."""
     differences: Floats
-    """Differences of the coordinates, second minus first epoch, point by point, shape (T a,) [m]."""
+    """Differences of the coordinates, second minus first epoch, point by point, shape (coordinates,) [m]."""
     covariance: Floats
-    """Covariance of the T a differences, shape (T a, T a) [m^2]."""
+    """Covariance of the coordinate differences, shape (coordinates, coordinates) [m^2]."""
     free_motions: Floats
-    """Displacements of the points by a unit of each free motion of the second epoch, shape (T a, f)."""
+    """Displacements of the points by a unit of each free motion, shape (coordinates, free motions). Free motions are
+    the rigid motions of all points that an epoch does not determine."""
     compared_axes: Ints
     """Indices of the compared coordinate axes; 0 is x."""
     first_epoch_points: Floats
@@ -166,7 +167,7 @@ class EpochDifference:
     def chi2_of_point(self, point: int) -> float | None:
         """Chi-square of the coordinate difference of the point with index `point`, from this point alone.
 
-        The result is None if the frames of the epochs are free.
+        The result is None if the epochs have separate frames, because one point then determines no difference.
         """
         if self.free_motions.shape[1]:
             return None
@@ -196,9 +197,10 @@ class EpochDifference:
         return float(remaining @ remaining - np.sum((basis.T @ remaining) ** 2))
 
     def estimate_displacements(self, moved_points: Sequence[int]) -> tuple[Floats, Floats]:
-        """Least-squares estimates of the free motions and of the displacements of `moved_points`, and their covariance.
+        """Least-squares estimates of the free motions and of the displacements of `moved_points`, with covariance.
 
-        The shapes are (f + m a,) and (f + m a, f + m a) for m points; the free motions come first.
+        The shapes are (unknowns,) and (unknowns, unknowns): first the free motions, then each displaced point with one
+        unknown per compared axis.
         """
         design = self._whitened_design(moved_points)
         column_norms = np.linalg.norm(design, axis=0)
@@ -214,7 +216,8 @@ def congruence_test(
 ) -> Comparison:
     """Comparison of two epochs by a congruence test at the significance level `alpha`.
 
-    Points outside `stable_mask`, (T,), are tested for displacements. `epoch_sources` are the sources of the two epochs.
+    Points outside the mask `stable_mask` (points,) are tested for displacements. `epoch_sources` are the sources of the
+    two epochs.
     """
     tested = np.flatnonzero(~stable_mask)
     moved = _find_moved_points(difference, tested, alpha)
@@ -250,8 +253,8 @@ def congruence_test(
 def _find_moved_points(difference: EpochDifference, tested_indices: Ints, alpha: float) -> list[int]:
     """Indices of the displaced points, at the significance level `alpha` for all `tested_indices` together.
 
-    Significant points are added one by one. After each addition every displaced point is tested again, with the
-    displacements of the others in the model.
+    Points with a significant displacement are added one by one. After each addition every displaced point is tested
+    again, with the displacements of the other displaced points in the model.
     """
     moved_points: list[int] = []
     limit = special.chdtri(len(difference.compared_axes), alpha / max(len(tested_indices), 1))

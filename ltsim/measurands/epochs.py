@@ -28,7 +28,7 @@ from ltsim.measurands.comparison import (
     congruence_test,
     coordinate_rows,
 )
-from ltsim.measurands.inputs import CONTROL_SOURCE, LENGTHS_SOURCE, PRIOR_SOURCE, observed_sources
+from ltsim.measurands.inputs import CONTROL_SOURCE, LENGTHS_SOURCE, PRIOR_SOURCE, observation_uncertainty_sources
 from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.references import EXPANSION_ERROR_PREFIX
 from ltsim.recordings.result_file import SourceEntry
@@ -105,7 +105,7 @@ def compare_coordinates(
 
 
 def _with_names_spelled_as(epoch: EpochCoordinates, names: Sequence[str]) -> tuple[EpochCoordinates, list[str]]:
-    """Epoch with points renamed as in `names` if only case, blanks or leading zeros differ, and notes on them."""
+    """Epoch with points renamed as in `names` if only case, blanks or leading zeros differ; and notes on it."""
     spellings = {normalised_name(name): name for name in names if name not in epoch.names}
     unmatched_names = [name for name in epoch.names if name not in names]
     normalised = [normalised_name(name) for name in unmatched_names]
@@ -159,7 +159,7 @@ def _compare_epochs(
     """
     gap = _align_epochs(first, second, with_scale, stable_mask, compared_axes)
     result = congruence_test(gap, is_declared_stable, alpha, epoch_sources)
-    order = exchanged_names(gap, [i for i, d in enumerate(result.displacements) if d.moved])
+    order = exchanged_name_order(gap, [i for i, d in enumerate(result.displacements) if d.moved])
     if order is not None:
         result = congruence_test(
             _align_epochs(first, second.with_order(order, len(compared_axes)), with_scale, stable_mask, compared_axes),
@@ -174,7 +174,7 @@ def _compare_epochs(
 def _stable_point_mask(
     point_noun: str, common_names: Sequence[str], stable_names: Sequence[str] | None, *, n_frame_points: int
 ) -> Bools:
-    """Mask of the common points that may define the frame: all, or the `stable_names` that the user declared stable.
+    """Mask of the points in both epochs that may define the frame: all, or the user's `stable_names`.
 
     At least `n_frame_points` are necessary. `point_noun` names the compared epochs in messages.
     """
@@ -194,22 +194,24 @@ class _Epoch:
     """Points of one epoch, their joint covariance, and the rigid motions that the epoch does not determine."""
 
     point_names: Sequence[str]
-    """Names of the T points."""
+    """Names of the points."""
     points: Floats
-    """Coordinates of the T points, shape (T, 3) [m]."""
+    """Coordinates of the points, shape (points, 3) [m]."""
     covariance: Floats
-    """Joint covariance of the T points in the `a` compared coordinates of each, shape (T a, T a) [m^2]."""
+    """Joint covariance of the compared coordinates of all points, shape (coordinates, coordinates) [m^2]."""
     shifts_per_common_error: Floats
-    """Displacements of points by one standard deviation of each error that epochs may share, (T a, errors) [m]."""
+    """Displacements by one standard deviation of each error that both epochs may share, (coordinates, errors) [m]."""
     free_motions: Floats
-    """Coefficients of each free motion: three translations, then three rotations about the origin, (6, motions)."""
+    """Coefficients (6, motions) of undetermined motions: three translations, then three rotations about the origin."""
 
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment, target_indices: Ints, common_sources: Sequence[str]) -> Self:
         """Epoch of the targets `target_indices`; `common_sources` names the errors that both epochs share."""
         columns = adjustment.problem.unknowns.target_columns[target_indices].reshape(1, -1)
         reach = displacement_per_observation(adjustment, columns[0])
-        shifts_by_source = {s.name: s.displacements_per_sigma for s in observed_sources(adjustment, reach)}
+        shifts_by_source = {
+            s.name: s.displacements_per_sigma for s in observation_uncertainty_sources(adjustment, reach)
+        }
         responses = [
             np.zeros((reach.shape[1], 0)),
             *(shifts_by_source[name] for name in common_sources if name in shifts_by_source),
@@ -283,9 +285,9 @@ def _certificate_lengths(gauge: Gauge) -> Gauge:
 def _align_epochs(
     first_epoch: _Epoch, second_epoch: _Epoch, with_scale: bool, stable_mask: Bools, axes: Ints = ALL_AXES
 ) -> EpochDifference:
-    """Coordinate differences after alignment of the second epoch to the first by their free motions.
+    """Coordinate differences after alignment of the second epoch to the first by the free motions of both.
 
-    `stable_mask`, (T,), are the points that define the alignment, `axes` the compared coordinate axes.
+    The points in the mask `stable_mask` (points,) define the alignment, and `axes` are the compared coordinate axes.
     """
     before, after, turn = first_epoch.points, second_epoch.points, np.eye(3)
     centre = before[stable_mask].mean(axis=0)
@@ -319,7 +321,7 @@ def _align_epochs(
 
 
 def _motions_about_centre(free_motions: Floats, centre: Floats) -> Floats:
-    """Coefficients (6, f) of motions with rotations about `centre`, from those with rotations about the origin."""
+    """Coefficients (6, free motions) of motions whose rotations are about `centre` instead of the origin."""
     about = free_motions.copy()
     about[:3] += np.cross(free_motions[3:].T, centre).T
     return about
@@ -363,8 +365,8 @@ def free_motions_of_epoch(epoch: EpochCoordinates) -> Floats:
     return free_motions
 
 
-def exchanged_names(difference: EpochDifference, moved_points: Sequence[int]) -> Ints | None:
-    """Index of the point whose name each common point has in the second epoch, (T,); None if no names are exchanged.
+def exchanged_name_order(difference: EpochDifference, moved_points: Sequence[int]) -> Ints | None:
+    """Index (points,) of the point whose name each point has in the second epoch; None if no names are exchanged.
 
     Names are exchanged if each of the `moved_points` (indices) is near the first-epoch position of another one of them.
     """
@@ -384,7 +386,7 @@ def exchanged_names(difference: EpochDifference, moved_points: Sequence[int]) ->
 
 
 def exchanged_names_sentence(names: Sequence[str], point_order: Ints) -> str:
-    """Sentence on the names that are exchanged in the second epoch; `point_order` is a result of `exchanged_names`."""
+    """Sentence on the names that are exchanged in the second epoch; `point_order` is from `exchanged_name_order`."""
     changed_indices = np.flatnonzero(point_order != np.arange(len(point_order)))
     names_changed = listing([names[i] for i in changed_indices.tolist()], len(changed_indices))
     return f"the names {names_changed} are exchanged in the second epoch; these points are compared by position"

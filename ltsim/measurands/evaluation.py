@@ -25,8 +25,8 @@ from ltsim.measurands.propagation import (
 from ltsim.measurands.spec import Task, Tasks
 from ltsim.measurands.uncertainty import (
     BudgetEntry,
-    Distribution,
     HiddenErrorEntry,
+    MonteCarloDistribution,
     TaskResult,
     Uncertainty,
     evaluate_conformity,
@@ -131,7 +131,7 @@ class TaskEvaluation:
             standard_uncertainty=sigma,
             coverage_factor=half_width / sigma if sigma > 0 else 0.0,
             expanded_uncertainty=half_width,
-            monte_carlo=Distribution(
+            monte_carlo=MonteCarloDistribution(
                 mean=float(drawn.means[result_index]) / unit,
                 standard_uncertainty=float(drawn.sigmas[result_index]) / unit,
                 symmetric=(drawn.symmetric_intervals[result_index] / unit).tolist(),

@@ -1,7 +1,7 @@
 """Geometric features fitted to points by orthogonal least squares, for many sets of points at once.
 
 Line and plane have closed solutions. Circle, sphere and cylinder are Gauss-Newton iterations from algebraic start
-values. Arrays of points (..., n, 3) [m] may have any leading dimensions, for example the draws of a Monte Carlo
+values. Arrays of points (..., points, 3) [m] may have any leading dimensions, for example the draws of a Monte Carlo
 simulation.
 
 References
@@ -36,7 +36,7 @@ class FittedFeature:
     radius: Floats
     """Radius [m]; NaN for a line and a plane."""
     deviations: Floats
-    """Signed orthogonal distance of each of n points from the feature, shape (..., n) [m]. It is unsigned for a line.
+    """Signed orthogonal distance of each point from the feature, shape (..., points) [m]. It is unsigned for a line.
     For a circle it is the radial or the axial deviation, whichever is larger."""
 
 
@@ -45,10 +45,10 @@ MIN_POINTS_BY_FEATURE = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylin
 
 
 def fit_feature(feature_kind: str, points: Floats, start_feature: FittedFeature | None = None) -> FittedFeature:
-    """Feature fitted to points (..., n, 3) [m] by least squares; `feature_kind` is a key of `MIN_POINTS_BY_FEATURE`.
+    """Feature fitted to points by least squares; `feature_kind` is a key of `MIN_POINTS_BY_FEATURE`.
 
-    `start_feature` is an approximate feature; without it, a cylinder is fitted from many start directions. ModelError
-    is raised if the points do not determine the feature.
+    `points` has the shape (..., points, 3) [m]. `start_feature` is an approximate feature; without it, a cylinder is
+    fitted from many start directions. ModelError is raised if the points do not determine the feature.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.shape[-2] < MIN_POINTS_BY_FEATURE[feature_kind]:
@@ -70,7 +70,7 @@ def fit_feature(feature_kind: str, points: Floats, start_feature: FittedFeature 
             start_feature.radius / extent,
             start_feature.deviations,
         )
-    feature = _FIT_FUNCTIONS[feature_kind](local, start_feature)
+    feature = _FIT_FUNCTION_BY_FEATURE[feature_kind](local, start_feature)
     return FittedFeature(
         feature.reference_point * scale + place, feature.direction, feature.radius * extent, feature.deviations * scale
     )
@@ -193,9 +193,9 @@ def _refine_cylinder(
 def _axis_coordinates(
     centred_points: Floats, centre: Floats, axis_direction: Floats
 ) -> tuple[tuple[Floats, Floats], Floats, Floats, Floats]:
-    """Two unit vectors (..., 3) perpendicular to an axis through `centre`, and coordinates of n points in this system.
+    """Two unit vectors (..., 3) perpendicular to an axis through `centre`, and coordinates of points in this system.
 
-    The coordinates, each (..., n) [m], are the height along the axis and those along the two unit vectors.
+    The coordinates, each (..., points) [m], are the height along the axis and those along the two unit vectors.
     """
     sides = _perpendicular_vectors(axis_direction)
     arm = centred_points - centre[..., None, :]
@@ -213,9 +213,9 @@ def _projected_circle(
 
 
 def _algebraic_fit(centred_points: Floats, *, raises_if_undetermined: bool = True) -> tuple[Floats, Floats]:
-    """Centre c (..., d) and radius (...) [m] of the circle or sphere by linear least squares, without start values.
+    """Centre (..., 2 or 3) and radius (...) [m] of a circle or sphere by linear least squares, without start values.
 
-    They minimise the sum over the points p of (|p|^2 - 2 c p - k)^2, with k = radius^2 - |c|^2.
+    Centre c and radius r minimise the sum over all points p of (|p - c|^2 - r^2)^2.
     """
     design = np.concatenate([2.0 * centred_points, np.ones((*centred_points.shape[:-1], 1))], axis=-1)
     squared_norms = np.sum(centred_points**2, axis=-1)
@@ -233,7 +233,7 @@ def _algebraic_fit(centred_points: Floats, *, raises_if_undetermined: bool = Tru
 def _least_squares_step(
     design: Floats, misclosure: Floats, feature_kind: str, *, raises_if_undetermined: bool = True
 ) -> Floats:
-    """Least-squares step (..., k) for a design matrix (..., m, k) and a misclosure (..., m).
+    """Least-squares step (..., unknowns) for a design matrix (..., rows, unknowns) and a misclosure (..., rows).
 
     If the design is singular, the step is NaN, or ModelError is raised with `raises_if_undetermined`.
     """
@@ -280,10 +280,11 @@ def _half_sphere_directions(n_directions: int) -> Floats:
     return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
 
 
-_FIT_FUNCTIONS = {
+_FIT_FUNCTION_BY_FEATURE = {
     "line": _fit_line,
     "plane": _fit_plane,
     "circle": _fit_circle,
     "sphere": _fit_sphere,
     "cylinder": _fit_cylinder,
 }
+"""Function that fits each kind of feature to centred points, with an approximate feature or None as second argument."""

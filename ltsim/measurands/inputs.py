@@ -41,7 +41,7 @@ SIGMA_OF_UNIT_SIZE = {
     "arcsine": 1 / np.sqrt(2),
 }
 """Standard deviation of each distribution with the size 1. The size of a normal distribution is its standard deviation,
-the size of the others is their half-width."""
+the size of each other distribution its half-width."""
 
 
 LENGTHS_SOURCE = "known lengths"
@@ -50,14 +50,14 @@ CONTROL_SOURCE = "control points"
 """Name, in budgets, of the source of uncertainty from coordinates of control points."""
 PRIOR_SOURCE = "specification"
 """Name, in budgets, of the source of uncertainty from the prior of the instrument parameters."""
-STREAM_KEYS = {PRIOR_SOURCE: "what the maker guarantees"}
+STREAM_KEY_BY_SOURCE = {PRIOR_SOURCE: "what the maker guarantees"}
 """Key of the random stream of a source whose key is not its name. The draws depend on the key, which therefore must not
 change."""
 
 
 @dataclass(frozen=True)
 class UncertaintySource(ValueEquality):
-    """Source of uncertainty of T points, with q independent random variables."""
+    """Source of uncertainty of points, with independent random variables."""
 
     name: str
     """Name of the source in the budget."""
@@ -65,34 +65,35 @@ class UncertaintySource(ValueEquality):
     """Type of evaluation (GUM): ``A`` for observations, ``B`` for specifications, certificates and all other
     sources."""
     displacements_per_sigma: Floats
-    """Displacement of the points by one standard deviation of each random variable, shape (3 T, q) [m]."""
+    """Displacement of all coordinates by one standard deviation of each random variable, shape (coordinates, random
+    variables) [m]."""
     distribution: str = "normal"
     """Distribution of each random variable: `normal`, `rectangular`, `triangular` or `arcsine`."""
 
     @property
     def covariance(self) -> Floats:
-        """Contribution of this source to the covariance matrix of the coordinates, shape (3 T, 3 T) [m^2]."""
+        """Contribution of this source to the covariance of the coordinates, (coordinates, coordinates) [m^2]."""
         return self.displacements_per_sigma @ self.displacements_per_sigma.T
 
 
 @dataclass(frozen=True)
 class TaskInputs(ValueEquality):
-    """T points that tasks use, and the sources of their uncertainty."""
+    """Points that tasks use, and the sources of their uncertainty."""
 
     point_source: Adjustment | EpochCoordinates
     """Adjusted network, or list of coordinates with its covariance."""
     target_names: tuple[str, ...]
     """Names of the points that the tasks use."""
     points: Floats
-    """Coordinates of the points, shape (T, 3) [m]."""
+    """Coordinates of the points, shape (points, 3) [m]."""
     displacement_per_observation: Floats
-    """Displacement of the points per unit of each of m whitened observations, shape (m, 3 T) [m]."""
+    """Displacement of all coordinates per unit of each whitened observation, shape (observations, coordinates) [m]."""
     sources: tuple[UncertaintySource, ...]
     """Sources of uncertainty of the points."""
     air_text: str = ""
     """Sentence part on the errors of the air that the sources include; empty if they are negligible (short ranges)."""
     rms_displacements_by_shared_air_error: dict[str, Floats] = field(default_factory=dict)
-    """Displacement of the points, shape (3 T,) [m], by one standard deviation of each error of the air that all
+    """Displacement of the points, shape (coordinates,) [m], by one standard deviation of each error of the air that all
     stations share and that changes no residual, by the error's description. The sources do not include these errors."""
 
     @classmethod
@@ -115,13 +116,13 @@ class TaskInputs(ValueEquality):
         reach = displacement_per_observation(adjustment, adjustment.problem.unknowns.target_columns[indices].ravel())
         observed = [
             replace(s, displacements_per_sigma=_reduce_variates(s.displacements_per_sigma))
-            for s in observed_sources(adjustment, reach)
+            for s in observation_uncertainty_sources(adjustment, reach)
         ]
-        observed += smr_sources(adjustment, reach)
+        observed += smr_uncertainty_sources(adjustment, reach)
         further = [_type_b_source(adjustment, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
         air = _air_uncertainty_of_budget(tasks, adjustment)
         counted = relevant_air_uncertainty(adjustment, air)
-        further += air_sources(adjustment, reach, counted) if counted else []
+        further += air_uncertainty_sources(adjustment, reach, counted) if counted else []
         words = air_uncertainty_text(counted, longest_range(adjustment)) if counted else ""
         hidden = displacements_by_shared_air_error(adjustment, reach, air)
         return cls(
@@ -151,7 +152,7 @@ class TaskInputs(ValueEquality):
 
     @property
     def covariance(self) -> Floats:
-        """Covariance of the coordinates of the points from all sources, shape (3 T, 3 T) [m^2]."""
+        """Covariance of the coordinates of the points from all sources, shape (coordinates, coordinates) [m^2]."""
         return np.sum([source.covariance for source in self.sources], axis=0)
 
 
@@ -160,12 +161,13 @@ def _target_names(tasks: Tasks) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for task in tasks.task for name in task.targets))
 
 
-def observed_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
+def observation_uncertainty_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
     """Sources of uncertainty from the groups of observations, except observations that only define the frame.
 
-    `point_derivatives` (m, 3 T) [m] are the derivatives of T points with respect to the m whitened observations. Errors
-    that reference lengths share (expansion coefficient, thermometer) are separate sources. Errors that the adjustment
-    estimates with a prior, for tracker heads, reflectors and groups of readings, are separate sources too.
+    `point_derivatives` (observations, coordinates) [m] are the derivatives of the coordinates with respect to the
+    whitened observations. Errors that reference lengths share (expansion coefficient, thermometer) are separate
+    sources. Errors that the adjustment estimates with a prior, for tracker heads, reflectors and groups of readings,
+    are separate sources too.
     """
     problem = adjustment.problem
     observable = np.nonzero(problem.is_used_reading)[1]
@@ -201,8 +203,8 @@ def observed_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[
 def _nuisance_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
     """Sources of uncertainty, one per kind of error, from errors that the adjustment estimates with a prior.
 
-    `point_derivatives` (errors, 3 T) [m] are the derivatives of the points with respect to the whitened prior values of
-    these errors; the errors of additional effects come first.
+    `point_derivatives` (errors, coordinates) [m] are the derivatives of the coordinates with respect to the whitened
+    prior values of these errors; the errors of additional effects come first.
     """
     model = adjustment.problem.model
     finite = np.isfinite(adjustment.problem.effect_sigma[: model.n_effect_parameters])
@@ -214,11 +216,12 @@ def _nuisance_sources(adjustment: Adjustment, point_derivatives: Floats) -> list
     return [UncertaintySource(name, "B", np.concatenate(parts, axis=1)) for name, parts in reached.items()]
 
 
-def smr_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
+def smr_uncertainty_sources(adjustment: Adjustment, point_derivatives: Floats) -> list[UncertaintySource]:
     """Sources of uncertainty from the radii of SMRs with a declared standard deviation.
 
     All pointings with an SMR share the error of its radius, which acts along the normals of the nests.
-    `point_derivatives` (m, 3 T) [m] are the derivatives of T points with respect to the m whitened observations.
+    `point_derivatives` (observations, coordinates) [m] are the derivatives of the coordinates with respect to the
+    whitened observations.
     """
     problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(smr_names(adjustment.recording))
     rows, columns = np.nonzero(problem.is_used_reading)
@@ -244,22 +247,23 @@ def _air_uncertainty_of_budget(tasks: Tasks, adjustment: Adjustment) -> AirUncer
     return air.model_copy(update={size: 0.0 for size, effect in effects.items() if effect in declared_effects})
 
 
-def air_sources(
+def air_uncertainty_sources(
     adjustment: Adjustment, point_derivatives: Floats, air_uncertainty: AirUncertainty
 ) -> list[UncertaintySource]:
     """Sources of uncertainty from the unmeasured air: temperature and gradient at each station, and turbulence.
 
-    `point_derivatives` (m, 3 T) [m] are the derivatives of T points with respect to the m whitened observations.
+    `point_derivatives` (observations, coordinates) [m] are the derivatives of the coordinates with respect to the
+    whitened observations.
     """
     responses = displacements_by_air_error(adjustment, point_derivatives, air_uncertainty)
     return [UncertaintySource(name, "B", _reduce_variates(response)) for name, response in responses.items()]
 
 
 def _reduce_variates(variate_response: Floats) -> Floats:
-    """Displacements of points by at most as many independent random variables as coordinates, with the same covariance.
+    """Displacements by at most as many independent random variables as coordinates, with the covariance of the input.
 
-    `variate_response` (c, q) holds the displacements [m] of c coordinates by one standard deviation of each of q random
-    variables.
+    `variate_response` (coordinates, random variables) holds the displacements [m] by one standard deviation of each
+    random variable.
     """
     if variate_response.shape[1] <= variate_response.shape[0]:
         return variate_response

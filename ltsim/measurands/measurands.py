@@ -77,8 +77,8 @@ class Measurand(ValueEquality):
     def outputs(self) -> list[TaskOutput]:
         """Names and units of the results of the task, in their order."""
         kind = self.task.kind
-        if kind in _OUTPUTS_BY_KIND:
-            return _OUTPUTS_BY_KIND[kind]
+        if kind in _OUTPUTS_BY_TASK_KIND:
+            return _OUTPUTS_BY_TASK_KIND[kind]
         if kind == "deviation":
             return _outputs_in_mm(
                 *(f"{name}.{part}" for name in self.task.targets for part in ("dx", "dy", "dz", "distance"))
@@ -89,8 +89,8 @@ class Measurand(ValueEquality):
     def values(self, points: Floats, length_ratio: Floats | float = 1.0) -> Floats:
         """Results (..., results) [SI] for sets of points (..., points, 3) [m].
 
-        Each set is divided by its `length_ratio` about its centroid: ratio of the part's length in the measurement to
-        its length at the reference temperature, by thermal expansion.
+        Each set is shrunk about its centroid by its `length_ratio`: ratio of the part's length in the measurement to
+        its length at the reference temperature.
         """
         scaled_points = points[..., self.target_indices, :]
         centre = scaled_points.mean(axis=-2, keepdims=True)
@@ -111,9 +111,10 @@ class Measurand(ValueEquality):
         return self._fit(scaled_points)
 
     def point_derivatives(self, points: Floats, length_ratio: float = 1.0) -> Floats:
-        """Derivative of the results with respect to the T points, by central differences, shape (results, 3 T).
+        """Derivative of the results with respect to the points' coordinates, shape (results, coordinates).
 
-        `length_ratio` is the thermal length ratio of the part, as in `values`.
+        It is computed by central differences. `length_ratio` is the ratio of the part's length in the measurement to
+        its length at the reference temperature.
         """
         n_coordinates = 3 * len(self.target_indices)
         columns = (3 * self.target_indices[:, None] + np.arange(3)).ravel()
@@ -126,7 +127,7 @@ class Measurand(ValueEquality):
         return change
 
     def scale_derivatives(self, points: Floats, length_ratio: float = 1.0) -> Floats:
-        """Derivative of the results with respect to the thermal length ratio `length_ratio`, shape (results,) [SI]."""
+        """Derivative of the results with respect to the thermal length ratio of the part, shape (results,) [SI]."""
         scales = np.array([length_ratio + DIFFERENCE_STEP, length_ratio - DIFFERENCE_STEP])
         stepped_values = self.values(np.broadcast_to(points, (2, *points.shape)), scales)
         return (stepped_values[0] - stepped_values[1]) / (2 * DIFFERENCE_STEP)
@@ -176,7 +177,7 @@ def _angle_of_points(three_points: Floats) -> Floats:
 
 
 def _difference_components(difference_vectors: Floats) -> Floats:
-    """Components x, y, z and length [m] of each of k difference vectors (..., k, 3), as one axis (..., 4 k)."""
+    """Components x, y, z and length [m] of difference vectors (..., vectors, 3), along one axis (..., 4 * vectors)."""
     differences = np.concatenate(
         [difference_vectors, np.linalg.norm(difference_vectors, axis=-1, keepdims=True)], axis=-1
     )
@@ -190,9 +191,12 @@ _FEATURE_OUTPUTS = {
     "sphere": ("centre", "diameter", "form"),
     "cylinder": ("normal", "diameter", "form"),
 }
+"""Names of the quantities that a task reports for each kind of feature."""
 _DIRECTION_OUTPUTS = [TaskOutput(f"direction-{axis}", "", 1.0) for axis in "xyz"]
+"""Results of a task for the components of a unit vector along a line or axis."""
 _NORMAL_OUTPUTS = [TaskOutput(f"normal-{axis}", "", 1.0) for axis in "xyz"]
-_OUTPUTS_BY_KIND = {
+"""Results of a task for the components of a unit normal vector."""
+_OUTPUTS_BY_TASK_KIND = {
     "point": _outputs_in_mm("x", "y", "z"),
     "rod": _outputs_in_mm("x", "y", "z"),
     "distance": _outputs_in_mm("distance"),
@@ -203,3 +207,4 @@ _OUTPUTS_BY_KIND = {
     "sphere": _outputs_in_mm("x", "y", "z", "diameter", "sphericity"),
     "cylinder": [*_DIRECTION_OUTPUTS, *_outputs_in_mm("diameter", "cylindricity")],
 }
+"""Results of each kind of task whose results do not depend on its targets."""

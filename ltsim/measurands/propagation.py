@@ -24,7 +24,7 @@ from ltsim.core.limits import MAX_RESULT_DRAWS
 from ltsim.core.randomness import random_stream
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.geometry.expansion import ThermalExpansion
-from ltsim.measurands.inputs import STREAM_KEYS, TaskInputs
+from ltsim.measurands.inputs import STREAM_KEY_BY_SOURCE, TaskInputs
 from ltsim.measurands.measurands import Measurand
 from ltsim.measurands.spec import MonteCarloSettings, PartExpansion
 from ltsim.recordings.coordinates import EpochCoordinates
@@ -72,7 +72,7 @@ class LinearUncertainty(ValueEquality):
     evaluation_types: dict[str, Literal["A", "B"]]
     """Type of evaluation (GUM) of each source, ``A`` or ``B``, by the name of the source."""
     point_derivatives: Floats
-    """Derivative of the results with respect to the coordinates of the T points, shape (results, 3 T) [SI]."""
+    """Derivative of the results with respect to the coordinates of the points, shape (results, coordinates) [SI]."""
     scale_derivatives: Floats
     """Derivative of each result with respect to the thermal length ratio of the part, shape (results,) [SI]."""
 
@@ -120,8 +120,8 @@ def propagate(
 def nonlinearity_differences(task_inputs: TaskInputs, measurands: Sequence[Measurand], seed: int) -> Floats:
     """Largest difference of each result between the exact and the linearised adjustment, shape (results,) [SI].
 
-    Both are repeated with a few draws of noise from `seed`. The difference is zero for a list of coordinates, which has
-    no readings.
+    Both adjustments are repeated with a few draws of noise from `seed`. The difference is zero for a list of
+    coordinates, which has no readings.
     """
     point_source = task_inputs.point_source
     if isinstance(point_source, EpochCoordinates):
@@ -155,9 +155,10 @@ MIN_TOLERANCE_RATIO = 5.0
 """Smallest ratio of the numerical tolerance of a result to its numerical error at which intervals are compared (JCGM
 101, clause 8.2)."""
 INTEGRATION_STEP = 0.05
-"""Step of the numerical integral over the characteristic function, in units of the inverse standard deviation."""
+"""Step of the numerical integral over the characteristic function of a result, in units of the inverse standard
+deviation of the result."""
 N_INTEGRATION_STEPS = 40_000
-"""Number of steps of the numerical integral over the characteristic function."""
+"""Number of steps of the numerical integral over the characteristic function of a result."""
 CHARACTERISTIC_FUNCTIONS: dict[str, Callable[[Floats], Floats]] = {
     "rectangular": lambda t: np.sinc(np.sqrt(3.0) * t / np.pi),
     "triangular": lambda t: np.sinc(np.sqrt(1.5) * t / np.pi) ** 2,
@@ -261,11 +262,11 @@ def run_monte_carlo(
 def _draw_errors(
     task_inputs: TaskInputs, thermal_expansion: ThermalExpansion, seed: int, batch_number: int
 ) -> tuple[Floats, Floats]:
-    """Random draws of one batch of B trials: errors of T points (B, 3 T) [m], and of the part's length ratio (B,)."""
+    """Random draws of one batch: errors of coordinates (trials, coordinates) [m] and of length ratios (trials,)."""
     shift = np.zeros((TRIALS_PER_BATCH, task_inputs.points.size))
     for i, source in enumerate(task_inputs.sources):
         shape = TRIALS_PER_BATCH, source.displacements_per_sigma.shape[1]
-        key = STREAM_KEYS.get(source.name, source.name)
+        key = STREAM_KEY_BY_SOURCE.get(source.name, source.name)
         rng = random_stream(seed, "uncertainty", key, i, batch_number)
         shift += draw_variates(rng, source.distribution, shape) @ source.displacements_per_sigma.T
     grown = np.zeros(TRIALS_PER_BATCH)
@@ -275,7 +276,7 @@ def _draw_errors(
 
 
 def _evaluate_results(measurands: Sequence[Measurand], points: Floats, length_ratio: Floats) -> Floats:
-    """Results (trials, results) [SI] for points (trials, T, 3) [m] of a part.
+    """Results (trials, results) [SI] for points (trials, points, 3) [m] of a part.
 
     `length_ratio` (trials,) is the thermal length ratio of the part.
     """
@@ -289,7 +290,7 @@ def _linear_statistics(
 ) -> Floats:
     """Mean, standard deviation and interval limits of each linearised result, shape (4, results) [SI].
 
-    They are computed from the exact distribution, without random draws.
+    The four numbers are computed from the exact distribution, without random draws.
     """
     others = [
         (s.distribution, linear_uncertainty.point_derivatives @ s.displacements_per_sigma)

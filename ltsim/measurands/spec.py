@@ -32,7 +32,9 @@ TaskKind = Literal[
 ]
 """Kind of measurand of a task."""
 NonEmptyNames = Annotated[tuple[str, ...], Field(min_length=1)]
+"""Names, at least one."""
 CoverageLevel = Annotated[float, Field(gt=0.5, lt=1.0)]
+"""Coverage probability, above 0.5 and below 1."""
 N_TARGETS_BY_KIND = {"point": 1, "rod": 2, "distance": 2, "angle": 3}
 """Number of targets of a task, for the kinds of task that need a fixed number."""
 

@@ -65,11 +65,12 @@ HIDDEN_ERRORS_TABLE = Table(
 NOT_INCLUDED_TEXT = "not included"
 """Text in the budget table for an error that is not part of the uncertainty."""
 NonNegativeFloat = Annotated[float, Field(ge=0)]
+"""Number that is not negative."""
 MAX_SUMMARY_RESULTS = 8
 """Largest number of results that the printed summary lists."""
 
 
-class Distribution(Entry):
+class MonteCarloDistribution(Entry):
     """Distribution of a result by Monte Carlo (JCGM 101), in the unit of the result."""
 
     mean: float
@@ -148,7 +149,7 @@ class TaskResult(Entry):
     """Coverage factor of the expanded uncertainty."""
     expanded_uncertainty: NonNegativeFloat
     """Expanded uncertainty of the result for the coverage probability."""
-    monte_carlo: Distribution
+    monte_carlo: MonteCarloDistribution
     """Distribution by Monte Carlo."""
     curvature: float
     """Difference of the result between the exact and the linearised adjustment, divided by its standard uncertainty."""

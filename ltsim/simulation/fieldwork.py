@@ -25,7 +25,7 @@ from ltsim.simulation.workshop import WorkshopLayout, make_visibility, planned_l
 MAX_LISTED_PAIRS = 20
 """Largest number of pairs of station and target without a line of sight that are listed one by one."""
 MIN_LEVEL_SEPARATION = 0.5
-"""Height difference [m] from which two targets belong to different height levels."""
+"""Smallest height difference [m] at which two targets belong to different height levels."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def make_measurement_geometry(
     SetupError is raised if a station sees no target, the file of an obstacle is damaged, an effect does not exist, or
     an SMR of another than the reference radius is in a nest without a normal.
     """
-    layout = place_layout(scenario, seed, *stream_key, plan=plan)
+    layout = draw_layout(scenario, seed, *stream_key, plan=plan)
     table = make_visibility(scenario, layout)
     for s, name in enumerate(layout.station_names):
         if not table.is_visible[s].any():
@@ -79,7 +79,7 @@ def make_measurement_geometry(
     )
 
 
-def place_layout(
+def draw_layout(
     scenario: Scenario, seed: int, *stream_key: str | int, plan: WorkshopLayout | None = None
 ) -> WorkshopLayout:
     """True poses of stations and positions of targets: the plan with random deviations by the table `[placing]`.
@@ -112,7 +112,7 @@ def place_layout(
 
 
 def _hidden_pair_notes(workshop_layout: WorkshopLayout, visibility: Visibility) -> tuple[str, ...]:
-    """Sentences on the pairs of station and target without a line of sight, as in `MeasurementGeometry`."""
+    """Sentences on pairs of station and target without a line of sight; for many pairs, their number by reason."""
     lost = visibility.invisible_pair_sentences(workshop_layout.station_names, workshop_layout.target_names)
     if len(lost) <= MAX_LISTED_PAIRS:
         return tuple(lost)

@@ -22,7 +22,7 @@ from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.verbs import display_constants
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
-from ltsim.simulation.simulator import with_certificates
+from ltsim.simulation.simulator import with_certified_lengths
 
 INJECTION_FORMAT = "ltsim-injection/1"
 """Format and version of a truth file of injections."""
@@ -278,7 +278,9 @@ class Injector:
             if injected_recording.setup.gauge is None or len(injected_recording.gauge.distance) != len(lengths):
                 raise ModelError(f"{effect.name}: only the lengths of a gauge can be changed, not those of scale bars")
             certified = np.array([line.length_mm for line in injected_recording.gauge.distance]) * 1e-3
-            injected_recording = with_certificates(injected_recording, certified + lengths * certified / gauge.lengths)
+            injected_recording = with_certified_lengths(
+                injected_recording, certified + lengths * certified / gauge.lengths
+            )
         units = (MICROMETRE, MICRORADIAN, MICRORADIAN)
         largest = np.abs(np.nan_to_num(change)).max(axis=0) / units
         largest_by_observable = dict(

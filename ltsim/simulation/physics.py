@@ -24,8 +24,8 @@ def make_scenario_construction(scenario: Scenario) -> GeometricErrorModel:
 def planned_construction(scenario: Scenario) -> GeometricErrorModel:
     """Instrument model for the planning of a scenario: its parameters are those that the measurements should determine.
 
-    For a Denavit-Hartenberg chain with 78 parameters, the misalignment model represents all of them. A scenario with
-    ranges alone has only the parameters that change ranges.
+    For a Denavit-Hartenberg chain with 78 parameters it is the misalignment model, which represents these parameters. A
+    scenario with ranges alone has only the parameters that change ranges.
     """
     built = make_scenario_construction(scenario)
     if built.name == "steering-mirror":

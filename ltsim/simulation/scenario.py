@@ -22,7 +22,7 @@ from ltsim.recordings.specification import data_sheet_names, noise_and_prior_tab
 from ltsim.simulation.builtin import builtin_names, builtin_path
 from ltsim.simulation.sections import (
     PRESETS,
-    Cmm,
+    CoordinateMeasuringMachine,
     EffectEntry,
     MeasurementProcedure,
     PlacingSigmas,
@@ -62,7 +62,7 @@ class Scenario(TomlSection, Result):
     """Title of the scenario, free text."""
     base: str | None = None
     """Built-in scenario that supplies tables and keys that are missing in this file; the value "none" removes a key or
-    table of it."""
+    table of that scenario."""
     workshop: Workshop = Workshop()
     """Hall, air and obstacles."""
     placing: PlacingSigmas = PlacingSigmas()
@@ -79,7 +79,7 @@ class Scenario(TomlSection, Result):
     """
     reference_radius_mm: NonNegative | None = None
     """Radius of the SMR whose centre is at the planned position, 0 for nest seats; it is copied to `setup.toml`."""
-    cmm: Cmm = Cmm()
+    cmm: CoordinateMeasuringMachine = CoordinateMeasuringMachine()
     """Coordinate measuring machine that calibrated the gauge."""
     work: MeasurementProcedure = MeasurementProcedure()
     """Order and timing of the measurements."""
@@ -88,7 +88,7 @@ class Scenario(TomlSection, Result):
     materials: dict[str, Material] = Field(default_factory=dict)
     """Materials of reference lengths, tables `[materials.NAME]`; their true expansion coefficients are drawn."""
     lengths: tuple[ReferenceLengthEntry, ...] = ()
-    """Reference lengths between reflectors of the mesh, tables `[[lengths]]`."""
+    """Reference lengths between reflectors that are not on the gauge, tables `[[lengths]]`."""
     stations: dict[str, PlannedStation]
     """Set-ups in the order of measurement, tables `[stations.NAME]`."""
     targets: dict[str, PlannedTarget] = Field(default_factory=dict)
@@ -100,7 +100,7 @@ class Scenario(TomlSection, Result):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """Names of the targets: reflectors of the mesh, then reflectors of the gauge."""
+        """Names of the targets: reflectors of the tables `[targets.NAME]`, then reflectors of the gauge."""
         return (*self.targets, *(self.gauge.targets if self.gauge else ()))
 
     @property
@@ -219,7 +219,7 @@ def _with_preset(instrument: Any, file: Path) -> Any:
 
 
 def _with_reduced_network(scenario: Scenario, file: Path) -> Scenario:
-    """Scenario reduced to ``work.stations`` stations and ``work.targets`` reflectors of the mesh; errors name `file`.
+    """Scenario reduced to ``work.stations`` stations and ``work.targets`` targets off the gauge; errors name `file`.
 
     Excluded stations and targets are removed from effects, and trackers without a station are removed. SetupError is
     raised if more are requested than exist, or if fewer than three targets remain.
@@ -263,11 +263,11 @@ def _effects_of_network(effects: Sequence[EffectEntry], stations: set[str], targ
 def _select_spread_targets(targets: Mapping[str, PlannedTarget], n_targets: int) -> dict[str, PlannedTarget]:
     """Selection of `n_targets` widely distributed targets, in file order (Gonzalez 1985: farthest-point selection)."""
     places = np.array([t.position_mm for t in targets.values()], dtype=np.float64).reshape(-1, 3)
-    selected_targets = set(even_filling_order(places)[:n_targets])
+    selected_targets = set(space_filling_order(places)[:n_targets])
     return {name: target for i, (name, target) in enumerate(targets.items()) if i in selected_targets}
 
 
-def even_filling_order(points: Floats) -> list[int]:
+def space_filling_order(points: Floats) -> list[int]:
     """Indices of points (points, 3) in an order that fills the hall evenly: each is farthest from the previous ones."""
     order: list[int] = []
     gap = np.linalg.norm(points - points.mean(axis=0), axis=1) if len(points) else np.zeros(0)
@@ -321,7 +321,7 @@ def _name_errors(scenario: Scenario, file: Path) -> Iterator[str]:
         yield f"targets has {len(names)} reflectors including the gauge, expected at least {MIN_TARGETS}"
     for name, count in Counter(names).items():
         if count > 1:
-            yield f"gauge.targets names '{quoted_text(name)}' twice, or it is a target of the mesh too"
+            yield f"gauge.targets names '{quoted_text(name)}' twice, or it is also a table of [targets]"
     for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:
             with as_setup_error():

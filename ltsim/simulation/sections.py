@@ -35,8 +35,8 @@ Celsius = Annotated[float, Field(ge=-60, le=80, allow_inf_nan=False)]
 """Temperature [deg C] of a hall or of a reference length."""
 
 PAPER_PRIOR = Prior(range_scale_ppm=1.4, range_offset_mm=0.007, angle_arcsec=2.0, offset_mm=0.014)
-"""Prior of the paper's instrument. Errors drawn from it approximately reproduce the errors before calibration in the
-paper's Table 3: the means of its two criteria are 48 and 24 um in experiment 01, and 46 and 29 um in the paper."""
+"""Prior of the tracker of Sensors 2021, 21, 7479. Errors drawn from it nearly reproduce the errors before calibration
+in Table 3 there: the means of the two criteria are 48 and 24 um (experiment 01), and 46 and 29 um in the table."""
 
 PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
     {
@@ -51,10 +51,10 @@ PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
         },
     }
 )
-"""Named instruments, as changes of the defaults below. `paper`: half of the specified 3.5 um/m across the beam, an ADM
-better than 15 um, the resolutions of section 2.1.1. `modern`: a current tracker with half of its maker's limits and the
-ranges of the rated conditions of a FARO Vantage E (0.1 to 35 m, as its calibration certificates state them).
-`after-transport`: the paper's instrument with the misalignments that a mechanical shock leaves."""
+"""Named instruments, as changes of the defaults below. `paper`: the tracker of Sensors 2021, 21, 7479, with half of the
+specified 3.5 um/m across the beam and an ADM better than 15 um. `modern`: a current tracker with half of its maker's
+limits and the ranges of the rated conditions of a FARO Vantage E (0.1 to 35 m, from its calibration certificates).
+`after-transport`: `paper` after a mechanical shock."""
 
 
 def _existing_preset(preset_name: str) -> str:
@@ -135,7 +135,7 @@ class PlacingSigmas(TomlSection):
 
 
 class Resolution(TomlSection):
-    """Resolution of the readings; 0 means no rounding. The default is the resolution in section 2.1.1 of the paper."""
+    """Resolution of the readings; 0 means no rounding. Default: Sensors 2021, 21, 7479, section 2.1.1."""
 
     distance_um: NonNegative = 0.1
     """Step to which a range is rounded."""
@@ -166,7 +166,7 @@ class ScenarioInstrument(TomlSection):
     sheet.
     """
     construction: Literal["misalignment", "dh", "steering-mirror"] = "misalignment"
-    """Kinematic chain that generates the readings: geometric misalignments, or the paper's Denavit-Hartenberg chain."""
+    """Instrument model that generates the readings: misalignments, Denavit-Hartenberg chain, or steering mirror."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
     """Number of harmonics of each joint error of the `dh` chain."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
@@ -229,7 +229,7 @@ class Smr(TomlSection):
     """Direction of positive incidence angles of `table_um`, as a rotation about the nest's normal; 0 is horizontal."""
 
 
-class Cmm(TomlSection):
+class CoordinateMeasuringMachine(TomlSection):
     """Coordinate measuring machine with the maximum permissible error constant_um + L / length_divisor_mm [um]."""
 
     constant_um: NonNegative = 2.3
@@ -251,9 +251,8 @@ class MeasurementProcedure(TomlSection):
     stations: Annotated[int, Field(ge=1)] | None = None
     """Number of stations in use, in the order of the file; default all."""
     targets: Annotated[int, Field(ge=0)] | None = None
-    """Number of measured reflectors of the mesh (the gauge's reflectors are always measured). The selection is as
-    widely distributed as possible, and contains every smaller selection. Default all.
-    """
+    """Number of measured reflectors off the gauge (those of the gauge are always measured). The selection is as widely
+    distributed as possible, and contains every smaller selection. Default all."""
 
     order: Literal["by-station-random", "level-by-level", "as-listed"] = "by-station-random"
     """Order of the reflectors at each station: random, by height from the highest level to the lowest, or as in the
@@ -284,16 +283,16 @@ class GaugeLength(TomlSection):
 class ScenarioGauge(TomlSection):
     """Gauge, a rigid frame with reflectors: its lengths at the temperature `calibrated_at_c`, and its pose in the hall.
 
-    Without `distance` it is the gauge of the paper, whose lengths are in Table 2. The x and y axes of the frame are
-    along its two longest extents. The frame is rotated by roll, pitch and yaw about x, y and z in this order.
+    By default it is the gauge of Sensors 2021, 21, 7479 (Table 2). The x and y axes of the frame are along its two
+    longest extents. The frame is rotated by roll, pitch and yaw about x, y and z in this order.
     """
 
     targets: tuple[str, ...] = ("T25", "T26", "T27", "T28")
     """Names of the reflectors of the gauge."""
     reading: Literal["columns", "rows"] = "columns"
-    """Order in which the lengths of the paper's Table 2 are read, because the printed table is misaligned."""
+    """Order in which Table 2 of Sensors 2021, 21, 7479 is read, because the printed table is misaligned."""
     distance: tuple[GaugeLength, ...] = ()
-    """Lengths of a gauge other than the paper's, tables `[[gauge.distance]]`; together they determine its shape."""
+    """Lengths that determine the gauge's shape, tables `[[gauge.distance]]`; default: Sensors 2021, 21, 7479."""
     position_mm: Vector
     """Planned position of the centre of the gauge."""
     yaw_deg: AngleDegrees = 0.0
@@ -319,7 +318,7 @@ class ScenarioGauge(TomlSection):
 
 
 class ReferenceLengthEntry(LengthConditions):
-    """Reference length between two reflectors of the mesh: a scale bar, or a length measured by an interferometer."""
+    """Reference length between reflectors off the gauge: a scale bar, or a length from an interferometer."""
 
     from_: str = Field(alias="from")
     """Reflector at the first end."""

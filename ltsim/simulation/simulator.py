@@ -35,7 +35,7 @@ from ltsim.simulation.physics import (
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import ScenarioInstrument
 from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth, TruthArrays
-from ltsim.simulation.workshop import length_sigmas, measure_nominal_points
+from ltsim.simulation.workshop import measure_nominal_points, measured_length_sigmas
 
 GeometrySharing = Literal["shared", "per-trial"]
 """Layout of stations and targets: one for all trials (`shared`), or another one for each trial (`per-trial`)."""
@@ -79,7 +79,7 @@ def measure_trial(
         tuple(amount[:, 0] for amount in drawn.effect_values),
     )
     readings = simulate_readings(geometry, true_instrument_errors, amounts, drawn.reading_errors[:, :, 0])
-    recording = with_certificates(blank.with_readings(readings), drawn.certified_lengths[:, 0])
+    recording = with_certified_lengths(blank.with_readings(readings), drawn.certified_lengths[:, 0])
     return recording, _truth_of_trial(geometry, true_instrument_errors, amounts, seed, trial_number)
 
 
@@ -149,7 +149,8 @@ def simulate_readings(
 def exact_readings(geometry: MeasurementGeometry, instrument: Floats, effect_sizes: tuple[Floats, ...]) -> Floats:
     """Raw readings without noise, shape (pointings, 3), of trackers with errors; each effect changes the readings.
 
-    `instrument` and `effect_sizes` have the shapes that `simulate_readings` documents.
+    `instrument` (instruments, parameters) [SI] are the errors of the trackers, `effect_sizes` are the parameters [SI]
+    of each effect.
     """
     sightings = geometry.sightings
     for mistake in occurring_blunders(geometry.effects, effect_sizes):
@@ -293,9 +294,9 @@ def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> R
     certified = (
         np.linalg.norm(points[there.first_targets] - points[there.second_targets], axis=1) / there.expansion_factors
     )
-    by_machine = length_sigmas(scenario.cmm, certified).tolist()
+    by_machine = measured_length_sigmas(scenario.cmm, certified).tolist()
     sigma = [s if um is None else um * MICROMETRE for (_, um), s in zip(lines_of_targets, by_machine, strict=True)]
-    return with_certificates(blank, certified, sigma)
+    return with_certified_lengths(blank, certified, sigma)
 
 
 def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
@@ -313,7 +314,7 @@ def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDista
         yield GaugeDistance.model_validate(ends | use | blank), length.sigma_um
 
 
-def with_certificates(
+def with_certified_lengths(
     recording: Recording, reference_lengths: Floats, sigma: Sequence[float] | None = None
 ) -> Recording:
     """Recording whose reference lengths at calibration are replaced by `reference_lengths` (lengths,) [m].

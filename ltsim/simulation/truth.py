@@ -21,12 +21,12 @@ from ltsim.physics.effects.verbs import display_constants, make_effect
 from ltsim.recordings.files import quoted_text, write_text
 from ltsim.recordings.result_file import Entry, Finite, Quaternion, ResultFile, Vector, read_result
 
-INSTRUMENT_TABLE = Table(
+TRUE_INSTRUMENT_ERRORS_TABLE = Table(
     "instrument.csv",
     "true errors of the instruments",
     (*text_columns(parameter="name"), *number_columns(value="true value"), *text_columns(unit="unit of the value")),
 )
-POINTS_TABLE = Table(
+TRUE_POINTS_TABLE = Table(
     "points.csv",
     "true positions of the targets in the hall frame",
     (
@@ -320,10 +320,10 @@ class Truth(ResultFile):
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
-            "instrument": lambda: INSTRUMENT_TABLE.with_rows(
+            "instrument": lambda: TRUE_INSTRUMENT_ERRORS_TABLE.with_rows(
                 [p.qualified_name, p.value, p.unit] for p in self.parameters
             ),
-            "targets": lambda: POINTS_TABLE.with_rows([p.name, *p.position_mm] for p in self.targets),
+            "targets": lambda: TRUE_POINTS_TABLE.with_rows([p.name, *p.position_mm] for p in self.targets),
         }
 
 

@@ -23,7 +23,7 @@ from ltsim.scene.visibility import (
     join_visibility_tables,
 )
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.sections import Cmm, Obstacle, ScenarioGauge, ScenarioInstrument
+from ltsim.simulation.sections import CoordinateMeasuringMachine, Obstacle, ScenarioGauge, ScenarioInstrument
 
 PAPER_TABLE_2_LENGTHS = MappingProxyType(
     {
@@ -31,8 +31,8 @@ PAPER_TABLE_2_LENGTHS = MappingProxyType(
         "rows": (357.6066, 590.1060, 355.9437, 388.0144, 386.7815, 454.4203),
     }
 )
-"""Lengths [mm] between the targets 25-26, 25-27, 25-28, 26-27, 26-28 and 27-28 in the paper's Table 2, for each order
-in which this table can be read (`ScenarioGauge.reading`)."""
+"""Lengths [mm] between the targets 25-26, 25-27, 25-28, 26-27, 26-28 and 27-28 in Table 2 of Sensors 2021, 21, 7479,
+for each order in which this table can be read (`ScenarioGauge.reading`)."""
 MAX_RELATIVE_LENGTH_ERROR = 1e-7
 """Largest relative difference between the declared lengths of a gauge and the lengths of the rigid frame that fits
 them. If it is exceeded, the declared lengths contradict each other."""
@@ -43,9 +43,9 @@ class GaugeFrame:
     """Rigid frame of the gauge at its calibration temperature."""
 
     target_names: tuple[str, ...]
-    """Names of the k targets of the gauge."""
+    """Names of the targets of the gauge."""
     points: Floats
-    """Coordinates of the k targets in the axes of the frame, relative to its centre, shape (k, 3) [m]."""
+    """Coordinates of the targets in the axes of the frame, relative to its centre, shape (targets, 3) [m]."""
     first_targets: Ints
     """Index of the target at the first end of each reference length, shape (lengths,)."""
     second_targets: Ints
@@ -100,11 +100,12 @@ def _declared_lengths(gauge: ScenarioGauge, target_pairs: list[tuple[int, int]])
 
 
 def points_from_distances(n_points: int, first_points: Ints, second_points: Ints, lengths: Floats) -> Floats:
-    """Points (n_points, 3) [m], relative to their centroid, whose mutual distances fit the `lengths` (k,) [m] best.
+    """Points (n_points, 3) [m], relative to their centroid, whose mutual distances fit the given `lengths` best.
 
-    Length i joins the points with the indices `first_points[i]` and `second_points[i]`. Classical scaling
-    (Torgerson, Psychometrika 17 (1952) 401-419): the coordinates are eigenvectors of the doubly centred squared
-    distances. The first axis is along the largest extent; the first point determines the signs of the axes.
+    `lengths` has the shape (lengths,) [m]. Length i joins the points with the indices `first_points[i]` and
+    `second_points[i]`. Classical scaling (Torgerson, Psychometrika 17 (1952) 401-419): the coordinates are eigenvectors
+    of the doubly centred squared distances. The first axis is along the largest extent; the first point determines the
+    signs of the axes.
     """
     squared = np.zeros((n_points, n_points))
     squared[first_points, second_points] = squared[second_points, first_points] = lengths**2
@@ -135,14 +136,18 @@ def gauge_points_in_workshop(gauge: ScenarioGauge, gauge_frame: GaugeFrame, work
     return points + np.array(gauge.position_mm) * MILLIMETRE
 
 
-def length_sigmas(measuring_machine: Cmm, lengths: Floats) -> Floats:
+def measured_length_sigmas(measuring_machine: CoordinateMeasuringMachine, lengths: Floats) -> Floats:
     """Standard deviation [m] of each length: the machine's maximum permissible error divided by its coverage factor."""
     largest = measuring_machine.constant_um + lengths / MILLIMETRE / measuring_machine.length_divisor_mm
     return largest * MICROMETRE / measuring_machine.coverage
 
 
 def measure_nominal_points(
-    points: Floats, names: tuple[str, ...], measuring_machine: Cmm, seed: int, *stream_key: str | int
+    points: Floats,
+    names: tuple[str, ...],
+    measuring_machine: CoordinateMeasuringMachine,
+    seed: int,
+    *stream_key: str | int,
 ) -> Floats:
     """Coordinates (targets, 3) [m] as measured by a coordinate measuring machine, from the true `points`.
 
@@ -177,7 +182,7 @@ class WorkshopLayout:
 
 
 def planned_layout(scenario: Scenario) -> WorkshopLayout:
-    """Planned layout of a scenario; the reflectors of the mesh come first, then those of the gauge.
+    """Planned layout of a scenario; the reflectors of the gauge come after all other reflectors.
 
     SetupError is raised if no rigid frame has the declared lengths of the gauge.
     """
@@ -318,7 +323,7 @@ def _implausible_position_message(
 
 
 def make_visibility(scenario: Scenario, workshop_layout: WorkshopLayout | None = None) -> Visibility:
-    """Visibility of the targets, as planned or for another layout, with the limits of each tracker."""
+    """Visibility of the targets from each station, with the limits of each tracker; default for the planned layout."""
     there = planned_layout(scenario) if workshop_layout is None else workshop_layout
     obstacles = make_obstacles(scenario)
     stations_of_tracker = [

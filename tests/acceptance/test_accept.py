@@ -362,7 +362,7 @@ def test_uncertainty_of_a_two_face_error_is_that_of_what_is_not_the_tracker():
     shots = (recording.station == 2) & (recording.target == 5)
     moment = float(recording.time[shots].mean())
     moved = adjust(recording, declared_construction(recording), effects=[TargetMoved((), ("T06",), time=moment)])
-    entries = TestedNetwork(moved, 1.0).test_entries(LIMITS)
+    entries = TestedNetwork(moved, 1.0).test_outcomes(LIMITS)
     corrected = {t.name: t.expanded_um or 0.0 for t in entries if t.group == "two-face" and (t.expanded_um or 0) > 0.1}
     assert corrected.keys() == {"S3: T06 two-face"}
     columns = moved.problem.unknowns.effect_columns

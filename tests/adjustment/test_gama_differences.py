@@ -15,7 +15,7 @@ from ltsim.adjustment.coordinate_uncertainty import displacement_per_observation
 from ltsim.adjustment.verdict import verdict_on
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.diagnosis import instruments
-from ltsim.measurands.inputs import observed_sources
+from ltsim.measurands.inputs import observation_uncertainty_sources
 from ltsim.physics.laws.regressor_library import candidate_regressors
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import read, write
@@ -318,7 +318,7 @@ def test_the_frame_names_what_holds_it(tmp_path: Path) -> None:
 
 def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
     found = adjust(read(LEVELLED.write(tmp_path / "network.gkf")))
-    sources = observed_sources(
+    sources = observation_uncertainty_sources(
         found, displacement_per_observation(found, found.problem.unknowns.target_columns.ravel())
     )
     assert "known differences" in {source.name for source in sources}

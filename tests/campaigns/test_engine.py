@@ -148,7 +148,7 @@ def test_judge_equals_evaluation_of_single_recordings(engine: BatchCalibrator) -
     truth = engine.truth
     block = truth.draw_batch(16, 0)
     found, judge = engine.calibrate(block), TrialEvaluator(truth)
-    shared = judge.common_columns(block)
+    shared = judge.method_independent_columns(block)
     columns = shared | judge.method_columns(block, found, engine.construction)
     for k in (0, 77, 255):
         recording = recording_of_trial(truth, block, k)

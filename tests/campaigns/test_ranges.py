@@ -8,7 +8,7 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.evaluation.clouds import align_to_points
 from ltsim.campaigns.calibrators import StackCalibrator, make_calibrator, stack_geometries
-from ltsim.campaigns.spec import Method
+from ltsim.campaigns.spec import CalibrationMethod
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import CellTruth, make_cell_truth
@@ -42,7 +42,7 @@ def test_the_batch_is_the_full_solver_and_scatters_as_predicted(truth: CellTruth
     points = truth.state.target_points
     moved = np.stack([align_to_points(points + gap, points) - points for gap in np.moveaxis(found.target_errors, 2, 0)])
     assert np.sqrt(np.mean((moved / engine.target_sigmas) ** 2)) == pytest.approx(1.0, abs=0.06)
-    columns = TrialEvaluator(truth).common_columns(block)
+    columns = TrialEvaluator(truth).method_independent_columns(block)
     assert np.isnan(columns["error_raw_um"]).all()  # no station tells a point by itself
 
 
@@ -88,7 +88,7 @@ def test_ranges_from_two_stations_place_nothing(truth: CellTruth) -> None:
 
 def test_a_distance_calibrator_and_a_mixture_of_trackers_are_refused(truth: CellTruth) -> None:
     with pytest.raises(SetupError, match="compares points"):
-        make_calibrator(Method(method="distance"), truth)
+        make_calibrator(CalibrationMethod(method="distance"), truth)
     mixed = lt.scenario("two-trackers")
     trackers = dict(mixed.instruments)
     first = next(iter(trackers))
@@ -101,7 +101,7 @@ def test_each_trial_may_have_its_own_places(truth: CellTruth) -> None:
     own = {k: make_cell_truth(SCENE, 4, "campaign", k, reference_truth=truth) for k in range(6)}
     ((stack, numbers),) = stack_geometries(own)
     block = stack.draw_numbered_trials(4, numbers)
-    calibrator = StackCalibrator.for_stack(Method(method="network"), stack)
+    calibrator = StackCalibrator.for_stack(CalibrationMethod(method="network"), stack)
     assert isinstance(calibrator.single_trial_calibrator(0), BatchCalibrator)
     found = calibrator.calibrate(block, np.arange(6))
     assert (found.status_indices == 0).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.campaigns.calibrators import StackCalibrator, stack_geometries
-from ltsim.campaigns.spec import Method
+from ltsim.campaigns.spec import CalibrationMethod
 from ltsim.campaigns.trial_calibrators import BatchCalibrator, CalibratedBatch
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import CellTruth, make_cell_truth
@@ -30,7 +30,7 @@ def test_side_by_side_is_as_alone(name: str) -> None:
     truths = drawn(name)
     ((stack, numbers),) = stack_geometries(truths)
     block = stack.draw_numbered_trials(8, numbers)
-    calibrator = StackCalibrator.for_stack(Method(), stack)
+    calibrator = StackCalibrator.for_stack(CalibrationMethod(), stack)
     found, together = calibrator.calibrate(block, np.arange(TRIALS)), TrialEvaluator(stack)
     columns = together.method_columns(block, found, misalignment_construction())
     assert np.all(found.status_indices == 0)
@@ -61,7 +61,7 @@ def test_trial_that_the_batch_gives_up_is_done_alone() -> None:
     block = stack.draw_numbered_trials(8, numbers)
     block.single_trials[3].reading_deviations[11, 0] += 0.02
     block.reading_deviations[stack.recording_row_of_pointing[:, 3] == 11, 0, 3] += 0.02
-    calibrator = StackCalibrator.for_stack(Method(), stack)
+    calibrator = StackCalibrator.for_stack(CalibrationMethod(), stack)
     found: CalibratedBatch = calibrator.calibrate(block, np.arange(TRIALS))
     assert found.status_indices.tolist() == [0, 0, 0, 1, 0]
     assert np.abs(found.instrument_values[:, :, 3] / found.instrument_sigmas[:, :, 3]).max() < 1e3

@@ -11,7 +11,12 @@ from scipy import stats
 from ltsim.campaigns.campaign import WorkerSettings, run_campaign
 from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.spec import CampaignFile, StoppingRule
-from ltsim.campaigns.stopping import evaluation_schedule, interval_error_rate, iterate_rounds, student_quantile
+from ltsim.campaigns.stopping import (
+    interval_error_rate,
+    iterate_stopping_rounds,
+    stopping_evaluation_schedule,
+    student_quantile,
+)
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import random_stream
 
@@ -102,7 +107,7 @@ def spent(means: list[float], *, within: float, seed: int = 1) -> list[int]:
     """Shards that each cell gets."""
     stop = StoppingRule(statistic="chi2", within=within)
     campaign = CampaignFile(format="ltsim-campaign/1", trials=40 * SHARD, shard=SHARD, stop=stop)
-    asked = iterate_rounds(campaign, len(means), lambda _, shards: halves(means, shards, looks=40, seed=seed))
+    asked = iterate_stopping_rounds(campaign, len(means), lambda _, shards: halves(means, shards, looks=40, seed=seed))
     done = [shard for now in asked for shard in now]
     assert len(done) == len(set(done))
     return [sum(cell == k for cell, _ in done) for k in range(len(means))]
@@ -121,7 +126,7 @@ def test_an_interval_at_which_a_cell_stops_keeps_its_coverage(shard: int, skewed
     values = draw.gamma(4.0, 0.5, (runs, trials)) - 2.0 if skewed else draw.standard_normal((runs, trials))
     level, open_ = interval_error_rate(trials, shard, is_stopping=True), np.ones(runs, dtype=bool)
     held = np.zeros(runs, dtype=bool)
-    for shards in evaluation_schedule(trials, shard):
+    for shards in stopping_evaluation_schedule(trials, shard):
         count = min(shards * shard, trials)
         mean, spread = values[:, :count].mean(axis=1), values[:, :count].std(axis=1, ddof=1)
         half = student_quantile(count, level) * spread / np.sqrt(count)
@@ -134,16 +139,16 @@ def test_an_interval_at_which_a_cell_stops_keeps_its_coverage(shard: int, skewed
 def test_rounds_end_at_the_first_look_that_knows_enough() -> None:
     for seed in range(5):
         count = spent([0.0], within=0.1, seed=seed)[0]
-        looks = [shards for shards in evaluation_schedule(40 * SHARD, SHARD) if shards <= count]
+        looks = [shards for shards in stopping_evaluation_schedule(40 * SHARD, SHARD) if shards <= count]
         known = [halves([0.0], shards, looks=40, seed=seed)[0, METHOD] for shards in looks]
         assert count == looks[-1] and known[-1] <= 0.1 and all(half > 0.1 for half in known[:-1])
 
 
 def test_looks_are_half_as_many_trials_again() -> None:
     assert (
-        evaluation_schedule(16, 1) == [16]
-        and evaluation_schedule(1000, 100) == [1, 2, 3, 5, 8, 10]
-        and evaluation_schedule(100, 16) == [4, 6, 7]
+        stopping_evaluation_schedule(16, 1) == [16]
+        and stopping_evaluation_schedule(1000, 100) == [1, 2, 3, 5, 8, 10]
+        and stopping_evaluation_schedule(100, 16) == [4, 6, 7]
     )
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.campaigns.injection import _curve_row
+from ltsim.campaigns.injection import _detection_curve_row
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
 from ltsim.geometry.polar import wrap_angle
@@ -109,7 +109,7 @@ def test_what_is_not_said_is_drawn_where_it_can_be_seen(recording: Recording) ->
 def test_a_row_of_the_curve_has_the_columns_of_its_table() -> None:
     cause = SimpleNamespace(largest_changes={"distance_um": 20.0, "azimuth_urad": 3.0, "elevation_urad": 5.0})
     outcome = {"detections": True, "placed": True, "named": False, "right": False}
-    curve = DetectionCurve("range-step", (), (_curve_row(25.0, [cause], [outcome] * 4),))
+    curve = DetectionCurve("range-step", (), (_detection_curve_row(25.0, [cause], [outcome] * 4),))
     (row,) = curve.table().json_rows()
     assert (row["largest_urad"], row["placed"], row["named"], row["named_low"]) == (5.0, 4, 0, 0.0)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.simulation.scenario import change_scenario, even_filling_order, load_scenario
+from ltsim.simulation.scenario import change_scenario, load_scenario, space_filling_order
 
 FILE = Path("changed.toml")
 
@@ -29,7 +29,7 @@ def test_effects_and_trackers_go_with_their_places() -> None:
 def test_reflectors_fill_the_room_before_they_crowd() -> None:
     x, y = np.meshgrid(np.arange(7.0), np.arange(7.0))
     places = np.column_stack([x.ravel(), y.ravel(), np.zeros(49)])
-    order = even_filling_order(places)
+    order = space_filling_order(places)
     assert sorted(order) == list(range(49))
     assert {tuple(places[k, :2]) for k in order[:4]} == {(0, 0), (0, 6), (6, 0), (6, 6)}
     assert tuple(places[order[4], :2]) == (3, 3)

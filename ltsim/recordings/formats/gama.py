@@ -101,21 +101,17 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _replace_slashes(root: XmlNode, network: GamaNetwork) -> None:
-    """Replacement, in place, of `/` in names of points by `_`, because names of targets must not contain `/`.
-
-    A name with `..`, or one that would become too long, is not changed, because it is refused in any case.
-    """
+    """Replacement, in place, of `/` in names of points by `_`; names that are refused in any case are not changed."""
     attributes = [(element, key) for element in root.element.iter() for key in NAME_ATTRIBUTES if key in element.attrib]
-    file_names = dict.fromkeys(element.attrib[key] for element, key in attributes)
+    used_names = dict.fromkeys(element.attrib[key] for element, key in attributes)
     names: dict[str, str] = {}
-    used_names = {*file_names}
-    for name in (name for name in file_names if "/" in name and ".." not in name):
+    for name in [name for name in used_names if "/" in name and ".." not in name]:
         new_name = name.replace("/", "_")
         while new_name in used_names and len(new_name) <= MAX_RECORDING_NAME_LENGTH:
             new_name += "_"
         if new_name not in used_names:
             names[name] = new_name
-            used_names.add(new_name)
+            used_names[new_name] = None
     for element, key in attributes:
         element.attrib[key] = names.get(element.attrib[key], element.attrib[key])
     if names:
