@@ -41,7 +41,7 @@ from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis, log_prior_of_noise
 from ltsim.diagnosis.noise_patterns import candidate_variance_functions
 from ltsim.diagnosis.noise_windows import NoiseWindows
 from ltsim.diagnosis.null_ensemble import basis_of_small_network
-from ltsim.diagnosis.repeats import normalised_sum_matrix_of_repeats, redundancy_of_means, added_variance_of_means
+from ltsim.diagnosis.repeats import added_variance_of_means, normalised_sum_matrix_of_repeats, redundancy_of_means
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateNoiseEffect

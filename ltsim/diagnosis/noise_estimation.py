@@ -25,7 +25,7 @@ from ltsim.diagnosis.noise_groups import (
     TAIL_VARIANCE_FACTORS,
 )
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
-from ltsim.diagnosis.repeats import normalised_sum_matrix_of_repeats, redundancy_of_means, added_variance_of_means
+from ltsim.diagnosis.repeats import added_variance_of_means, normalised_sum_matrix_of_repeats, redundancy_of_means
 from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 from ltsim.physics.laws.centring import CentringVariance
 
