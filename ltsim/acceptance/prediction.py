@@ -89,7 +89,7 @@ class AcceptancePlan:
 
     @cached_property
     def error_sigmas(self) -> Floats:
-        """Standard deviations (tests, 2) [m] of the test errors due to noise of the readings."""
+        """Standard deviations (tests, 2) [m] of the components of `expected_errors` due to noise of the readings."""
         first, second = self._test_end_points
         squares = np.zeros((len(first), 2))
         near, far = (self._point_noise(points) for points in (first, second))
@@ -212,7 +212,7 @@ class AcceptancePrediction:
     """Expected errors, (tests, 2) [m]: for a length its error and 0, for a two-face difference its parts to the left
     and upwards."""
     error_sigmas: Floats
-    """Standard deviations of the errors including noise, (tests, 2) [m]."""
+    """Standard deviations of the two components of `expected_errors` including noise, (tests, 2) [m]."""
     pass_probabilities: Floats
     """Probability that each test passes, (tests,)."""
     p_all_pass: float

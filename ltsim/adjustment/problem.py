@@ -135,7 +135,10 @@ class NetworkProblem(NetworkRows):
         return problem, replace(state, instrument_parameters=parameters)
 
     def with_other_positions(self, model: MeasurementModel) -> NetworkProblem:
-        """Problem of the same set-up and pointings, in any order, with stations and targets at other positions."""
+        """Copy of the problem with the station and target positions of `model`.
+
+        The set-up and the pointings of `model` are the same; the order of the pointings may differ.
+        """
         moved, mine, theirs = replace(self, model=model), self.model.recording, model.recording
         moved = replace(moved, sigma=theirs.sigma())
         vars(moved)["undetermined_unknowns"] = self.undetermined_unknowns

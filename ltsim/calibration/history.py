@@ -82,7 +82,7 @@ CALIBRATION_FITS_TABLE = Table(
 )
 EVENTS_TABLE = Table(
     "events.csv",
-    "steps of parameters that are outliers among their steps between calibrations",
+    "changes of parameters between successive calibrations that are outliers among the changes of the same parameter",
     columns_of(
         EventEntry,
         "from_ to name difference sigma usual_step_sigma unit p_value",

@@ -155,9 +155,9 @@ def calibrate(
 
 
 def parse_requested_effect(effect_or_text: str | Effect | SizedEffect, recording: Recording) -> RequestedEffect:
-    """Requested effect from an effect or its text; ModelError for an effect with a size.
+    """Requested effect, given as an effect or as its text. Fields left at their defaults are chosen from the readings.
 
-    The readings determine all fields of the effect that have their default values.
+    Raises ModelError for an effect with a size, because its size is estimated.
     """
     if isinstance(effect_or_text, SizedEffect):
         name = effect_or_text.effect.name

@@ -257,7 +257,7 @@ def recover(
     if calibrator is not None and not (isinstance(calibrator, str) or callable(calibrator)):
         raise SetupError(f"{option_text('calibrator')} is {calibrator!r}, expected a command or a function")
     scenario, given = scenario_of(source), tolerance or {}
-    true_construction, mode = make_scenario_construction(scenario), errors or suggested_error_origin(scenario)
+    true_construction, mode = make_scenario_construction(scenario), errors or default_origin_of_true_errors(scenario)
     if true_construction.name == "dh" and construction not in (None, "dh"):
         raise SetupError(f"the scenario's instrument has the construction dh: set {option_text('construction')} to dh")
     if isinstance(calibrator, str):
@@ -321,6 +321,6 @@ def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[s
     return given_values
 
 
-def suggested_error_origin(scenario: Scenario) -> ErrorOrigin:
+def default_origin_of_true_errors(scenario: Scenario) -> ErrorOrigin:
     """Origin of the true instrument errors for a scenario: `stated` if it declares any, otherwise `drawn`."""
     return "stated" if any(set(tracker.errors) - {"draw"} for tracker in scenario.trackers_in_use.values()) else "drawn"

@@ -186,7 +186,7 @@ class CampaignResults(CampaignStatistics, Result):
 
 
 def _statistic_value(function: Callable[..., float], columns: Floats) -> float:
-    """Value of `function` for the values `columns` (columns, trials); ModelError if the value is not a number."""
+    """Value of a statistic `function` of the result columns `columns` (columns, trials); ModelError for no number."""
     result = np.asarray(function(*columns))
     if result.size != 1 or result.dtype.kind not in "fiub":
         raise ModelError(f"the statistic returns {type(result.tolist()).__name__}, expected one number")

@@ -44,7 +44,11 @@ from ltsim.diagnosis.instruments import (
 )
 from ltsim.diagnosis.model_selection import ConstantComparisonFunction, select_model
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
-from ltsim.diagnosis.preprocessing import adjustment_without_blunders, identified_effects, is_consistent_when_omitted
+from ltsim.diagnosis.preprocessing import (
+    adjustment_without_blunders,
+    has_small_residual_when_omitted,
+    identified_effects,
+)
 from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
 from ltsim.diagnosis.schema import Finding
 from ltsim.diagnosis.selection_state import SelectionState
@@ -114,7 +118,7 @@ def diagnose(
     initial_space_and_designs, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
     if selection is not None and model.members:
         rejected_mask = np.isfinite(recording.readings) & ~state.is_used_reading
-        readmitted_mask = is_consistent_when_omitted(refit.adjustment, rejected_mask)
+        readmitted_mask = has_small_residual_when_omitted(refit.adjustment, rejected_mask)
         if readmitted_mask.any():  # the effects of the model explain these rejected readings
             del state, initial_space_and_designs, model, refit  # their memory is for the second search
             state, blunder_findings = _start_state(

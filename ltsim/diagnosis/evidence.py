@@ -303,13 +303,13 @@ def active_observables(is_used_reading: Bools, shift: Floats, projected_shift: F
     `is_used_reading` (n, 3) flags the r used readings of n pointings, `shift` (r,) is the whitened shift of these
     readings by the effect, and `projected_shift` (r,) its projection onto the residual space.
     """
-    active = (_squared_shift_fractions(is_used_reading, shift) >= MIN_SQUARED_SHIFT_FRACTION) & (
-        _squared_shift_fractions(is_used_reading, projected_shift) >= MIN_SQUARED_PROJECTED_SHIFT_FRACTION
+    active = (_squared_shift_fraction_by_observable(is_used_reading, shift) >= MIN_SQUARED_SHIFT_FRACTION) & (
+        _squared_shift_fraction_by_observable(is_used_reading, projected_shift) >= MIN_SQUARED_PROJECTED_SHIFT_FRACTION
     )
     return () if active.all() else tuple(name for name, acts in zip(OBSERVABLES, active.tolist(), strict=True) if acts)
 
 
-def _squared_shift_fractions(is_used_reading: Bools, shift: Floats) -> Floats:
+def _squared_shift_fraction_by_observable(is_used_reading: Bools, shift: Floats) -> Floats:
     """Fraction (3,) of the squared `shift` (r,) of r readings that is in each observable.
 
     `is_used_reading` (n, 3) flags these readings among those of n pointings.

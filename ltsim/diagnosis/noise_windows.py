@@ -25,7 +25,7 @@ from ltsim.scene.regions import candidate_regions
 
 WINDOW_VARIANCE_FACTORS = np.geomspace(2.0, 100.0, 7)
 """Factors on the variance in the noisy state, over which the evidence is averaged."""
-DENSE_WINDOW_VARIANCE_FACTORS = np.geomspace(1.5, 150.0, 33)
+NOISY_STATE_VARIANCE_FACTOR_GRID = np.geomspace(1.5, 150.0, 33)
 """Factors on the variance in the noisy state, in steps of 15 %, over which its posterior mean is computed."""
 MEAN_WINDOW_COUNTS = np.array([1.5, 6.0])
 """Expected numbers of noisy time windows in a recording, over which the evidence is averaged."""
@@ -128,7 +128,7 @@ class NoiseWindows(GroupNoiseChange):
 
         It is an average over all sequences of states, by forward and backward recursion.
         """
-        dense = replace(self, variance_factor_grid=DENSE_WINDOW_VARIANCE_FACTORS)
+        dense = replace(self, variance_factor_grid=NOISY_STATE_VARIANCE_FACTOR_GRID)
         logs, p_change = (
             dense._log_likelihood_ratios(residual[:, None], redundancy)[..., 0],
             self._state_change_probabilities[:, None, None],
@@ -140,7 +140,7 @@ class NoiseWindows(GroupNoiseChange):
             total += np.log(quiet + noisy)
             here[:] = np.stack([quiet, noisy]) / (quiet + noisy)
             quiet, noisy = here
-        weight = normalised_probabilities(total.ravel()).reshape(total.shape) * (DENSE_WINDOW_VARIANCE_FACTORS - 1.0)
+        weight = normalised_probabilities(total.ravel()).reshape(total.shape) * (NOISY_STATE_VARIANCE_FACTOR_GRID - 1.0)
         added = np.empty((len(logs), len(OBSERVABLES)))
         quiet = noisy = np.ones(total.shape)
         for step in reversed(range(len(logs))):

@@ -84,7 +84,7 @@ def is_single_error(fit: NetworkFit) -> Bools:
     return gross | isolated
 
 
-def is_consistent_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Bools:
+def has_small_residual_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Bools:
     """Flags (n, 3) of omitted readings of n pointings whose residuals are small in an adjustment with effects."""
     whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
     return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)

@@ -218,10 +218,11 @@ class Searcher:
         return best
 
     def _law_hypotheses(self, laws: Sequence[ScreenedLaw], conditioning_model: Model) -> list[Hypothesis]:
-        """Hypotheses of the screened `laws`; those with the largest evidence are evaluated in all forms.
+        """Hypotheses of the screened `laws`; those with the largest evidence are evaluated in all functional forms.
 
-        In small networks the latter include the most probable law of each response and kind of regressor. The screening
-        is coarser for some kinds than for others: a local search for a region can increase the evidence several times.
+        In small networks the most probable law of each response and each kind of regressor is evaluated in all forms
+        too. The screening underestimates some kinds: a local search for the place of a region can increase the log
+        evidence several times.
         """
         entries, evaluated = [], set[tuple[object, ...]]()
         kinds = set[tuple[str, str, bool]]()

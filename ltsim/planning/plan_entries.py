@@ -381,6 +381,6 @@ class ConfusablePair(Entry):
 
     @classmethod
     def from_pair(cls, pair: tuple[str, str, float]) -> Self:
-        """Entry of a `pair`: identifiers of the first and the second effect, and `share`."""
+        """Entry of a `pair`: identifiers of two effects, and the fraction of the first that the second explains."""
         effect, taken_for, share = pair
         return cls(effect=effect, taken_for=taken_for, share=share)

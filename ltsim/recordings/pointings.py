@@ -65,9 +65,9 @@ class PointingColumns:
     sources: Sequence[str]
 
 
-def numbered_name(point: str, n_earlier: int) -> str:
-    """Name of a set-up over a point: the point's name, with a number if `n_earlier` set-ups were already over it."""
-    return f"{point}#{n_earlier + 1}" if n_earlier else point
+def name_with_number(name: str, n_earlier: int) -> str:
+    """Unique name of a repeated item, such as a set-up over the same point: `name`, then `name#2` and so on."""
+    return f"{name}#{n_earlier + 1}" if n_earlier else name
 
 
 def index_names(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, ...], Ints]:

@@ -248,7 +248,9 @@ def validation_sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
     expected = quoted_text(_reworded_message(message), 120)
     if choices := re.findall("'([^']*)'", message) if error["type"] == "literal_error" else []:
         near = difflib.get_close_matches(str(error["input"]), choices, n=1, cutoff=0.5)
-        expected = f"it should be {', '.join(choices)}" + (f"; did you mean {near[0]}?" if near else "")
+        expected = f"it should be {', '.join(choices)}" + (
+            f"; did you mean {near[0]}?" if near and len(choices) > 1 else ""
+        )
     return f"{quoted_text(key, 100)} is {value}, but {expected}" if key else expected
 
 

@@ -45,7 +45,7 @@ MAX_TERMINAL_WIDTH = 160
 
 
 @dataclass(frozen=True)
-class ReportContext:
+class SectionContext:
     """Data from which the section of a result is written: folder, recording, and view of the hall (`detail`).
 
     `is_brief` is True if another section of the page shows the residuals of the same recording.

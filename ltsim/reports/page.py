@@ -21,8 +21,8 @@ from ltsim.recordings.setup import ReportHeader
 from ltsim.reports.document_model import (
     CONTENT_SECURITY_POLICY,
     Document,
-    ReportContext,
     Section,
+    SectionContext,
     WorkshopDetail,
 )
 from ltsim.reports.formatting import natural_sort_key, typographic_text
@@ -98,7 +98,7 @@ def section_of_part(page_part: PagePart, detail: WorkshopDetail = "none") -> Sec
         return campaign_section(page_part.folder)
     content = read_content(page_part.folder, page_part.result_file)
     recording = read(page_part.recording) if page_part.recording else None
-    section = result_section(content, ReportContext(page_part.folder, recording, detail, page_part.is_brief))
+    section = result_section(content, SectionContext(page_part.folder, recording, detail, page_part.is_brief))
     return replace(
         section, measurement_date=(content.recording and content.recording.measured) or section.measurement_date
     )

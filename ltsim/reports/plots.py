@@ -27,7 +27,7 @@ from ltsim.planning.result import Plan, scenario_of_plan
 from ltsim.recordings import Recording
 from ltsim.reports.figures.floor_plan import floor_plan
 from ltsim.reports.figures.parameters import (
-    criteria_figure,
+    criteria_before_after_figure,
     history_figure,
     lines_figure,
     parameter_figure,
@@ -80,7 +80,7 @@ def _(result: Calibration) -> Figure:
 def _(result: Criteria) -> Figure:
     if result.distance.after is None:
         raise ModelError("criteria without a calibration have no figure; call evaluate with a calibration")
-    return criteria_figure(result.table())
+    return criteria_before_after_figure(result.table())
 
 
 @figure_of.register

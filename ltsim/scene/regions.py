@@ -232,7 +232,7 @@ def coordinate_extent(sightings: Sightings) -> tuple[Floats, Floats]:
 
 
 def candidate_regions(sightings: Sightings, region_shapes: Sequence[str] = tuple(REGION_SHAPES)) -> list[HallRegion]:
-    """Regions of the given shapes on grids over the hall that enough, but not almost all, lines of sight pass.
+    """Regions of the given shapes, on grids over the hall, through which enough but not almost all lines of sight pass.
 
     `region_shapes` are keys of `REGION_SHAPES`, by default all.
     """
@@ -240,12 +240,12 @@ def candidate_regions(sightings: Sightings, region_shapes: Sequence[str] = tuple
     for axes in region_shapes if len(sightings) else ():
         key = "regions", axes
         if key not in sightings.derived_cache:
-            sightings.derived_cache[key] = _regions_of_shape(sightings, axes)
+            sightings.derived_cache[key] = _candidate_regions_of_shape(sightings, axes)
         regions += sightings.derived_cache[key]
     return regions
 
 
-def _regions_of_shape(sightings: Sightings, axes: str) -> list[HallRegion]:
+def _candidate_regions_of_shape(sightings: Sightings, axes: str) -> list[HallRegion]:
     """Candidate regions bounded in `axes`, on the coarsest grid and on the finer grids of `GRID_SUBDIVISIONS`."""
     low, high = coordinate_extent(sightings)
     coarsest_spacing = max(MIN_CENTRE_STEP, float((high - low).max()) / MAX_CENTRES_PER_AXIS)

@@ -29,11 +29,11 @@ MAX_UNPROJECTED_OVERLAP = 1e-10
 Without rounding errors the product is zero.
 """
 MAX_STORED_BLOCK_ROWS = 150
-"""Largest number of rows for which the submatrix of the projector on these rows is computed and stored, because many of
-the projected vectors are non-zero on the same rows.
+"""Largest number of rows and columns of a block of the projection matrix that is computed and stored. A stored block
+saves time if many of the projected vectors are non-zero on the same rows only.
 """
 MAX_STORED_BLOCK_ENTRIES = 3_000_000
-"""Largest total number of entries of the stored submatrices of the projector, 24 MB."""
+"""Largest total number of entries of the stored blocks of the projection matrix, 24 MB."""
 MAX_ZERO_EIGENVALUE = 1e-12
 """Largest eigenvalue of a submatrix of the hat matrix that counts as zero; all its eigenvalues are between 0 and 1."""
 

@@ -53,7 +53,7 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
     expected = 0.04 * np.eye(32)
     changes = tuple(ConstantChange((1,), k, "nothing") for k in range(16))
     found = constants_contradicting_expectation(
-        adjustment, ExpectedConstants(np.zeros(32), expected, changes), 2.0
+        adjustment, ExpectedConstants(np.zeros(32), expected, changes)
     ).contradictions
     assert found[0].instruments == ("B",)
     k = 16 + adjustment.construction.parameter_names.index(found[0].parameter.name)

@@ -85,7 +85,7 @@ def test_expected_factors_are_the_mean_over_all_sequences(
     space: ResidualSpace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ltsim.diagnosis.noise_windows.MAX_CHAIN_STEPS", 4)
-    monkeypatch.setattr("ltsim.diagnosis.noise_windows.DENSE_WINDOW_VARIANCE_FACTORS", WINDOW_VARIANCE_FACTORS)
+    monkeypatch.setattr("ltsim.diagnosis.noise_windows.NOISY_STATE_VARIANCE_FACTOR_GRID", WINDOW_VARIANCE_FACTORS)
     windows = NoiseWindows.from_space(space)[0]
     residual, sets = 1.5 * space.residuals, len(OBSERVABLE_SET_INDICATORS)
     ratios = windows._log_likelihood_ratios(residual[:, None], space.redundancy)[..., 0].reshape(4, sets, -1)

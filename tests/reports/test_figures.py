@@ -140,9 +140,9 @@ def error_to_limit_figure() -> Figure:
     return points.error_to_limit_figure(content)
 
 
-def criteria_figure() -> Figure:
+def criteria_before_after_figure() -> Figure:
     rows = [("distance", 29, 60, 17, 39, 40.1), ("worse", 3.26, 39, 29, 60, -70.6)]
-    return estimates.criteria_figure(CRITERIA_TABLE.with_rows(rows))
+    return estimates.criteria_before_after_figure(CRITERIA_TABLE.with_rows(rows))
 
 
 def distributions_figure() -> Figure:
@@ -260,7 +260,7 @@ DRAWINGS = {
     f.__name__: f
     for f in (
         error_to_limit_figure, budget_figure, factor_panels_figure, cell_rows_figure, check_figure,
-        correlation_figure, coverage_figure, criteria_figure, displacement_figure, distributions_figure,
+        correlation_figure, coverage_figure, criteria_before_after_figure, displacement_figure, distributions_figure,
         response_curve_figure, floor_plan, injected_and_estimated_figure, history_figure, lines_figure,
         parameter_figure, reflector_changes_figure, residuals_by_covariate_figure, residuals_by_station_figure,
         sigma_figure, finding_comparison_figure, trade_off_figure, values_figure, marked_floor_plan,
@@ -377,7 +377,7 @@ def test_labels_lose_what_they_share() -> None:
 
 def test_drawing_changes_no_global_setting() -> None:
     kept = dict(mpl.rcParams)
-    criteria_figure()
+    criteria_before_after_figure()
     assert dict(mpl.rcParams) == kept
 
 

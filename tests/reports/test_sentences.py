@@ -14,7 +14,7 @@ from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, FindingScope, Misfit, ParameterEstimate
 from ltsim.diagnosis.sentences import catalogue_effect_sentence, diagnosis_summary
 from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
-from ltsim.reports.document_model import ReportContext, Section
+from ltsim.reports.document_model import Section, SectionContext
 from ltsim.reports.sections.campaign import campaign_section
 from ltsim.reports.sections.diagnosis import diagnosis_section
 from ltsim.reports.sections.method_comparison import MethodComparison
@@ -66,7 +66,7 @@ def test_the_page_of_a_diagnosis_names_causes_by_their_titles(tmp_path: Path) ->
     content = copy.deepcopy(samples.DIAGNOSIS)
     found = finding("station-bump", "index-drift").model_dump(mode="json", by_alias=True)
     content["findings"].append(found)
-    section = diagnosis_section(Diagnosis.model_validate_json(json.dumps(content)), ReportContext(folder=tmp_path))
+    section = diagnosis_section(Diagnosis.model_validate_json(json.dumps(content)), SectionContext(folder=tmp_path))
     texts = " ".join(prose(section))
     assert "bumped" in texts and "drift of the vertical index" in texts
     assert not KEYS.search(texts), KEYS.findall(texts)

@@ -92,14 +92,14 @@ class CauseSelection:
     first in each group."""
 
     @property
-    def _certain_hypotheses(self) -> list[Hypothesis]:
+    def _decisively_supported_hypotheses(self) -> list[Hypothesis]:
         """Selected hypotheses with a gain of log evidence of more than `MIN_LOG_EVIDENCE_CERTAIN`."""
         return [c.hypothesis for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN]
 
     @property
     def _certain_effects(self) -> list[LinearEffect]:
         """Effects of the certain hypotheses that are shifts of readings."""
-        changes = (h.model_change for h in self._certain_hypotheses)
+        changes = (h.model_change for h in self._decisively_supported_hypotheses)
         return [change.effect for change in changes if isinstance(change, ReadingShiftChange)]
 
     @property
@@ -110,7 +110,7 @@ class CauseSelection:
         coordinates, and for a reference value with a large error. The adjustment tests other motions of stations and
         other reference values separately.
         """
-        certain = self._certain_hypotheses
+        certain = self._decisively_supported_hypotheses
         shared = [h for h in certain if h.kind in SHARED_CAUSE_KINDS]
         reference_errors = [h for h in certain if h.kind == "reference-value" and h.acts_on != "mark"]
         large_reference_errors = [

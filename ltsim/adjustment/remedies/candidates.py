@@ -53,7 +53,7 @@ MAX_SETUPS_FOR_ADDITION = 30
 """Smallest number of set-ups of a recording for which no additional station is evaluated, to limit the computing
 time."""
 MIN_PROPOSED_DISTANCE = 0.8
-"""Smallest distance [m] of a proposed station from other stations and targets, and of a proposed target."""
+"""Smallest distance [m] of a proposed station or target from all other stations and targets."""
 REFERENCE_BAR_LENGTH = 2.0
 """Length [m] of a bar that a workshop can have calibrated."""
 REFERENCE_BAR_SIGMA_MM = 0.002

@@ -42,7 +42,7 @@ from ltsim.recordings.pointings import (
     ObservationKind,
     SingleObservation,
     merge_observations,
-    numbered_name,
+    name_with_number,
     recording_of_pointings,
     separate_constant_heights,
 )
@@ -106,7 +106,7 @@ class _LgcContent:
 
     def add_setup(self, setup: _SetUp) -> None:
         """Addition of a set-up; a repeated set-up on a point gets a number."""
-        self.setups[numbered_name(setup.point, self.n_setups_by_point[setup.point])] = setup
+        self.setups[name_with_number(setup.point, self.n_setups_by_point[setup.point])] = setup
         self.n_setups_by_point[setup.point] += 1
 
 

@@ -16,7 +16,7 @@ from ltsim.recordings.pointings import (
     NOT_MEASURED,
     Pointing,
     index_names,
-    numbered_name,
+    name_with_number,
     recording_of_pointings,
     separate_constant_heights,
 )
@@ -46,7 +46,7 @@ class FieldBook:
 
         A repeated set-up over a point gets the name of the point and a number.
         """
-        self.station = numbered_name(location.name(name, "station"), self.n_setups_by_point[name])
+        self.station = name_with_number(location.name(name, "station"), self.n_setups_by_point[name])
         self.n_setups_by_point[name] += 1
         self.setups[self.station] = (name, height, coordinates_mm)
 
@@ -150,7 +150,7 @@ class FieldBook:
         counts: Counter[str] = Counter()
         for name, number in dict.fromkeys(keys):
             point = self.setups[name][0]
-            name_by_key[name, number] = numbered_name(point, counts[point])
+            name_by_key[name, number] = name_with_number(point, counts[point])
             counts[point] += 1
         self.setups = {new: self.setups[old] for (old, _), new in name_by_key.items()}
         self.pointings = [replace(p, station=name_by_key[key]) for p, key in zip(self.pointings, keys, strict=True)]

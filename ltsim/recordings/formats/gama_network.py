@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.files import quoted_text
-from ltsim.recordings.pointings import SingleObservation, numbered_name
+from ltsim.recordings.pointings import SingleObservation, name_with_number
 from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Vector
 from ltsim.recordings.xml import MATRIX_SIZE_MESSAGE, XmlNode, band_matrix_entries, band_matrix_size
 
@@ -83,7 +83,7 @@ class GamaNetwork:
         `with_directions` is True if the observations are a set of directions.
         """
         self.n_direction_sets[point] += with_directions
-        name = numbered_name(point, max(self.n_direction_sets[point] - 1, 0))
+        name = name_with_number(point, max(self.n_direction_sets[point] - 1, 0))
         self.point_of_station[name] = point
         return name
 
@@ -154,7 +154,9 @@ def with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[Refe
     for difference in differences:
         number = counts[difference.label]
         counts[difference.label] += 1
-        yield difference.model_copy(update={"name": numbered_name(difference.label, number)}) if number else difference
+        yield (
+            difference.model_copy(update={"name": name_with_number(difference.label, number)}) if number else difference
+        )
 
 
 MAX_CORRELATED_OBSERVATIONS = 500

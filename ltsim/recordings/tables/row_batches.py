@@ -166,7 +166,7 @@ class RowBatchReader:
         if exact_value is None or not abs(exact_value) < MAX_READING_MAGNITUDE:
             raise location.error(f"found '{quoted_text(text)}', expected a number", quoted_text(column.title))
         if column.role in DISTANCE_ROLES and not exact_value > 0:
-            what = f"found {quoted_text(text)}, expected a distance above 0, or an empty cell without one"
+            what = f"found {quoted_text(text)}, expected a distance above 0, or an empty cell if none was measured"
             raise location.error(what, quoted_text(column.title))
         return str(exact_value)
 

@@ -16,7 +16,7 @@ from ltsim.core.notation import listing
 from ltsim.core.units import EARTH_RADIUS
 from ltsim.recordings.circle_orientations import circle_orientations, circle_rotation_note
 from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, quoted_text
-from ltsim.recordings.pointings import numbered_name
+from ltsim.recordings.pointings import name_with_number
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Setup, Station
 from ltsim.recordings.tables import cells
@@ -188,7 +188,7 @@ def split_occupations(
     counts: Counter[str] = Counter()
     names: list[str] = []
     for station, *_ in distinct:
-        names.append(numbered_name(station, counts[station]))
+        names.append(name_with_number(station, counts[station]))
         counts[station] += 1
     table.marks = {name: table.marks.get(key[0], key[0]) for key, name in zip(distinct, names, strict=True)}
     pointings.station = [names[i] for i in code.tolist()]

@@ -216,10 +216,11 @@ def head_rows(file_beginning: str) -> list[SheetRow]:
 
 
 def _detect_separator(lines: Sequence[str]) -> str:
-    """Separator of fields with which lines with equal numbers of fields contain most numbers.
+    """Most plausible separator of fields: the one by which lines of equal length have the most numeric fields.
 
-    Lines with three or more fields decide first, then those with two or more, and then the number of fields in the
-    first line. In case of a tie it is the first of `FIELD_SEPARATORS`.
+    Lines are of equal length if they have the same number of fields. Numeric fields are counted first in lines of three
+    or more fields. A tie is decided by lines of two or more fields, then by the number of fields in the first line,
+    then by the order of `FIELD_SEPARATORS`.
     """
     lines_and_offsets = zip(
         lines[:N_SAMPLE_LINES], accumulate(map(len, lines[:N_SAMPLE_LINES]), initial=0), strict=False

@@ -186,7 +186,7 @@ def history_figure(names: Sequence[str], parameter_histories: Sequence[Parameter
 
 
 @style.with_figure_style
-def criteria_figure(criteria: Table) -> Figure:
+def criteria_before_after_figure(criteria: Table) -> Figure:
     """Mean and largest value of each criterion of a table `CRITERIA_TABLE`; arrows from before to after calibration."""
     lines = []
     for row in criteria.json_rows():

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ltsim.recordings.result_file import ResultFile, read_result
-from ltsim.reports.document_model import ReportContext, Section
+from ltsim.reports.document_model import Section, SectionContext
 
 SECTION_WRITERS = {
     "diagnosis.json": ("diagnosis", "Diagnosis", "diagnosis_section"),
@@ -28,10 +28,10 @@ def read_content(folder: Path, file: str) -> ResultFile:
     return content
 
 
-def result_section(content: ResultFile, context: ReportContext | None = None) -> Section:
+def result_section(content: ResultFile, context: SectionContext | None = None) -> Section:
     """Section of a result for a page or a terminal."""
     module, _, function = SECTION_WRITERS[content.FILE]
-    section: Section = getattr(_import_section_module(module), function)(content, context or ReportContext())
+    section: Section = getattr(_import_section_module(module), function)(content, context or SectionContext())
     return section
 
 

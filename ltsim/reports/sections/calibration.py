@@ -35,8 +35,8 @@ from ltsim.reports.document_model import (
     BulletListBlock,
     KeyFigure,
     NoteBlock,
-    ReportContext,
     Section,
+    SectionContext,
     TableBlock,
     assessment_of,
     entries_table_blocks,
@@ -68,7 +68,7 @@ CONVERGED_STATUSES = ("", "converged", "not stated")
 """Statuses of a fit for which the page has no warning."""
 
 
-def calibration_section(content: Calibration, context: ReportContext) -> Section:
+def calibration_section(content: Calibration, context: SectionContext) -> Section:
     """Section of a `calibration.json`; the recording adds the floor plan and the residuals before calibration.
 
     Raises

@@ -335,14 +335,14 @@ def _statistic_tables(
         "largest",
         *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5")),
     }
-    shown_table = _table_with_written_levels(
+    shown_table = _table_with_levels_as_in_file(
         results, cells.with_columns(" ".join(name for name in cells.header if name not in extra_fields))
     )
     definitions = [f"{_column_label(c)} [{results.units.get(c, '')}]: {_column_meaning(c)}" for c in summaries]
     note = "Verified: trials repeated with the full solver; difference of the estimates."
     failed = frozenset(i for i, comparison in enumerate(comparisons) if comparison.failed)
     convergence_table = results.table("solver_comparisons")
-    convergence_table = _table_with_written_levels(
+    convergence_table = _table_with_levels_as_in_file(
         results, convergence_table.with_columns(" ".join(name for name in convergence_table.header if name != "cell"))
     )
     return [
@@ -352,7 +352,7 @@ def _statistic_tables(
     ]
 
 
-def _table_with_written_levels(results: CampaignResults, table: TableOf) -> TableOf:
+def _table_with_levels_as_in_file(results: CampaignResults, table: TableOf) -> TableOf:
     """Table whose factor levels are written as in the campaign file: 0.5 and not 0.5000."""
     factor_names = {f.name for f in results.factors}
     columns = (

@@ -34,8 +34,8 @@ from ltsim.reports.document_model import (
     KeyFigure,
     NoteBlock,
     PictureBlock,
-    ReportContext,
     Section,
+    SectionContext,
     TableBlock,
     assessment_of,
     entries_table_blocks,
@@ -69,7 +69,7 @@ MIN_CURVE_POINTS = 3
 """Smallest number of points of an estimated curve that is drawn over its covariate."""
 
 
-def diagnosis_section(content: Diagnosis, context: ReportContext) -> Section:
+def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
     """Section of a diagnosis; with a `truth.json` in the folder it compares true values and findings first.
 
     Residuals of the model without the findings are read from `residuals_before.csv`, of the model with the findings
@@ -226,7 +226,7 @@ def _chi2_per_dof_text(fit: Misfit) -> str:
 
 
 def _residuals_before_and_after(
-    content: Diagnosis, context: ReportContext, adjustments: AdjustmentPair | None
+    content: Diagnosis, context: SectionContext, adjustments: AdjustmentPair | None
 ) -> tuple[Residuals | None, Residuals | None]:
     """Residuals of the model without and of the model with the findings, each None if its file is missing.
 

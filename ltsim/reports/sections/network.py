@@ -27,9 +27,9 @@ from ltsim.reports.document_model import (
     KeyFigure,
     NoteBlock,
     PictureBlock,
-    ReportContext,
     SceneBlock,
     Section,
+    SectionContext,
     TableBlock,
     WorkshopDetail,
     assessment_of,
@@ -76,7 +76,7 @@ def adjustment_pair_if_possible(recording: Recording | None) -> AdjustmentPair |
         return None
 
 
-def truth_in_folder(context: ReportContext) -> Truth | None:
+def truth_in_folder(context: SectionContext) -> Truth | None:
     """True values of a simulation, from the folder of a result; None without a file `truth.json`."""
     file = context.folder / TRUTH_FILE if context.folder else None
     return read_truth(file) if file is not None and file.is_file() else None

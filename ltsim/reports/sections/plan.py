@@ -16,8 +16,8 @@ from ltsim.reports.document_model import (
     KeyFigure,
     NoteBlock,
     PictureBlock,
-    ReportContext,
     Section,
+    SectionContext,
     assessment_of,
     picture_or_note,
     table_blocks,
@@ -27,7 +27,7 @@ from ltsim.reports.sections.network import scene_block, undetermined_tables
 from ltsim.simulation.scenario import Scenario, load_scenario
 
 
-def plan_section(content: Plan, context: ReportContext) -> Section:
+def plan_section(content: Plan, context: SectionContext) -> Section:
     """Section of a `plan.json`, with pictures from the `scenario.toml` in its folder.
 
     Raises

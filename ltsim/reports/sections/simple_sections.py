@@ -27,8 +27,8 @@ from ltsim.reports.document_model import (
     KeyFigure,
     NoteBlock,
     PictureBlock,
-    ReportContext,
     Section,
+    SectionContext,
     assessment_of,
     entries_table_blocks,
     picture_or_note,
@@ -80,7 +80,7 @@ ACTIONS_BY_FAILED_TEST = {
 """
 
 
-def check_section(content: Check, context: ReportContext) -> Section:
+def check_section(content: Check, context: SectionContext) -> Section:
     """Section of a field check: go or no-go, and every test."""
     picture_file = context.companion_file("check.svg", content)
     caption = "Above: half two-face differences divided by their limits. Below: misfit of each pointing over time."
@@ -127,7 +127,7 @@ def _failed_test_actions(content: Check) -> list[str]:
     return actions
 
 
-def comparison_section(content: Comparison, _: ReportContext) -> Section:
+def comparison_section(content: Comparison, _: SectionContext) -> Section:
     """Section of a comparison of epochs."""
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural_sort_key(d.target)))
     moved_targets = [d.target for d in points if d.moved]
@@ -160,7 +160,7 @@ def comparison_section(content: Comparison, _: ReportContext) -> Section:
     )  # fmt: skip
 
 
-def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
+def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
     """Section of acceptance tests."""
     predicted = content.kind == "predicted"
     assessment = (
@@ -224,7 +224,7 @@ def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     )
 
 
-def uncertainty_section(content: Uncertainty, _: ReportContext) -> Section:
+def uncertainty_section(content: Uncertainty, _: SectionContext) -> Section:
     """Section of the uncertainties of tasks."""
     judged_results = [r for r in content.results if r.conformity is not None]
     results = content.table("results").with_columns(
@@ -284,7 +284,7 @@ def _site_sentence(content: NextMeasurement) -> str:
     return f"{sentence}hall, or name its plan with {option_text('site')}."
 
 
-def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Section:
+def next_measurement_section(content: NextMeasurement, _: SectionContext) -> Section:
     """Section of proposed further measurements."""
     best_proposal = content.proposals[0]
     assessment = assessment_of(best_proposal.distinguishes_all) if content.between else "plain"
@@ -320,7 +320,7 @@ def next_measurement_section(content: NextMeasurement, _: ReportContext) -> Sect
     return Section("What to measure next", "Next measurement", answer, assessment, facts, blocks, next_actions=actions)
 
 
-def history_section(content: History, _: ReportContext) -> Section:
+def history_section(content: History, _: SectionContext) -> Section:
     """Section of the history of an instrument."""
     labels = content.labels
     content = _with_short_labels(content)
