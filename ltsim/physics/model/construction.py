@@ -286,12 +286,7 @@ SHARED_EFFECTS: tuple[SlotEffect, ...] = (
 """Effects of trackers both with the source in the head and with a steering mirror; the keys of the errors are equal."""
 MIRROR_PARAMETERS: tuple[tuple[str, PriorKind, HarmonicBasis | None, str], ...] = (
     ("mirror-offset", "offset", None, "mirror in front of the transit axis, along its normal"),
-    (
-        "mirror-tilt",
-        "angle",
-        None,
-        "angle from the transit axis to the plane of the mirror, positive to the left",
-    ),
+    ("mirror-tilt", "angle", None, "angle from the transit axis to the plane of the mirror, positive to the left"),
     ("cover-forward", "offset", None, "beam forward of the standing axis, turning with the head"),
     ("cover-left", "offset", None, "beam left of the standing axis, turning with the head"),
     ("beam-x", "offset", None, "distance of the beam from the standing axis, along x of the base"),
