@@ -232,7 +232,7 @@ def test_built_in_plans_load_and_print() -> None:
         ('[goal]\ncriterion = "T"\n', "goal.criterion"),
         ("[goal]\ninstrument = 0\n", "at least one of instrument, targets and diagnosis"),
         ('[goal]\ndiagnosis = 1\neffects = ["stationweather"]\n', "did you mean station-weather"),
-        ("[floor]\nheight_mm = [2000, 1500]\n", "the lower height_mm first"),
+        ("[floor]\nheight_mm = [2000, 1500]\n", "must give the lower height first"),
         ("[floor]\ncorners_mm = [[0, 0], [1, 1]]\n", "corners_mm"),
         (
             "[floor]\ncorners_mm = [[0, 0, 1, 2], [1, 1], [2, 3]]\n",
