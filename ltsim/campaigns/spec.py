@@ -12,10 +12,12 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from ltsim.adjustment.evaluation.criteria import read_nominal
-from ltsim.campaigns.design import Factor, SpaceFillingDesign, short_key_names
+from ltsim.campaigns.design import MAX_DESIGN_KEYS, Factor, SpaceFillingDesign, short_key_names
 from ltsim.campaigns.schema import MAX_SHARDS, RESULT_COLUMNS, ManifestFile, StatisticGroup, find_column
 from ltsim.core.errors import SetupError, as_setup_error, unknown_name_error
+from ltsim.core.limits import MAX_ADDITIONAL_EFFECTS
 from ltsim.core.units import MILLIMETRE
+from ltsim.recordings.keys import Distinct
 from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.recordings.setup import Positive, TomlSection
 from ltsim.simulation.keys import convert_value, unit_of_scenario_key, value_type_of_key
@@ -50,7 +52,7 @@ class CalibrationMethod(TomlSection):
     """Number of harmonics of each joint error in the model `dh`."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
     """Degree of the polynomials in the range, by which the model `dh` describes errors of the linear joint."""
-    effects: tuple[PlacedEffect, ...] = ()
+    effects: Annotated[tuple[PlacedEffect, ...], Field(max_length=MAX_ADDITIONAL_EFFECTS)] = ()
     """Additional effects to estimate, tables `[[methods.effects]]`."""
     solver: Literal["batch", "single"] = "batch"
     """Solver: all trials in one network geometry together (`batch`), or each recording separately (`single`)."""
@@ -117,7 +119,7 @@ class CampaignFile(TomlSection):
     (`per-trial`)."""
     verify: Annotated[int, Field(ge=0, le=1000)] = 2
     """Number of trials at the start of each output file that the full solver repeats for verification."""
-    statistics: tuple[StatisticGroup, ...] = ("criteria", "errors", "z-scores")
+    statistics: Distinct[StatisticGroup] = ("criteria", "errors", "z-scores")
     """Groups of results that each row contains."""
     judge_in: str = ""
     """Held-out points, which are measured by the instruments of each trial but used by no calibration: a scenario
@@ -130,7 +132,9 @@ class CampaignFile(TomlSection):
     """
     settings: dict[str, Any] = Field(default_factory=dict)
     """Values that replace those of the base scenario in all cells, by dotted key."""
-    link: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(default_factory=dict)
+    link: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(
+        default_factory=dict, max_length=MAX_DESIGN_KEYS
+    )
     """Keys that always take the same value, by a name for the group; the column in the rows has this name."""
     grid: dict[str, list[Any]] = Field(default_factory=dict)
     """Lists of levels by dotted key; all combinations of these levels are cells."""

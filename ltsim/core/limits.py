@@ -94,9 +94,9 @@ MAX_TASK_RESULTS = 1_000
 """Largest number of results of all tasks of an evaluation of uncertainty; their correlations are in its result file,
 of at most `MAX_JSON_VALUES` values. A result takes 80 kB for 10,000 trials, four times.
 """
-MAX_TYPE_B_EFFECTS = 200
-"""Largest number of effects that the readings of an evaluation of uncertainty do not show; each is linearised and drawn
-for all pointings. The catalogue has 60.
+MAX_ADDITIONAL_EFFECTS = 200
+"""Largest number of effects of type B in an evaluation of uncertainty, and of effects that a method of a campaign
+estimates; each is linearised for all pointings. The catalogue has 60.
 """
 MAX_RESULT_DRAWS = 20_000_000
 """Largest number of trials of an evaluation of uncertainty multiplied by the number of results: 16 bytes each."""

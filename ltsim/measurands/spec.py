@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from ltsim.core.errors import as_setup_error
-from ltsim.core.limits import MAX_TYPE_B_EFFECTS
+from ltsim.core.limits import MAX_ADDITIONAL_EFFECTS
 from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.keys import Distinct
 from ltsim.recordings.settings import load_settings, validate_settings
@@ -180,7 +180,7 @@ class Tasks(TomlSection):
     """True if outliers among the readings are excluded."""
     task: Annotated[tuple[Task, ...], Field(min_length=1)]
     """Tasks, tables `[[task]]`."""
-    type_b: Annotated[tuple[TypeBEffect, ...], Field(max_length=MAX_TYPE_B_EFFECTS)] = ()
+    type_b: Annotated[tuple[TypeBEffect, ...], Field(max_length=MAX_ADDITIONAL_EFFECTS)] = ()
     """Effects that are not visible in the readings (type B), tables `[[type_b]]`."""
     air: AirUncertainty | None = None
     """Uncertainty of the air for long ranges, without the properties for which `type_b` has an effect; default the

@@ -195,7 +195,8 @@ def parse_comma_number(text: str, *, file: object, row: int | None = None, colum
 
 def single_line_title(text: str) -> str:
     """Title in a file of another program as one line of at most `MAX_RECORDING_TITLE_LENGTH` characters."""
-    line = textwrap.shorten(text, MAX_RECORDING_TITLE_LENGTH, placeholder=" ...")
+    beginning = text.lstrip()[: 10 * MAX_RECORDING_TITLE_LENGTH]  # a description of 30 MB would be split into its words
+    line = textwrap.shorten(beginning, MAX_RECORDING_TITLE_LENGTH, placeholder=" ...")
     return "".join(c for c in line.replace("<", "(").replace(">", ")") if c.isprintable())
 
 

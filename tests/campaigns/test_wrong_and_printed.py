@@ -66,6 +66,24 @@ def test_an_instrument_that_changed_reads_otherwise_where_it_is_judged() -> None
     assert mean(moved, "new_point_error_raw_um", "network") > 1.1 * mean(still, "new_point_error_raw_um", "network")
 
 
+@pytest.mark.parametrize(
+    ("tables", "sentence"),
+    [
+        ({"methods": [{"effects": [{"name": "range-step"}] * 201}]}, "should hold at most 200"),
+        ({"link": {f"k{i}": ["instrument.noise_factor"] for i in range(65)}}, "should hold at most 64"),
+    ],
+)
+def test_lists_are_limited_before_any_work(tables: dict[str, Any], sentence: str) -> None:
+    """20,000 effects of a method took all memory."""
+    with pytest.raises(RecordError, match=sentence):
+        validate_settings({"format": "ltsim-campaign/1", **tables}, CampaignFile, "campaign", FILE)
+
+
+def test_a_repeated_statistic_counts_once() -> None:
+    tables = {"format": "ltsim-campaign/1", "statistics": ["errors"] * 1000}
+    assert validate_settings(tables, CampaignFile, "campaign", FILE).statistics == ("errors",)
+
+
 @pytest.mark.parametrize("method", [{"applied": True}, {"applied": True, "solver": "single", "method": "distance"}])
 def test_what_is_applied_is_known_of_single_networks_alone(method: dict[str, Any]) -> None:
     with pytest.raises(RecordError, match="solver single"):
