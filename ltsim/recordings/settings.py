@@ -258,7 +258,9 @@ def _permitted_keys(root: type[BaseModel], path: Iterable[object]) -> list[str]:
     return [key for _, nodes in schemas_at(root, path) for node in nodes for key in node.get("properties", {})]
 
 
-_COUNT_PATTERN = re.compile(r"^(?:tuple|list|dictionary) should have (at most|at least) (\d+) items? after validation, not (?:\d+|more)")
+_COUNT_PATTERN = re.compile(
+    r"^(?:tuple|list|dictionary) should have (at most|at least) (\d+) items? after validation, not (?:\d+|more)"
+)
 """Pattern of pydantic's message on a list with too many or too few entries."""
 
 
