@@ -24,8 +24,6 @@ TEXT_WIDTH = 110
 """Largest length of a line of a catalogue entry [characters]."""
 LABEL_WIDTH = 13
 """Width of the column of labels of a catalogue entry [characters]."""
-BUILTIN_ORIGIN = "ltsim"
-"""Origin of built-in effects, which is not printed."""
 CONVENTIONS_TEXT = (
     "Delta is the true value - the reading. az is positive counter-clockwise, el upward; d is the range; f is +1 on\n"
     "face 1 and -1 on face 2; D_r, D_t, D_v are lengths along the beam, to its left and upward. The correlations are\n"
@@ -60,8 +58,8 @@ def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
 
 def _line(effect: EffectDescription, name_width: int) -> str:
     """Line of the list: name, title, cause, and the package that provides an effect that is not built-in."""
-    origin = "" if effect.origin == BUILTIN_ORIGIN else f" [{effect.origin}]"
-    return f"  {effect.name:<{name_width}}  {effect.title}: {effect.cause}{origin}"
+    origin = f" [{effect.external_origin}]" if effect.external_origin else ""
+    return f"  {effect.name:<{name_width}}  {effect.summary}{origin}"
 
 
 def catalogue_entry_text(effect: EffectDescription, tables: list[Table]) -> str:
@@ -80,7 +78,7 @@ def catalogue_entry_text(effect: EffectDescription, tables: list[Table]) -> str:
         "Stage": effect.stage,
         "Base rate": f"{effect.base_rate:g} (1 is occasional)",
         "Depends on": ", ".join(effect.covariates),
-        "Comes from": "" if effect.origin == BUILTIN_ORIGIN else effect.origin,
+        "Comes from": effect.external_origin,
     }
     for name, text in sections.items():
         lines += textwrap.wrap(

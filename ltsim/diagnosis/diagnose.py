@@ -17,6 +17,7 @@ Decisions in their order, each with its criterion:
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -56,7 +57,7 @@ from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.responses import VARIED_CONSTANTS_BY_RESPONSE, constant_names_of_slot
-from ltsim.physics.model.construction import declared_construction
+from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
@@ -112,7 +113,10 @@ def diagnose(
         else HistoryExpectation.from_calibrations(history, recording, construction).find_contradictions
     )
     selection = identify_causes(recording, construction)
-    state, blunder_findings = _start_state(recording, selection, history, seed=seed, level=level)
+    start_state = partial(
+        _start_state, recording, construction, selection, seed=seed, tests_ordinary_constants=history is None
+    )
+    state, blunder_findings = start_state(level=level)
     global_test = run_global_test(state.searcher, state.noise_hypotheses)
     is_mismatch = global_test.p_value < level
     initial_space_and_designs, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
@@ -121,9 +125,7 @@ def diagnose(
         readmitted_mask = has_small_residual_when_omitted(refit.adjustment, rejected_mask)
         if readmitted_mask.any():  # the effects of the model explain these rejected readings
             del state, initial_space_and_designs, model, refit  # their memory is for the second search
-            state, blunder_findings = _start_state(
-                recording, selection, history, seed=seed, level=None, readmitted_mask=readmitted_mask
-            )
+            state, blunder_findings = start_state(level=None, readmitted_mask=readmitted_mask)
             initial_space_and_designs, model, refit = _search_and_refit(
                 state, compare_with_reference, is_mismatch=is_mismatch
             )
@@ -166,19 +168,20 @@ def diagnose(
 
 def _start_state(
     recording: Recording,
+    construction: GeometricErrorModel,
     selection: CauseSelection | None,
-    history: EarlierCalibrationPrior | None,
     *,
     seed: int,
+    tests_ordinary_constants: bool,
     level: float | None,
     readmitted_mask: Bools | None = None,
 ) -> tuple[SelectionState, list[Finding]]:
     """State before a search, without the blunders among the simple causes, and the findings of these blunders.
 
     `selection` contains the simple causes of the network. With a `level` (false-alarm rate) the search has a p-value.
+    With `tests_ordinary_constants` changes of the constants of the ordinary calibration are hypotheses too.
     `readmitted_mask` (n, 3) flags readings of blunders that are used nevertheless.
     """
-    construction = declared_construction(recording)
     if selection is None:
         baseline, blunder_findings = adjust(recording, construction), list[Finding]()
         use = baseline.problem.is_used_reading
@@ -186,14 +189,15 @@ def _start_state(
         baseline, use, blunder_findings = adjustment_without_blunders(
             recording, construction, selection, readmitted_mask=readmitted_mask
         )
-    effects = () if selection is None else identified_effects(selection)
-    tests_constants = history is None
-    return (
-        SelectionState(
-            baseline, use, seed, level, tests_ordinary_constants=tests_constants, identified_effects=effects
-        ),
-        blunder_findings,
+    state = SelectionState(
+        baseline,
+        use,
+        seed,
+        level,
+        tests_ordinary_constants=tests_ordinary_constants,
+        identified_effects=() if selection is None else identified_effects(selection),
     )
+    return state, blunder_findings
 
 
 def _varies_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> bool:

@@ -97,7 +97,6 @@ class Searcher:
         """
         self.space = space
         self.null_ensemble = NullEnsemble.from_space(space, seed, n_trials)
-        self.is_large_network = self.null_ensemble.uses_monte_carlo_gram
         self.uses_fewer_evaluations = self.is_large_network
         if catalogue_designs is None:
             every = catalogue_candidate_effects(space.sightings, space.adjustment.recording.instruments)
@@ -116,6 +115,11 @@ class Searcher:
         self._projected_designs: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()
         self.evidence_calculator = EvidenceCalculator(space)
         self.empty_model_screening = self._screening(self.empty_model)
+
+    @property
+    def is_large_network(self) -> bool:
+        """True for a network that is too large for an orthonormal basis of its estimated parameters."""
+        return self.null_ensemble.uses_monte_carlo_gram
 
     @property
     def _n_exactly_evaluated(self) -> int:

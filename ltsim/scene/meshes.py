@@ -66,7 +66,9 @@ class Obstacles:
     @cached_property
     def _ray_caster(self) -> RayCaster | None:
         """Ray caster of Embree; None if it is not installed, or if there are no triangles."""
-        return RayCaster.from_triangles(self.triangles) if len(self.triangles) else None
+        if not len(self.triangles):
+            return None
+        return RayCaster.from_triangles(self.triangles, _normals_and_areas(self.triangles)[0])
 
     def is_blocked(self, origins: Floats, end_points: Floats) -> Bools:
         """Flags (n,) of those of n straight lines from origins (n, 3) to end points (n, 3) [m] that a triangle blocks.

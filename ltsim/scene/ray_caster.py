@@ -31,8 +31,8 @@ class RayCaster:
     """Scene of Embree."""
 
     @classmethod
-    def from_triangles(cls, triangles: Floats) -> RayCaster | None:
-        """Ray caster for triangles (m, 3, 3) [m]; None if Embree is not installed."""
+    def from_triangles(cls, triangles: Floats, normals: Floats) -> RayCaster | None:
+        """Ray caster for triangles (m, 3, 3) [m] with unit normals (m, 3); None if Embree is not installed."""
         try:
             from embreex import rtcore_scene
             from embreex.mesh_construction import TriangleMesh
@@ -41,9 +41,6 @@ class RayCaster:
         low_corner, high_corner = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
         extent = float(np.linalg.norm(high_corner - low_corner))
         scale = SCENE_EXTENT / extent if extent else 1.0
-        normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
         scene = rtcore_scene.EmbreeScene()
         TriangleMesh(scene, vertices=((triangles - low_corner) * scale).astype(np.float32))
         return cls(triangles, normals, low_corner, scale, scene)

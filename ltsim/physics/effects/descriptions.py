@@ -12,7 +12,7 @@ from pydantic import ConfigDict
 from ltsim.core.descriptions import DescribedModel
 from ltsim.core.results import Result, Table, columns_of, text_columns
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.physics.effects.catalogue import ListedEffect, catalogue_entry
+from ltsim.physics.effects.catalogue import BUILTIN_PROVIDER, ListedEffect, catalogue_entry
 from ltsim.physics.effects.effect import Parameter, ShapeParameter
 
 
@@ -134,6 +134,11 @@ class EffectDescription(Description):
     def summary(self) -> str:
         """Title and physical cause."""
         return f"{self.title}: {self.cause}"
+
+    @property
+    def external_origin(self) -> str:
+        """Package that provides the effect; empty for an effect of ltsim."""
+        return "" if self.origin == BUILTIN_PROVIDER else self.origin
 
     @property
     def observables_text(self) -> str:
