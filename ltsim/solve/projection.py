@@ -140,8 +140,8 @@ class FactorResidualProjector:
         key = row_selection.tobytes()
         block = self._stored_blocks.get(key)
         if block is None:
-            block = self._residual_part(np.eye(len(row_selection)), row_selection)[row_selection]
-            block = 0.5 * (block + block.T)
+            (hat,) = self._hat_matrix_blocks([row_selection])
+            block = np.eye(len(hat)) - 0.5 * (hat + hat.T)
             if sum(other.size for other in self._stored_blocks.values()) + block.size <= MAX_STORED_BLOCK_ENTRIES:
                 self._stored_blocks[key] = block
         return block
@@ -177,9 +177,18 @@ class FactorResidualProjector:
         if thick:
             yield from (self._spectrum_from_covariance(rows) for rows in row_groups)
             return
+        for hat in self._hat_matrix_blocks(row_groups):
+            yield np.linalg.eigh(hat)
+
+    def _hat_matrix_blocks(self, row_groups: Sequence[Ints]) -> Iterator[Floats]:
+        """Submatrix (f, f) of the hat matrix on each group of f row indices; removed columns belong to the hat matrix.
+
+        The cost is that of the unknowns in these rows, not of all unknowns.
+        """
+        edges = np.cumsum([0, *(len(rows) for rows in row_groups)])
         hats = self.factor.covariances_of_functions(self.design[np.concatenate(row_groups)], edges)
         for rows, hat in zip(row_groups, hats, strict=True):
-            yield np.linalg.eigh(hat + self.removed_columns[rows] @ self.removed_columns[rows].T)
+            yield hat + self.removed_columns[rows] @ self.removed_columns[rows].T
 
     def _spectrum_from_covariance(self, row_indices: Ints) -> tuple[Floats, Floats]:
         """Non-zero eigenvalues and eigenvectors of the submatrix of the hat matrix on the rows `row_indices`.
