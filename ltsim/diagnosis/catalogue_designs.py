@@ -85,7 +85,7 @@ class EffectGroup:
     """Gram matrices (h, k, k) of the k weighted design columns of each of h effects, before projection."""
     projected_gram: Floats
     """Gram matrices (h, k, k) of the k design columns of each of h effects after projection onto the residual space,
-    without a model."""
+    without a model; zeros before the first screening."""
 
     def member_ranges(self, n_vectors: int) -> Iterator[slice]:
         """Ranges of effects of the group whose products with `n_vectors` vectors are in memory at a time."""
@@ -150,6 +150,10 @@ class CatalogueDesigns:
     """Names of the families, which are the names of the catalogue effects."""
     family_indices: Ints
     """Index (h,) of the family (catalogue effect) of each of h effects."""
+    n_rows: int
+    """Number of rows of the residual space."""
+    reading_sigmas: Floats
+    """Standard deviations (n, 3) of the readings of n pointings, by which the design columns are divided."""
 
     @cached_property
     def log_family_prior(self) -> Floats:
@@ -216,36 +220,41 @@ class CatalogueDesigns:
         ]
         names = tuple(dict.fromkeys(effect.name for effect in touching))
         index = {name: i for i, name in enumerate(names)}
-        return cls(touching, effect_groups, names, np.array([index[e.name] for e in touching], dtype=np.int64))
+        family_indices = np.array([index[e.name] for e in touching], dtype=np.int64)
+        return cls(touching, effect_groups, names, family_indices, space.n_rows, space.sigma)
 
-    def with_weights_of(self, old_space: ResidualSpace, new_space: ResidualSpace) -> CatalogueDesigns:
+    def with_weights_of(self, new_space: ResidualSpace) -> CatalogueDesigns:
         """Design matrices with the weights of another adjustment of the same readings.
 
         Poses and coordinates are not updated, because other weights move a network by far less than its lengths.
         """
         ratio = np.ones(new_space.n_rows, dtype=np.float32)
-        ratio[: int(new_space.is_used_reading.sum())] = (old_space.sigma / new_space.sigma)[new_space.is_used_reading]
-        return replace(self, groups=[group.with_rows_scaled(ratio) for group in self.groups])
+        is_used = new_space.is_used_reading
+        ratio[: int(is_used.sum())] = (self.reading_sigmas / new_space.sigma)[is_used]
+        groups = [group.with_rows_scaled(ratio) for group in self.groups]
+        return replace(self, groups=groups, reading_sigmas=new_space.sigma)
 
-    def log_evidence_and_null_values(self, null_ensemble: NullEnsemble) -> tuple[Floats, Floats]:
-        """Log evidence (h,) of h effects given a model, and null values (families, trials) of catalogue effects.
+    def screen(self, null_ensemble: NullEnsemble) -> tuple[Floats, Floats, CatalogueDesigns]:
+        """Log evidence (h,) of h effects given a model, null values (families, trials), and the screened designs.
 
-        The null values are log means of the evidence, over places and shapes, for each of the simulated recordings
-        (trials). The design columns are also projected onto the residual space of the model, which reduces their Gram
-        matrices. A Gram matrix that is a Monte-Carlo estimate is not reduced, because its difference from an exact
-        value may vanish.
+        The null values are log means of the evidence of catalogue effects, over places and shapes, for each of the
+        simulated recordings (trials). The first screening of a space computes the projected Gram matrices, which the
+        screened designs contain for later screenings with a model. The design columns are then also projected onto the
+        residual space of the model, which reduces their Gram matrices. A Gram matrix that is a Monte-Carlo estimate is
+        not reduced, because its difference from an exact value may vanish.
         """
-        values, accumulator = (
-            np.zeros(len(self.effects)),
-            FamilyEvidenceAccumulator.empty(self.family_indices, len(self.families), null_ensemble.n_trials),
-        )
+        values = np.zeros(len(self.effects))
+        family_sums = FamilyEvidenceSums.empty(self.family_indices, len(self.families), null_ensemble.n_trials)
+        screened_groups = []
         for group in self.groups:
+            grams = []
             for part in group.member_ranges(null_ensemble.probe_vectors.shape[1]):
                 scores = group.weighted_products(part, null_ensemble.probe_vectors)
-                if null_ensemble.computes_gram_matrices:
-                    group.projected_gram[part] = null_ensemble.projected_gram(scores, group.unprojected_gram[part])
-                score, trials, _ = null_ensemble.split_products(scores)
                 gram = group.projected_gram[part]
+                if null_ensemble.computes_gram_matrices:
+                    gram = null_ensemble.projected_gram(scores, group.unprojected_gram[part])
+                    grams.append(gram)
+                score, trials, _ = null_ensemble.split_products(scores)
                 if not null_ensemble.uses_monte_carlo_gram:
                     gram = gram - row_gram(group.weighted_products(part, null_ensemble.model_basis))
                 eigenvalues, eigenvectors = np.linalg.eigh(gram)
@@ -253,8 +262,11 @@ class CatalogueDesigns:
                 effect_indices = group.effect_indices[part]
                 values[effect_indices] = log_evidence(np.einsum("hij,hj->hi", eigenvectors, score) ** 2, eigenvalues)
                 if null_ensemble.n_trials:
-                    accumulator.add(effect_indices, simulated_log_evidence(eigenvectors @ trials, eigenvalues))
-        return values, accumulator.log_means
+                    family_sums = family_sums.with_effects(
+                        effect_indices, simulated_log_evidence(eigenvectors @ trials, eigenvalues)
+                    )
+            screened_groups.append(replace(group, projected_gram=np.concatenate(grams)) if grams else group)
+        return values, family_sums.log_means, replace(self, groups=screened_groups)
 
     def effects_grouped_by_family(self) -> list[list[Effect]]:
         """Effects of each family at all its places and shapes, without most effects of the ordinary calibration.
@@ -299,8 +311,8 @@ class CatalogueDesigns:
 
 
 @dataclass(frozen=True)
-class FamilyEvidenceAccumulator:
-    """Accumulator of the log mean evidence of each family over its places and shapes, in simulated recordings.
+class FamilyEvidenceSums:
+    """Summed evidence of each family over its places and shapes in simulated recordings, from some of its effects.
 
     A family is one effect of the catalogue at all its places and shapes.
     """
@@ -311,19 +323,21 @@ class FamilyEvidenceAccumulator:
     """Log (families, trials) of the summed evidence of the added effects, by family and simulated recording (trial)."""
 
     @classmethod
-    def empty(cls, family_indices: Ints, n_families: int, n_trials: int) -> FamilyEvidenceAccumulator:
-        """Accumulator to which no effect has been added, for `n_trials` simulated recordings."""
+    def empty(cls, family_indices: Ints, n_families: int, n_trials: int) -> FamilyEvidenceSums:
+        """Sums to which no effect has been added, for `n_trials` simulated recordings."""
         return cls(family_indices, np.full((n_families, n_trials), -np.inf))
 
-    def add(self, effect_indices: Ints, log_evidences: Floats) -> None:
-        """Addition of the `log_evidences` (b, trials) of the b effects with the indices `effect_indices`.
+    def with_effects(self, effect_indices: Ints, log_evidences: Floats) -> FamilyEvidenceSums:
+        """Sums with the `log_evidences` (b, trials) of the b effects with the indices `effect_indices` in addition.
 
         The trials are simulated recordings.
         """
         present, group = np.unique(self.family_indices[effect_indices], return_inverse=True)
         means = log_mean_exp_by_group(log_evidences, group, len(present))
         means += np.log(np.bincount(group))[:, None]
-        self.log_sums[present] = np.logaddexp(self.log_sums[present], means)
+        log_sums = self.log_sums.copy()
+        log_sums[present] = np.logaddexp(log_sums[present], means)
+        return replace(self, log_sums=log_sums)
 
     @property
     def log_means(self) -> Floats:

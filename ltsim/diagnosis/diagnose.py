@@ -30,7 +30,6 @@ from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.core.arrays import Bools
 from ltsim.core.limits import MAX_DIAGNOSED_POINTINGS, MAX_DIAGNOSED_TARGETS
 from ltsim.diagnosis.assembly import assemble_diagnosis
-from ltsim.diagnosis.catalogue_designs import CatalogueDesigns
 from ltsim.diagnosis.detectability import detectability_report
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.findings import SelectedModelFit
@@ -119,16 +118,16 @@ def diagnose(
     state, blunder_findings = start_state(level=level)
     global_test = run_global_test(state.searcher, state.noise_hypotheses)
     is_mismatch = global_test.p_value < level
-    initial_space_and_designs, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
+    initial_space, initial_designs = state.space, state.searcher.catalogue_designs
+    state, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
     if selection is not None and model.members:
         rejected_mask = np.isfinite(recording.readings) & ~state.is_used_reading
         readmitted_mask = has_small_residual_when_omitted(refit.adjustment, rejected_mask)
         if readmitted_mask.any():  # the effects of the model explain these rejected readings
-            del state, initial_space_and_designs, model, refit  # their memory is for the second search
+            del state, initial_space, initial_designs, model, refit  # their memory is for the second search
             state, blunder_findings = start_state(level=None, readmitted_mask=readmitted_mask)
-            initial_space_and_designs, model, refit = _search_and_refit(
-                state, compare_with_reference, is_mismatch=is_mismatch
-            )
+            initial_space, initial_designs = state.space, state.searcher.catalogue_designs
+            state, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
     final_adjustment = refit.adjustment if refit.adjustment.solution.has_converged else state.baseline_adjustment
     contradictions = _contradictions_unexplained_by_model(state, model, final_adjustment, compare_with_reference)
     constant_findings = [
@@ -152,7 +151,7 @@ def diagnose(
         ),
         held_out_log_odds=errors.log_odds_of_model,
     )
-    detectability = detectability_report(*initial_space_and_designs)
+    detectability = detectability_report(initial_space, initial_designs)
     source_entry = SourceEntry.from_recording(recording)
     return assemble_diagnosis(
         source_entry,
@@ -189,7 +188,7 @@ def _start_state(
         baseline, use, blunder_findings = adjustment_without_blunders(
             recording, construction, selection, readmitted_mask=readmitted_mask
         )
-    state = SelectionState(
+    state = SelectionState.from_adjustment(
         baseline,
         use,
         seed,
@@ -210,14 +209,10 @@ def _varies_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> 
 
 def _search_and_refit(
     state: SelectionState, compare_with_reference: ConstantComparisonFunction, *, is_mismatch: bool
-) -> tuple[tuple[ResidualSpace, CatalogueDesigns], Model, Refit]:
-    """Residual space and catalogue design matrices before the search (a pair), the selected model, and its refit.
-
-    The refit is a nonlinear adjustment. The model is empty unless `is_mismatch`.
-    """
-    initial_space_and_designs = state.space, state.searcher.catalogue_designs
-    model = select_model(state, compare_with_reference) if is_mismatch else state.empty_model
-    return initial_space_and_designs, *_refit_and_prune(state, model)
+) -> tuple[SelectionState, Model, Refit]:
+    """State after the search, the selected model, and its nonlinear refit; the model is empty unless `is_mismatch`."""
+    state, model = select_model(state, compare_with_reference) if is_mismatch else (state, state.empty_model)
+    return state, *_refit_and_prune(state, model)
 
 
 def _contradictions_unexplained_by_model(

@@ -1,7 +1,6 @@
 """Selection of the model of a recording: effects, changes of the noise, and changed constants of instruments."""
 
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,6 @@ from ltsim.calibration.evidence import log_sum_exp
 from ltsim.diagnosis.evidence import N_EXACTLY_EVALUATED
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, most_probable_name, probability_and_equivalents
 from ltsim.diagnosis.instruments import ContradictingConstants
-from ltsim.diagnosis.noise_estimation import with_estimated_sizes
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS, MIN_EFFECT_LOG_EVIDENCE
 from ltsim.diagnosis.selection_state import SelectionState
@@ -22,14 +20,15 @@ ConstantComparisonFunction = Callable[[Adjustment], ContradictingConstants]
 """Function of an adjustment whose result are the instrument constants that contradict their reference."""
 
 
-def select_model(state: SelectionState, compare_with_reference: ConstantComparisonFunction) -> Model:
-    """Selected model of effects, after a selection of changes of the noise and of changed instrument constants.
+def select_model(
+    state: SelectionState, compare_with_reference: ConstantComparisonFunction
+) -> tuple[SelectionState, Model]:
+    """State with the selected changes of the noise and of instrument constants, and the selected model of effects.
 
-    `state` is updated with the changes of the noise and the constants. The kind of hypothesis with the largest evidence
-    is selected first. The selection ends when the evidence increases by less than `MIN_EFFECT_LOG_EVIDENCE`. The order
-    matters, because a law that is selected with a wrong noise level absorbs noise, and noise that is estimated before a
-    law absorbs the law. Noise is therefore estimated with the effects in the model that are among the simple causes of
-    the network.
+    The kind of hypothesis with the largest evidence is selected first. The selection ends when the evidence increases
+    by less than `MIN_EFFECT_LOG_EVIDENCE`. The order matters, because a law that is selected with a wrong noise level
+    absorbs noise, and noise that is estimated before a law absorbs the law. Noise is therefore estimated with the
+    effects in the model that are among the simple causes of the network.
     """
     noise = state.ranked_noise_changes(state.empty_model)[0][0]
     shifts = state.searcher.lower_bound_model(noise).penalised_log_evidence
@@ -40,8 +39,7 @@ def select_model(state: SelectionState, compare_with_reference: ConstantComparis
             shifts - start_model.penalised_log_evidence,
             state.searcher.ranking(start_model).log_evidence_total,
         )
-        _select_noise_changes(state, rival, identified)
-        model = _select_effects_given_noise(state, identified)
+        state, model = _select_effects_given_noise(_select_noise_changes(state, rival, identified), identified)
     else:
         model = state.searcher.select_model(requires_member=True)
     contradicting_constants = compare_with_reference(state.space.adjustment)
@@ -51,7 +49,7 @@ def select_model(state: SelectionState, compare_with_reference: ConstantComparis
         and contradicting_constants.joint_log_evidence - model.penalised_log_evidence
         > (len(constants) - len(model.members)) * MIN_EFFECT_LOG_EVIDENCE
     ):
-        state.release_priors(constants)
+        state = state.with_released_priors(constants)
         model = state.searcher.select_model(requires_member=False)
     return _alternate_noise_and_effects(state, model)
 
@@ -60,8 +58,8 @@ def _select_noise_changes(
     state: SelectionState,
     log_evidence_of_effects: float,
     start_hypotheses: Sequence[Hypothesis],
-) -> None:
-    """Forward selection of changes of the noise, which are added to `state`.
+) -> SelectionState:
+    """State after a forward selection of changes of the noise.
 
     The noise is estimated with the effects of `start_hypotheses` in the model. The first change is always selected,
     because the global test has failed. Effects, with the log evidence `log_evidence_of_effects`, count among the
@@ -73,38 +71,36 @@ def _select_noise_changes(
         if further and ranked[0][0] < MIN_EFFECT_LOG_EVIDENCE:
             break
         most_probable = _most_probable_noise_change(ranked, 0.0 if further else log_evidence_of_effects)
-        state.add_noise_change(
-            with_estimated_sizes(state.space.with_effects(effects), state.space.sigma, most_probable)
-        )
-        state.set_adjustment(state.estimate_variance_components(effects))
+        state = state.with_noise_change(most_probable, effects)
+    return state
 
 
-def _select_effects_given_noise(state: SelectionState, start_hypotheses: Sequence[Hypothesis]) -> Model:
-    """Model of effects in addition to the selected changes of the noise; the empty model if the latter suffice.
+def _select_effects_given_noise(
+    state: SelectionState, start_hypotheses: Sequence[Hypothesis]
+) -> tuple[SelectionState, Model]:
+    """State and model of effects in addition to the selected changes of the noise.
 
-    The search begins with the hypotheses `start_hypotheses` in the model. Noise that is estimated without an effect
-    includes this effect. The noise is therefore estimated again with each of the hypotheses with the largest evidence.
-    The most probable of them, with its noise, is compared with the noise alone by their evidence.
+    If the changes of the noise suffice, the state is unchanged and the model empty. The search begins with the
+    hypotheses `start_hypotheses` in the model. Noise that is estimated without an effect includes this effect. The
+    noise is therefore estimated again with each of the hypotheses with the largest evidence. The most probable of them,
+    with its noise, is compared with the noise alone by their evidence.
     """
-    alone, searcher = copy(state), state.searcher
+    searcher = state.searcher
     model = searcher.select_model(requires_member=True, start_hypotheses=start_hypotheses)
     leading = searcher.ranking(searcher.empty_model).most_probable_of_each_kind()[:N_EXACTLY_EVALUATED]
     candidates = [model.members, *((h,) for h in leading)]
     best = max(candidates[:1] if searcher.is_large_network else candidates, key=state.log_evidence_with_effects)
-    state.prune_variance_components([h.effect for h in best])
-    model = state.searcher.select_model(requires_member=False, start_hypotheses=best)
-    if (
-        model.members
-        and state.log_evidence_of_noise + model.penalised_log_evidence
-        > alone.log_evidence_of_noise + MIN_EFFECT_LOG_EVIDENCE
-    ):
-        return model
-    state.replace_by(alone)
-    return state.empty_model
+    with_effects = state.with_pruned_noise([h.effect for h in best])
+    model = with_effects.searcher.select_model(requires_member=False, start_hypotheses=best)
+    is_supported = (
+        with_effects.log_evidence_of_noise + model.penalised_log_evidence
+        > state.log_evidence_of_noise + MIN_EFFECT_LOG_EVIDENCE
+    )
+    return (with_effects, model) if model.members and is_supported else (state, state.empty_model)
 
 
-def _alternate_noise_and_effects(state: SelectionState, model: Model) -> Model:
-    """Model after alternating selections of changes of the noise and of effects, while the evidence increases.
+def _alternate_noise_and_effects(state: SelectionState, model: Model) -> tuple[SelectionState, Model]:
+    """State and model after alternating selections of changes of the noise and of effects, while evidence increases.
 
     Each change of the noise is tried in addition to `model`, in place of one of the effects in the model, and in place
     of all effects.
@@ -129,11 +125,9 @@ def _alternate_noise_and_effects(state: SelectionState, model: Model) -> Model:
         if gains[most] < (least if not most and (state.noise_changes or members) else 0.0):
             break
         likeliest_noise = _most_probable_noise_change(ranked[most], rest[most])
-        space = state.space.with_effects(bases[most].effects)
-        state.add_noise_change(with_estimated_sizes(space, state.space.sigma, likeliest_noise))
-        state.set_adjustment(state.estimate_variance_components(bases[most].effects))
+        state = state.with_noise_change(likeliest_noise, bases[most].effects)
         model = state.searcher.select_model(requires_member=False)
-    return model
+    return state, model
 
 
 def _most_probable_noise_change(

@@ -158,7 +158,7 @@ class Searcher:
             if conditioning_model.members
             else self.null_ensemble
         )
-        values, null_values = self.catalogue_designs.log_evidence_and_null_values(probe)
+        values, null_values, self.catalogue_designs = self.catalogue_designs.screen(probe)
         families = self.catalogue_designs.log_evidence_by_family(values) + self.catalogue_designs.log_family_prior
         laws: list[ScreenedLaw] = []
         statistic, null = (

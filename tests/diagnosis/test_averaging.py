@@ -50,7 +50,7 @@ def test_a_law_that_does_much_is_taken_off_whole():
 
 def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_both_does():
     baseline = adjust(network(faces=1, seed=3)[0])
-    case = SelectionState(baseline, baseline.problem.is_used_reading, 0)
+    case = SelectionState.from_adjustment(baseline, baseline.problem.is_used_reading, 0)
     elevation = RESPONSE_AND_DESIGN_BY_NAME["elevation"][0]
     laws = [EmpiricalLaw((), (), elevation, smooth_regressor(name)) for name in ("time", "station-time")]
     fitted = case.refit(laws, case.reading_sigmas)
@@ -77,7 +77,7 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
 def test_noise_moves_no_target() -> None:
     """The probability of a change of the noise is not that of a shift."""
     baseline = adjust(network(faces=1, seed=3)[0])
-    case = SelectionState(baseline, baseline.problem.is_used_reading, 0)
+    case = SelectionState.from_adjustment(baseline, baseline.problem.is_used_reading, 0)
     law = Hypothesis(
         EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], smooth_regressor("time")), 0.0, 5.0, "unknown"
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ from ltsim.diagnosis.evidence import log_bayes_factor_discrepancy
 from ltsim.diagnosis.findings import SelectedModelFit
 from ltsim.diagnosis.global_test import run_global_test
 from ltsim.diagnosis.hypotheses import Hypothesis
+from ltsim.diagnosis.model_selection import select_model
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.preprocessing import is_single_error
 from ltsim.diagnosis.selection_state import SelectionState
@@ -176,13 +179,12 @@ def test_nothing_unlikely_is_told_beside_anything_else(monkeypatch):
     noisy = NoiseHypothesis(
         "noise-level", find_effect("noise-level")(), (0.1, 0.1, 0.1), (0.1, 0.1, 0.1), 9.0, 5.0, 0.4
     )
-    search = SelectionState.set_adjustment
 
-    def with_noise(case, adjustment):
-        search(case, adjustment)
-        case.noise_changes = [noisy]
+    def with_noise(*arguments):
+        state, model = select_model(*arguments)
+        return replace(state, noise_changes=(noisy,)), model
 
-    monkeypatch.setattr(SelectionState, "set_adjustment", with_noise)
+    monkeypatch.setattr("ltsim.diagnosis.diagnose.select_model", with_noise)
     told = diagnose(recording).findings
     assert [f.effect for f in told] == ["range-cyclic"]
     monkeypatch.setattr(SelectedModelFit, "finding_of_member", lambda *_: unlikely)
@@ -210,7 +212,9 @@ def test_noise_that_differs_from_set_up_to_set_up_is_one_finding():
 def test_nothing_without_a_size_is_told_beside_something_else():
     """A plume that fits the way of one station by chance has no temperature: the wrong reading alone is told."""
     recording = changed(workshop(2)[0], 40, 0, 15.0)
-    case = SelectionState(adjust(recording, misalignment_construction()), np.ones((len(recording), 3), dtype=bool), 0)
+    case = SelectionState.from_adjustment(
+        adjust(recording, misalignment_construction()), np.ones((len(recording), 3), dtype=bool), 0
+    )
     plume = find_effect("heat-plume")(("S2",), (), (0.0, 0.0, 0.4), 0.2)
     members = [Hypothesis(plume, -9.0, 5.0, "heat-plume")]
     found = case.searcher.model_of(members)

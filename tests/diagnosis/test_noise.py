@@ -260,7 +260,7 @@ def test_the_size_of_noise_is_estimated_beyond_the_sizes_that_are_searched(facto
     drawn = factor * recording.sigma() * random_stream(1, "noise").standard_normal(recording.readings.shape)
     noisy = recording.replace(readings=recording.readings + drawn)
     adjusted = adjust(noisy, misalignment_construction(), start_state=truth.state)
-    state = SelectionState(adjusted, adjusted.problem.is_used_reading, 0, None)
+    state = SelectionState.from_adjustment(adjusted, adjusted.problem.is_used_reading, 0, None)
     level = next(h for _, h in state.ranked_noise_changes(state.empty_model) if h.effect.name == "noise-level")
     found = with_estimated_sizes(state.space, noisy.sigma(), level)
     np.testing.assert_allclose(np.sqrt(1.0 + np.array(found.sizes)), factor, rtol=0.25)
