@@ -8,7 +8,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment import Adjustment, adjust_from_state
 from ltsim.adjustment.refit import Refit, refit_with_effects
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Bools, Floats
@@ -126,7 +126,7 @@ class SelectionState:
             return Refit(self.baseline_adjustment, (), ())
         old = self.baseline_adjustment
         adjusted = partial(
-            adjust,
+            adjust_from_state,
             with_declared_centring(old.recording, noise_changes),
             old.construction,
             sigma=sigma,
@@ -135,7 +135,7 @@ class SelectionState:
             prior=old.problem.prior,
         )
 
-        def with_causes(effects: Sequence[LinearEffect] = (), start_state: NetworkState | None = None) -> Adjustment:
+        def with_causes(effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
             """Adjustment with effects in addition to the causes of the baseline."""
             return adjusted(effects=(*effects, *old.effects), start_state=start_state)
 
@@ -149,7 +149,7 @@ class SelectionState:
             owners = [self.recording.instruments.index(name) for name in contradiction.instruments]
             freed[owners, old.construction.parameter_names.index(contradiction.parameter.name)] = True
         prior = old.problem.prior.with_widened_sigmas(freed)
-        baseline = adjust(
+        baseline = adjust_from_state(
             old.recording,
             old.construction,
             effects=old.effects,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.estimate import adjust
+from ltsim.adjustment.estimate import adjust_from_state
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import Hypothesis, ReadingShiftChange
 from ltsim.adjustment.identification.model_changes import apply_corrections_and_omissions
@@ -51,7 +51,7 @@ def adjust_with_causes(
         True to subtract the estimated shifts from the readings first. The adjustment estimates the (remaining) shifts
         in both cases, with start values of zero if they are subtracted, otherwise with the estimates of the fit.
     **options
-        Options of `adjust`.
+        Options of `adjust_from_state`.
     """
     changed, shifts, values = (
         apply_corrections_and_omissions(recording, hypotheses),
@@ -70,4 +70,4 @@ def adjust_with_causes(
     start_state = replace(
         fit.state, instrument_parameters=instrument, extra_parameters=np.concatenate([effect_values, values])
     )
-    return adjust(changed, construction, effects=(*effects, *shifts), start_state=start_state, **options)
+    return adjust_from_state(changed, construction, effects=(*effects, *shifts), start_state=start_state, **options)
