@@ -40,8 +40,8 @@ def assemble_diagnosis(
     state, model, global_test = model_fit.state, model_fit.model, model_fit.global_test
     baseline, adjusted = state.baseline_adjustment, model_fit.refit.adjustment
     shift_findings = [
-        model_fit.finding_of_member(i)
-        for i, hypothesis in enumerate(model.members)
+        model_fit.finding_of_effect(i)
+        for i, hypothesis in enumerate(model.hypotheses)
         if hypothesis.key not in model_fit.withheld_effect_keys
     ]
     has_clock = state.recording.has_clock
@@ -50,7 +50,7 @@ def assemble_diagnosis(
     ]
     findings = _reported_findings(test_findings, shift_findings, noise_findings)
     before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=held_out_errors.rms_without_model)
-    if model.members or state.noise_changes:
+    if model.hypotheses or state.noise_changes:
         dof = baseline.dof - model.basis.shape[1]
         after = Misfit(chi2=adjusted.chi2, dof=dof, held_out_rms=held_out_errors.rms_with_model)
     verdict = "mismatch" if is_mismatch or test_findings else "consistent"

@@ -61,20 +61,20 @@ def average_over_explanations(
     (n, 3) float
         Averaged change of the three readings of n pointings, minus their change by the refit [m, rad, rad].
     """
-    refitted = [replace(h, effect=effect) for h, effect in zip(model.members, refit.effects, strict=True)]
+    refitted = [replace(h, effect=effect) for h, effect in zip(model.hypotheses, refit.effects, strict=True)]
     space, linear = searcher.space, first_order_reading_change(searcher, searcher.model_of(refitted))
     points, change = refit.adjustment.state.target_points + space.target_shifts(linear), -linear
     shift_by_laws, weighted_deviations = np.zeros_like(points), [np.zeros((0, *points.shape))]
     for i, ranking in enumerate(rankings):
         others = searcher.model_without(model, i)
         weights, changes = alternative_weights_and_changes(
-            searcher, others, model.members[i], ranking, 1.0 + model.discrepancy_penalty
+            searcher, others, model.hypotheses[i], ranking, 1.0 + model.discrepancy_penalty
         )
         shifts = np.stack([-space.target_shifts(row) for row in changes])
         mean = np.einsum("k,kti->ti", weights, shifts)
         points += mean
         change += weights @ changes
-        shift_by_laws += mean if not model.members[i].is_catalogued else 0.0
+        shift_by_laws += mean if not model.hypotheses[i].is_catalogued else 0.0
         weighted_deviations.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
     deviations = np.concatenate(weighted_deviations)
     residual_shift = (
@@ -197,12 +197,12 @@ def _hypotheses_at_probable_shapes(
 
 def first_order_reading_change(searcher: Searcher, model: Model) -> Floats:
     """Linear approximation of the change (m,) of m whitened readings by all effects in a refitted model."""
-    if not model.members:
+    if not model.hypotheses:
         return np.zeros(searcher.space.n_rows)
     coefficient_means = wide_prior_posterior(
-        *model.gram_and_score, np.concatenate([h.plausible_sizes for h in model.members])
+        *model.gram_and_score, np.concatenate([h.plausible_sizes for h in model.hypotheses])
     )[0]
-    change: Floats = np.hstack([searcher.space.whitened_design(h.effect) for h in model.members]) @ coefficient_means
+    change: Floats = np.hstack([searcher.space.whitened_design(h.effect) for h in model.hypotheses]) @ coefficient_means
     return change
 
 

@@ -79,7 +79,7 @@ class EffectGroup:
     transposed_designs: Singles | sp.csr_array
     """Transposed design columns (h k, r) of h effects with k parameters on r rows of the residual space: one row per
     parameter, in units of its plausible size."""
-    row_weights: Singles
+    row_factors: Singles
     """Factors (r,) by which the r rows of the design are multiplied, for an adjustment with other weights."""
     unprojected_gram: Floats
     """Gram matrices (h, k, k) of the k weighted design columns of each of h effects, before projection."""
@@ -87,33 +87,33 @@ class EffectGroup:
     """Gram matrices (h, k, k) of the k design columns of each of h effects after projection onto the residual space,
     without a model; zeros before the first screening."""
 
-    def member_ranges(self, n_vectors: int) -> Iterator[slice]:
+    def effect_ranges(self, n_vectors: int) -> Iterator[slice]:
         """Ranges of effects of the group whose products with `n_vectors` vectors are in memory at a time."""
         return batches(len(self.effect_indices), self.n_parameters * n_vectors)
 
-    def weighted_products(self, member_range: slice, vectors: Floats | Singles) -> Floats:
+    def weighted_products(self, effect_range: slice, vectors: Floats | Singles) -> Floats:
         """Products (h, k, v) of the k weighted design columns of each of h effects in a range with v `vectors` (m, v).
 
         The vectors have an element for each of the m rows of the residual space.
         """
         transposed_designs, count = (
-            self.transposed_designs[member_range.start * self.n_parameters : member_range.stop * self.n_parameters],
+            self.transposed_designs[effect_range.start * self.n_parameters : effect_range.stop * self.n_parameters],
             vectors.shape[1],
         )
         products = np.empty((transposed_designs.shape[0], count))
-        for part in batches(count, len(self.row_weights)):
+        for part in batches(count, len(self.row_factors)):
             products[:, part] = transposed_designs @ np.multiply(
-                vectors[self.row_indices, part], self.row_weights[:, None], dtype=np.float32
+                vectors[self.row_indices, part], self.row_factors[:, None], dtype=np.float32
             )
-        return products.reshape(member_range.stop - member_range.start, self.n_parameters, count)
+        return products.reshape(effect_range.stop - effect_range.start, self.n_parameters, count)
 
     def with_rows_scaled(self, row_factors: Singles) -> EffectGroup:
         """Copy of the group for a residual space with other weights: its m rows are multiplied by factors (m,)."""
-        weight = self.row_weights * row_factors[self.row_indices]
+        weight = self.row_factors * row_factors[self.row_indices]
         if isinstance(self.transposed_designs, np.ndarray):
             parts = (
                 self.transposed_designs[p.start * self.n_parameters : p.stop * self.n_parameters] * weight
-                for p in self.member_ranges(len(weight))
+                for p in self.effect_ranges(len(weight))
             )
             products = np.concatenate(
                 [
@@ -129,7 +129,7 @@ class EffectGroup:
             )
         return replace(
             self,
-            row_weights=weight,
+            row_factors=weight,
             unprojected_gram=products.astype(np.float64),
             projected_gram=np.zeros_like(self.projected_gram),
         )
@@ -248,7 +248,7 @@ class CatalogueDesigns:
         screened_groups = []
         for group in self.groups:
             grams = []
-            for part in group.member_ranges(null_ensemble.probe_vectors.shape[1]):
+            for part in group.effect_ranges(null_ensemble.probe_vectors.shape[1]):
                 scores = group.weighted_products(part, null_ensemble.probe_vectors)
                 gram = group.projected_gram[part]
                 if null_ensemble.computes_gram_matrices:
@@ -284,14 +284,14 @@ class CatalogueDesigns:
             if isinstance(family[0], RangeScale) or type(family[0]) not in ORDINARY_CALIBRATION_EFFECT_TYPES
         ]
 
-    def local_optima(self, member_indices: Ints, log_evidences: Floats) -> list[int]:
+    def local_optima(self, effect_indices: Ints, log_evidences: Floats) -> list[int]:
         """Indices of the place and shape of a catalogue effect with the largest evidence, and of other local optima.
 
-        `member_indices` are the indices of the effects of a family, sorted by decreasing `log_evidences` (h,) of the h
+        `effect_indices` are the indices of the effects of a family, sorted by decreasing `log_evidences` (h,) of the h
         effects.
         """
-        chosen = [int(member_indices[0])]
-        for i in member_indices[1:MAX_COMPARED_PLACES_AND_SHAPES]:
+        chosen = [int(effect_indices[0])]
+        for i in effect_indices[1:MAX_COMPARED_PLACES_AND_SHAPES]:
             if len(chosen) == MAX_LOCAL_OPTIMA or log_evidences[i] < log_evidences[chosen[0]] - MAX_EVIDENCE_DEFICIT:
                 break
             if all(are_distinct(self.effects[int(i)], self.effects[j]) for j in chosen):

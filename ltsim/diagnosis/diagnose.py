@@ -49,7 +49,7 @@ from ltsim.diagnosis.preprocessing import (
     has_small_residual_when_omitted,
     identified_effects,
 )
-from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
+from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS
 from ltsim.diagnosis.schema import Finding
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects.linear_effect import CandidateEffect
@@ -120,7 +120,7 @@ def diagnose(
     is_mismatch = global_test.p_value < level
     initial_space, initial_designs = state.space, state.searcher.catalogue_designs
     state, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
-    if selection is not None and model.members:
+    if selection is not None and model.hypotheses:
         rejected_mask = np.isfinite(recording.readings) & ~state.is_used_reading
         readmitted_mask = has_small_residual_when_omitted(refit.adjustment, rejected_mask)
         if readmitted_mask.any():  # the effects of the model explain these rejected readings
@@ -134,7 +134,7 @@ def diagnose(
         contradicting_constant_finding(c)
         for c in contradictions
         if not _varies_constant(c.parameter.name, model.effects)
-    ][:MAX_MODEL_MEMBERS]
+    ][:MAX_MODEL_EFFECTS]
     repeats_search = not state.searcher.is_large_network if held_out is None else held_out
     errors = (
         HeldOutErrors()
@@ -227,7 +227,7 @@ def _contradictions_unexplained_by_model(
     without the model.
     """
     with_model = compare_with_reference(final_adjustment).contradictions
-    if not model.members:
+    if not model.hypotheses:
         return with_model
     contradictions = compare_with_reference(state.space.adjustment).contradictions
     difference_by_constant = {
@@ -248,17 +248,17 @@ def _refit_and_prune(state: SelectionState, model: Model) -> tuple[Model, Refit]
     The search is linear. The second-order part of a large effect can therefore look like a further effect.
     """
     refit = state.refit(model.effects, state.reading_sigmas)
-    while len(model.members) > 1:
-        rest = [state.searcher.model_without(model, i) for i in range(len(model.members))]
-        refits_without_member = [state.refit(reduced.effects, state.reading_sigmas) for reduced in rest]
+    while len(model.hypotheses) > 1:
+        rest = [state.searcher.model_without(model, i) for i in range(len(model.hypotheses))]
+        refits_without_effect = [state.refit(reduced.effects, state.reading_sigmas) for reduced in rest]
         gains = [
             log_bayes_factor_of_refits(model, reduced, refitted.adjustment.chi2 - refit.adjustment.chi2)
-            for reduced, refitted in zip(rest, refits_without_member, strict=True)
+            for reduced, refitted in zip(rest, refits_without_effect, strict=True)
         ]
         least = int(np.argmin(gains))
         if gains[least] >= 0.0:
             break
-        model, refit = rest[least], refits_without_member[least]
+        model, refit = rest[least], refits_without_effect[least]
     return model, refit
 
 
@@ -287,7 +287,7 @@ def _held_out_errors(state: SelectionState, model: Model, *, repeats_search: boo
     space, seed = state.searcher.space, state.seed
     if (state.reading_sigmas < nominal).any():
         space = ResidualSpace.from_adjustment(state.refit((), np.maximum(state.reading_sigmas, nominal)).adjustment)
-    if not model.members:
+    if not model.hypotheses:
         before = cross_validated_errors(space, seed).rms_without_model
         return HeldOutErrors(before, before)
     return (

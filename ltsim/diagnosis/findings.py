@@ -64,15 +64,15 @@ class SelectedModelFit:
     held_out_log_odds: float = 0.0
     """Log odds of the model against no effect if held-out readings contradict the model; otherwise 0."""
 
-    def _ranking_of_alternatives(self, member_index: int) -> Ranking:
+    def _ranking_of_alternatives(self, effect_index: int) -> Ranking:
         """Ranking of all alternatives to an effect in the model, with changes of the noise and an unmodelled cause."""
         searcher, model = self.state.searcher, self.model
-        reduced_model = searcher.model_without(model, member_index)
+        reduced_model = searcher.model_without(model, effect_index)
         noises = [
             Hypothesis(change.effect, 0.0, value, change.effect.name)
             for value, change in self.state.ranked_noise_changes(reduced_model)
         ]
-        effect, spread = self.refit.effects[member_index], model.members[member_index].plausible_sizes
+        effect, spread = self.refit.effects[effect_index], model.hypotheses[effect_index].plausible_sizes
         moments = searcher.evidence_calculator.grams_and_scores([effect], reduced_model)[0]
         coefficient_means = coefficient_posterior(*moments, spread)[0]
         redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
@@ -81,13 +81,13 @@ class SelectedModelFit:
         ranking = searcher.ranking(reduced_model).with_rivals(noises).with_unmodelled_cause(likeness)
         return ranking.with_held_out_evidence(self.held_out_log_odds)
 
-    def p_same_name(self, member_index: int) -> float:
+    def p_same_name(self, effect_index: int) -> float:
         """Posterior probability that the cause is an effect with the same name as the given effect in the model.
 
-        `member_index` is the index of the effect in the model. For an unknown effect the result is the probability that
+        `effect_index` is the index of the effect in the model. For an unknown effect the result is the probability that
         an unknown effect acts on the same observables.
         """
-        hypothesis, ranking = self.model.members[member_index], self.rankings[member_index]
+        hypothesis, ranking = self.model.hypotheses[effect_index], self.rankings[effect_index]
         if hypothesis.is_catalogued:
             return ranking.probabilities_by_name().get(hypothesis.name, 0.0)
         changed_observables = set(hypothesis.effect.observables)
@@ -99,17 +99,17 @@ class SelectedModelFit:
     @cached_property
     def rankings(self) -> list[Ranking]:
         """Ranking of all alternatives to each effect in the model, one per effect."""
-        return [self._ranking_of_alternatives(i) for i in range(len(self.model.members))]
+        return [self._ranking_of_alternatives(i) for i in range(len(self.model.hypotheses))]
 
     @cached_property
     def p_located(self) -> list[float]:
         """Probability, for each effect in the model, that an effect of any name acts on its observables and place."""
-        return [self._p_located_of(i) for i in range(len(self.model.members))]
+        return [self._p_located_of(i) for i in range(len(self.model.hypotheses))]
 
     @cached_property
     def squared_residual_decreases(self) -> list[Floats]:
         """Decrease of the m squared whitened residuals by each effect in the model, given the other effects."""
-        reduced_models = (self.state.searcher.model_without(self.model, i) for i in range(len(self.model.members)))
+        reduced_models = (self.state.searcher.model_without(self.model, i) for i in range(len(self.model.hypotheses)))
         return [others.residual**2 - self.model.residual**2 for others in reduced_models]
 
     @cached_property
@@ -119,58 +119,58 @@ class SelectedModelFit:
         The effect with the largest chi-square decrease is reported nevertheless if there is no other finding, or if it
         is certain that there is a cause.
         """
-        members, gains = self.model.members, [gain.sum() for gain in self.squared_residual_decreases]
+        hypotheses, gains = self.model.hypotheses, [gain.sum() for gain in self.squared_residual_decreases]
         is_doubtful = [
             self.p_real(i) < MIN_PROBABLE
             and (gains[i] < max(gains) or (self.has_test_findings and self.p_any_cause(i) < 1.0 - FAMILY_WISE_LEVEL))
-            for i in range(len(members))
+            for i in range(len(hypotheses))
         ]
-        return tuple(member.key for member, doubt in zip(members, is_doubtful, strict=True) if doubt)
+        return tuple(hypothesis.key for hypothesis, doubt in zip(hypotheses, is_doubtful, strict=True) if doubt)
 
-    def p_real(self, member_index: int) -> float:
+    def p_real(self, effect_index: int) -> float:
         """Probability that an effect in the model is real under any name, and not the result of several wrong readings.
 
         It is 0 if neither a size nor the decrease of chi-square is significant. It is also 0 if neither the place, nor
         the observable, nor the form of the effect is determined.
         """
-        effect, gain = self.refit.effects[member_index], float(self.squared_residual_decreases[member_index].sum())
-        size_estimates = [size for size in self.refit.estimates[member_index] if size.parameter in effect.parameters]
+        effect, gain = self.refit.effects[effect_index], float(self.squared_residual_decreases[effect_index].sum())
+        size_estimates = [size for size in self.refit.estimates[effect_index] if size.parameter in effect.parameters]
         is_significant = isinstance(effect, EmpiricalLaw) or gain > MIN_SIGNIFICANT_SIGMAS**2 * n_constants(effect)
         is_significant |= any(abs(size.value) > MIN_SIGNIFICANT_SIGMAS * size.sigma for size in size_estimates)
-        p_located = self.p_located[member_index]
+        p_located = self.p_located[effect_index]
         anywhere = FindingScope(covariates=covariate_names_in_files(effect.covariates))
         is_specific = self._scope(effect) != anywhere or p_located >= MIN_PROBABLE
         if not (is_significant and is_specific):
             return 0.0
-        return max(self.p_same_name(member_index), p_located) * (1.0 - self._p_wrong_readings(member_index))
+        return max(self.p_same_name(effect_index), p_located) * (1.0 - self._p_wrong_readings(effect_index))
 
-    def p_any_cause(self, member_index: int) -> float:
+    def p_any_cause(self, effect_index: int) -> float:
         """Probability that an effect in the model has any cause other than several wrong readings."""
-        return (1.0 - self.rankings[member_index].p_none) * (1.0 - self._p_wrong_readings(member_index))
+        return (1.0 - self.rankings[effect_index].p_none) * (1.0 - self._p_wrong_readings(effect_index))
 
-    def _p_wrong_readings(self, member_index: int) -> float:
+    def _p_wrong_readings(self, effect_index: int) -> float:
         """Probability that several wrong readings, with separate errors, are the cause of an effect in the model."""
         searcher, model = self.state.searcher, self.model
-        other_model = searcher.model_without(model, member_index)
-        if isinstance(model.members[member_index].effect, Outlier):
+        other_model = searcher.model_without(model, effect_index)
+        if isinstance(model.hypotheses[effect_index].effect, Outlier):
             return 0.0
         redundancy = searcher.space.redundancy - np.sum(other_model.basis**2, axis=1)
         prior = searcher.catalogue_designs.log_prior_of_family(Outlier.name)
         rival = log_evidence_of_wrong_readings(searcher.space, other_model.residual, redundancy, prior)
         return float(expit(rival - (model.penalised_log_evidence - other_model.penalised_log_evidence)))
 
-    def finding_of_member(self, member_index: int) -> Finding:
+    def finding_of_effect(self, effect_index: int) -> Finding:
         """Finding that reports an effect in the model, given the other effects in the model."""
-        searcher, model, ranking = self.state.searcher, self.model, self.rankings[member_index]
-        space, others = searcher.space, searcher.model_without(model, member_index)
-        hypothesis = replace(model.members[member_index], effect=self.refit.effects[member_index])
+        searcher, model, ranking = self.state.searcher, self.model, self.rankings[effect_index]
+        space, others = searcher.space, searcher.model_without(model, effect_index)
+        hypothesis = replace(model.hypotheses[effect_index], effect=self.refit.effects[effect_index])
         effect, name = hypothesis.effect, hypothesis.name
         probability, rivals = (
-            self.p_same_name(member_index),
+            self.p_same_name(effect_index),
             probability_and_equivalents(ranking.probabilities_by_name(), name)[1],
         )
-        p_located = self.p_located[member_index]
-        gain = self.squared_residual_decreases[member_index]
+        p_located = self.p_located[effect_index]
+        gain = self.squared_residual_decreases[effect_index]
         coefficient_means = coefficient_posterior(
             *searcher.evidence_calculator.grams_and_scores([effect], others)[0], hypothesis.plausible_sizes
         )[0]
@@ -178,7 +178,7 @@ class SelectedModelFit:
         shift = design_columns @ coefficient_means
         projected_design = searcher.model_of([hypothesis]).projected_designs[0] @ coefficient_means
         scope = self._scope(effect, active_observables(space.is_used_reading, shift[:rows], projected_design[:rows]))
-        estimates = self._estimates_of(member_index, hypothesis, others)
+        estimates = self._estimates_of(effect_index, hypothesis, others)
         sentence, further_values = "", dict[str, object]()
         if isinstance(effect, EmpiricalLaw):
             regressor = regressor_text(effect.regressor, has_clock=self.state.recording.has_clock)
@@ -189,7 +189,7 @@ class SelectedModelFit:
             curve = response_curve(effect, space.sightings, *searcher.law_coefficients(effect, others))
             further_values |= {} if curve is None else {"curve": curve}
         elif isinstance(effect, Effect):
-            other_effects = [e for k, e in enumerate(self.refit.effects) if k != member_index]
+            other_effects = [e for k, e in enumerate(self.refit.effects) if k != effect_index]
             measurement = separating_measurement_sentence(
                 self.state.baseline_adjustment, name, [rival.effect for rival in rivals], other_effects
             )
@@ -244,13 +244,13 @@ class SelectedModelFit:
         )
         return f" Most of the decrease of chi-square is in the {', the '.join(names)}."
 
-    def _p_located_of(self, member_index: int) -> float:
+    def _p_located_of(self, effect_index: int) -> float:
         """Sum of the probabilities of all hypotheses with the observables, place and covariates of the given effect.
 
         All effects that act on the same single target count as having these in common, because a target that moved, is
         badly seated or was read wrongly changes the same readings.
         """
-        effect = self.model.members[member_index].effect
+        effect = self.model.hypotheses[effect_index].effect
 
         def scope_of(candidate: CandidateEffect) -> FindingScope:
             scope = self._scope(candidate)
@@ -259,7 +259,7 @@ class SelectedModelFit:
             return scope.model_copy(update={"observables": tuple(sorted(candidate.observables))})
 
         scope = scope_of(effect)
-        return self.rankings[member_index].posterior_probability_of(lambda h: scope_of(h.effect) == scope)
+        return self.rankings[effect_index].posterior_probability_of(lambda h: scope_of(h.effect) == scope)
 
     def _scope(self, effect: CandidateEffect, default_observables: tuple[str, ...] = ()) -> FindingScope:
         """Scope of an effect; for an effect at all set-ups of one of several instruments it names the instrument.
@@ -306,7 +306,7 @@ class SelectedModelFit:
         return int(recording.instrument[recording.station == index][0])
 
     def _estimates_of(
-        self, member_index: int, hypothesis: Hypothesis, reduced_model: Model
+        self, effect_index: int, hypothesis: Hypothesis, reduced_model: Model
     ) -> tuple[ParameterEstimate, ...]:
         """Estimates of the sizes and shape constants of an effect; without a clock its times are numbers of pointings.
 
@@ -314,7 +314,7 @@ class SelectedModelFit:
         """
         refitted = [
             ParameterEstimate.from_si(*estimate)
-            for estimate in self.refit.estimates[member_index]
+            for estimate in self.refit.estimates[effect_index]
             if np.isfinite(estimate.sigma)
         ]
         if isinstance(hypothesis.effect, ORDINARY_CALIBRATION_EFFECT_TYPES):

@@ -61,7 +61,7 @@ class Hypothesis:
 class Model:
     """Model: a set of hypotheses that are true at the same time; its basis and residuals are computed on demand."""
 
-    members: tuple[Hypothesis, ...]
+    hypotheses: tuple[Hypothesis, ...]
     """Hypotheses of the model."""
     projected_designs: tuple[Floats, ...]
     """Projected design matrix (m, k) of each effect: change of m whitened residuals per unit of its k coefficients."""
@@ -71,21 +71,21 @@ class Model:
     """The m whitened residuals (m,) of the adjustment without the effects of the model."""
 
     @classmethod
-    def from_space(cls, members: Sequence[Hypothesis], space: ResidualSpace) -> Model:
+    def from_space(cls, hypotheses: Sequence[Hypothesis], space: ResidualSpace) -> Model:
         """Model with the given hypotheses in a residual space."""
-        designs = [space.whitened_design(h.effect) for h in members]
+        designs = [space.whitened_design(h.effect) for h in hypotheses]
         norms = map(space.norms_without_centring, designs)
-        return cls(tuple(members), tuple(map(space.project, designs)), tuple(norms), space.residuals)
+        return cls(tuple(hypotheses), tuple(map(space.project, designs)), tuple(norms), space.residuals)
 
     @property
     def effects(self) -> list[CandidateEffect]:
         """Effects in the model."""
-        return [h.effect for h in self.members]
+        return [h.effect for h in self.hypotheses]
 
     @cached_property
     def basis(self) -> Floats:
         """Orthonormal basis (m, e), e vectors, of the changes of m whitened residuals by all effects in the model."""
-        if not self.members:
+        if not self.hypotheses:
             return np.zeros((len(self.baseline_residual), 0))
         return orthonormal_columns(np.hstack(self.projected_designs), np.concatenate(self.design_column_norms))
 
@@ -107,7 +107,7 @@ class Model:
 
         It is 0 for a model with effects of the catalogue only.
         """
-        if all(h.is_catalogued for h in self.members):
+        if all(h.is_catalogued for h in self.hypotheses):
             return 0.0
         norms = np.concatenate(self.design_column_norms)
         unit = 1.0 / np.where(norms > 0, norms, 1.0)
@@ -126,11 +126,13 @@ class Model:
 
         The penalty is `discrepancy_penalty`.
         """
-        if not self.members:
+        if not self.hypotheses:
             return 0.0
-        log_prior_odds = sum(log_prior_odds_of_repetition(h, self.members[:i]) for i, h in enumerate(self.members))
-        penalty = self.discrepancy_penalty * (len(self.members) - 1)
-        return _size_averaged_log_evidence(self) + sum(h.log_prior for h in self.members) + log_prior_odds - penalty
+        log_prior_odds = sum(
+            log_prior_odds_of_repetition(h, self.hypotheses[:i]) for i, h in enumerate(self.hypotheses)
+        )
+        penalty = self.discrepancy_penalty * (len(self.hypotheses) - 1)
+        return _size_averaged_log_evidence(self) + sum(h.log_prior for h in self.hypotheses) + log_prior_odds - penalty
 
 
 RELATIVE_MODEL_ERROR = 0.05
@@ -270,8 +272,8 @@ def _size_averaged_log_evidence(model: Model) -> float:
     covers only the factors near the combination of factors with the largest evidence.
     """
     gram, score = model.gram_and_score
-    spread, owner = _plausible_sizes_and_effect_indices(model.members)
-    count, whole = len(model.members), 1.0 + float(model.baseline_residual @ model.baseline_residual)
+    spread, owner = _plausible_sizes_and_effect_indices(model.hypotheses)
+    count, whole = len(model.hypotheses), 1.0 + float(model.baseline_residual @ model.baseline_residual)
     bordered_matrix = np.block([[gram, score[:, None]], [score, whole]])
     unit_prior = np.diag(np.append(np.ones(len(score)), 0.0))
 
@@ -299,17 +301,17 @@ def _size_averaged_log_evidence(model: Model) -> float:
     return float(log_sum_exp(log_evidence_at_sizes(np.array(list(product(*neighbours))))))
 
 
-def _plausible_sizes_and_effect_indices(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
+def _plausible_sizes_and_effect_indices(hypotheses: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
     """Plausible sizes (k,) of all k coefficients of the effects in a model, and indices (k,) of their effects."""
-    size_sets = [h.plausible_sizes for h in members]
+    size_sets = [h.plausible_sizes for h in hypotheses]
     return np.concatenate(size_sets), np.repeat(np.arange(len(size_sets)), [len(spread) for spread in size_sets])
 
 
-def log_prior_odds_of_repetition(hypothesis: Hypothesis, other_members: Sequence[Hypothesis]) -> float:
+def log_prior_odds_of_repetition(hypothesis: Hypothesis, other_hypotheses: Sequence[Hypothesis]) -> float:
     """Log prior odds of a second effect with the name of another effect in the model, which rarely occurs twice.
 
-    `other_members` are the other effects in the model. The result is 0 for all other hypotheses.
+    `other_hypotheses` are the other effects in the model. The result is 0 for all other hypotheses.
     """
-    if hypothesis.name not in {h.name for h in other_members}:
+    if hypothesis.name not in {h.name for h in other_hypotheses}:
         return 0.0
     return 0.0 if hypothesis.is_catalogued and find_effect(hypothesis.name).may_recur else LOG_PRIOR_ODDS_OF_REPETITION

@@ -11,7 +11,7 @@ from ltsim.diagnosis.evidence import N_EXACTLY_EVALUATED
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, most_probable_name, probability_and_equivalents
 from ltsim.diagnosis.instruments import ContradictingConstants
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
-from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS, MIN_EFFECT_LOG_EVIDENCE
+from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS, MIN_EFFECT_LOG_EVIDENCE
 from ltsim.diagnosis.selection_state import SelectionState
 
 MAX_NOISE_CHANGES = 3
@@ -33,7 +33,7 @@ def select_model(
     noise = state.ranked_noise_changes(state.empty_model)[0][0]
     shifts = state.searcher.lower_bound_model(noise).penalised_log_evidence
     if noise >= shifts:
-        identified = state.searcher.catalogue_designs.hypotheses_of(state.identified_effects[: MAX_MODEL_MEMBERS - 1])
+        identified = state.searcher.catalogue_designs.hypotheses_of(state.identified_effects[: MAX_MODEL_EFFECTS - 1])
         start_model = state.searcher.model_of(identified)
         rival = max(
             shifts - start_model.penalised_log_evidence,
@@ -41,16 +41,16 @@ def select_model(
         )
         state, model = _select_effects_given_noise(_select_noise_changes(state, rival, identified), identified)
     else:
-        model = state.searcher.select_model(requires_member=True)
+        model = state.searcher.select_model(requires_effect=True)
     contradicting_constants = compare_with_reference(state.space.adjustment)
     constants = contradicting_constants.contradictions
     if (
         constants
         and contradicting_constants.joint_log_evidence - model.penalised_log_evidence
-        > (len(constants) - len(model.members)) * MIN_EFFECT_LOG_EVIDENCE
+        > (len(constants) - len(model.hypotheses)) * MIN_EFFECT_LOG_EVIDENCE
     ):
         state = state.with_released_priors(constants)
-        model = state.searcher.select_model(requires_member=False)
+        model = state.searcher.select_model(requires_effect=False)
     return _alternate_noise_and_effects(state, model)
 
 
@@ -86,17 +86,17 @@ def _select_effects_given_noise(
     with its noise, is compared with the noise alone by their evidence.
     """
     searcher = state.searcher
-    model = searcher.select_model(requires_member=True, start_hypotheses=start_hypotheses)
+    model = searcher.select_model(requires_effect=True, start_hypotheses=start_hypotheses)
     leading = searcher.ranking(searcher.empty_model).most_probable_of_each_kind()[:N_EXACTLY_EVALUATED]
-    candidates = [model.members, *((h,) for h in leading)]
+    candidates = [model.hypotheses, *((h,) for h in leading)]
     best = max(candidates[:1] if searcher.is_large_network else candidates, key=state.log_evidence_with_effects)
     with_effects = state.with_pruned_noise([h.effect for h in best])
-    model = with_effects.searcher.select_model(requires_member=False, start_hypotheses=best)
+    model = with_effects.searcher.select_model(requires_effect=False, start_hypotheses=best)
     is_supported = (
         with_effects.log_evidence_of_noise + model.penalised_log_evidence
         > state.log_evidence_of_noise + MIN_EFFECT_LOG_EVIDENCE
     )
-    return (with_effects, model) if model.members and is_supported else (state, state.empty_model)
+    return (with_effects, model) if model.hypotheses and is_supported else (state, state.empty_model)
 
 
 def _alternate_noise_and_effects(state: SelectionState, model: Model) -> tuple[SelectionState, Model]:
@@ -106,9 +106,9 @@ def _alternate_noise_and_effects(state: SelectionState, model: Model) -> tuple[S
     of all effects.
     """
     for _ in range(MAX_NOISE_CHANGES):
-        searcher, members = state.searcher, model.members
-        bases = [model, *(searcher.model_without(model, i) for i in range(len(members)))]
-        bases += [searcher.empty_model] if len(members) > 1 else []
+        searcher, hypotheses = state.searcher, model.hypotheses
+        bases = [model, *(searcher.model_without(model, i) for i in range(len(hypotheses)))]
+        bases += [searcher.empty_model] if len(hypotheses) > 1 else []
         ranked = [state.ranked_noise_changes(base) for base in bases]
         least = MIN_EFFECT_LOG_EVIDENCE + model.discrepancy_penalty
         rest = [
@@ -117,16 +117,16 @@ def _alternate_noise_and_effects(state: SelectionState, model: Model) -> tuple[S
         ]
         lost = [
             0.0,
-            *rest[1 : len(members) + 1],
-            *(model.penalised_log_evidence - base.penalised_log_evidence for base in bases[len(members) + 1 :]),
+            *rest[1 : len(hypotheses) + 1],
+            *(model.penalised_log_evidence - base.penalised_log_evidence for base in bases[len(hypotheses) + 1 :]),
         ]
         gains = [noise[0][0] - less for noise, less in zip(ranked, lost, strict=True)]
         most = int(np.argmax(gains))
-        if gains[most] < (least if not most and (state.noise_changes or members) else 0.0):
+        if gains[most] < (least if not most and (state.noise_changes or hypotheses) else 0.0):
             break
         likeliest_noise = _most_probable_noise_change(ranked[most], rest[most])
         state = state.with_noise_change(likeliest_noise, bases[most].effects)
-        model = state.searcher.select_model(requires_member=False)
+        model = state.searcher.select_model(requires_effect=False)
     return state, model
 
 

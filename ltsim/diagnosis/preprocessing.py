@@ -12,8 +12,8 @@ from ltsim.adjustment.identification import CauseSelection, NetworkFit, adjust_w
 from ltsim.adjustment.identification.cause_selection import largest_displacement
 from ltsim.adjustment.identification.cause_tests import reported_kind
 from ltsim.adjustment.identification.hypothesis import (
+    CauseHypothesis,
     CentringChange,
-    Hypothesis,
     NoiseFactor,
     ReadingShiftChange,
 )
@@ -39,7 +39,7 @@ MAX_SINGLE_OUTLIERS = 2
 """Largest number of outliers of one observable at a station, or at a target, that count as single errors."""
 
 
-def causes_corrected_before_search(selection: CauseSelection) -> list[Hypothesis]:
+def causes_corrected_before_search(selection: CauseSelection) -> list[CauseHypothesis]:
     """Selected simple causes with sufficient evidence that are corrected before the search for effects.
 
     They are blunders in rows of the recording, and reference values that contradict the readings. Shifts of readings

@@ -64,7 +64,7 @@ coefficients at each set-up; a law at one set-up alone, except for the kinds of 
 P_SINGLE_SET_UP_BY_RESPONSE_KIND = {"stand": 0.5}
 """Prior probability that a law acts at only one set-up, by the kind of its response. It is large for stands, which
 differ between set-ups more than instruments do."""
-MAX_MODEL_MEMBERS = 5
+MAX_MODEL_EFFECTS = 5
 """Largest number of effects in a model, and of reported instrument constants."""
 MIN_EFFECT_LOG_EVIDENCE = 2.0
 """Smallest increase of the log evidence by an additional effect. It represents a geometric prior on the number of

@@ -213,14 +213,14 @@ class SelectionState:
             n.log_prior_times_occam_factor for n in self.noise_changes
         )
 
-    def log_evidence_with_effects(self, members: Sequence[Hypothesis]) -> float:
+    def log_evidence_with_effects(self, hypotheses: Sequence[Hypothesis]) -> float:
         """Log evidence of hypotheses together with the selected changes of the noise.
 
         The changes of the noise are estimated with the hypotheses in the model. The result is comparable with
         `log_evidence_of_noise`, the log evidence without the hypotheses.
         """
-        state = self.with_estimated_noise([h.effect for h in members])
-        return state.log_evidence_of_noise + Model.from_space(members, state.space).penalised_log_evidence
+        state = self.with_estimated_noise([h.effect for h in hypotheses])
+        return state.log_evidence_of_noise + Model.from_space(hypotheses, state.space).penalised_log_evidence
 
     def with_estimated_noise(self, effects: Sequence[CandidateEffect]) -> SelectionState:
         """State with variance components estimated by REML (Foerstner 1979), with `effects` in the model.

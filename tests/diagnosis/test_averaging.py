@@ -64,7 +64,7 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
     )
     assert np.linalg.norm(expected) > 1e-5
     np.testing.assert_allclose(shift, expected, atol=0.01 * np.abs(expected).max())
-    targets, change = average_over_explanations(case.searcher, found, [Ranking(found.members, 0.0)] * 2, fitted)
+    targets, change = average_over_explanations(case.searcher, found, [Ranking(found.hypotheses, 0.0)] * 2, fitted)
     refitted = np.zeros_like(change)
     refitted[case.is_used_reading] = (
         first_order_reading_change(case.searcher, found)[: int(case.is_used_reading.sum())]

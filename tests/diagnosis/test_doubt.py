@@ -187,7 +187,7 @@ def test_nothing_unlikely_is_told_beside_anything_else(monkeypatch):
     monkeypatch.setattr("ltsim.diagnosis.diagnose.select_model", with_noise)
     told = diagnose(recording).findings
     assert [f.effect for f in told] == ["range-cyclic"]
-    monkeypatch.setattr(SelectedModelFit, "finding_of_member", lambda *_: unlikely)
+    monkeypatch.setattr(SelectedModelFit, "finding_of_effect", lambda *_: unlikely)
     assert diagnose(recording).findings
 
 

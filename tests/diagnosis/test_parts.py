@@ -99,7 +99,7 @@ class Set:
 
     @property
     def model(self) -> SimpleNamespace:
-        return SimpleNamespace(members=[SimpleNamespace(key=name) for name in self.members])
+        return SimpleNamespace(hypotheses=[SimpleNamespace(key=name) for name in self.members])
 
     @property
     def squared_residual_decreases(self) -> list[np.ndarray]:

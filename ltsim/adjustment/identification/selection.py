@@ -19,8 +19,8 @@ from ltsim.adjustment.identification.cause_selection import (
 from ltsim.adjustment.identification.evidence import LOG_ODDS_OF_CENTRING
 from ltsim.adjustment.identification.fit import FitInput, NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
+    CauseHypothesis,
     CentringChange,
-    Hypothesis,
     NoiseFactor,
     ReadingShiftChange,
     ReferenceOmission,
@@ -73,7 +73,7 @@ MIN_MOTION_SIGMAS_FOR_REFINEMENT = 1000.0
 """Smallest size of a sudden station motion, in its standard deviations, for which other times of the motion are fitted;
 a smaller motion does not distort the network.
 """
-Trials = tuple[tuple[Hypothesis, NetworkFit], ...]
+Trials = tuple[tuple[CauseHypothesis, NetworkFit], ...]
 """Hypotheses that were fitted in addition to a fit, each with the fit that contains it; the best fit first."""
 
 
@@ -85,16 +85,16 @@ class PartialSelection:
     """Fit with the hypotheses that are selected so far."""
     min_gain: float
     """Smallest gain of log evidence by a selected cause."""
-    initial_hypotheses: tuple[Hypothesis, ...]
+    initial_hypotheses: tuple[CauseHypothesis, ...]
     """Hypotheses of the initial fit."""
-    indispensable_hypotheses: tuple[Hypothesis, ...] = ()
+    indispensable_hypotheses: tuple[CauseHypothesis, ...] = ()
     """Hypotheses without which no fit was possible in an earlier step."""
     fit_before_trials: NetworkFit | None = None
     """Fit to which the `trials` were added; None if a later step changed their fit."""
     trials: Trials = ()
     """Trials of the latest forward step, whose first fit is `fit`; empty if a later step changed it."""
 
-    def trials_in_place_of(self, hypothesis: Hypothesis) -> tuple[NetworkFit, Trials] | None:
+    def trials_in_place_of(self, hypothesis: CauseHypothesis) -> tuple[NetworkFit, Trials] | None:
         """Fit without a hypothesis and the trials in its place; None unless it is the last one of a forward step."""
         hypotheses, before = self.fit.hypotheses, self.fit_before_trials
         is_last = before is not None and hypothesis is hypotheses[-1] and before.hypotheses == hypotheses[:-1]
@@ -247,13 +247,13 @@ def _refine_motion_time(fit: NetworkFit) -> NetworkFit:
     return fit
 
 
-def _better_fit_or_none(fit: NetworkFit, hypotheses: tuple[Hypothesis, ...]) -> NetworkFit | None:
+def _better_fit_or_none(fit: NetworkFit, hypotheses: tuple[CauseHypothesis, ...]) -> NetworkFit | None:
     """Fit with other hypotheses that starts at the state of `fit`; None if its log evidence is not larger."""
     made = _fit_or_none(fit, hypotheses)
     return made if made is not None and made.log_evidence > fit.log_evidence else None
 
 
-def _fit_or_none(fit: NetworkFit, hypotheses: tuple[Hypothesis, ...]) -> NetworkFit | None:
+def _fit_or_none(fit: NetworkFit, hypotheses: tuple[CauseHypothesis, ...]) -> NetworkFit | None:
     """Fit with other hypotheses that starts at the state of `fit`; None if no fit is possible."""
     try:
         return NetworkFit.from_start(fit.network, hypotheses, replace(fit.state, extra_parameters=np.zeros(0)))
@@ -321,7 +321,7 @@ def _initial_fit(network: FitInput) -> NetworkFit:
 def _fit_best_hypotheses(
     fit: NetworkFit,
     min_approximate_gain: float = 0.0,
-    replaced_hypothesis: Hypothesis | None = None,
+    replaced_hypothesis: CauseHypothesis | None = None,
     *,
     excluded_change_types: tuple[type, ...] = (),
 ) -> Trials:
@@ -333,7 +333,7 @@ def _fit_best_hypotheses(
     `excluded_change_types` are left out.
     """
     first, undetermined = 0.0, 0
-    tried: list[tuple[Hypothesis, NetworkFit]] = []
+    tried: list[tuple[CauseHypothesis, NetworkFit]] = []
     places = {h.place_key for h in fit.hypotheses if isinstance(h.model_change, NoiseFactor)}
     places |= {replaced_hypothesis.place_key} if replaced_hypothesis is not None else set()
     for promised, hypothesis in screened_hypotheses(fit):
@@ -359,7 +359,7 @@ def _fit_best_hypotheses(
     return tuple(sorted(tried, key=lambda pair: -pair[1].log_evidence))
 
 
-def refit_with_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, approximate_gain: float) -> NetworkFit | None:
+def refit_with_hypothesis(fit: NetworkFit, hypothesis: CauseHypothesis, approximate_gain: float) -> NetworkFit | None:
     """Fit with one more hypothesis, started at the present state, and at new start values if its gain is too small.
 
     The gain is compared with `approximate_gain`, that of the screening. The result is None if no fit is possible.
@@ -383,8 +383,8 @@ def refit_with_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, approximate_g
 
 
 def _fit_without_hypothesis(
-    fit: NetworkFit, hypothesis: Hypothesis, indispensable_hypotheses: tuple[Hypothesis, ...]
-) -> tuple[NetworkFit | None, tuple[Hypothesis, ...]]:
+    fit: NetworkFit, hypothesis: CauseHypothesis, indispensable_hypotheses: tuple[CauseHypothesis, ...]
+) -> tuple[NetworkFit | None, tuple[CauseHypothesis, ...]]:
     """Fit without a hypothesis, or None if no fit is possible, and the indispensable hypotheses.
 
     No fit is tried without one of the `indispensable_hypotheses`, to which the hypothesis is added if no fit is
