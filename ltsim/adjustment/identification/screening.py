@@ -49,8 +49,8 @@ MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
 """Fraction of gross errors among the pointings of a station or target, above which a motion of the target is tested, or
 a fit without these distances is made."""
 MAX_FITTED_HYPOTHESES = 4
-"""Largest number of hypotheses that are fitted in one step, of fitted hypotheses that prove to be undetermined, and of
-stations or targets with trial fits (limited because of the processor time)."""
+"""Largest number of hypotheses that are fitted in one step, of fitted undetermined hypotheses, and of stations or
+targets with trial fits (limited because of the processor time)."""
 MIN_LENGTHS_FOR_SCALE = 2
 """Smallest number of reference lengths for a test of a common scale error."""
 ScreenedHypothesis = tuple[float, CauseHypothesis]
@@ -384,10 +384,9 @@ def _noise_hypotheses(fit: NetworkFit) -> list[ScreenedHypothesis]:
 def _best_noise_hypothesis(fit: NetworkFit, hypothesis: CauseHypothesis, reading_mask: Bools) -> ScreenedHypothesis:
     """Largest gain of log evidence by a factor on the noise, and the hypothesis with this factor as start value.
 
-    With larger noise some outliers are correct readings; the number of remaining outliers is that of the largest gain.
+    With larger noise some outliers are correct readings: those with the smallest residuals, as many as maximise the gain.
     """
     within, out = reading_mask & fit.problem.is_used_reading, reading_mask & fit.is_outlier
-    # The outliers with the smallest residuals become correct readings, as many as maximise the gain.
     residual_sizes = np.sort(np.abs(fit.whitened_residuals[out]))
     squares = np.sum(fit.whitened_residuals[within] ** 2) + np.append(0.0, np.cumsum(residual_sizes**2))
     redundancy = np.nansum(fit.redundancy[within]) + np.arange(len(residual_sizes) + 1)
