@@ -49,8 +49,7 @@ MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
 """Fraction of gross errors among the pointings of a station or target, above which a motion of the target is tested, or
 a fit without these distances is made."""
 MAX_FITTED_HYPOTHESES = 4
-"""Largest number of hypotheses that are fitted in one step, of fitted undetermined hypotheses, and of stations or
-targets with trial fits (limited because of the processor time)."""
+"""Largest number of hypotheses, of undetermined hypotheses, and of places with trial fits that one step fits."""
 MIN_LENGTHS_FOR_SCALE = 2
 """Smallest number of reference lengths for a test of a common scale error."""
 ScreenedHypothesis = tuple[float, CauseHypothesis]
@@ -384,7 +383,7 @@ def _noise_hypotheses(fit: NetworkFit) -> list[ScreenedHypothesis]:
 def _best_noise_hypothesis(fit: NetworkFit, hypothesis: CauseHypothesis, reading_mask: Bools) -> ScreenedHypothesis:
     """Largest gain of log evidence by a factor on the noise, and the hypothesis with this factor as start value.
 
-    With larger noise some outliers are correct readings: those with the smallest residuals, as many as maximise the gain.
+    With larger noise the outliers with the smallest residuals are correct readings, as many as maximise the gain.
     """
     within, out = reading_mask & fit.problem.is_used_reading, reading_mask & fit.is_outlier
     residual_sizes = np.sort(np.abs(fit.whitened_residuals[out]))
