@@ -19,7 +19,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_evidence
 from ltsim.core.arrays import Floats, Ints, Singles, batches, stack_and_release
 from ltsim.diagnosis.evidence import (
-    MAX_EVIDENCE_DEFICIT,
+    MAX_LOG_EVIDENCE_DEFICIT,
     log_mean_exp_by_group,
     simulated_log_evidence,
     size_factor_to_noise_level,
@@ -36,9 +36,9 @@ from ltsim.physics.laws.places import instrument_places
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
-MAX_SPARSE_FRACTION = 0.15
+MAX_NONZERO_ROW_FRACTION_OF_SPARSE_DESIGN = 0.15
 """Fraction of nonzero rows below which a design matrix is stored as sparse; it affects only the computing time."""
-MAX_LOCAL_OPTIMA = 3
+MAX_LOCAL_OPTIMA_PER_CATALOGUE_EFFECT = 3
 """Largest number of local optima of a catalogue effect, over its places and shapes, that are evaluated."""
 MAX_COMPARED_PLACES_AND_SHAPES = 40
 """Number of places and shapes of a catalogue effect with the largest evidence among which local optima are sought."""
@@ -91,7 +91,7 @@ class EffectGroup:
         """Ranges of effects of the group whose products with `n_vectors` vectors are in memory at a time."""
         return batches(len(self.effect_indices), self.n_parameters * n_vectors)
 
-    def weighted_products(self, effect_range: slice, vectors: Floats | Singles) -> Floats:
+    def products_with_vectors(self, effect_range: slice, vectors: Floats | Singles) -> Floats:
         """Products (h, k, v) of the k weighted design columns of each of h effects in a range with v `vectors` (m, v).
 
         The vectors have an element for each of the m rows of the residual space.
@@ -168,7 +168,7 @@ class CatalogueDesigns:
         names = self.families if family in self.families else (*self.families, family)
         return float(log_prior_by_base_rate("named", names)[names.index(family)])
 
-    def hypotheses_of(self, effects: Sequence[CandidateEffect]) -> tuple[Hypothesis, ...]:
+    def hypotheses_of_effects(self, effects: Sequence[CandidateEffect]) -> tuple[Hypothesis, ...]:
         """Hypotheses of the given catalogue effects; effects that are not possible in the recording are left out."""
         n_places = np.bincount(self.family_indices, minlength=len(self.families))
         prior = dict(zip(self.families, self.log_family_prior - np.log(n_places), strict=True))
@@ -193,7 +193,7 @@ class CatalogueDesigns:
             if not len(row_indices):
                 continue
             touched = np.bincount(kind[row_indices], minlength=len(OBSERVABLES) + 1) > 0
-            is_sparse = len(row_indices) < MAX_SPARSE_FRACTION * space.n_rows
+            is_sparse = len(row_indices) < MAX_NONZERO_ROW_FRACTION_OF_SPARSE_DESIGN * space.n_rows
             stored = row_indices if is_sparse else np.flatnonzero(touched[kind])
             design_columns = design_columns[stored]
             design_columns *= effect.plausible_sizes
@@ -249,14 +249,14 @@ class CatalogueDesigns:
         for group in self.groups:
             grams = []
             for part in group.effect_ranges(null_ensemble.probe_vectors.shape[1]):
-                scores = group.weighted_products(part, null_ensemble.probe_vectors)
+                scores = group.products_with_vectors(part, null_ensemble.probe_vectors)
                 gram = group.projected_gram[part]
                 if null_ensemble.computes_gram_matrices:
                     gram = null_ensemble.projected_gram(scores, group.unprojected_gram[part])
                     grams.append(gram)
                 score, trials, _ = null_ensemble.split_products(scores)
                 if not null_ensemble.uses_monte_carlo_gram:
-                    gram = gram - row_gram(group.weighted_products(part, null_ensemble.model_basis))
+                    gram = gram - row_gram(group.products_with_vectors(part, null_ensemble.model_basis))
                 eigenvalues, eigenvectors = np.linalg.eigh(gram)
                 eigenvalues, eigenvectors = np.maximum(eigenvalues, 0.0), np.swapaxes(eigenvectors, 1, 2)
                 effect_indices = group.effect_indices[part]
@@ -292,7 +292,8 @@ class CatalogueDesigns:
         """
         chosen = [int(effect_indices[0])]
         for i in effect_indices[1:MAX_COMPARED_PLACES_AND_SHAPES]:
-            if len(chosen) == MAX_LOCAL_OPTIMA or log_evidences[i] < log_evidences[chosen[0]] - MAX_EVIDENCE_DEFICIT:
+            is_far_behind = log_evidences[i] < log_evidences[chosen[0]] - MAX_LOG_EVIDENCE_DEFICIT
+            if is_far_behind or len(chosen) == MAX_LOCAL_OPTIMA_PER_CATALOGUE_EFFECT:
                 break
             if all(are_distinct(self.effects[int(i)], self.effects[j]) for j in chosen):
                 chosen.append(int(i))

@@ -13,7 +13,7 @@ Decisions in their order, each with its criterion:
 7. Changes of the noise and effects in turns, while the log evidence increases.
 8. Effects that the nonlinear refit does not support are removed (`_refit_and_prune`): log Bayes factor below zero.
 9. Rejected readings that the model explains are used again, and steps 4 to 8 are repeated with them.
-10. Effects of the model with too small a probability are not reported (`SelectedModelFit.withheld_effect_keys`).
+10. Effects of the model with too small a probability are not reported (`SelectedModelFit.unreported_effect_keys`).
 """
 
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ from ltsim.diagnosis.model_selection import ConstantComparisonFunction, select_m
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.preprocessing import (
     adjustment_without_blunders,
-    has_small_residual_when_omitted,
+    explained_reading_mask,
     identified_effects,
 )
 from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS
@@ -61,7 +61,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
-MIN_REMAINING_DIFFERENCE_RATIO = 0.5
+MIN_UNEXPLAINED_CONSTANT_DIFFERENCE_RATIO = 0.5
 """Smallest ratio of two differences of an instrument constant from its reference (with the selected effects in the
 model, and without them) for which the difference is reported. Below this ratio the effects explain it."""
 
@@ -113,7 +113,7 @@ def diagnose(
     )
     selection = identify_causes(recording, construction)
     start_state = partial(
-        _start_state, recording, construction, selection, seed=seed, tests_ordinary_constants=history is None
+        _state_without_blunders, recording, construction, selection, seed=seed, tests_ordinary_constants=history is None
     )
     state, blunder_findings = start_state(level=level)
     global_test = run_global_test(state.searcher, state.noise_hypotheses)
@@ -122,7 +122,7 @@ def diagnose(
     state, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
     if selection is not None and model.hypotheses:
         rejected_mask = np.isfinite(recording.readings) & ~state.is_used_reading
-        readmitted_mask = has_small_residual_when_omitted(refit.adjustment, rejected_mask)
+        readmitted_mask = explained_reading_mask(refit.adjustment, rejected_mask)
         if readmitted_mask.any():  # the effects of the model explain these rejected readings
             del state, initial_space, initial_designs, model, refit  # their memory is for the second search
             state, blunder_findings = start_state(level=None, readmitted_mask=readmitted_mask)
@@ -165,7 +165,7 @@ def diagnose(
     )
 
 
-def _start_state(
+def _state_without_blunders(
     recording: Recording,
     construction: GeometricErrorModel,
     selection: CauseSelection | None,
@@ -223,8 +223,8 @@ def _contradictions_unexplained_by_model(
 ) -> tuple[ConstantContradiction, ...]:
     """Instrument constants that contradict their reference with the selected model as well as without it.
 
-    Their difference from the reference with the model is at least `MIN_REMAINING_DIFFERENCE_RATIO` times the difference
-    without the model.
+    Their difference from the reference with the model is at least `MIN_UNEXPLAINED_CONSTANT_DIFFERENCE_RATIO` times the
+    difference without the model.
     """
     with_model = compare_with_reference(final_adjustment).contradictions
     if not model.hypotheses:
@@ -238,7 +238,8 @@ def _contradictions_unexplained_by_model(
         c
         for c in with_model
         if abs(c.difference)
-        > MIN_REMAINING_DIFFERENCE_RATIO * difference_by_constant.get((c.instruments, c.parameter.name), np.inf)
+        > MIN_UNEXPLAINED_CONSTANT_DIFFERENCE_RATIO
+        * difference_by_constant.get((c.instruments, c.parameter.name), np.inf)
     )
 
 

@@ -14,12 +14,16 @@ from ltsim.core.arrays import Floats
 from ltsim.core.notation import MAX_LISTED_ITEMS, number_text
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.diagnosis.catalogue_designs import ORDINARY_CALIBRATION_EFFECT_TYPES
-from ltsim.diagnosis.detectability import MAX_DETECTABLE_SIZE_RATIO, separating_measurement_sentence, target_distortion
+from ltsim.diagnosis.detectability import (
+    MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO,
+    separating_measurement_sentence,
+    target_distortion_um,
+)
 from ltsim.diagnosis.evidence import (
-    active_observables,
     coefficient_posterior,
-    log_bayes_factor_discrepancy,
+    log_bayes_factor_of_discrepancy,
     log_evidence_of_wrong_readings,
+    observables_changed_by_effect,
 )
 from ltsim.diagnosis.forms import response_curve
 from ltsim.diagnosis.global_test import GlobalTestResult
@@ -29,7 +33,7 @@ from ltsim.diagnosis.schema import Finding, FindingEvidence, FindingScope, Param
 from ltsim.diagnosis.scopes import effect_scope
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.diagnosis.sentences import (
-    MIN_PROBABLE,
+    MIN_PROBABILITY_OF_PROBABLE_CAUSE,
     catalogue_effect_sentence,
     estimate_without_clock,
     law_sentence,
@@ -43,7 +47,7 @@ from ltsim.physics.laws.regressors import covariate_names_in_files
 from ltsim.physics.laws.text_form import law_suffix, regressor_text
 from ltsim.recordings.recording import OBSERVABLES
 
-MIN_LISTED_CHI2_FRACTION = 0.8
+MIN_CHI2_FRACTION_OF_LISTED_READINGS = 0.8
 """Fraction of the chi-square decrease of a finding that the readings listed in its sentence have together, at least."""
 
 
@@ -77,7 +81,7 @@ class SelectedModelFit:
         coefficient_means = coefficient_posterior(*moments, spread)[0]
         redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
         shift = searcher.space.whitened_design(effect) @ coefficient_means
-        likeness = log_bayes_factor_discrepancy(searcher.space, shift, model.residual, redundancy)
+        likeness = log_bayes_factor_of_discrepancy(searcher.space, shift, model.residual, redundancy)
         ranking = searcher.ranking(reduced_model).with_rivals(noises).with_unmodelled_cause(likeness)
         return ranking.with_held_out_evidence(self.held_out_log_odds)
 
@@ -87,24 +91,24 @@ class SelectedModelFit:
         `effect_index` is the index of the effect in the model. For an unknown effect the result is the probability that
         an unknown effect acts on the same observables.
         """
-        hypothesis, ranking = self.model.hypotheses[effect_index], self.rankings[effect_index]
+        hypothesis, ranking = self.model.hypotheses[effect_index], self.rankings_of_alternatives[effect_index]
         if hypothesis.is_catalogued:
             return ranking.probabilities_by_name().get(hypothesis.name, 0.0)
         changed_observables = set(hypothesis.effect.observables)
         p_same = ranking.posterior_probability_of(
             lambda h: not h.is_catalogued and set(h.effect.observables) == changed_observables
         )
-        return p_same + P_EVEN_ODDS * ranking.p_unmodelled
+        return p_same + P_EVEN_ODDS * ranking.p_unmodelled_cause
 
     @cached_property
-    def rankings(self) -> list[Ranking]:
+    def rankings_of_alternatives(self) -> list[Ranking]:
         """Ranking of all alternatives to each effect in the model, one per effect."""
         return [self._ranking_of_alternatives(i) for i in range(len(self.model.hypotheses))]
 
     @cached_property
-    def p_located(self) -> list[float]:
+    def p_same_scope(self) -> list[float]:
         """Probability, for each effect in the model, that an effect of any name acts on its observables and place."""
-        return [self._p_located_of(i) for i in range(len(self.model.hypotheses))]
+        return [self._p_same_scope_of(i) for i in range(len(self.model.hypotheses))]
 
     @cached_property
     def squared_residual_decreases(self) -> list[Floats]:
@@ -113,7 +117,7 @@ class SelectedModelFit:
         return [others.residual**2 - self.model.residual**2 for others in reduced_models]
 
     @cached_property
-    def withheld_effect_keys(self) -> tuple[str, ...]:
+    def unreported_effect_keys(self) -> tuple[str, ...]:
         """Keys (`Hypothesis.key`) of the effects in the model that are too improbable to be reported.
 
         The effect with the largest chi-square decrease is reported nevertheless if there is no other finding, or if it
@@ -121,7 +125,7 @@ class SelectedModelFit:
         """
         hypotheses, gains = self.model.hypotheses, [gain.sum() for gain in self.squared_residual_decreases]
         is_doubtful = [
-            self.p_real(i) < MIN_PROBABLE
+            self.p_real(i) < MIN_PROBABILITY_OF_PROBABLE_CAUSE
             and (gains[i] < max(gains) or (self.has_test_findings and self.p_any_cause(i) < 1.0 - FAMILY_WISE_LEVEL))
             for i in range(len(hypotheses))
         ]
@@ -137,16 +141,18 @@ class SelectedModelFit:
         size_estimates = [size for size in self.refit.estimates[effect_index] if size.parameter in effect.parameters]
         is_significant = isinstance(effect, EmpiricalLaw) or gain > MIN_SIGNIFICANT_SIGMAS**2 * n_constants(effect)
         is_significant |= any(abs(size.value) > MIN_SIGNIFICANT_SIGMAS * size.sigma for size in size_estimates)
-        p_located = self.p_located[effect_index]
+        p_same_scope = self.p_same_scope[effect_index]
         anywhere = FindingScope(covariates=covariate_names_in_files(effect.covariates))
-        is_specific = self._scope(effect) != anywhere or p_located >= MIN_PROBABLE
+        is_specific = self._scope(effect) != anywhere or p_same_scope >= MIN_PROBABILITY_OF_PROBABLE_CAUSE
         if not (is_significant and is_specific):
             return 0.0
-        return max(self.p_same_name(effect_index), p_located) * (1.0 - self._p_wrong_readings(effect_index))
+        return max(self.p_same_name(effect_index), p_same_scope) * (1.0 - self._p_wrong_readings(effect_index))
 
     def p_any_cause(self, effect_index: int) -> float:
         """Probability that an effect in the model has any cause other than several wrong readings."""
-        return (1.0 - self.rankings[effect_index].p_none) * (1.0 - self._p_wrong_readings(effect_index))
+        return (1.0 - self.rankings_of_alternatives[effect_index].p_no_cause) * (
+            1.0 - self._p_wrong_readings(effect_index)
+        )
 
     def _p_wrong_readings(self, effect_index: int) -> float:
         """Probability that several wrong readings, with separate errors, are the cause of an effect in the model."""
@@ -161,7 +167,7 @@ class SelectedModelFit:
 
     def finding_of_effect(self, effect_index: int) -> Finding:
         """Finding that reports an effect in the model, given the other effects in the model."""
-        searcher, model, ranking = self.state.searcher, self.model, self.rankings[effect_index]
+        searcher, model, ranking = self.state.searcher, self.model, self.rankings_of_alternatives[effect_index]
         space, others = searcher.space, searcher.model_without(model, effect_index)
         hypothesis = replace(model.hypotheses[effect_index], effect=self.refit.effects[effect_index])
         effect, name = hypothesis.effect, hypothesis.name
@@ -169,21 +175,23 @@ class SelectedModelFit:
             self.p_same_name(effect_index),
             probability_and_equivalents(ranking.probabilities_by_name(), name)[1],
         )
-        p_located = self.p_located[effect_index]
+        p_same_scope = self.p_same_scope[effect_index]
         gain = self.squared_residual_decreases[effect_index]
         coefficient_means = coefficient_posterior(
             *searcher.evidence_calculator.grams_and_scores([effect], others)[0], hypothesis.plausible_sizes
         )[0]
         design_columns, rows = space.whitened_design(effect), int(space.is_used_reading.sum())
         shift = design_columns @ coefficient_means
-        projected_design = searcher.model_of([hypothesis]).projected_designs[0] @ coefficient_means
-        scope = self._scope(effect, active_observables(space.is_used_reading, shift[:rows], projected_design[:rows]))
+        projected_design = searcher.model_with([hypothesis]).projected_designs[0] @ coefficient_means
+        scope = self._scope(
+            effect, observables_changed_by_effect(space.is_used_reading, shift[:rows], projected_design[:rows])
+        )
         estimates = self._estimates_of(effect_index, hypothesis, others)
         sentence, further_values = "", dict[str, object]()
         if isinstance(effect, EmpiricalLaw):
             regressor = regressor_text(effect.regressor, has_clock=self.state.recording.has_clock)
             law = law_text(effect, regressor)
-            sentence = law_sentence(scope, estimates, p_located, law)
+            sentence = law_sentence(scope, estimates, p_same_scope, law)
             further_values = {"carrier": effect.response.name, "driver": regressor}
             further_values |= {} if hypothesis.is_catalogued else {"formula": law}
             curve = response_curve(effect, space.sightings, *searcher.law_coefficients(effect, others))
@@ -196,8 +204,8 @@ class SelectedModelFit:
             further_values = {"separate_by": measurement} if measurement else {}
         if hypothesis.is_catalogued:
             doubt = self._plausibility_sentence(effect, estimates)
-            sentence = catalogue_effect_sentence(name, scope, estimates, probability, p_located=p_located) + doubt
-        distortion = target_distortion(space, shift)
+            sentence = catalogue_effect_sentence(name, scope, estimates, probability, p_same_scope=p_same_scope) + doubt
+        distortion = target_distortion_um(space, shift)
         n_touched = max(int(np.count_nonzero(design_columns.any(axis=1))), 1)
         sigmas_text = number_text(np.sqrt(max(float(gain.sum()), 0.0) / n_touched), 2)
         sentence += f" If left uncorrected, it causes residuals of {sigmas_text} sigma (rms)"
@@ -212,9 +220,9 @@ class SelectedModelFit:
             evidence=FindingEvidence(
                 chi2_drop=float(gain.sum()),
                 parameters=model.basis.shape[1] - others.basis.shape[1],
-                p_value=self.global_test.p_value_of(ranking.log_evidence_total),
+                p_value=self.global_test.p_value_of(ranking.total_log_evidence),
                 probability=probability,
-                p_located=p_located,
+                p_same_scope=p_same_scope,
             ),
             sentence=sentence,
             target_shift_rms_um=distortion,
@@ -229,7 +237,7 @@ class SelectedModelFit:
         use, recording = self.state.searcher.space.is_used_reading, self.state.recording
         reading_gain = chi2_decreases[: int(use.sum())]
         order = np.argsort(-reading_gain)
-        min_sum = MIN_LISTED_CHI2_FRACTION * max(float(chi2_decreases.sum()), MAX_ROUNDING_ERROR)
+        min_sum = MIN_CHI2_FRACTION_OF_LISTED_READINGS * max(float(chi2_decreases.sum()), MAX_ROUNDING_ERROR)
         n_readings = int(np.searchsorted(np.cumsum(reading_gain[order]), min_sum)) + 1
         if n_readings > MAX_LISTED_ITEMS:
             return ""
@@ -244,7 +252,7 @@ class SelectedModelFit:
         )
         return f" Most of the decrease of chi-square is in the {', the '.join(names)}."
 
-    def _p_located_of(self, effect_index: int) -> float:
+    def _p_same_scope_of(self, effect_index: int) -> float:
         """Sum of the probabilities of all hypotheses with the observables, place and covariates of the given effect.
 
         All effects that act on the same single target count as having these in common, because a target that moved, is
@@ -259,7 +267,9 @@ class SelectedModelFit:
             return scope.model_copy(update={"observables": tuple(sorted(candidate.observables))})
 
         scope = scope_of(effect)
-        return self.rankings[effect_index].posterior_probability_of(lambda h: scope_of(h.effect) == scope)
+        return self.rankings_of_alternatives[effect_index].posterior_probability_of(
+            lambda h: scope_of(h.effect) == scope
+        )
 
     def _scope(self, effect: CandidateEffect, default_observables: tuple[str, ...] = ()) -> FindingScope:
         """Scope of an effect; for an effect at all set-ups of one of several instruments it names the instrument.
@@ -342,6 +352,7 @@ def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterE
     parameter_scales = zip(effect.parameters, effect.plausible_sizes.tolist(), strict=True)
     matches = [(e, p, size) for p, size in parameter_scales for e in estimates if e.name == p.name]
     is_large = any(
-        abs(e.value) - 2 * e.sigma > MAX_DETECTABLE_SIZE_RATIO * size / p.si_per_display_unit for e, p, size in matches
+        abs(e.value) - 2 * e.sigma > MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO * size / p.si_per_display_unit
+        for e, p, size in matches
     )
     return is_large or any(p.is_positive and e.value + 2 * e.sigma < 0.0 for e, p, _ in matches)

@@ -66,7 +66,7 @@ def contradicting_constant_finding(contradiction: ConstantContradiction) -> Find
     """
     p, off = contradiction.parameter, 1.0 / (1.0 + float(np.exp(-contradiction.log_evidence)))
     p_by_effect_name: dict[str, float] = {}
-    for constant, share in contradiction.evidence_shares.items():
+    for constant, share in contradiction.evidence_share_by_constant.items():
         p_by_effect_name[_effect_name_of_constant(constant)] = (
             p_by_effect_name.get(_effect_name_of_constant(constant), 0.0) + off * share
         )
@@ -74,7 +74,9 @@ def contradicting_constant_finding(contradiction: ConstantContradiction) -> Find
         ParameterEstimate.from_si(p, contradiction.difference, contradiction.sigma),
         probability_and_equivalents(p_by_effect_name, _effect_name_of_constant(p)),
     )
-    rival_names = " or ".join(parameter_text(other.name) for other in contradiction.evidence_shares if other != p)
+    rival_names = " or ".join(
+        parameter_text(other.name) for other in contradiction.evidence_share_by_constant if other != p
+    )
     owners = " and ".join(filter(None, contradiction.instruments)) or "the instrument"
     ambiguity = f" These readings hardly distinguish this constant from {rival_names}." if rival_names else ""
     sentence = (
@@ -89,7 +91,7 @@ def contradicting_constant_finding(contradiction: ConstantContradiction) -> Find
         where=confined_scope(instruments=tuple(filter(None, contradiction.instruments))),
         parameters=(estimate,),
         evidence=FindingEvidence(
-            chi2_drop=chi2_drop, parameters=1, p_value=contradiction.p_value, probability=probability, p_located=off
+            chi2_drop=chi2_drop, parameters=1, p_value=contradiction.p_value, probability=probability, p_same_scope=off
         ),
         sentence=sentence,
         equivalents=rivals,

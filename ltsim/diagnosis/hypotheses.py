@@ -1,4 +1,4 @@
-"""Hypotheses, models (sets of hypotheses), and rankings of hypotheses given a model."""
+"""Hypotheses, models (sets of hypotheses), and rankings_of_alternatives of hypotheses given a model."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ltsim.calibration.evidence import LOG_SIZE_PRIOR, RELATIVE_EFFECT_SIZES, lo
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import index_of_largest
-from ltsim.diagnosis.prior import LOG_PRIOR_ODDS_OF_REPETITION, P_UNMODELLED
+from ltsim.diagnosis.prior import LOG_PRIOR_ODDS_OF_REPETITION, P_UNMODELLED_CAUSE
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.linear_effect import CandidateEffect
@@ -147,11 +147,11 @@ class Ranking:
 
     hypotheses: tuple[Hypothesis, ...]
     """Hypotheses in the order of decreasing log evidence."""
-    log_evidence_total: float
+    total_log_evidence: float
     """Log of the sum of the evidence of all hypotheses; only the first ones are evaluated without approximation."""
-    log_evidence_unmodelled: float = -np.inf
+    log_evidence_of_unmodelled_cause: float = -np.inf
     """Log evidence of a cause that is no hypothesis of the ranking."""
-    log_evidence_none: float = 0.0
+    log_evidence_of_no_cause: float = 0.0
     """Log evidence of no cause, neither a hypothesis of the ranking nor an unmodelled cause that resembles one. It is
     0, or larger if held-out readings contradict the model."""
 
@@ -170,16 +170,16 @@ class Ranking:
     def with_rivals(self, rivals: Sequence[Hypothesis]) -> Ranking:
         """Copy of the ranking that also contains the hypotheses `rivals`."""
         hypotheses = sorted([*self.hypotheses, *rivals], key=lambda h: -h.log_evidence)
-        log_total = float(log_sum_exp(np.array([self.log_evidence_total, *(h.log_evidence for h in rivals)])))
+        log_total = float(log_sum_exp(np.array([self.total_log_evidence, *(h.log_evidence for h in rivals)])))
         return Ranking(tuple(hypotheses), log_total)
 
     def with_unmodelled_cause(self, log_bayes_factor: float) -> Ranking:
         """Copy of the ranking with an unmodelled cause, given its log Bayes factor against the first hypothesis."""
         return replace(
             self,
-            log_evidence_unmodelled=self.log_evidence_total
+            log_evidence_of_unmodelled_cause=self.total_log_evidence
             + log_bayes_factor
-            + float(np.log(P_UNMODELLED / (1.0 - P_UNMODELLED))),
+            + float(np.log(P_UNMODELLED_CAUSE / (1.0 - P_UNMODELLED_CAUSE))),
         )
 
     def with_held_out_evidence(self, log_odds_of_model: float) -> Ranking:
@@ -190,8 +190,8 @@ class Ranking:
         """
         if log_odds_of_model >= 0.0:
             return self
-        total = float(np.logaddexp(self.log_evidence_total, self.log_evidence_unmodelled))
-        return replace(self, log_evidence_none=max(self.log_evidence_none, total - log_odds_of_model))
+        total = float(np.logaddexp(self.total_log_evidence, self.log_evidence_of_unmodelled_cause))
+        return replace(self, log_evidence_of_no_cause=max(self.log_evidence_of_no_cause, total - log_odds_of_model))
 
     def most_probable_name(self) -> str:
         """Most probable name of the cause; `unknown` if it is more probable than all catalogue effects together."""
@@ -207,18 +207,18 @@ class Ranking:
     @cached_property
     def _log_evidence_sum(self) -> float:
         """Log of the sum of the evidence of all hypotheses, of an unmodelled cause, and of no cause."""
-        rest = [self.log_evidence_unmodelled, self.log_evidence_none]
+        rest = [self.log_evidence_of_unmodelled_cause, self.log_evidence_of_no_cause]
         return float(np.logaddexp.reduce([*(h.log_evidence for h in self.hypotheses), *rest]))
 
     @property
-    def p_none(self) -> float:
+    def p_no_cause(self) -> float:
         """Posterior probability that there is no cause: neither a hypothesis of the ranking nor an unmodelled cause."""
-        return float(np.exp(self.log_evidence_none - self._log_evidence_sum))
+        return float(np.exp(self.log_evidence_of_no_cause - self._log_evidence_sum))
 
     @cached_property
-    def p_unmodelled(self) -> float:
+    def p_unmodelled_cause(self) -> float:
         """Posterior probability of an unmodelled cause."""
-        return float(np.exp(self.log_evidence_unmodelled - self._log_evidence_sum))
+        return float(np.exp(self.log_evidence_of_unmodelled_cause - self._log_evidence_sum))
 
     def posterior_probability_of(self, is_counted: Callable[[Hypothesis], bool]) -> float:
         """Sum of the posterior probabilities of the hypotheses for which `is_counted` is true."""
@@ -231,7 +231,7 @@ class Ranking:
 
     def probabilities_by_name(self) -> dict[str, float]:
         """Sum of the posterior probabilities of the hypotheses with each name, including `unknown`."""
-        p_by_name = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
+        p_by_name = {"unknown": self.p_unmodelled_cause} if self.p_unmodelled_cause else {}
         for hypothesis, weight in zip(self.hypotheses, self.posterior_probabilities.tolist(), strict=True):
             p_by_name[hypothesis.name] = min(p_by_name.get(hypothesis.name, 0.0) + weight, 1.0)
         return p_by_name

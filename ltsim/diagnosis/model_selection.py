@@ -31,13 +31,15 @@ def select_model(
     effects in the model that are among the simple causes of the network.
     """
     noise = state.ranked_noise_changes(state.empty_model)[0][0]
-    shifts = state.searcher.lower_bound_model(noise).penalised_log_evidence
+    shifts = state.searcher.model_by_forward_steps(noise).penalised_log_evidence
     if noise >= shifts:
-        identified = state.searcher.catalogue_designs.hypotheses_of(state.identified_effects[: MAX_MODEL_EFFECTS - 1])
-        start_model = state.searcher.model_of(identified)
+        identified = state.searcher.catalogue_designs.hypotheses_of_effects(
+            state.identified_effects[: MAX_MODEL_EFFECTS - 1]
+        )
+        start_model = state.searcher.model_with(identified)
         rival = max(
             shifts - start_model.penalised_log_evidence,
-            state.searcher.ranking(start_model).log_evidence_total,
+            state.searcher.ranking(start_model).total_log_evidence,
         )
         state, model = _select_effects_given_noise(_select_noise_changes(state, rival, identified), identified)
     else:
@@ -112,8 +114,8 @@ def _alternate_noise_and_effects(state: SelectionState, model: Model) -> tuple[S
         ranked = [state.ranked_noise_changes(base) for base in bases]
         least = MIN_EFFECT_LOG_EVIDENCE + model.discrepancy_penalty
         rest = [
-            min(searcher.ranking(model).log_evidence_total, least),
-            *(searcher.ranking(base).log_evidence_total for base in bases[1:]),
+            min(searcher.ranking(model).total_log_evidence, least),
+            *(searcher.ranking(base).total_log_evidence for base in bases[1:]),
         ]
         lost = [
             0.0,

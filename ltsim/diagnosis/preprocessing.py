@@ -70,7 +70,7 @@ def identified_effects(selection: CauseSelection) -> tuple[CandidateEffect, ...]
     return tuple(cast(CandidateEffect, effect) for effect in effects if type(effect) in CATALOGUE)
 
 
-def is_single_error(fit: NetworkFit) -> Bools:
+def single_error_mask(fit: NetworkFit) -> Bools:
     """Flags (n, 3) of the outliers of n pointings that count as single errors and not as results of an effect.
 
     They are gross errors, and large errors that are single. If several readings of an observable are wrong at one
@@ -84,7 +84,7 @@ def is_single_error(fit: NetworkFit) -> Bools:
     return gross | isolated
 
 
-def has_small_residual_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Bools:
+def explained_reading_mask(adjustment: Adjustment, is_omitted: Bools) -> Bools:
     """Flags (n, 3) of omitted readings of n pointings whose residuals are small in an adjustment with effects."""
     whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
     return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)
@@ -103,7 +103,7 @@ def adjustment_without_blunders(
     causes of the recording. `readmitted_mask` (n, 3) flags readings that are used although they count as single errors.
     """
     fit, mistakes = selection.fit, causes_corrected_before_search(selection)
-    errors = is_single_error(fit)
+    errors = single_error_mask(fit)
     if readmitted_mask is not None:
         errors &= ~readmitted_mask
     baseline = adjust_with_causes(fit, recording, construction, mistakes, subtracts_changes=True, reading_mask=~errors)

@@ -57,7 +57,7 @@ N_EXACTLY_EVALUATED_IN_LARGE_NETWORK = 3
 """Number of catalogue effects, and of laws, that a step evaluates without approximation in a large network."""
 MAX_RANKED_LAWS = 400
 """Largest number of laws in a ranking of hypotheses."""
-MIN_SIGMA_INCREASE_RATIO = 1.15
+MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO = 1.15
 """Ratio of two standard deviations of a parameter, that of the posterior integrated over shape constants and that of
 the refit (Laplace's approximation), above which the integrated posterior is reported."""
 
@@ -258,7 +258,7 @@ class Searcher:
         """Estimates of the parameters and shape constants of a hypothesis.
 
         They are the estimates of the refit, or means over all values of the shape constants if these means have much
-        larger standard deviations (`MIN_SIGMA_INCREASE_RATIO`).
+        larger standard deviations (`MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO`).
         """
         effect = hypothesis.effect
         if isinstance(effect, EmpiricalLaw):
@@ -268,9 +268,8 @@ class Searcher:
                 *region_centre_estimates(self.evidence_calculator, effect, reduced_model),
             )
         marginal = estimates_averaged_over_shapes(self.evidence_calculator, effect, reduced_model, refit_estimates)
-        wider = any(
-            marginal[e.name].sigma > MIN_SIGMA_INCREASE_RATIO * e.sigma for e in refit_estimates if e.name in marginal
-        )
+        both = ((marginal[e.name].sigma, e.sigma) for e in refit_estimates if e.name in marginal)
+        wider = any(integrated > MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO * refit for integrated, refit in both)
         estimates = [marginal.get(e.name, e) if wider else e for e in refit_estimates]
         if "time" in marginal and all(e.name != "time" for e in estimates):
             estimates.append(marginal["time"])
@@ -281,7 +280,7 @@ class Searcher:
         gram, score = self.evidence_calculator.grams_and_scores([law], reduced_model)[0]
         return coefficient_posterior(gram, score, law.plausible_sizes)[:2]
 
-    def model_of(self, hypotheses: Sequence[Hypothesis]) -> Model:
+    def model_with(self, hypotheses: Sequence[Hypothesis]) -> Model:
         """Model with the given hypotheses."""
         if not hypotheses:
             return self.empty_model
@@ -290,7 +289,7 @@ class Searcher:
 
     def model_without(self, model: Model, effect_index: int) -> Model:
         """Model without the effect that has the index `effect_index`."""
-        return self.model_of(model.hypotheses[:effect_index] + model.hypotheses[effect_index + 1 :])
+        return self.model_with(model.hypotheses[:effect_index] + model.hypotheses[effect_index + 1 :])
 
     def _projected_design(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
         """Projected design matrix (m, k), k columns on m rows, of a hypothesis, and norms (k,) before projection."""
@@ -311,26 +310,22 @@ class Searcher:
         again with the most probable hypothesis that has few coefficients. The model with the larger evidence is
         selected.
         """
-        begin = self.reexamined_model(self.model_of(start_hypotheses))
+        begin = self.model_after_exchanges(self.model_with(start_hypotheses))
         best_model = self._forward_selection(begin, requires_effect=requires_effect)
-        stiff = [
-            h
-            for h in self.ranking(self.empty_model).hypotheses
-            if len(h.plausible_sizes) <= MAX_COEFFICIENTS_OF_SIMPLE_EFFECT
-        ]
-        if (
-            stiff
-            and not self.uses_fewer_evaluations
-            and any(len(h.plausible_sizes) > MAX_COEFFICIENTS_OF_SIMPLE_EFFECT for h in best_model.hypotheses)
-        ):
-            made = (
+        is_simple = [len(h.plausible_sizes) <= MAX_COEFFICIENTS_OF_SIMPLE_EFFECT for h in best_model.hypotheses]
+        if not self.uses_fewer_evaluations and not all(is_simple):
+            ranked = self.ranking(self.empty_model).hypotheses
+            simple = [h for h in ranked if len(h.plausible_sizes) <= MAX_COEFFICIENTS_OF_SIMPLE_EFFECT][:1]
+            models = [
                 best_model,
-                self._forward_selection(self.model_of(stiff[:1]), requires_effect=True),
+                *(self._forward_selection(self.model_with([h]), requires_effect=True) for h in simple),
+            ]
+            best_model = max(
+                models, key=lambda m: m.penalised_log_evidence - MIN_EFFECT_LOG_EVIDENCE * len(m.hypotheses)
             )
-            best_model = max(made, key=lambda s: s.penalised_log_evidence - MIN_EFFECT_LOG_EVIDENCE * len(s.hypotheses))
         return self._pruned_and_renamed_model(best_model)
 
-    def lower_bound_model(self, rival_log_evidence: float) -> Model:
+    def model_by_forward_steps(self, rival_log_evidence: float) -> Model:
         """Model from forward steps alone, whose log evidence is a lower bound of the result of a complete search.
 
         The steps end when the log evidence exceeds `rival_log_evidence`, the log evidence of an alternative. They also
@@ -349,10 +344,10 @@ class Searcher:
         again = rival_log_evidence is None
         for depth in range(len(model.hypotheses), MAX_MODEL_EFFECTS):
             ranking, least = self.ranking(model), MIN_EFFECT_LOG_EVIDENCE + model.discrepancy_penalty
-            if ranking.log_evidence_total < least and (depth or not requires_effect):
+            if ranking.total_log_evidence < least and (depth or not requires_effect):
                 break
-            grown = _best_model([self.model_of((*model.hypotheses, h)) for h in ranking.hypotheses[:3]])
-            grown = self.reexamined_model(grown) if again and not self.uses_fewer_evaluations else grown
+            grown = _best_model([self.model_with((*model.hypotheses, h)) for h in ranking.hypotheses[:3]])
+            grown = self.model_after_exchanges(grown) if again and not self.uses_fewer_evaluations else grown
             if depth and grown.penalised_log_evidence < model.penalised_log_evidence + MIN_EFFECT_LOG_EVIDENCE:
                 break
             gain, model = grown.penalised_log_evidence - model.penalised_log_evidence, grown
@@ -363,34 +358,40 @@ class Searcher:
                 < model.penalised_log_evidence + gain * (MAX_MODEL_EFFECTS - 1 - depth)
             ):
                 break
-        return self.reexamined_model(model) if again and self.uses_fewer_evaluations else model
+        return self.model_after_exchanges(model) if again and self.uses_fewer_evaluations else model
 
     def _pruned_and_renamed_model(self, model: Model) -> Model:
         """Model without the effects that its other effects explain, and with the most probable name of each effect."""
         for hypothesis in model.hypotheses[::-1]:
             others = self.model_without(model, model.hypotheses.index(hypothesis))
             ranking = self.ranking(others)
-            if others.hypotheses and ranking.log_evidence_total < MIN_EFFECT_LOG_EVIDENCE + others.discrepancy_penalty:
+            if others.hypotheses and ranking.total_log_evidence < MIN_EFFECT_LOG_EVIDENCE + others.discrepancy_penalty:
                 model = others
             elif (likeliest := ranking.most_probable_name()) != hypothesis.name:
                 better = next(h for h in ranking.hypotheses if h.name == likeliest)
-                model = self.model_of((*others.hypotheses, better))
+                model = self.model_with((*others.hypotheses, better))
         return model
 
-    def reexamined_model(self, model: Model) -> Model:
+    def model_after_exchanges(self, model: Model) -> Model:
         """Model after backward and exchange steps, in which its effects are replaced, removed or merged."""
         for turn in range(2):
             before = model.penalised_log_evidence
-            for size in (1,) if turn or self.uses_fewer_evaluations else (1, 2):
-                for dropped in combinations(range(len(model.hypotheses)), size):
-                    if len(model.hypotheses) < 2 or max(dropped) >= len(model.hypotheses):
-                        continue
-                    others = tuple(h for i, h in enumerate(model.hypotheses) if i not in dropped)
-                    rest = self.model_of(others)
-                    made = [self.model_of((*others, h)) for h in self.ranking(rest).hypotheses[: 2 if others else 6]]
-                    model = _best_model([model, *made, *([rest] if others else [])])
+            model = self._exchange_step(model, n_dropped=1)
+            if not (turn or self.uses_fewer_evaluations):
+                model = self._exchange_step(model, n_dropped=2)
             if model.penalised_log_evidence <= before + 1e-6:
                 break
+        return model
+
+    def _exchange_step(self, model: Model, n_dropped: int) -> Model:
+        """Model in which `n_dropped` effects at a time are replaced by one effect, or removed, if evidence increases."""
+        for dropped in combinations(range(len(model.hypotheses)), n_dropped):
+            if len(model.hypotheses) < 2 or max(dropped) >= len(model.hypotheses):
+                continue
+            others = tuple(h for i, h in enumerate(model.hypotheses) if i not in dropped)
+            rest = self.model_with(others)
+            made = [self.model_with((*others, h)) for h in self.ranking(rest).hypotheses[: 2 if others else 6]]
+            model = _best_model([model, *made, *([rest] if others else [])])
         return model
 
 

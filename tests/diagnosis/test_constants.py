@@ -82,8 +82,8 @@ def test_an_index_that_one_face_shows_only_with_the_circle_is_told_as_that():
     assert found
     first = found[0]
     assert first.instruments == ("B",)
-    assert "vertical-index" in {p.name for p in first.evidence_shares}
-    assert sum(first.evidence_shares.values()) == pytest.approx(1.0, abs=0.05)
+    assert "vertical-index" in {p.name for p in first.evidence_share_by_constant}
+    assert sum(first.evidence_share_by_constant.values()) == pytest.approx(1.0, abs=0.05)
     assert abs(first.difference) / first.parameter.si_per_display_unit == pytest.approx(10.0, abs=5.0)
 
 

@@ -73,7 +73,7 @@ def test_a_concealed_effect_is_named_placed_and_sized(name, fields, values):
     assert first.where.stations == fields.get("stations", ())
     assert first.where.targets == fields.get("targets", ())
     assert first.evidence.p_value == pytest.approx(1 / 301)
-    assert first.evidence.p_located >= 0.9 * first.evidence.probability
+    assert first.evidence.p_same_scope >= 0.9 * first.evidence.probability
     factors = [p.si_per_display_unit for p in find_effect(name)(**fields).parameters]
     for estimate, value, factor in zip(first.parameters, truth, factors, strict=False):
         assert abs(estimate.value - value / factor) < 4 * estimate.sigma, estimate
