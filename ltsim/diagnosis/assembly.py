@@ -7,10 +7,10 @@ from ltsim.adjustment.identification import CauseSelection, cause_tests
 from ltsim.adjustment.refit import Refit
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.averaging import average_over_explanations
+from ltsim.diagnosis.cross_validation import HeldOutErrors
 from ltsim.diagnosis.detectability import DetectabilityReport
 from ltsim.diagnosis.diagnosis import AveragedTargets, Diagnosis, DiagnosisArrays
 from ltsim.diagnosis.findings import SelectedModelFit
-from ltsim.diagnosis.held_out import HeldOutErrors
 from ltsim.diagnosis.instruments import instrument_entries
 from ltsim.diagnosis.noise_findings import noise_finding
 from ltsim.diagnosis.schema import DetectableEntry, Finding, GlobalTest, Misfit, MisfitBeforeAfter

@@ -1,19 +1,25 @@
 """Steps of a diagnosis: preprocessing, global test, selection of a model, refit, report.
 
-Decisions in their order, each with its criterion:
+Decisions in their order, each with its function, its module and its criterion:
 
-1. Simple causes of the network (`identify_causes`): evidence of nonlinear adjustments with and without each cause.
-2. Blunders among these causes are corrected or rejected before the search (`adjustment_without_blunders`).
-3. Global test (`run_global_test`): the evidence of all hypotheses together, against that of simulated recordings. The
-   search goes on if its p-value is below the level.
+1. Simple causes of the network (`identify_causes`, `adjustment.identification.selection`): evidence of nonlinear
+   adjustments with and without each cause.
+2. Blunders among these causes are corrected or rejected (`preprocessing.adjustment_without_blunders`).
+3. Global test (`global_test.run_global_test`): evidence of all hypotheses together, against that of simulated
+   recordings. The search goes on if its p-value is below the level.
 4. Changes of the noise or effects first (`model_selection.select_model`): whichever have the larger log evidence.
-5. Effects (`Searcher.select_model`): forward, backward and exchange steps. A further effect increases the log evidence
-   by `MIN_EFFECT_LOG_EVIDENCE` or more.
-6. Instrument constants that contradict their reference, instead of effects: the larger joint log evidence.
-7. Changes of the noise and effects in turns, while the log evidence increases.
+5. Effects (`search.Searcher.select_model`): forward, backward and exchange steps. A further effect increases the log
+   evidence by `MIN_EFFECT_LOG_EVIDENCE` or more.
+6. Instrument constants that contradict their reference (`instruments`), instead of effects: the larger joint log
+   evidence.
+7. Changes of the noise (`SelectionState.with_noise_change`) and effects in turns, while the log evidence increases.
 8. Effects that the nonlinear refit does not support are removed (`_refit_and_prune`): log Bayes factor below zero.
 9. Rejected readings that the model explains are used again, and steps 4 to 8 are repeated with them.
-10. Effects of the model with too small a probability are not reported (`SelectedModelFit.unreported_effect_keys`).
+10. Effects of the model with too small a probability are not reported
+    (`findings.SelectedModelFit.unreported_effect_keys`); `assembly.assemble_diagnosis` makes the result.
+
+The modules `hypotheses` (hypothesis, model, ranking) and `selection_state` (adjustment, noise and search of one step)
+contain the objects that all steps exchange.
 """
 
 from collections.abc import Sequence
@@ -30,12 +36,12 @@ from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.core.arrays import Bools
 from ltsim.core.limits import MAX_DIAGNOSED_POINTINGS, MAX_DIAGNOSED_TARGETS
 from ltsim.diagnosis.assembly import assemble_diagnosis
+from ltsim.diagnosis.cross_validation import HeldOutErrors, cross_validated_errors
 from ltsim.diagnosis.detectability import detectability_report
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.findings import SelectedModelFit
 from ltsim.diagnosis.findings_from_tests import contradicting_constant_finding
 from ltsim.diagnosis.global_test import run_global_test
-from ltsim.diagnosis.held_out import HeldOutErrors, cross_validated_errors
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.instruments import (
     ConstantContradiction,

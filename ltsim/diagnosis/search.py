@@ -320,9 +320,7 @@ class Searcher:
                 best_model,
                 *(self._forward_selection(self.model_with([h]), requires_effect=True) for h in simple),
             ]
-            best_model = max(
-                models, key=lambda m: m.penalised_log_evidence - MIN_EFFECT_LOG_EVIDENCE * len(m.hypotheses)
-            )
+            best_model = max(models, key=lambda m: m.penalised_log_evidence - MIN_EFFECT_LOG_EVIDENCE * len(m.effects))
         return self._pruned_and_renamed_model(best_model)
 
     def model_by_forward_steps(self, rival_log_evidence: float) -> Model:
@@ -384,7 +382,7 @@ class Searcher:
         return model
 
     def _exchange_step(self, model: Model, n_dropped: int) -> Model:
-        """Model in which `n_dropped` effects at a time are replaced by one effect, or removed, if evidence increases."""
+        """Model in which `n_dropped` effects at a time are replaced by one, or removed, if the evidence increases."""
         for dropped in combinations(range(len(model.hypotheses)), n_dropped):
             if len(model.hypotheses) < 2 or max(dropped) >= len(model.hypotheses):
                 continue

@@ -7,8 +7,8 @@ import pytest
 from scipy.special import expit
 
 import ltsim.diagnosis.diagnose as steps
+from ltsim.diagnosis.cross_validation import HeldOutErrors
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.diagnosis.held_out import HeldOutErrors
 from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
 from ltsim.physics.effects import find_effect
 from tests.networks import with_effect

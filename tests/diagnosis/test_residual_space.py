@@ -8,7 +8,7 @@ import pytest
 
 from ltsim.adjustment import adjust, adjust_from_state
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
-from ltsim.diagnosis.held_out import cross_validated_errors, fold_rows
+from ltsim.diagnosis.cross_validation import cross_validated_errors, fold_rows
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.laws.law import EmpiricalLaw
