@@ -82,7 +82,7 @@ class EffectGroup:
     row_factors: Singles
     """Factors (r,) by which the r rows of the design are multiplied, for an adjustment with other weights."""
     unprojected_gram: Floats
-    """Gram matrices (h, k, k) of the k weighted design columns of each of h effects, before projection."""
+    """Gram matrices (h, k, k) of the k design columns, times `row_factors`, of each of h effects, before projection."""
     projected_gram: Floats
     """Gram matrices (h, k, k) of the k design columns of each of h effects after projection onto the residual space,
     without a model; zeros before the first screening."""
@@ -92,9 +92,10 @@ class EffectGroup:
         return batches(len(self.effect_indices), self.n_parameters * n_vectors)
 
     def products_with_vectors(self, effect_range: slice, vectors: Floats | Singles) -> Floats:
-        """Products (h, k, v) of the k weighted design columns of each of h effects in a range with v `vectors` (m, v).
+        """Products (h, k, v) of the k scaled design columns of each of h effects in a range with v `vectors` (m, v).
 
-        The vectors have an element for each of the m rows of the residual space.
+        The vectors have an element for each of the m rows of the residual space. `row_factors` scale the design
+        columns.
         """
         transposed_designs, count = (
             self.transposed_designs[effect_range.start * self.n_parameters : effect_range.stop * self.n_parameters],
@@ -163,7 +164,8 @@ class CatalogueDesigns:
     def log_prior_of_family(self, family: str) -> float:
         """Log prior of the catalogue effect with the name `family`: the sum over all its places and shapes.
 
-        The search of a large recording does not try single wrong readings; their prior is nevertheless defined.
+        It is also defined for an effect that the search does not try, such as single wrong readings in a large
+        recording.
         """
         names = self.families if family in self.families else (*self.families, family)
         return float(log_prior_by_base_rate("named", names)[names.index(family)])

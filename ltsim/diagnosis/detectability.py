@@ -105,7 +105,7 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, detectable_size_ra
 def target_distortion_um(space: ResidualSpace, shift: Floats) -> float:
     """Distortion [um] of the adjusted targets by a whitened `shift` (m,) of m readings.
 
-    It is the rms change per coordinate after a rigid least-squares fit.
+    It is the rms displacement of the targets after a rigid least-squares fit.
     """
     shifts = space.target_shifts(shift).ravel()
     points = space.adjustment.state.target_points

@@ -107,7 +107,7 @@ class SelectedModelFit:
 
     @cached_property
     def p_same_scope(self) -> list[float]:
-        """Probability, for each effect in the model, that an effect of any name acts on its observables and place."""
+        """Probability, for each effect in the model, that the cause is an effect of any name with the same scope."""
         return [self._p_same_scope_of(i) for i in range(len(self.model.hypotheses))]
 
     @cached_property
@@ -208,9 +208,9 @@ class SelectedModelFit:
         distortion = target_distortion_um(space, shift)
         n_touched = max(int(np.count_nonzero(design_columns.any(axis=1))), 1)
         sigmas_text = number_text(np.sqrt(max(float(gain.sum()), 0.0) / n_touched), 2)
-        sentence += f" If left uncorrected, it causes residuals of {sigmas_text} sigma (rms)"
         sentence += (
-            f" and shifts the targets by {number_text(distortion, 2)} um (rms).{self._decisive_readings_sentence(gain)}"
+            f" Without a correction, this effect causes residuals of {sigmas_text} sigma (rms) and shifts the targets "
+            f"by {number_text(distortion, 2)} um (rms).{self._decisive_readings_sentence(gain)}"
         )
         return Finding(
             effect=name,
@@ -253,10 +253,10 @@ class SelectedModelFit:
         return f" Most of the decrease of chi-square is in the {', the '.join(names)}."
 
     def _p_same_scope_of(self, effect_index: int) -> float:
-        """Sum of the probabilities of all hypotheses with the observables, place and covariates of the given effect.
+        """Sum of the probabilities of all hypotheses with the scope (observables, place, covariates) of an effect.
 
-        All effects that act on the same single target count as having these in common, because a target that moved, is
-        badly seated or was read wrongly changes the same readings.
+        `effect_index` is the index of the effect in the model. All effects that act on the same targets count as having
+        the same scope, because a target that moved, is badly seated or was read wrongly changes the same readings.
         """
         effect = self.model.hypotheses[effect_index].effect
 
@@ -290,8 +290,8 @@ class SelectedModelFit:
             prior = recording.setup.instrument_named(name).prior
             declared = ((p.prior_sigma_from(prior) / p.si_per_display_unit, p.unit) for p in effect.parameters)
             sigmas = ", ".join(f"{number_text(sigma, 2)} {unit}" for sigma, unit in declared)
-            return f" Its declared prior is zero with a standard deviation of {sigmas}."
-        implausible = " Such a size is hardly plausible for this cause. Check other causes too."
+            return f" The set-up declares that this constant is zero with a standard deviation of {sigmas}."
+        implausible = " This size is hardly plausible for this cause: check other causes too."
         return implausible if _is_implausible_size(effect, estimates) else ""
 
     def _constant_estimates_without_prior(self, effect: CandidateEffect) -> tuple[ParameterEstimate, ...]:

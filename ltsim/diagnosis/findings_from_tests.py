@@ -54,7 +54,7 @@ def axes_point_finding(test: ReferenceTest) -> Finding:
             chi2_drop=test.chi2_drop, parameters=test.rank, p_value=None, probability=MAX_P_OF_TEST_FINDINGS
         ),
         sentence=test.sentence[0].upper() + test.sentence[1:] + ".",
-        formula=f"the {DECLARED_COORDINATES_TEXT} of {test.name} is wrong",
+        formula=f"the {DECLARED_COORDINATES_TEXT} of {test.name} are wrong",
         carrier=DECLARED_COORDINATES_TEXT,
     )
 

@@ -78,7 +78,7 @@ class Equivalent(Entry):
 
 
 class ParameterEstimate(Entry):
-    """Estimate, as a correction (true value minus reading), of a parameter of a finding or an instrument constant."""
+    """Estimate of a parameter of a finding or of an instrument constant, as a correction: true value minus reading."""
 
     name: str
     """Name of the parameter."""

@@ -129,8 +129,8 @@ def law_sentence(
 def unknown_noise_sentence(scope: FindingScope, noise_text: str) -> str:
     """Sentences on a change of the noise outside the catalogue: place, covariates, and description `noise_text`."""
     covariates = listing([COVARIATE_TEXTS.get(name, name) for name in scope.covariates])
-    dependence = f" The effect depends on {covariates}." if covariates else ""
-    present = f"An effect outside the catalogue is present{_place_suffix(scope)}."
+    dependence = f" It depends on {covariates}." if covariates else ""
+    present = f"A change of the noise that is not in the catalogue is present{_place_suffix(scope)}."
     return f"{present}{dependence} The most probable description is {noise_text}."
 
 
@@ -205,7 +205,7 @@ def diagnosis_summary(
         return (
             f"The recording agrees with the model and the {noise_origin} noise "
             f"(chi-square {misfit_before.chi2:.0f} for {misfit_before.dof} degrees of freedom). "
-            f"In a recording without errors, a result like this has a probability of {100 * p_value:.0f} %."
+            f"A recording without errors shows at least this misfit with a probability of {100 * p_value:.0f} %."
         )
     if not findings:
         return (
@@ -216,7 +216,7 @@ def diagnosis_summary(
     first_finding = findings[0]
     suffix = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
     others = [effect_text(e.effect) for e in first_finding.equivalents]
-    open_ = f" This recording cannot exclude {' or '.join(others)} instead." if others else ""
+    open_ = f" This recording cannot exclude another cause: {' or '.join(others)}." if others else ""
     further = "1 further effect is" if n_withheld == 1 else f"{n_withheld} further effects are"
     unreported_text = f" {further} in the model but not reported (small or uncertain)." if n_withheld else ""
     return (
