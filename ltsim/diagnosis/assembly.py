@@ -37,7 +37,7 @@ def assemble_diagnosis(
     selected model, or the adjustment without it if the former did not converge. `held_out_errors` are prediction errors
     of held-out readings, and `cause_selection` contains the simple causes of the adjustment before the search.
     """
-    state, model, global_test = model_fit.state, model_fit.model, model_fit.global_test
+    state, model, global_test = model_fit.selection_state, model_fit.model, model_fit.global_test
     baseline, adjusted = state.baseline_adjustment, model_fit.refit.adjustment
     shift_findings = [
         model_fit.finding_of_effect(i)
@@ -112,7 +112,7 @@ def _averaged_targets_and_reading_change(
     Both are averaged over the explanations of the findings. If no cause is more probable than not, the coordinates are
     those of the ordinary adjustment.
     """
-    state = model_fit.state
+    state = model_fit.selection_state
     targets, change = average_over_explanations(
         state.searcher, model_fit.model, model_fit.rankings_of_alternatives, model_fit.refit
     )

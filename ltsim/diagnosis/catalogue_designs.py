@@ -94,8 +94,7 @@ class EffectGroup:
     def products_with_vectors(self, effect_range: slice, vectors: Floats | Singles) -> Floats:
         """Products (h, k, v) of the k scaled design columns of each of h effects in a range with v `vectors` (m, v).
 
-        The vectors have an element for each of the m rows of the residual space. `row_factors` scale the design
-        columns.
+        The vectors have m rows, those of the residual space. The design columns are multiplied by `row_factors`.
         """
         transposed_designs, count = (
             self.transposed_designs[effect_range.start * self.n_parameters : effect_range.stop * self.n_parameters],
@@ -164,8 +163,7 @@ class CatalogueDesigns:
     def log_prior_of_family(self, family: str) -> float:
         """Log prior of the catalogue effect with the name `family`: the sum over all its places and shapes.
 
-        It is also defined for an effect that the search does not try, such as single wrong readings in a large
-        recording.
+        It is defined also for effects that the search does not try, such as wrong readings in a large recording.
         """
         names = self.families if family in self.families else (*self.families, family)
         return float(log_prior_by_base_rate("named", names)[names.index(family)])

@@ -55,7 +55,7 @@ MIN_CHI2_FRACTION_OF_LISTED_READINGS = 0.8
 class SelectedModelFit:
     """Selected model of a recording after its nonlinear refit, from which the findings are reported."""
 
-    state: SelectionState
+    selection_state: SelectionState
     """State of the model selection at its end."""
     global_test: GlobalTestResult
     """Result of the global tests of the recording."""
@@ -70,11 +70,11 @@ class SelectedModelFit:
 
     def _ranking_of_alternatives(self, effect_index: int) -> Ranking:
         """Ranking of all alternatives to an effect in the model, with changes of the noise and an unmodelled cause."""
-        searcher, model = self.state.searcher, self.model
+        searcher, model = self.selection_state.searcher, self.model
         reduced_model = searcher.model_without(model, effect_index)
         noises = [
             Hypothesis(change.effect, 0.0, value, change.effect.name)
-            for value, change in self.state.ranked_noise_changes(reduced_model)
+            for value, change in self.selection_state.ranked_noise_changes(reduced_model)
         ]
         effect, spread = self.refit.effects[effect_index], model.hypotheses[effect_index].plausible_sizes
         moments = searcher.evidence_calculator.grams_and_scores([effect], reduced_model)[0]
@@ -82,7 +82,7 @@ class SelectedModelFit:
         redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
         shift = searcher.space.whitened_design(effect) @ coefficient_means
         likeness = log_bayes_factor_of_discrepancy(searcher.space, shift, model.residual, redundancy)
-        ranking = searcher.ranking(reduced_model).with_rivals(noises).with_unmodelled_cause(likeness)
+        ranking = searcher.ranking(reduced_model).with_further_hypotheses(noises).with_unmodelled_cause(likeness)
         return ranking.with_held_out_evidence(self.held_out_log_odds)
 
     def p_same_name(self, effect_index: int) -> float:
@@ -113,7 +113,9 @@ class SelectedModelFit:
     @cached_property
     def squared_residual_decreases(self) -> list[Floats]:
         """Decrease of the m squared whitened residuals by each effect in the model, given the other effects."""
-        reduced_models = (self.state.searcher.model_without(self.model, i) for i in range(len(self.model.hypotheses)))
+        reduced_models = (
+            self.selection_state.searcher.model_without(self.model, i) for i in range(len(self.model.hypotheses))
+        )
         return [others.residual**2 - self.model.residual**2 for others in reduced_models]
 
     @cached_property
@@ -156,7 +158,7 @@ class SelectedModelFit:
 
     def _p_wrong_readings(self, effect_index: int) -> float:
         """Probability that several wrong readings, with separate errors, are the cause of an effect in the model."""
-        searcher, model = self.state.searcher, self.model
+        searcher, model = self.selection_state.searcher, self.model
         other_model = searcher.model_without(model, effect_index)
         if isinstance(model.hypotheses[effect_index].effect, Outlier):
             return 0.0
@@ -167,7 +169,11 @@ class SelectedModelFit:
 
     def finding_of_effect(self, effect_index: int) -> Finding:
         """Finding that reports an effect in the model, given the other effects in the model."""
-        searcher, model, ranking = self.state.searcher, self.model, self.rankings_of_alternatives[effect_index]
+        searcher, model, ranking = (
+            self.selection_state.searcher,
+            self.model,
+            self.rankings_of_alternatives[effect_index],
+        )
         space, others = searcher.space, searcher.model_without(model, effect_index)
         hypothesis = replace(model.hypotheses[effect_index], effect=self.refit.effects[effect_index])
         effect, name = hypothesis.effect, hypothesis.name
@@ -189,7 +195,7 @@ class SelectedModelFit:
         estimates = self._estimates_of(effect_index, hypothesis, others)
         sentence, further_values = "", dict[str, object]()
         if isinstance(effect, EmpiricalLaw):
-            regressor = regressor_text(effect.regressor, has_clock=self.state.recording.has_clock)
+            regressor = regressor_text(effect.regressor, has_clock=self.selection_state.recording.has_clock)
             law = law_text(effect, regressor)
             sentence = law_sentence(scope, estimates, p_same_scope, law)
             further_values = {"carrier": effect.response.name, "driver": regressor}
@@ -199,7 +205,7 @@ class SelectedModelFit:
         elif isinstance(effect, Effect):
             other_effects = [e for k, e in enumerate(self.refit.effects) if k != effect_index]
             measurement = separating_measurement_sentence(
-                self.state.baseline_adjustment, name, [rival.effect for rival in rivals], other_effects
+                self.selection_state.baseline_adjustment, name, [rival.effect for rival in rivals], other_effects
             )
             further_values = {"separate_by": measurement} if measurement else {}
         if hypothesis.is_catalogued:
@@ -234,7 +240,7 @@ class SelectedModelFit:
 
         `chi2_decreases` (m,) is the decrease in each of the m rows of the residual space.
         """
-        use, recording = self.state.searcher.space.is_used_reading, self.state.recording
+        use, recording = self.selection_state.searcher.space.is_used_reading, self.selection_state.recording
         reading_gain = chi2_decreases[: int(use.sum())]
         order = np.argsort(-reading_gain)
         min_sum = MIN_CHI2_FRACTION_OF_LISTED_READINGS * max(float(chi2_decreases.sum()), MAX_ROUNDING_ERROR)
@@ -277,14 +283,16 @@ class SelectedModelFit:
         `default_observables` are named if the effect does not restrict its observables.
         """
         scope = effect_scope(effect, default_observables)
-        for tracker in instrument_places(self.state.searcher.space.sightings, self.state.recording.instruments):
+        for tracker in instrument_places(
+            self.selection_state.searcher.space.sightings, self.selection_state.recording.instruments
+        ):
             if set(scope.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
                 return scope.model_copy(update={"stations": (), "instruments": tracker.instruments})
         return scope
 
     def _plausibility_sentence(self, effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> str:
         """Sentence on the declared prior of an instrument constant, or on a size that is implausible; else empty."""
-        recording = self.state.recording
+        recording = self.selection_state.recording
         if isinstance(effect, ORDINARY_CALIBRATION_EFFECT_TYPES):
             name = recording.instruments[self._instrument_index(effect)]
             prior = recording.setup.instrument_named(name).prior
@@ -299,8 +307,8 @@ class SelectedModelFit:
 
         All other constants of the instrument have their prior.
         """
-        adjustment, which = self.state.baseline_adjustment, self._instrument_index(effect)
-        prior = prior_sigmas(self.state.recording, adjustment.construction)[which]
+        adjustment, which = self.selection_state.baseline_adjustment, self._instrument_index(effect)
+        prior = prior_sigmas(self.selection_state.recording, adjustment.construction)[which]
         variance = np.diag(adjustment.instrument_covariance_of(which))
         factors = 1.0 / np.maximum(1.0 - variance / prior**2, MAX_ROUNDING_ERROR)
         value, sigma = adjustment.state.instrument_parameters[which] * factors, np.sqrt(variance * factors)
@@ -311,7 +319,7 @@ class SelectedModelFit:
 
     def _instrument_index(self, effect: CandidateEffect) -> int:
         """Index of the instrument at whose set-ups an effect acts."""
-        recording = self.state.recording
+        recording = self.selection_state.recording
         index = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
         return int(recording.instrument[recording.station == index][0])
 
@@ -329,8 +337,12 @@ class SelectedModelFit:
         ]
         if isinstance(hypothesis.effect, ORDINARY_CALIBRATION_EFFECT_TYPES):
             return self._constant_estimates_without_prior(hypothesis.effect)
-        estimates = self.state.searcher.estimates(hypothesis, reduced_model, refitted)
-        return estimates if self.state.recording.has_clock else tuple(estimate_without_clock(e) for e in estimates)
+        estimates = self.selection_state.searcher.estimates(hypothesis, reduced_model, refitted)
+        return (
+            estimates
+            if self.selection_state.recording.has_clock
+            else tuple(estimate_without_clock(e) for e in estimates)
+        )
 
 
 def law_text(law: EmpiricalLaw, regressor_phrase: str) -> str:

@@ -167,7 +167,7 @@ class Ranking:
             )
         return list(first.values())
 
-    def with_rivals(self, rivals: Sequence[Hypothesis]) -> Ranking:
+    def with_further_hypotheses(self, rivals: Sequence[Hypothesis]) -> Ranking:
         """Copy of the ranking that also contains the hypotheses `rivals`."""
         hypotheses = sorted([*self.hypotheses, *rivals], key=lambda h: -h.log_evidence)
         log_total = float(log_sum_exp(np.array([self.total_log_evidence, *(h.log_evidence for h in rivals)])))

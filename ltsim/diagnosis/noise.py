@@ -40,7 +40,7 @@ from ltsim.diagnosis.noise_groups import (
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis, log_prior_of_noise_family
 from ltsim.diagnosis.noise_patterns import candidate_variance_functions
 from ltsim.diagnosis.noise_windows import NoiseWindows
-from ltsim.diagnosis.null_ensemble import basis_of_small_network
+from ltsim.diagnosis.null_ensemble import parameter_basis_of_small_network
 from ltsim.diagnosis.repeats import added_variance_of_means, normalised_sum_matrix_of_repeats, redundancy_of_means
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import NoiseEffect
@@ -88,7 +88,7 @@ class NoiseHypothesisSet:
     """Variance factors of the m rows, and of the g means of repeated readings for errors that repetitions share."""
     averaging_matrix: sp.csr_array
     """Matrix (g, m) that maps the m rows to g means of repeated readings, first in each face and then in both faces."""
-    basis: Floats | None
+    parameter_basis: Floats | None
     """Orthonormal basis (m, u) of the changes of the m rows by u estimated parameters; None in a network that is too
     large for a basis."""
     group_noise_changes: tuple[GroupNoiseChange, ...]
@@ -113,7 +113,7 @@ class NoiseHypothesisSet:
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
-        basis = basis_of_small_network(space)
+        basis = parameter_basis_of_small_network(space)
         group_noise_changes = (
             RecordingNoiseLevel.from_space(space, allows_quieter=allows_quieter),
             *GroupNoiseMixture.candidates(space),
@@ -177,10 +177,10 @@ class NoiseHypothesisSet:
         `residual` (m,) are the m whitened residuals given a model, and the e columns of `model_basis` (m, e) are the
         basis of the changes by the model.
         """
-        assert self.basis is not None
+        assert self.parameter_basis is not None
         at, logs = self.variance_factors.affected_rows_and_log_factors(hypothesis_index)
         weight, size = -np.expm1(-logs), len(residual)
-        basis = np.hstack([self.basis, model_basis])
+        basis = np.hstack([self.parameter_basis, model_basis])
         basis_rows = np.vstack([basis[at[at < size]], self.averaging_matrix[at[at >= size] - size] @ basis])
         values = np.concatenate([residual[at[at < size]], self.averaging_matrix[at[at >= size] - size] @ residual])
         normal = np.eye(basis_rows.shape[1]) - basis_rows.T @ (weight[:, None] * basis_rows)
@@ -197,7 +197,7 @@ class NoiseHypothesisSet:
         """
         return (
             0.0
-            if self.basis is None
+            if self.parameter_basis is None
             else self.log_restricted_likelihood_ratio(hypothesis_index, residual, model_basis) - diagonal_log_ratio
         )
 

@@ -58,7 +58,7 @@ class NullEnsemble:
     @classmethod
     def from_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
         """Ensemble of a residual space for the empty model, with `n_trials` recordings simulated from `seed`."""
-        basis = basis_of_small_network(space)
+        basis = parameter_basis_of_small_network(space)
         n_basis_vectors = N_MONTE_CARLO_GRAM_VECTORS if basis is None else basis.shape[1]
         vectors = np.empty((space.n_rows, 1 + n_trials + n_basis_vectors), dtype=np.float32)
         vectors[:, 0] = space.residuals
@@ -124,7 +124,7 @@ class NullEnsemble:
         )
 
 
-def basis_of_small_network(space: ResidualSpace) -> Floats | None:
+def parameter_basis_of_small_network(space: ResidualSpace) -> Floats | None:
     """Orthonormal basis (m, u) of changes of m rows by u parameters; None for more than `MAX_DENSE_UNKNOWNS`."""
     projector = space.projector
     is_small = isinstance(projector, BasisResidualProjector) and projector.basis.shape[1] <= MAX_DENSE_UNKNOWNS
@@ -134,7 +134,9 @@ def basis_of_small_network(space: ResidualSpace) -> Floats | None:
 def n_simulated_recordings(space: ResidualSpace, level: float) -> int:
     """Number of simulated recordings for a test with the false-alarm rate `level`."""
     usual = (
-        MIN_SIMULATED_RECORDINGS_IN_LARGE_NETWORK if basis_of_small_network(space) is None else MIN_SIMULATED_RECORDINGS
+        MIN_SIMULATED_RECORDINGS_IN_LARGE_NETWORK
+        if parameter_basis_of_small_network(space) is None
+        else MIN_SIMULATED_RECORDINGS
     )
     return max(usual, ceil(1.0 / level))
 

@@ -35,7 +35,7 @@ MIN_FAR_OUTLIER_SIGMAS = 8.0
 """Difference of an outlier from its prediction, in standard deviations, above which the outlier may be a single error.
 Readings with twice the declared noise do not reach this difference.
 """
-MAX_SINGLE_OUTLIERS = 2
+MAX_SINGLE_OUTLIERS_PER_PLACE = 2
 """Largest number of outliers of one observable at a station, or at a target, that count as single errors."""
 
 
@@ -80,7 +80,7 @@ def single_error_mask(fit: NetworkFit) -> Bools:
     isolated, gross = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_SIGMAS)
     for place in (fit.recording.station, fit.recording.target):
         count = np.stack([np.bincount(place, fit.is_outlier[:, k], place.max() + 1) for k in range(3)], axis=1)
-        isolated &= count[place] <= MAX_SINGLE_OUTLIERS
+        isolated &= count[place] <= MAX_SINGLE_OUTLIERS_PER_PLACE
     return gross | isolated
 
 

@@ -86,7 +86,7 @@ class SelectedHypothesis:
     """Alternative hypotheses, each with its gain of log evidence in place of this hypothesis."""
 
     @property
-    def probabilities(self) -> Floats:
+    def posterior_probabilities(self) -> Floats:
         """Posterior probabilities (k + 2,): of the hypothesis, of its k alternatives, and of no error at all."""
         every = [self.log_evidence_gain, *(gain for _, gain in self.alternatives), 0.0]
         gains = np.minimum(every, MAX_LOG_EVIDENCE_GAIN)

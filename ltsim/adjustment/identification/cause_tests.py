@@ -130,7 +130,7 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
         if isinstance(h.model_change, ReadingShiftChange | ReferenceOmission)
         else None
     )
-    share = selected_hypothesis.probabilities.tolist()
+    share = selected_hypothesis.posterior_probabilities.tolist()
     alternatives = tuple(
         AlternativeCause(
             kind=other.kind, where=CausePlace(stations=other.stations, targets=other.targets), probability=s
