@@ -110,7 +110,8 @@ def test_shaken_targets_scatter_in_both_angles_as_one_change(repeated):
 def test_evidence_is_the_restricted_likelihood_of_correlated_residuals(repeated):
     """Against determinants of the whole covariance in coordinates of the residual space."""
     space, pair, bank = repeated
-    free = np.linalg.svd(np.eye(space.n_rows) - bank.parameter_basis @ bank.parameter_basis.T)[0][:, : space.n_rows - bank.parameter_basis.shape[1]]
+    basis = bank.parameter_basis
+    free = np.linalg.svd(np.eye(space.n_rows) - basis @ basis.T)[0][:, : space.n_rows - basis.shape[1]]
     residual = scattered(space, pair, shared=False)
     nothing = np.zeros((space.n_rows, 0))
     sums = bank.averaging_matrix.toarray()
