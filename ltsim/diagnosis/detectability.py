@@ -87,11 +87,11 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, detectable_size_ra
         TARGET_DISTORTION_UM_DECIMALS,
     )
     size_text = (
-        f"only from {detectable_size_ratio:.0f} times its plausible size on"
+        f"only if its size is at least {detectable_size_ratio:.0f} times the plausible size"
         if np.isfinite(detectable_size_ratio)
         else "at no size"
     )
-    reason = f"poses, targets and instrument parameters absorb the effect, which would be detected {size_text}"
+    reason = f"poses, targets and instrument parameters absorb the effect: it is detected {size_text}"
     factor = detectable_size_ratio if np.isfinite(detectable_size_ratio) else None
     return UndetectableEntry(
         effect=effect.name,

@@ -7,8 +7,9 @@ Decisions in their order, each with its function, its module and its criterion:
 2. Blunders among these causes are corrected or rejected (`preprocessing.adjustment_without_blunders`).
 3. Global test (`global_test.run_global_test`): evidence of all hypotheses together, against that of simulated
    recordings. The search goes on if its p-value is below the level.
-4. Changes of the noise or effects first (`model_selection.select_model`): whichever have the larger log evidence.
-5. Effects (`search.Searcher.select_model`): forward, backward and exchange steps. A further effect increases the log
+4. Changes of the noise or effects first (`model_selection.select_noise_and_effects`): whichever have the larger log
+evidence. 5. Effects (`search.Searcher.select_effects`): forward, backward and exchange steps. A further effect
+increases the log
    evidence by `MIN_EFFECT_LOG_EVIDENCE` or more.
 6. Instrument constants that contradict their reference (`instruments`), instead of effects: the larger joint log
    evidence.
@@ -48,7 +49,7 @@ from ltsim.diagnosis.instruments import (
     HistoryExpectation,
     find_contradictions,
 )
-from ltsim.diagnosis.model_selection import ConstantComparisonFunction, select_model
+from ltsim.diagnosis.model_selection import ConstantComparisonFunction, select_noise_and_effects
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.preprocessing import (
     adjustment_without_blunders,
@@ -217,7 +218,9 @@ def _search_and_refit(
     state: SelectionState, compare_with_reference: ConstantComparisonFunction, *, is_mismatch: bool
 ) -> tuple[SelectionState, Model, Refit]:
     """State after the search, the selected model, and its nonlinear refit; the model is empty unless `is_mismatch`."""
-    state, model = select_model(state, compare_with_reference) if is_mismatch else (state, state.empty_model)
+    state, model = (
+        select_noise_and_effects(state, compare_with_reference) if is_mismatch else (state, state.empty_model)
+    )
     return state, *_refit_and_prune(state, model)
 
 
@@ -237,13 +240,13 @@ def _contradictions_unexplained_by_model(
         return with_model
     contradictions = compare_with_reference(state.space.adjustment).contradictions
     difference_by_constant = {
-        (contradiction.instruments, contradiction.parameter.name): abs(contradiction.difference)
+        (contradiction.instruments, contradiction.parameter.name): abs(contradiction.difference_from_reference)
         for contradiction in contradictions
     }
     return tuple(
         c
         for c in with_model
-        if abs(c.difference)
+        if abs(c.difference_from_reference)
         > MIN_UNEXPLAINED_CONSTANT_DIFFERENCE_RATIO
         * difference_by_constant.get((c.instruments, c.parameter.name), np.inf)
     )

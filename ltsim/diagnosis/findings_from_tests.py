@@ -71,7 +71,7 @@ def contradicting_constant_finding(contradiction: ConstantContradiction) -> Find
             p_by_effect_name.get(_effect_name_of_constant(constant), 0.0) + off * share
         )
     estimate, (probability, rivals) = (
-        ParameterEstimate.from_si(p, contradiction.difference, contradiction.sigma),
+        ParameterEstimate.from_si(p, contradiction.difference_from_reference, contradiction.sigma),
         probability_and_equivalents(p_by_effect_name, _effect_name_of_constant(p)),
     )
     rival_names = " or ".join(
@@ -84,7 +84,7 @@ def contradicting_constant_finding(contradiction: ConstantContradiction) -> Find
         f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {contradiction.reference_text}, "
         f"with a probability of {percent_text(off)}.{ambiguity}"
     )
-    chi2_drop = (contradiction.difference / contradiction.sigma) ** 2
+    chi2_drop = (contradiction.difference_from_reference / contradiction.sigma) ** 2
     return Finding(
         effect=_effect_name_of_constant(p),
         known=True,

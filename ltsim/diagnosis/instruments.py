@@ -72,7 +72,7 @@ class ConstantContradiction:
     """Names of the instruments with this constant."""
     parameter: Parameter
     """Constant that contradicts its reference."""
-    difference: float
+    difference_from_reference: float
     """Difference [SI] of the constant from its reference: from the other instruments, from zero for a corrected
     instrument, or from earlier calibrations."""
     sigma: float
@@ -254,7 +254,7 @@ def _contradiction_of_change(
     constant_changes: Sequence[ConstantChange],
     log_evidences: Floats,
     change_index: int,
-    difference: float,
+    difference_from_reference: float,
     sigma: float,
     p_value: float,
 ) -> ConstantContradiction:
@@ -271,7 +271,7 @@ def _contradiction_of_change(
     return ConstantContradiction(
         instruments=tuple(adjustment.recording.instruments[i] for i in change.instrument_indices),
         parameter=parameters[change.constant_index],
-        difference=difference,
+        difference_from_reference=difference,
         sigma=sigma,
         log_evidence=float(log_evidences[change_index]),
         p_value=p_value,
@@ -285,7 +285,7 @@ def _contradiction_of_change(
 
 
 def _log_evidence_of_change(
-    difference: float, variances: Floats | float, log_variance_weights: Floats | float
+    difference_from_reference: float, variances: Floats | float, log_variance_weights: Floats | float
 ) -> float:
     """Log evidence of a change from its estimate `difference`, averaged over s variances with their log weights."""
     variances, log_variance_weights = np.atleast_1d(variances), np.atleast_1d(log_variance_weights)

@@ -20,7 +20,7 @@ ConstantComparisonFunction = Callable[[Adjustment], ContradictingConstants]
 """Function of an adjustment whose result are the instrument constants that contradict their reference."""
 
 
-def select_model(
+def select_noise_and_effects(
     state: SelectionState, compare_with_reference: ConstantComparisonFunction
 ) -> tuple[SelectionState, Model]:
     """State with the selected changes of the noise and of instrument constants, and the selected model of effects.
@@ -43,7 +43,7 @@ def select_model(
         )
         state, model = _select_effects_given_noise(_select_noise_changes(state, rival, identified), identified)
     else:
-        model = state.searcher.select_model(requires_effect=True)
+        model = state.searcher.select_effects(requires_effect=True)
     contradicting_constants = compare_with_reference(state.space.adjustment)
     constants = contradicting_constants.contradictions
     if (
@@ -52,7 +52,7 @@ def select_model(
         > (len(constants) - len(model.hypotheses)) * MIN_EFFECT_LOG_EVIDENCE
     ):
         state = state.with_released_priors(constants)
-        model = state.searcher.select_model(requires_effect=False)
+        model = state.searcher.select_effects(requires_effect=False)
     return _alternate_noise_and_effects(state, model)
 
 
@@ -88,12 +88,12 @@ def _select_effects_given_noise(
     with its noise, is compared with the noise alone by their evidence.
     """
     searcher = state.searcher
-    model = searcher.select_model(requires_effect=True, start_hypotheses=start_hypotheses)
+    model = searcher.select_effects(requires_effect=True, start_hypotheses=start_hypotheses)
     leading = searcher.ranking(searcher.empty_model).most_probable_of_each_kind()[:N_EXACTLY_EVALUATED]
     candidates = [model.hypotheses, *((h,) for h in leading)]
     best = max(candidates[:1] if searcher.is_large_network else candidates, key=state.log_evidence_with_effects)
     with_effects = state.with_pruned_noise([h.effect for h in best])
-    model = with_effects.searcher.select_model(requires_effect=False, start_hypotheses=best)
+    model = with_effects.searcher.select_effects(requires_effect=False, start_hypotheses=best)
     is_supported = (
         with_effects.log_evidence_of_noise + model.penalised_log_evidence
         > state.log_evidence_of_noise + MIN_EFFECT_LOG_EVIDENCE
@@ -128,7 +128,7 @@ def _alternate_noise_and_effects(state: SelectionState, model: Model) -> tuple[S
             break
         likeliest_noise = _most_probable_noise_change(ranked[most], rest[most])
         state = state.with_noise_change(likeliest_noise, bases[most].effects)
-        model = state.searcher.select_model(requires_effect=False)
+        model = state.searcher.select_effects(requires_effect=False)
     return state, model
 
 

@@ -302,7 +302,7 @@ class Searcher:
             self._projected_designs.popitem(last=False)
         return self._projected_designs[key]
 
-    def select_model(self, *, requires_effect: bool, start_hypotheses: Sequence[Hypothesis] = ()) -> Model:
+    def select_effects(self, *, requires_effect: bool, start_hypotheses: Sequence[Hypothesis] = ()) -> Model:
         """Selected model, in which each further effect increases the log evidence by `MIN_EFFECT_LOG_EVIDENCE` or more.
 
         The search begins with the hypotheses `start_hypotheses` in the model. With `requires_effect` the result has at
@@ -335,7 +335,7 @@ class Searcher:
     def _forward_selection(
         self, model: Model, *, requires_effect: bool, rival_log_evidence: float | None = None
     ) -> Model:
-        """Model after a forward selection that starts with `model`.
+        """Model after a forward selection that starts with `model`; with `requires_effect` it has at least one effect.
 
         Without `rival_log_evidence` the effects in the model are tested again after each step.
         """

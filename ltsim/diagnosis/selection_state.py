@@ -41,7 +41,7 @@ class SelectionState:
     """Flags (n, 3) of the readings that are used, for n pointings."""
     seed: int
     """Seed of the random draws of simulated recordings."""
-    level: float | None
+    false_alarm_rate: float | None
     """False-alarm rate of the search; None for a search without p-value."""
     tests_ordinary_constants: bool
     """True if changes of the constants of the ordinary calibration are also hypotheses."""
@@ -63,7 +63,7 @@ class SelectionState:
         adjustment: Adjustment,
         is_used_reading: Bools,
         seed: int,
-        level: float | None = 0.05,
+        false_alarm_rate: float | None = 0.05,
         *,
         tests_ordinary_constants: bool = True,
         identified_effects: tuple[CandidateEffect, ...] = (),
@@ -73,7 +73,7 @@ class SelectionState:
             adjustment,
             is_used_reading,
             seed,
-            level,
+            false_alarm_rate,
             tests_ordinary_constants,
             identified_effects,
             adjustment.recording.sigma(),
@@ -92,7 +92,9 @@ class SelectionState:
         return Searcher(
             self.space,
             self.seed,
-            n_simulated_recordings(self.space, self.level) if earlier is None and self.level else 0,
+            n_simulated_recordings(self.space, self.false_alarm_rate)
+            if earlier is None and self.false_alarm_rate
+            else 0,
             catalogue_designs=earlier.with_weights_of(self.space) if earlier is not None and is_reusable else None,
             tests_ordinary_constants=self.tests_ordinary_constants,
         )

@@ -17,7 +17,7 @@ from ltsim.diagnosis.evidence import log_bayes_factor_of_discrepancy
 from ltsim.diagnosis.findings import SelectedModelFit
 from ltsim.diagnosis.global_test import run_global_test
 from ltsim.diagnosis.hypotheses import Hypothesis
-from ltsim.diagnosis.model_selection import select_model
+from ltsim.diagnosis.model_selection import select_noise_and_effects
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.preprocessing import single_error_mask
 from ltsim.diagnosis.selection_state import SelectionState
@@ -181,10 +181,10 @@ def test_nothing_unlikely_is_told_beside_anything_else(monkeypatch):
     )
 
     def with_noise(*arguments):
-        state, model = select_model(*arguments)
+        state, model = select_noise_and_effects(*arguments)
         return replace(state, noise_changes=(noisy,)), model
 
-    monkeypatch.setattr("ltsim.diagnosis.diagnose.select_model", with_noise)
+    monkeypatch.setattr("ltsim.diagnosis.diagnose.select_noise_and_effects", with_noise)
     told = diagnose(recording).findings
     assert [f.effect for f in told] == ["range-cyclic"]
     monkeypatch.setattr(SelectedModelFit, "finding_of_effect", lambda *_: unlikely)

@@ -96,7 +96,7 @@ def test_held_out_readings_contradict_a_law_that_they_do_not_follow(space):
     follows, opposes = (replace(space, residuals=space.residuals + sign * change) for sign in (1.0, -1.0))
     effect = Hypothesis(law("distance", Regressor("wave", ("azimuth",), constant=3.0)), 0.0, 0.0, "unknown")
     model = Model((effect,), (space.project(wave),), np.linalg.norm(wave, axis=0)[None], follows.residuals)
-    search = SimpleNamespace(without_rows=lambda _: SimpleNamespace(select_model=lambda *_, **__: model))
+    search = SimpleNamespace(without_rows=lambda _: SimpleNamespace(select_effects=lambda *_, **__: model))
     supported, contradicted = (cross_validated_errors(data, 0, search) for data in (follows, opposes))
     assert supported.log_odds_of_model == 0.0
     assert contradicted.log_odds_of_model < -10.0
