@@ -254,7 +254,7 @@ def _contradiction_of_change(
     constant_changes: Sequence[ConstantChange],
     log_evidences: Floats,
     change_index: int,
-    difference_from_reference: float,
+    difference: float,
     sigma: float,
     p_value: float,
 ) -> ConstantContradiction:
@@ -285,7 +285,7 @@ def _contradiction_of_change(
 
 
 def _log_evidence_of_change(
-    difference_from_reference: float, variances: Floats | float, log_variance_weights: Floats | float
+    difference: float, variances: Floats | float, log_variance_weights: Floats | float
 ) -> float:
     """Log evidence of a change from its estimate `difference`, averaged over s variances with their log weights."""
     variances, log_variance_weights = np.atleast_1d(variances), np.atleast_1d(log_variance_weights)
