@@ -7,9 +7,8 @@ Decisions in their order, each with its function, its module and its criterion:
 2. Blunders among these causes are corrected or rejected (`preprocessing.adjustment_without_blunders`).
 3. Global test (`global_test.run_global_test`): evidence of all hypotheses together, against that of simulated
    recordings. The search goes on if its p-value is below the level.
-4. Changes of the noise or effects first (`model_selection.select_noise_and_effects`): whichever have the larger log
-evidence. 5. Effects (`search.Searcher.select_effects`): forward, backward and exchange steps. A further effect
-increases the log
+4. Changes of the noise or effects first (`model_selection.select_noise_and_effects`): those with more log evidence.
+5. Effects (`search.Searcher.select_effects`): forward, backward and exchange steps. A further effect increases the log
    evidence by `MIN_EFFECT_LOG_EVIDENCE` or more.
 6. Instrument constants that contradict their reference (`instruments`), instead of effects: the larger joint log
    evidence.

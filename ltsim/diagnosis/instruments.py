@@ -264,10 +264,10 @@ def _contradiction_of_change(
     its standard deviation [SI].
     """
     change, parameters = constant_changes[change_index], adjustment.construction.parameters
-    evidence_share_by_constant = [
+    alternative_indices = [
         i for i, other in enumerate(constant_changes) if other.instrument_indices == change.instrument_indices
     ]
-    share = normalised_probabilities(log_evidences[evidence_share_by_constant])
+    share = normalised_probabilities(log_evidences[alternative_indices])
     return ConstantContradiction(
         instruments=tuple(adjustment.recording.instruments[i] for i in change.instrument_indices),
         parameter=parameters[change.constant_index],
@@ -277,7 +277,7 @@ def _contradiction_of_change(
         p_value=p_value,
         reference_text=change.reference_text,
         evidence_share_by_constant={
-            parameters[constant_changes[evidence_share_by_constant[i]].constant_index]: float(share[i])
+            parameters[constant_changes[alternative_indices[i]].constant_index]: float(share[i])
             for i in np.argsort(-share)
             if share[i] > MIN_REPORTED_PROBABILITY
         },
