@@ -78,8 +78,8 @@ Trials = tuple[tuple[CauseHypothesis, NetworkFit], ...]
 
 
 @dataclass(frozen=True)
-class PartialSelection:
-    """Selection of causes before its end; each step returns a new one."""
+class CauseSelectionState:
+    """State of the selection of causes; each step of the selection returns a new state."""
 
     fit: NetworkFit
     """Fit with the hypotheses that are selected so far."""
@@ -117,72 +117,72 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
         If the readings determine no network with any hypothesis.
     """
     initial_fit = _initial_fit(network)
-    selection = PartialSelection(initial_fit, min_gain, initial_fit.hypotheses)
+    state = CauseSelectionState(initial_fit, min_gain, initial_fit.hypotheses)
     is_growing = True
     while True:
-        grown = _forward_step(selection) if is_growing else None
+        grown = _forward_step(state) if is_growing else None
         if grown is not None:
-            selection = _backward_step(grown)
+            state = _backward_step(grown)
             continue
         is_growing = False
-        exchanged = _exchange_step(selection)
+        exchanged = _exchange_step(state)
         if isinstance(exchanged, CauseSelection):
             return exchanged
-        selection = exchanged
+        state = exchanged
 
 
-def _forward_step(selection: PartialSelection) -> PartialSelection | None:
-    """Selection with one more hypothesis, the one with the largest evidence; None if none increases it enough.
+def _forward_step(state: CauseSelectionState) -> CauseSelectionState | None:
+    """State with one more hypothesis, the one with the largest evidence; None if none increases it enough.
 
     In place of centring errors several other causes may be added.
     """
-    fit = selection.fit
+    fit = state.fit
     if len(fit.hypotheses) >= MAX_SELECTED_HYPOTHESES or _is_consistent_as_a_whole(fit):
         return None
     trials = _fit_best_hypotheses(fit)
-    needed = selection.min_gain if not has_larger_noise_of_all_readings(fit) else -LOG_ODDS_OF_CENTRING
+    needed = state.min_gain if not has_larger_noise_of_all_readings(fit) else -LOG_ODDS_OF_CENTRING
     if not trials or trials[0][1].log_evidence < fit.log_evidence + needed:
         return None
     best = _refine_motion_time(trials[0][1])
     if isinstance(trials[0][0].model_change, CentringChange):
         best = max(best, _fit_with_other_causes(fit, needed, best), key=lambda made: made.log_evidence)
-    return replace(selection, fit=best, fit_before_trials=fit, trials=trials)
+    return replace(state, fit=best, fit_before_trials=fit, trials=trials)
 
 
-def _backward_step(selection: PartialSelection) -> PartialSelection:
-    """Selection without the hypotheses whose removal costs less log evidence than the smallest gain.
+def _backward_step(state: CauseSelectionState) -> CauseSelectionState:
+    """State without the hypotheses whose removal costs less log evidence than the smallest gain.
 
     Only hypotheses that may explain the same readings as the last one are tried. Of the initial hypotheses only
     exclusions of reference values may be removed, because no network can be fitted without the others.
     """
-    fit, indispensable = selection.fit, selection.indispensable_hypotheses
+    fit, indispensable = state.fit, state.indispensable_hypotheses
     for i, h in enumerate(fit.hypotheses[:-1]):
-        is_initial = i < len(selection.initial_hypotheses) and not isinstance(h.model_change, ReferenceOmission)
+        is_initial = i < len(state.initial_hypotheses) and not isinstance(h.model_change, ReferenceOmission)
         if is_initial or not h.competes_with(fit.hypotheses[-1]):
             continue
         rest, indispensable = _fit_without_hypothesis(fit, h, indispensable)
-        if rest is not None and rest.log_evidence > fit.log_evidence - selection.min_gain:
+        if rest is not None and rest.log_evidence > fit.log_evidence - state.min_gain:
             fit = rest
-    is_trial = bool(selection.trials) and fit is selection.trials[0][1]
+    is_trial = bool(state.trials) and fit is state.trials[0][1]
     return replace(
-        selection,
+        state,
         fit=fit,
         indispensable_hypotheses=indispensable,
-        fit_before_trials=selection.fit_before_trials if is_trial else None,
-        trials=selection.trials if is_trial else (),
+        fit_before_trials=state.fit_before_trials if is_trial else None,
+        trials=state.trials if is_trial else (),
     )
 
 
-def _exchange_step(selection: PartialSelection) -> PartialSelection | CauseSelection:
-    """Selection with one hypothesis exchanged for a better one; if there is no better one, the final selection.
+def _exchange_step(state: CauseSelectionState) -> CauseSelectionState | CauseSelection:
+    """State with one hypothesis exchanged for a better one; if there is no better one, the result.
 
     Every hypothesis is compared with its alternatives, given the other hypotheses. The hypotheses of the initial fit
     are not compared, because the network needs them.
     """
-    fit, indispensable = selection.fit, selection.indispensable_hypotheses
-    choices = [SelectedHypothesis(h, np.inf, ()) for h in fit.hypotheses if h in selection.initial_hypotheses]
+    fit, indispensable = state.fit, state.indispensable_hypotheses
+    choices = [SelectedHypothesis(h, np.inf, ()) for h in fit.hypotheses if h in state.initial_hypotheses]
     for h in fit.hypotheses[len(choices) :]:
-        rest_and_trials = selection.trials_in_place_of(h)
+        rest_and_trials = state.trials_in_place_of(h)
         if rest_and_trials is None:
             rest, indispensable = _fit_without_hypothesis(fit, h, indispensable)
         else:
@@ -197,8 +197,8 @@ def _exchange_step(selection: PartialSelection) -> PartialSelection | CauseSelec
             else rest_and_trials[1]
         )
         others = [(other, made) for other, made in trials if other.place_key != h.place_key]
-        if others and others[0][1].log_evidence > fit.log_evidence + selection.min_gain:
-            return PartialSelection(others[0][1], selection.min_gain, selection.initial_hypotheses, indispensable)
+        if others and others[0][1].log_evidence > fit.log_evidence + state.min_gain:
+            return CauseSelectionState(others[0][1], state.min_gain, state.initial_hypotheses, indispensable)
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
         choices.append(SelectedHypothesis(h, gain, gains))
     # Random errors come after shifts: they may be remainders of a shift whose nests or times are not exactly known.
