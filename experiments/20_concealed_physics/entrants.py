@@ -33,7 +33,7 @@ def ltsim(recording: Path, out: Path) -> None:
     diagnosis = lt.diagnose(given)
     lt.write(diagnosis, out)
     change, factors = diagnosis.modelled_reading_change(given), diagnosis.variance_factors
-    notes = {"coefficients": diagnosis.n_coefficients}
+    notes = {"coefficients": diagnosis.n_effect_coefficients}
     Model(np.asarray(change), factors, diagnosis.modelled_length_change(given), notes).write(out)
 
 

@@ -44,7 +44,7 @@ def parts_of(space: ResidualSpace) -> dict[Part, list[Scored]]:
     probe = NullEnsemble.from_space(space, 0, MIN_SIMULATED_RECORDINGS)
     bank = NoiseHypothesisSet.from_space(space, noise_hypotheses(sightings, instruments))
     cards = CatalogueDesigns.from_space(space, catalogue_candidate_effects(sightings, instruments))
-    values, chance = cards.log_evidence_and_null_values(probe)
+    values, chance, _ = cards.screen(probe)
     own = np.append(bank.log_evidence_by_family(space.residuals[:, None], space.redundancy)[:, 0], -np.inf)
     drawn = bank.log_evidence_by_family(probe.simulated_residuals, space.redundancy)
     share, families = log_prior_of_each_explanation("named", len(cards.families)), cards.log_evidence_by_family(values)

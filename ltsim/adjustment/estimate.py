@@ -4,11 +4,10 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.datum import InnerDatum, motions_about_centre, move_to_datum, selected_datum_names
-from ltsim.adjustment.frame import alignment_distances
+from ltsim.adjustment.axes_point_tests import exclude_contradicting_axes_points
+from ltsim.adjustment.datum import InnerDatum, move_to_datum, selected_datum_names
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import WEAK_PRIOR_FACTOR, NetworkProblem
 from ltsim.adjustment.reference_snooping import snoop_references
@@ -19,14 +18,7 @@ from ltsim.adjustment.reference_tests import (
     requires_instrument_constants_for_points,
 )
 from ltsim.adjustment.reference_values import ReferenceKind
-from ltsim.adjustment.reliability import noise_factor
-from ltsim.adjustment.significance import (
-    FAMILY_WISE_LEVEL,
-    MAX_TRACKER_ERROR,
-    MIN_CLEAR_SIGMAS,
-    MIN_FAULTY_FRACTION_OF_GROUP,
-    MIN_MISFIT_RATIO,
-)
+from ltsim.adjustment.significance import MIN_FAULTY_FRACTION_OF_GROUP
 from ltsim.adjustment.snooping import (
     drop_undetermined_targets,
     screen_gross_errors,
@@ -39,8 +31,7 @@ from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import ModelError, NetworkError
 from ltsim.core.limits import MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
-from ltsim.core.units import MILLIMETRE
-from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rigid_motion_design
+from ltsim.geometry.rigid import MIN_RIGID_POINTS
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.model.construction import GeometricErrorModel, ideal_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState, smr_radius_offsets, with_plumb_lines
@@ -58,7 +49,6 @@ def adjust(
     effects: Sequence[LinearEffect] = (),
     sigma: Floats | None = None,
     reading_mask: Bools | None = None,
-    start_state: NetworkState | None = None,
     datum_names: Sequence[str] | None = None,
     robust: bool = False,
     noise_grouping: NoiseGrouping | None = None,
@@ -66,7 +56,9 @@ def adjust(
     prior: ParameterPrior | None = None,
     tested_reference_kinds: Collection[ReferenceKind] = TESTED_REFERENCE_KINDS,
 ) -> Adjustment:
-    """Network adjustment: targets, poses, and the parameters of `construction` and `effects`.
+    """Network adjustment from the recording alone: targets, poses, and parameters of `construction` and `effects`.
+
+    Gross errors of readings, and reference values that contradict the other observations, are excluded first.
 
     Parameters
     ----------
@@ -79,9 +71,6 @@ def adjust(
         Standard deviations of the readings; default the declared noise.
     reading_mask : (n, 3) bool, optional
         Readings to use; default all.
-    start_state : NetworkState, optional
-        State from which the adjustment starts; default from the recording alone. With a start state no pointing is
-        rejected before the adjustment.
     datum_names : sequence of str, optional
         Targets that define the datum by inner constraints; default those that the set-up selects.
     robust : bool
@@ -95,8 +84,7 @@ def adjust(
     prior : ParameterPrior, optional
         Prior of the instrument parameters; default that of the set-up.
     tested_reference_kinds : collection of str
-        Kinds of reference values that are excluded if they contradict the other observations; none is excluded with a
-        `start_state`.
+        Kinds of reference values that are excluded if they contradict the other observations.
 
     Returns
     -------
@@ -117,61 +105,140 @@ def adjust(
     recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "an adjustment")
     built = construction or ideal_construction()
     recording, n_copied_rows = without_copied_rows(recording)
-    gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
-    needs_start = start_state is None
-    if start_state is None:
-        _, network, gross, lost = screen_gross_errors(recording)
-        gross &= ~_is_over_wrong_mark(recording, gross)
-        parameters = np.zeros((len(recording.instruments), built.n_parameters)) if prior is None else prior.mean
-        start_state = NetworkState(*network, parameters)
-    recording = with_plumb_lines(recording, start_state.station_positions)
-    measurement_model = MeasurementModel(recording, built, tuple(effects))
-    if len(start_state.extra_parameters) != measurement_model.n_extra_parameters:
-        start_state = replace(start_state, extra_parameters=np.zeros(measurement_model.n_extra_parameters))
-    keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)
-    mask = keep if reading_mask is None else keep & reading_mask
-    find = snoop_readings if robust else _solve
-    whole = NetworkProblem.from_model(
-        measurement_model, sigma=sigma, reading_mask=mask, effect_prior_sigma=effect_prior_sigma, prior=prior
+    _, network, is_gross, is_unconnected = screen_gross_errors(recording)
+    is_gross &= ~_is_over_wrong_mark(recording, is_gross)
+    parameters = np.zeros((len(recording.instruments), built.n_parameters)) if prior is None else prior.mean
+    usable = np.broadcast_to(
+        ((~is_gross | robust) & ~is_unconnected[recording.target])[:, None], recording.readings.shape
     )
-    _require_fixed_smr_offsets(whole)
-    start_state = replace(
-        start_state,
-        station_positions=whole.marks.positions_on_marks(start_state.station_positions, start_state.target_points),
+    whole, start_state = _problem_and_start_state(
+        MeasurementModel(recording, built, tuple(effects)),
+        NetworkState(*network, parameters),
+        sigma,
+        usable if reading_mask is None else usable & reading_mask,
+        effect_prior_sigma,
+        prior,
     )
-    whole = drop_undetermined_targets(whole, start_state)
     wrong: tuple[ReferenceTest, ...] = ()
-    if needs_start and not (robust and whole.has_no_references):
-        sound = (
-            replace(whole, is_used_reading=whole.is_used_reading & ~gross[:, None]) if robust and gross.any() else whole
-        )
-        tested, tested_state = sound.with_instrument_constants(start_state)
-        problem, solution, wrong = snoop_references(tested, solve(tested, tested_state), tested_reference_kinds)
-        if tested is sound and requires_instrument_constants_for_points(problem, solution):
-            with_constants, state = sound.with_instrument_constants(start_state, requires_length=False)
-            snooped = snoop_references(with_constants, solve(with_constants, state), tested_reference_kinds)
-            if passes_global_test(*snooped[:2]):
-                tested, (problem, solution, wrong) = with_constants, snooped
-        if tested is not sound:
-            problem = (
-                sound.with_model(replace(measurement_model, recording=problem.model.recording)) if wrong else sound
-            )
-            state = replace(solution.x, instrument_parameters=start_state.instrument_parameters)
-            solution = solve(problem, state)
-        measurement_model = problem.model
-    if wrong and robust:
-        whole, start_state = whole.with_model(measurement_model), solution.x
-    if robust or not needs_start:
-        problem, solution = find(whole, start_state)
-    components: tuple[VarianceComponent, ...] = ()
-    if noise_grouping is not None:
-        problem, solution, components = estimate_variance_components(
-            problem, solution, noise_grouping, find, whole.is_used_reading
-        )
-    unconnected = tuple(recording.targets[i] for i in np.flatnonzero(lost))
-    gross &= ~problem.is_used_reading.any(axis=1)
-    adjustment = Adjustment(problem, solution, gross, components, unconnected, wrong, n_duplicate_rows=n_copied_rows)
+    if not robust:
+        problem, solution, wrong = _without_wrong_references(whole, start_state, tested_reference_kinds)
+    else:
+        if not whole.has_no_references:
+            used = whole.is_used_reading & ~is_gross[:, None] if is_gross.any() else whole.is_used_reading
+            without_gross = replace(whole, is_used_reading=used)
+            problem, solution, wrong = _without_wrong_references(without_gross, start_state, tested_reference_kinds)
+            if wrong:
+                whole, start_state = whole.with_model(problem.model), solution.x
+        problem, solution = snoop_readings(whole, start_state)
+    problem, solution, components = _with_estimated_noise(whole, problem, solution, noise_grouping, robust=robust)
+    unconnected = tuple(recording.targets[i] for i in np.flatnonzero(is_unconnected))
+    is_gross &= ~problem.is_used_reading.any(axis=1)
+    adjustment = Adjustment(problem, solution, is_gross, components, unconnected, wrong, n_duplicate_rows=n_copied_rows)
     return _transform_to_datum(adjustment, datum_names)
+
+
+@raise_for_singular_network
+@single_threaded
+def adjust_from_state(
+    recording: Recording,
+    construction: GeometricErrorModel | None = None,
+    *,
+    start_state: NetworkState,
+    effects: Sequence[LinearEffect] = (),
+    sigma: Floats | None = None,
+    reading_mask: Bools | None = None,
+    datum_names: Sequence[str] | None = None,
+    robust: bool = False,
+    noise_grouping: NoiseGrouping | None = None,
+    effect_prior_sigma: float = WEAK_PRIOR_FACTOR,
+    prior: ParameterPrior | None = None,
+) -> Adjustment:
+    """Network adjustment that starts at `start_state`; without tests for gross errors and wrong reference values.
+
+    The other parameters, the result and the errors are those of `adjust`.
+    """
+    recording.require_at_most(MAX_ADJUSTED_POINTINGS, MAX_ADJUSTED_TARGETS, "an adjustment")
+    recording, n_copied_rows = without_copied_rows(recording)
+    whole, start_state = _problem_and_start_state(
+        MeasurementModel(recording, construction or ideal_construction(), tuple(effects)),
+        start_state,
+        sigma,
+        np.ones(recording.readings.shape, dtype=bool) if reading_mask is None else reading_mask,
+        effect_prior_sigma,
+        prior,
+    )
+    problem, solution = snoop_readings(whole, start_state) if robust else (whole, solve(whole, start_state))
+    problem, solution, components = _with_estimated_noise(whole, problem, solution, noise_grouping, robust=robust)
+    no_gross_errors = np.zeros(len(recording), dtype=bool)
+    adjustment = Adjustment(problem, solution, no_gross_errors, components, n_duplicate_rows=n_copied_rows)
+    return _transform_to_datum(adjustment, datum_names)
+
+
+def _problem_and_start_state(
+    model: MeasurementModel,
+    start_state: NetworkState,
+    sigma: Floats | None,
+    reading_mask: Bools,
+    effect_prior_sigma: float,
+    prior: ParameterPrior | None,
+) -> tuple[NetworkProblem, NetworkState]:
+    """Least-squares problem without undetermined targets, and start state with all parameters of its model.
+
+    The plumb lines of the stations in the model, and the stations over marks, follow from `start_state`. The other
+    parameters are those of `adjust`.
+    """
+    model = replace(model, recording=with_plumb_lines(model.recording, start_state.station_positions))
+    if len(start_state.extra_parameters) != model.n_extra_parameters:
+        start_state = replace(start_state, extra_parameters=np.zeros(model.n_extra_parameters))
+    problem = NetworkProblem.from_model(
+        model, sigma=sigma, reading_mask=reading_mask, effect_prior_sigma=effect_prior_sigma, prior=prior
+    )
+    _require_fixed_smr_offsets(problem)
+    positions = problem.marks.positions_on_marks(start_state.station_positions, start_state.target_points)
+    start_state = replace(start_state, station_positions=positions)
+    return drop_undetermined_targets(problem, start_state), start_state
+
+
+def _without_wrong_references(
+    problem: NetworkProblem, start_state: NetworkState, tested_reference_kinds: Collection[ReferenceKind]
+) -> tuple[NetworkProblem, Solution[NetworkState], tuple[ReferenceTest, ...]]:
+    """Problem without the reference values that contradict the readings, its solution, and the tests of these values.
+
+    If the readings determine instrument constants, these constants are estimated during the tests, because a wrong
+    constant looks like a wrong length or point.
+    """
+    tested, tested_state = problem.with_instrument_constants(start_state)
+    remaining, solution, wrong = snoop_references(tested, solve(tested, tested_state), tested_reference_kinds)
+    if tested is problem and requires_instrument_constants_for_points(remaining, solution):
+        with_constants, state = problem.with_instrument_constants(start_state, requires_length=False)
+        snooped = snoop_references(with_constants, solve(with_constants, state), tested_reference_kinds)
+        if passes_global_test(*snooped[:2]):
+            tested, (remaining, solution, wrong) = with_constants, snooped
+    if tested is problem:
+        return remaining, solution, wrong
+    model = replace(problem.model, recording=remaining.model.recording)
+    without_constants = problem.with_model(model) if wrong else problem
+    state = replace(solution.x, instrument_parameters=start_state.instrument_parameters)
+    return without_constants, solve(without_constants, state), wrong
+
+
+def _with_estimated_noise(
+    whole: NetworkProblem,
+    problem: NetworkProblem,
+    solution: Solution[NetworkState],
+    noise_grouping: NoiseGrouping | None,
+    *,
+    robust: bool,
+) -> tuple[NetworkProblem, Solution[NetworkState], tuple[VarianceComponent, ...]]:
+    """Problem with estimated noise, its solution, and the variance components; all unchanged without a grouping.
+
+    `whole` is the problem with all readings, and `problem` the problem without outliers. With `robust` the outliers are
+    searched again.
+    """
+    if noise_grouping is None:
+        return problem, solution, ()
+    find = snoop_readings if robust else _solve
+    return estimate_variance_components(problem, solution, noise_grouping, find, whole.is_used_reading)
 
 
 def _is_over_wrong_mark(recording: Recording, is_gross: Bools) -> Bools:
@@ -238,115 +305,3 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
         solution = replace(again, n_iterations=solution.n_iterations, status=solution.status)
     datum = None if solution.factor is None else InnerDatum.from_points(problem, state, solution.factor, names)
     return replace(adjustment, solution=solution, datum=datum)
-
-
-def exclude_contradicting_axes_points(
-    adjustment: Adjustment, names: Sequence[str]
-) -> tuple[Recording, tuple[ReferenceTest, ...]]:
-    """Recording whose datum consists of the points with consistent declared coordinates, and the test of each point.
-
-    `names` are the points that define the axes. Each point is tested against the other points: its misclosure in their
-    axes is compared with the uncertainty of the network at this point, multiplied by the `noise_factor` of the fit, and
-    with the scatter of the other points. A contradicting point is excluded. If the other points alone do not determine
-    the axes, the point remains, with its coordinates corrected by the estimated error.
-    """
-    recording = adjustment.recording
-    declared_points = (
-        np.array([recording.target_setup(name).approximate_mm for name in names], dtype=np.float64) * MILLIMETRE
-    )
-    adjusted_points = adjustment.state.target_points[[recording.targets.index(name) for name in names]]
-    deviations = alignment_distances(adjusted_points, declared_points, align_robustly(adjusted_points, declared_points))
-    use = deviations <= max(MIN_MISFIT_RATIO * float(np.median(deviations)), MAX_TRACKER_ERROR)
-    use |= use.sum() <= len(names) / 2
-    factor = noise_factor(adjustment.problem, adjustment.solution)
-    for _ in range(2 * len(names)):
-        tests = _axes_point_tests(adjustment, names, declared_points, use, factor)
-        ratio = np.array([test.normalised_error / test.critical_value for test in tests])
-        if (~use & (ratio <= 1.0)).any():
-            k = int(np.argmin(np.where(use, np.inf, ratio)))
-        elif (use & (ratio > 1.0)).any():
-            k = int(np.argmax(np.where(use, ratio, 0.0)))
-        else:
-            break
-        if use[k] and use.sum() <= MIN_RIGID_POINTS:
-            tests[k] = replace(tests[k], is_excluded=True)
-            declared_points[k] -= tests[k].error
-            break
-        use = use ^ (np.arange(len(names)) == k)
-    targets = dict(recording.setup.targets)
-    for name, used, place in zip(names, use, declared_points / MILLIMETRE, strict=True):
-        targets[name] = targets[name].model_copy(update={"datum": bool(used), "approximate_mm": tuple(place.tolist())})
-    return recording.replace(setup=recording.setup.model_copy(update={"targets": targets})), tuple(tests)
-
-
-def _axes_point_tests(
-    adjustment: Adjustment, names: Sequence[str], declared_points: Floats, used_mask: Bools, factor: float
-) -> list[ReferenceTest]:
-    """Tests of k points with declared coordinates (k, 3) [m], each against the points that `used_mask` (k,) flags.
-
-    The standard deviations of the network are multiplied by `factor`.
-    """
-    chosen = [name for name, used in zip(names, used_mask, strict=True) if used]
-    datum_adjustment = adjustment.with_inner_datum(chosen)
-    indices = [datum_adjustment.recording.targets.index(name) for name in names]
-    state, _ = move_to_datum(datum_adjustment.problem, datum_adjustment.state, chosen)
-    turn = state.station_rotations[0] @ datum_adjustment.state.station_rotations[0].T
-    covariance = factor**2 * turn @ datum_adjustment.target_covariance[indices] @ turn.T
-    gap, places = declared_points - state.target_points[indices], state.target_points[indices]
-    centre = places[used_mask].mean(axis=0)
-    motions = motions_about_centre(datum_adjustment.problem.free_motions, centre)
-    motion = (rigid_motion_design(places, centre) @ motions).reshape(-1, 3, motions.shape[1])
-    leverages = motion @ np.linalg.inv(np.linalg.qr(motion[used_mask].reshape(-1, motion.shape[2]))[1])
-    hat_blocks = leverages @ np.swapaxes(leverages, 1, 2)
-    square = float(np.sum(gap[used_mask] ** 2)) - float(np.trace(covariance[used_mask].sum(axis=0)))
-    test_values = square, 3 * int(used_mask.sum()) - motion.shape[2], FAMILY_WISE_LEVEL / len(names)
-    return [
-        _axes_point_test(
-            name, gap[k], covariance[k], hat_blocks[k], is_used=bool(used_mask[k]), scatter_dof_and_level=test_values
-        )
-        for k, name in enumerate(names)
-    ]
-
-
-def _axes_point_test(
-    target_name: str,
-    misclosure: Floats,
-    covariance: Floats,
-    hat_block: Floats,
-    *,
-    is_used: bool,
-    scatter_dof_and_level: tuple[float, int, float],
-) -> ReferenceTest:
-    """Test of one of the points that define the axes.
-
-    `misclosure` (3,) [m] is declared minus adjusted coordinates, `covariance` (3, 3) [m^2] the covariance of the
-    latter. `hat_block` (3, 3) is the block of the hat matrix of the alignment for this point. The misclosure of a point
-    in use is (1 - `hat_block`) times its error; that of an excluded point is its full error. `scatter_dof_and_level`
-    contains the sum of squared misclosures of the points in use, its degrees of freedom, and the significance level of
-    this test.
-    """
-    share, turned = np.linalg.eigh(np.eye(3) - hat_block if is_used else np.eye(3) + hat_block)
-    is_checked = share > MAX_SOLUTION_ROUNDING_ERROR
-    turned, share = turned[:, is_checked], share[is_checked]
-    redundancy = share if is_used else np.ones(len(share))
-    square, dof, level = scatter_dof_and_level
-    error = turned.T @ misclosure / redundancy
-    if is_used:
-        square, dof = square - float(share @ error**2) + float(np.trace(covariance)), dof - len(share)
-    variance_factor = max(square, 0.0) / max(dof, 1)
-    network = (turned.T @ covariance @ turned) / np.outer(redundancy, redundancy)
-    spread = network + np.diag(variance_factor / share if is_used else variance_factor * share)
-    limit = len(share) * special.fdtri(len(share), max(dof, 1), 1.0 - level)
-    return ReferenceTest(
-        kind="axes",
-        name=target_name,
-        declared_components="xyz",
-        sigma=np.sqrt(np.diag(covariance) + variance_factor),
-        residual=misclosure,
-        error=turned @ error,
-        sigma_error=np.sqrt(np.einsum("ik,kl,il->i", turned, spread, turned)),
-        chi2_drop=float(error @ np.linalg.solve(spread, error)),
-        rank=len(share),
-        is_excluded=not is_used,
-        critical_value=max(MIN_CLEAR_SIGMAS, float(np.sqrt(limit))),
-    )

@@ -255,9 +255,9 @@ def diagnose(
     Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
     """
     from ltsim.diagnosis.diagnosis import Diagnosis
-    from ltsim.diagnosis.files import COMPANION_FILES, write_diagnosis
+    from ltsim.diagnosis.files import COMPANION_FILE_NAMES, write_diagnosis
 
-    terminal.check_overwrite(Diagnosis, *COMPANION_FILES)
+    terminal.check_overwrite(Diagnosis, *COMPANION_FILE_NAMES)
     recording = reading_options.read_and_report(source, terminal)
     with terminal.show_progress("diagnosing"):
         diagnosis = lt.diagnose(recording, held_out=held_out, **options)

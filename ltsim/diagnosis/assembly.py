@@ -7,14 +7,14 @@ from ltsim.adjustment.identification import CauseSelection, cause_tests
 from ltsim.adjustment.refit import Refit
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.averaging import average_over_explanations
+from ltsim.diagnosis.cross_validation import HeldOutErrors
 from ltsim.diagnosis.detectability import DetectabilityReport
 from ltsim.diagnosis.diagnosis import AveragedTargets, Diagnosis, DiagnosisArrays
 from ltsim.diagnosis.findings import SelectedModelFit
-from ltsim.diagnosis.held_out import HeldOutErrors
 from ltsim.diagnosis.instruments import instrument_entries
 from ltsim.diagnosis.noise_findings import noise_finding
 from ltsim.diagnosis.schema import DetectableEntry, Finding, GlobalTest, Misfit, MisfitBeforeAfter
-from ltsim.diagnosis.sentences import MIN_PROBABLE, diagnosis_summary
+from ltsim.diagnosis.sentences import MIN_PROBABILITY_OF_PROBABLE_CAUSE, diagnosis_summary
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.recordings.specification import noise_origin
 
@@ -37,12 +37,12 @@ def assemble_diagnosis(
     selected model, or the adjustment without it if the former did not converge. `held_out_errors` are prediction errors
     of held-out readings, and `cause_selection` contains the simple causes of the adjustment before the search.
     """
-    state, model, global_test = model_fit.state, model_fit.model, model_fit.global_test
+    state, model, global_test = model_fit.selection_state, model_fit.model, model_fit.global_test
     baseline, adjusted = state.baseline_adjustment, model_fit.refit.adjustment
     shift_findings = [
-        model_fit.finding_of_member(i)
-        for i, hypothesis in enumerate(model.members)
-        if hypothesis.key not in model_fit.withheld_effect_keys
+        model_fit.finding_of_effect(i)
+        for i, hypothesis in enumerate(model.hypotheses)
+        if hypothesis.key not in model_fit.unreported_effect_keys
     ]
     has_clock = state.recording.has_clock
     noise_findings = [
@@ -50,7 +50,7 @@ def assemble_diagnosis(
     ]
     findings = _reported_findings(test_findings, shift_findings, noise_findings)
     before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=held_out_errors.rms_without_model)
-    if model.members or state.noise_changes:
+    if model.hypotheses or state.noise_changes:
         dof = baseline.dof - model.basis.shape[1]
         after = Misfit(chi2=adjusted.chi2, dof=dof, held_out_rms=held_out_errors.rms_with_model)
     verdict = "mismatch" if is_mismatch or test_findings else "consistent"
@@ -71,7 +71,7 @@ def assemble_diagnosis(
             before,
             after,
             noise_origin=noise_origin(state.recording.notes),
-            n_withheld=len(model_fit.withheld_effect_keys),
+            n_withheld=len(model_fit.unreported_effect_keys),
             is_contradicted=held_out_errors.log_odds_of_model < 0.0,
         ),
         global_test=GlobalTest(
@@ -97,7 +97,9 @@ def _reported_findings(
     They are findings of tests, of effects that shift readings, and of changes of the noise. Improbable changes of the
     noise are reported only if there is no other finding.
     """
-    probable_noise = [finding for finding in noise_findings if finding.evidence.p_real >= MIN_PROBABLE]
+    probable_noise = [
+        finding for finding in noise_findings if finding.evidence.p_real >= MIN_PROBABILITY_OF_PROBABLE_CAUSE
+    ]
     findings = [*test_findings, *shift_findings, *probable_noise] or noise_findings
     return sorted(findings, key=lambda finding: -finding.evidence.chi2_drop)
 
@@ -110,9 +112,13 @@ def _averaged_targets_and_reading_change(
     Both are averaged over the explanations of the findings. If no cause is more probable than not, the coordinates are
     those of the ordinary adjustment.
     """
-    state = model_fit.state
-    targets, change = average_over_explanations(state.searcher, model_fit.model, model_fit.rankings, model_fit.refit)
-    if not any(finding.evidence.p_real >= MIN_PROBABLE for finding in (*shift_findings, *noise_findings)):
+    state = model_fit.selection_state
+    targets, change = average_over_explanations(
+        state.searcher, model_fit.model, model_fit.rankings_of_alternatives, model_fit.refit
+    )
+    if not any(
+        finding.evidence.p_real >= MIN_PROBABILITY_OF_PROBABLE_CAUSE for finding in (*shift_findings, *noise_findings)
+    ):
         targets, _ = average_over_explanations(
             state.searcher, state.empty_model, (), Refit(state.baseline_adjustment, (), ())
         )

@@ -35,24 +35,24 @@ from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.variance import VarianceFunction
 
-MAX_RELATIVE_ERROR_INCREASE = 0.05
+MAX_RELATIVE_COORDINATE_ERROR_INCREASE = 0.05
 """Relative increase of the coordinate error by the correction for a law that is exceeded with a probability of at most
-`MAX_P_EXCEEDED_ERROR_INCREASE`."""
-MAX_P_EXCEEDED_ERROR_INCREASE = 0.03
+`MAX_PROBABILITY_OF_LARGER_ERROR_INCREASE`."""
+MAX_PROBABILITY_OF_LARGER_ERROR_INCREASE = 0.03
 """Largest permitted probability that the relative increase of the coordinate error exceeds
-`MAX_RELATIVE_ERROR_INCREASE`."""
-MIN_AVERAGED_PROBABILITY = 0.003
+`MAX_RELATIVE_COORDINATE_ERROR_INCREASE`."""
+MIN_PROBABILITY_OF_AVERAGED_EXPLANATION = 0.003
 """Smallest probability of an explanation in the average. Less probable explanations are left out, to limit the
 computing time."""
 
 
 def average_over_explanations(
-    searcher: Searcher, model: Model, rankings: Sequence[Ranking], refit: Refit
+    searcher: Searcher, model: Model, rankings_of_alternatives: Sequence[Ranking], refit: Refit
 ) -> tuple[AveragedTargets, Floats]:
     """Target coordinates and change of the readings, averaged over the explanations for each effect in a model.
 
-    `rankings` contain the alternatives to each effect in the model, and `refit` is the nonlinear adjustment with the
-    model.
+    `rankings_of_alternatives` contain the alternatives to each effect in the model, and `refit` is the nonlinear
+    adjustment with the model.
 
     Returns
     -------
@@ -61,24 +61,24 @@ def average_over_explanations(
     (n, 3) float
         Averaged change of the three readings of n pointings, minus their change by the refit [m, rad, rad].
     """
-    refitted = [replace(h, effect=effect) for h, effect in zip(model.members, refit.effects, strict=True)]
-    space, linear = searcher.space, first_order_reading_change(searcher, searcher.model_of(refitted))
+    refitted = [replace(h, effect=effect) for h, effect in zip(model.hypotheses, refit.effects, strict=True)]
+    space, linear = searcher.space, first_order_reading_change(searcher, searcher.model_with(refitted))
     points, change = refit.adjustment.state.target_points + space.target_shifts(linear), -linear
     shift_by_laws, weighted_deviations = np.zeros_like(points), [np.zeros((0, *points.shape))]
-    for i, ranking in enumerate(rankings):
+    for i, ranking in enumerate(rankings_of_alternatives):
         others = searcher.model_without(model, i)
-        weights, changes = alternative_weights_and_changes(
-            searcher, others, model.members[i], ranking, 1.0 + model.discrepancy_penalty
+        weights, changes = alternative_probabilities_and_reading_changes(
+            searcher, others, model.hypotheses[i], ranking, 1.0 + model.discrepancy_penalty
         )
         shifts = np.stack([-space.target_shifts(row) for row in changes])
         mean = np.einsum("k,kti->ti", weights, shifts)
         points += mean
         change += weights @ changes
-        shift_by_laws += mean if not model.members[i].is_catalogued else 0.0
+        shift_by_laws += mean if not model.hypotheses[i].is_catalogued else 0.0
         weighted_deviations.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
     deviations = np.concatenate(weighted_deviations)
     residual_shift = (
-        1.0 - _max_safe_fraction_of_target_shifts(refit.adjustment, shift_by_laws, deviations)
+        1.0 - _max_subtracted_fraction_of_target_shifts(refit.adjustment, shift_by_laws, deviations)
     ) * shift_by_laws
     spread = np.concatenate([deviations, residual_shift[None]])
     adjustment = refit.adjustment
@@ -87,7 +87,7 @@ def average_over_explanations(
     return AveragedTargets(points - residual_shift, covariance, spread), space.unwhiten(change)
 
 
-def _max_safe_fraction_of_target_shifts(
+def _max_subtracted_fraction_of_target_shifts(
     adjustment: Adjustment, target_shifts: Floats, explanation_deviations: Floats
 ) -> float:
     """Largest fraction of a shift of the targets whose subtraction is likely to increase their errors only slightly.
@@ -109,17 +109,18 @@ def _max_safe_fraction_of_target_shifts(
         + deviations_along_shift @ deviations_along_shift
     )
     noise = float(np.nansum(np.einsum("tii->t", adjustment.target_covariance)) + np.nansum(explanation_deviations**2))
-    return max_safe_shift_fraction(float(shift @ shift), spread, noise)
+    return max_subtracted_shift_fraction(float(shift @ shift), spread, noise)
 
 
-def max_safe_shift_fraction(
+def max_subtracted_shift_fraction(
     shift_sum_of_squares: float, variance_of_cross_product: float, expected_sum_of_squared_errors: float
 ) -> float:
     """Largest fraction t of a shift s of coordinates whose subtraction is likely to increase errors only slightly.
 
     The error of the coordinates without the subtraction is s + e, with an error e that is independent of s. The
     subtraction of t s changes the sum of squared errors by t^2 s's - 2 t (s's + s'e). This change is below ((1 +
-    `MAX_RELATIVE_ERROR_INCREASE`)^2 - 1) (s's + E[e'e]), except with the probability `MAX_P_EXCEEDED_ERROR_INCREASE`.
+    `MAX_RELATIVE_COORDINATE_ERROR_INCREASE`)^2 - 1) (s's + E[e'e]), except with the probability
+    `MAX_PROBABILITY_OF_LARGER_ERROR_INCREASE`.
 
     Parameters
     ----------
@@ -133,9 +134,10 @@ def max_safe_shift_fraction(
     if shift_sum_of_squares == 0.0:
         return 1.0
     linear_term = (
-        -float(ndtri(MAX_P_EXCEEDED_ERROR_INCREASE)) * np.sqrt(variance_of_cross_product) - shift_sum_of_squares
+        -float(ndtri(MAX_PROBABILITY_OF_LARGER_ERROR_INCREASE)) * np.sqrt(variance_of_cross_product)
+        - shift_sum_of_squares
     )
-    allowed_increase = ((1.0 + MAX_RELATIVE_ERROR_INCREASE) ** 2 - 1.0) * (
+    allowed_increase = ((1.0 + MAX_RELATIVE_COORDINATE_ERROR_INCREASE) ** 2 - 1.0) * (
         shift_sum_of_squares + expected_sum_of_squared_errors
     )
     return min(
@@ -144,7 +146,7 @@ def max_safe_shift_fraction(
     )
 
 
-def alternative_weights_and_changes(
+def alternative_probabilities_and_reading_changes(
     searcher: Searcher, reduced_model: Model, selected_hypothesis: Hypothesis, ranking: Ranking, temperature: float
 ) -> tuple[Floats, Floats]:
     """Probabilities (k,) of k alternatives to a selected effect, and changes (k, m) of m whitened readings by each.
@@ -154,9 +156,11 @@ def alternative_weights_and_changes(
     model without the selected effect. Log evidences are divided by `temperature`.
     """
     none, *rest_of = normalised_probabilities(
-        np.array([ranking.log_evidence_none, *(h.log_evidence for h in ranking.hypotheses)]) / temperature
+        np.array([ranking.log_evidence_of_no_cause, *(h.log_evidence for h in ranking.hypotheses)]) / temperature
     ).tolist()
-    probable = [(h, p) for h, p in zip(ranking.hypotheses, rest_of, strict=True) if p > MIN_AVERAGED_PROBABILITY]
+    probable = [
+        (h, p) for h, p in zip(ranking.hypotheses, rest_of, strict=True) if p > MIN_PROBABILITY_OF_AVERAGED_EXPLANATION
+    ]
     other_models = [(h, p) for h, p in probable if not _is_noise_hypothesis(h)]
     other_models = [(h, p) for h, p in other_models[:MAX_AVERAGED_HYPOTHESES] if h.key != selected_hypothesis.key]
     none += sum(p for h, p in zip(ranking.hypotheses, rest_of, strict=True) if _is_noise_hypothesis(h))
@@ -191,18 +195,18 @@ def _hypotheses_at_probable_shapes(
     return [
         (replace(selected_hypothesis, effect=node.effect), float(p))
         for node, p in ranked
-        if p > MIN_AVERAGED_PROBABILITY
+        if p > MIN_PROBABILITY_OF_AVERAGED_EXPLANATION
     ]
 
 
 def first_order_reading_change(searcher: Searcher, model: Model) -> Floats:
     """Linear approximation of the change (m,) of m whitened readings by all effects in a refitted model."""
-    if not model.members:
+    if not model.hypotheses:
         return np.zeros(searcher.space.n_rows)
     coefficient_means = wide_prior_posterior(
-        *model.gram_and_score, np.concatenate([h.plausible_sizes for h in model.members])
+        *model.gram_and_score, np.concatenate([h.plausible_sizes for h in model.hypotheses])
     )[0]
-    change: Floats = np.hstack([searcher.space.whitened_design(h.effect) for h in model.members]) @ coefficient_means
+    change: Floats = np.hstack([searcher.space.whitened_design(h.effect) for h in model.hypotheses]) @ coefficient_means
     return change
 
 

@@ -19,7 +19,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_evidence
 from ltsim.core.arrays import Floats, Ints, Singles, batches, stack_and_release
 from ltsim.diagnosis.evidence import (
-    MAX_EVIDENCE_DEFICIT,
+    MAX_LOG_EVIDENCE_DEFICIT,
     log_mean_exp_by_group,
     simulated_log_evidence,
     size_factor_to_noise_level,
@@ -36,9 +36,9 @@ from ltsim.physics.laws.places import instrument_places
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
-MAX_SPARSE_FRACTION = 0.15
+MAX_NONZERO_ROW_FRACTION_OF_SPARSE_DESIGN = 0.15
 """Fraction of nonzero rows below which a design matrix is stored as sparse; it affects only the computing time."""
-MAX_LOCAL_OPTIMA = 3
+MAX_LOCAL_OPTIMA_PER_CATALOGUE_EFFECT = 3
 """Largest number of local optima of a catalogue effect, over its places and shapes, that are evaluated."""
 MAX_COMPARED_PLACES_AND_SHAPES = 40
 """Number of places and shapes of a catalogue effect with the largest evidence among which local optima are sought."""
@@ -79,41 +79,41 @@ class EffectGroup:
     transposed_designs: Singles | sp.csr_array
     """Transposed design columns (h k, r) of h effects with k parameters on r rows of the residual space: one row per
     parameter, in units of its plausible size."""
-    row_weights: Singles
+    row_factors: Singles
     """Factors (r,) by which the r rows of the design are multiplied, for an adjustment with other weights."""
     unprojected_gram: Floats
-    """Gram matrices (h, k, k) of the k weighted design columns of each of h effects, before projection."""
+    """Gram matrices (h, k, k) of the k design columns, times `row_factors`, of each of h effects, before projection."""
     projected_gram: Floats
     """Gram matrices (h, k, k) of the k design columns of each of h effects after projection onto the residual space,
-    without a model."""
+    without a model; zeros before the first screening."""
 
-    def member_ranges(self, n_vectors: int) -> Iterator[slice]:
+    def effect_ranges(self, n_vectors: int) -> Iterator[slice]:
         """Ranges of effects of the group whose products with `n_vectors` vectors are in memory at a time."""
         return batches(len(self.effect_indices), self.n_parameters * n_vectors)
 
-    def weighted_products(self, member_range: slice, vectors: Floats | Singles) -> Floats:
-        """Products (h, k, v) of the k weighted design columns of each of h effects in a range with v `vectors` (m, v).
+    def products_with_vectors(self, effect_range: slice, vectors: Floats | Singles) -> Floats:
+        """Products (h, k, v) of the k scaled design columns of each of h effects in a range with v `vectors` (m, v).
 
-        The vectors have an element for each of the m rows of the residual space.
+        The vectors have m rows, those of the residual space. The design columns are multiplied by `row_factors`.
         """
         transposed_designs, count = (
-            self.transposed_designs[member_range.start * self.n_parameters : member_range.stop * self.n_parameters],
+            self.transposed_designs[effect_range.start * self.n_parameters : effect_range.stop * self.n_parameters],
             vectors.shape[1],
         )
         products = np.empty((transposed_designs.shape[0], count))
-        for part in batches(count, len(self.row_weights)):
+        for part in batches(count, len(self.row_factors)):
             products[:, part] = transposed_designs @ np.multiply(
-                vectors[self.row_indices, part], self.row_weights[:, None], dtype=np.float32
+                vectors[self.row_indices, part], self.row_factors[:, None], dtype=np.float32
             )
-        return products.reshape(member_range.stop - member_range.start, self.n_parameters, count)
+        return products.reshape(effect_range.stop - effect_range.start, self.n_parameters, count)
 
     def with_rows_scaled(self, row_factors: Singles) -> EffectGroup:
         """Copy of the group for a residual space with other weights: its m rows are multiplied by factors (m,)."""
-        weight = self.row_weights * row_factors[self.row_indices]
+        weight = self.row_factors * row_factors[self.row_indices]
         if isinstance(self.transposed_designs, np.ndarray):
             parts = (
                 self.transposed_designs[p.start * self.n_parameters : p.stop * self.n_parameters] * weight
-                for p in self.member_ranges(len(weight))
+                for p in self.effect_ranges(len(weight))
             )
             products = np.concatenate(
                 [
@@ -129,7 +129,7 @@ class EffectGroup:
             )
         return replace(
             self,
-            row_weights=weight,
+            row_factors=weight,
             unprojected_gram=products.astype(np.float64),
             projected_gram=np.zeros_like(self.projected_gram),
         )
@@ -150,6 +150,10 @@ class CatalogueDesigns:
     """Names of the families, which are the names of the catalogue effects."""
     family_indices: Ints
     """Index (h,) of the family (catalogue effect) of each of h effects."""
+    n_rows: int
+    """Number of rows of the residual space."""
+    reading_sigmas: Floats
+    """Standard deviations (n, 3) of the readings of n pointings, by which the design columns are divided."""
 
     @cached_property
     def log_family_prior(self) -> Floats:
@@ -159,12 +163,12 @@ class CatalogueDesigns:
     def log_prior_of_family(self, family: str) -> float:
         """Log prior of the catalogue effect with the name `family`: the sum over all its places and shapes.
 
-        The search of a large recording does not try single wrong readings; their prior is nevertheless defined.
+        It is defined also for effects that the search does not try, such as wrong readings in a large recording.
         """
         names = self.families if family in self.families else (*self.families, family)
         return float(log_prior_by_base_rate("named", names)[names.index(family)])
 
-    def hypotheses_of(self, effects: Sequence[CandidateEffect]) -> tuple[Hypothesis, ...]:
+    def hypotheses_of_effects(self, effects: Sequence[CandidateEffect]) -> tuple[Hypothesis, ...]:
         """Hypotheses of the given catalogue effects; effects that are not possible in the recording are left out."""
         n_places = np.bincount(self.family_indices, minlength=len(self.families))
         prior = dict(zip(self.families, self.log_family_prior - np.log(n_places), strict=True))
@@ -189,7 +193,7 @@ class CatalogueDesigns:
             if not len(row_indices):
                 continue
             touched = np.bincount(kind[row_indices], minlength=len(OBSERVABLES) + 1) > 0
-            is_sparse = len(row_indices) < MAX_SPARSE_FRACTION * space.n_rows
+            is_sparse = len(row_indices) < MAX_NONZERO_ROW_FRACTION_OF_SPARSE_DESIGN * space.n_rows
             stored = row_indices if is_sparse else np.flatnonzero(touched[kind])
             design_columns = design_columns[stored]
             design_columns *= effect.plausible_sizes
@@ -216,45 +220,53 @@ class CatalogueDesigns:
         ]
         names = tuple(dict.fromkeys(effect.name for effect in touching))
         index = {name: i for i, name in enumerate(names)}
-        return cls(touching, effect_groups, names, np.array([index[e.name] for e in touching], dtype=np.int64))
+        family_indices = np.array([index[e.name] for e in touching], dtype=np.int64)
+        return cls(touching, effect_groups, names, family_indices, space.n_rows, space.sigma)
 
-    def with_weights_of(self, old_space: ResidualSpace, new_space: ResidualSpace) -> CatalogueDesigns:
+    def with_weights_of(self, new_space: ResidualSpace) -> CatalogueDesigns:
         """Design matrices with the weights of another adjustment of the same readings.
 
         Poses and coordinates are not updated, because other weights move a network by far less than its lengths.
         """
         ratio = np.ones(new_space.n_rows, dtype=np.float32)
-        ratio[: int(new_space.is_used_reading.sum())] = (old_space.sigma / new_space.sigma)[new_space.is_used_reading]
-        return replace(self, groups=[group.with_rows_scaled(ratio) for group in self.groups])
+        is_used = new_space.is_used_reading
+        ratio[: int(is_used.sum())] = (self.reading_sigmas / new_space.sigma)[is_used]
+        groups = [group.with_rows_scaled(ratio) for group in self.groups]
+        return replace(self, groups=groups, reading_sigmas=new_space.sigma)
 
-    def log_evidence_and_null_values(self, null_ensemble: NullEnsemble) -> tuple[Floats, Floats]:
-        """Log evidence (h,) of h effects given a model, and null values (families, trials) of catalogue effects.
+    def screen(self, null_ensemble: NullEnsemble) -> tuple[Floats, Floats, CatalogueDesigns]:
+        """Log evidence (h,) of h effects given a model, null values (families, trials), and the screened designs.
 
-        The null values are log means of the evidence, over places and shapes, for each of the simulated recordings
-        (trials). The design columns are also projected onto the residual space of the model, which reduces their Gram
-        matrices. A Gram matrix that is a Monte-Carlo estimate is not reduced, because its difference from an exact
-        value may vanish.
+        The null values are log means of the evidence of catalogue effects, over places and shapes, for each of the
+        simulated recordings (trials). The first screening of a space computes the projected Gram matrices, which the
+        screened designs contain for later screenings with a model. The design columns are then also projected onto the
+        residual space of the model, which reduces their Gram matrices. A Gram matrix that is a Monte-Carlo estimate is
+        not reduced, because its difference from an exact value may vanish.
         """
-        values, accumulator = (
-            np.zeros(len(self.effects)),
-            FamilyEvidenceAccumulator.empty(self.family_indices, len(self.families), null_ensemble.n_trials),
-        )
+        values = np.zeros(len(self.effects))
+        family_sums = FamilyEvidenceSums.empty(self.family_indices, len(self.families), null_ensemble.n_trials)
+        screened_groups = []
         for group in self.groups:
-            for part in group.member_ranges(null_ensemble.probe_vectors.shape[1]):
-                scores = group.weighted_products(part, null_ensemble.probe_vectors)
-                if null_ensemble.computes_gram_matrices:
-                    group.projected_gram[part] = null_ensemble.projected_gram(scores, group.unprojected_gram[part])
-                score, trials, _ = null_ensemble.split_products(scores)
+            grams = []
+            for part in group.effect_ranges(null_ensemble.probe_vectors.shape[1]):
+                scores = group.products_with_vectors(part, null_ensemble.probe_vectors)
                 gram = group.projected_gram[part]
+                if null_ensemble.computes_gram_matrices:
+                    gram = null_ensemble.projected_gram(scores, group.unprojected_gram[part])
+                    grams.append(gram)
+                score, trials, _ = null_ensemble.split_products(scores)
                 if not null_ensemble.uses_monte_carlo_gram:
-                    gram = gram - row_gram(group.weighted_products(part, null_ensemble.model_basis))
+                    gram = gram - row_gram(group.products_with_vectors(part, null_ensemble.model_basis))
                 eigenvalues, eigenvectors = np.linalg.eigh(gram)
                 eigenvalues, eigenvectors = np.maximum(eigenvalues, 0.0), np.swapaxes(eigenvectors, 1, 2)
                 effect_indices = group.effect_indices[part]
                 values[effect_indices] = log_evidence(np.einsum("hij,hj->hi", eigenvectors, score) ** 2, eigenvalues)
                 if null_ensemble.n_trials:
-                    accumulator.add(effect_indices, simulated_log_evidence(eigenvectors @ trials, eigenvalues))
-        return values, accumulator.log_means
+                    family_sums = family_sums.with_effects(
+                        effect_indices, simulated_log_evidence(eigenvectors @ trials, eigenvalues)
+                    )
+            screened_groups.append(replace(group, projected_gram=np.concatenate(grams)) if grams else group)
+        return values, family_sums.log_means, replace(self, groups=screened_groups)
 
     def effects_grouped_by_family(self) -> list[list[Effect]]:
         """Effects of each family at all its places and shapes, without most effects of the ordinary calibration.
@@ -272,15 +284,16 @@ class CatalogueDesigns:
             if isinstance(family[0], RangeScale) or type(family[0]) not in ORDINARY_CALIBRATION_EFFECT_TYPES
         ]
 
-    def local_optima(self, member_indices: Ints, log_evidences: Floats) -> list[int]:
+    def local_optima(self, effect_indices: Ints, log_evidences: Floats) -> list[int]:
         """Indices of the place and shape of a catalogue effect with the largest evidence, and of other local optima.
 
-        `member_indices` are the indices of the effects of a family, sorted by decreasing `log_evidences` (h,) of the h
+        `effect_indices` are the indices of the effects of a family, sorted by decreasing `log_evidences` (h,) of the h
         effects.
         """
-        chosen = [int(member_indices[0])]
-        for i in member_indices[1:MAX_COMPARED_PLACES_AND_SHAPES]:
-            if len(chosen) == MAX_LOCAL_OPTIMA or log_evidences[i] < log_evidences[chosen[0]] - MAX_EVIDENCE_DEFICIT:
+        chosen = [int(effect_indices[0])]
+        for i in effect_indices[1:MAX_COMPARED_PLACES_AND_SHAPES]:
+            is_far_behind = log_evidences[i] < log_evidences[chosen[0]] - MAX_LOG_EVIDENCE_DEFICIT
+            if is_far_behind or len(chosen) == MAX_LOCAL_OPTIMA_PER_CATALOGUE_EFFECT:
                 break
             if all(are_distinct(self.effects[int(i)], self.effects[j]) for j in chosen):
                 chosen.append(int(i))
@@ -299,8 +312,8 @@ class CatalogueDesigns:
 
 
 @dataclass(frozen=True)
-class FamilyEvidenceAccumulator:
-    """Accumulator of the log mean evidence of each family over its places and shapes, in simulated recordings.
+class FamilyEvidenceSums:
+    """Summed evidence of each family over its places and shapes in simulated recordings, from some of its effects.
 
     A family is one effect of the catalogue at all its places and shapes.
     """
@@ -311,19 +324,21 @@ class FamilyEvidenceAccumulator:
     """Log (families, trials) of the summed evidence of the added effects, by family and simulated recording (trial)."""
 
     @classmethod
-    def empty(cls, family_indices: Ints, n_families: int, n_trials: int) -> FamilyEvidenceAccumulator:
-        """Accumulator to which no effect has been added, for `n_trials` simulated recordings."""
+    def empty(cls, family_indices: Ints, n_families: int, n_trials: int) -> FamilyEvidenceSums:
+        """Sums to which no effect has been added, for `n_trials` simulated recordings."""
         return cls(family_indices, np.full((n_families, n_trials), -np.inf))
 
-    def add(self, effect_indices: Ints, log_evidences: Floats) -> None:
-        """Addition of the `log_evidences` (b, trials) of the b effects with the indices `effect_indices`.
+    def with_effects(self, effect_indices: Ints, log_evidences: Floats) -> FamilyEvidenceSums:
+        """Sums with the `log_evidences` (b, trials) of the b effects with the indices `effect_indices` in addition.
 
         The trials are simulated recordings.
         """
         present, group = np.unique(self.family_indices[effect_indices], return_inverse=True)
         means = log_mean_exp_by_group(log_evidences, group, len(present))
         means += np.log(np.bincount(group))[:, None]
-        self.log_sums[present] = np.logaddexp(self.log_sums[present], means)
+        log_sums = self.log_sums.copy()
+        log_sums[present] = np.logaddexp(log_sums[present], means)
+        return replace(self, log_sums=log_sums)
 
     @property
     def log_means(self) -> Floats:

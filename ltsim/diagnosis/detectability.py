@@ -27,10 +27,10 @@ from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.linear_effect import LinearEffect
 
-MAX_DETECTABLE_SIZE_RATIO = 10.0
+MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO = 10.0
 """Limit of the ratio of the smallest detectable size of an effect to its plausible size. An effect with a smaller ratio
 counts as detectable, any other is reported as not detectable."""
-DISTORTION_DECIMALS = 6
+TARGET_DISTORTION_UM_DECIMALS = 6
 """Number of decimals to which a distortion of the targets in micrometres is rounded."""
 DetectabilityReport = tuple[tuple[MinimalSize, ...], tuple[UndetectableEntry, ...]]
 """Smallest detectable sizes of the detectable effects, and entries of the effects that are not detectable."""
@@ -48,7 +48,7 @@ def detectability_report(space: ResidualSpace, catalogue_designs: CatalogueDesig
         rows = _detectability_of_effects(space, effects).table()
         size_ratios = np.array([row.median_size / row.plausible_size for row in rows])
         best = int(np.flatnonzero(size_ratios <= size_ratios.min() * (1.0 + MAX_SOLUTION_ROUNDING_ERROR))[0])
-        if size_ratios[best] < MAX_DETECTABLE_SIZE_RATIO:
+        if size_ratios[best] < MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO:
             detectable.append(rows[best])
         else:
             undetectable.append(_undetectable_entry(space, effects[(len(effects) - 1) // 2], float(size_ratios[best])))
@@ -83,15 +83,15 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, detectable_size_ra
     """
     plausible_changes = np.diag([p.prior_sigma for p in effect.parameters])
     distortion = round(
-        max(target_distortion(space, space.whitened_design(effect) @ sizes) for sizes in plausible_changes),
-        DISTORTION_DECIMALS,
+        max(target_distortion_um(space, space.whitened_design(effect) @ sizes) for sizes in plausible_changes),
+        TARGET_DISTORTION_UM_DECIMALS,
     )
     size_text = (
-        f"only from {detectable_size_ratio:.0f} times its plausible size on"
+        f"only if its size is at least {detectable_size_ratio:.0f} times the plausible size"
         if np.isfinite(detectable_size_ratio)
         else "at no size"
     )
-    reason = f"poses, targets and instrument parameters absorb the effect, which would be detected {size_text}"
+    reason = f"poses, targets and instrument parameters absorb the effect: it is detected {size_text}"
     factor = detectable_size_ratio if np.isfinite(detectable_size_ratio) else None
     return UndetectableEntry(
         effect=effect.name,
@@ -102,10 +102,10 @@ def _undetectable_entry(space: ResidualSpace, effect: Effect, detectable_size_ra
     )
 
 
-def target_distortion(space: ResidualSpace, shift: Floats) -> float:
+def target_distortion_um(space: ResidualSpace, shift: Floats) -> float:
     """Distortion [um] of the adjusted targets by a whitened `shift` (m,) of m readings.
 
-    It is the rms change per coordinate after a rigid least-squares fit.
+    It is the rms displacement of the targets after a rigid least-squares fit.
     """
     shifts = space.target_shifts(shift).ravel()
     points = space.adjustment.state.target_points

@@ -1,19 +1,25 @@
 """Steps of a diagnosis: preprocessing, global test, selection of a model, refit, report.
 
-Decisions in their order, each with its criterion:
+Decisions in their order, each with its function, its module and its criterion:
 
-1. Simple causes of the network (`identify_causes`): evidence of nonlinear adjustments with and without each cause.
-2. Blunders among these causes are corrected or rejected before the search (`adjustment_without_blunders`).
-3. Global test (`run_global_test`): the evidence of all hypotheses together, against that of simulated recordings. The
-   search goes on if its p-value is below the level.
-4. Changes of the noise or effects first (`model_selection.select_model`): whichever have the larger log evidence.
-5. Effects (`Searcher.select_model`): forward, backward and exchange steps. A further effect increases the log evidence
-   by `MIN_EFFECT_LOG_EVIDENCE` or more.
-6. Instrument constants that contradict their reference, instead of effects: the larger joint log evidence.
-7. Changes of the noise and effects in turns, while the log evidence increases.
+1. Simple causes of the network (`identify_causes`, `adjustment.identification.selection`): evidence of nonlinear
+   adjustments with and without each cause.
+2. Blunders among these causes are corrected or rejected (`preprocessing.adjustment_without_blunders`).
+3. Global test (`global_test.run_global_test`): evidence of all hypotheses together, against that of simulated
+   recordings. The search goes on if its p-value is below the level.
+4. Changes of the noise or effects first (`model_selection.select_noise_and_effects`): those with more log evidence.
+5. Effects (`search.Searcher.select_effects`): forward, backward and exchange steps. A further effect increases the log
+   evidence by `MIN_EFFECT_LOG_EVIDENCE` or more.
+6. Instrument constants that contradict their reference (`instruments`), instead of effects: the larger joint log
+   evidence.
+7. Changes of the noise (`SelectionState.with_noise_change`) and effects in turns, while the log evidence increases.
 8. Effects that the nonlinear refit does not support are removed (`_refit_and_prune`): log Bayes factor below zero.
 9. Rejected readings that the model explains are used again, and steps 4 to 8 are repeated with them.
-10. Effects of the model with too small a probability are not reported (`SelectedModelFit.withheld_effect_keys`).
+10. Effects of the model with too small a probability are not reported
+    (`findings.SelectedModelFit.unreported_effect_keys`); `assembly.assemble_diagnosis` makes the result.
+
+The modules `hypotheses` (hypothesis, model, ranking) and `selection_state` (adjustment, noise and search of one step)
+contain the objects that all steps exchange.
 """
 
 from collections.abc import Sequence
@@ -30,27 +36,26 @@ from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.core.arrays import Bools
 from ltsim.core.limits import MAX_DIAGNOSED_POINTINGS, MAX_DIAGNOSED_TARGETS
 from ltsim.diagnosis.assembly import assemble_diagnosis
-from ltsim.diagnosis.catalogue_designs import CatalogueDesigns
+from ltsim.diagnosis.cross_validation import HeldOutErrors, cross_validated_errors
 from ltsim.diagnosis.detectability import detectability_report
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.findings import SelectedModelFit
 from ltsim.diagnosis.findings_from_tests import contradicting_constant_finding
 from ltsim.diagnosis.global_test import run_global_test
-from ltsim.diagnosis.held_out import HeldOutErrors, cross_validated_errors
 from ltsim.diagnosis.hypotheses import Model
 from ltsim.diagnosis.instruments import (
     ConstantContradiction,
     HistoryExpectation,
     find_contradictions,
 )
-from ltsim.diagnosis.model_selection import ConstantComparisonFunction, select_model
+from ltsim.diagnosis.model_selection import ConstantComparisonFunction, select_noise_and_effects
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.preprocessing import (
     adjustment_without_blunders,
-    has_small_residual_when_omitted,
+    explained_reading_mask,
     identified_effects,
 )
-from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
+from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS
 from ltsim.diagnosis.schema import Finding
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects.linear_effect import CandidateEffect
@@ -62,7 +67,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
-MIN_REMAINING_DIFFERENCE_RATIO = 0.5
+MIN_UNEXPLAINED_CONSTANT_DIFFERENCE_RATIO = 0.5
 """Smallest ratio of two differences of an instrument constant from its reference (with the selected effects in the
 model, and without them) for which the difference is reported. Below this ratio the effects explain it."""
 
@@ -114,28 +119,28 @@ def diagnose(
     )
     selection = identify_causes(recording, construction)
     start_state = partial(
-        _start_state, recording, construction, selection, seed=seed, tests_ordinary_constants=history is None
+        _state_without_blunders, recording, construction, selection, seed=seed, tests_ordinary_constants=history is None
     )
     state, blunder_findings = start_state(level=level)
     global_test = run_global_test(state.searcher, state.noise_hypotheses)
     is_mismatch = global_test.p_value < level
-    initial_space_and_designs, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
-    if selection is not None and model.members:
+    initial_space, initial_designs = state.space, state.searcher.catalogue_designs
+    state, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
+    if selection is not None and model.hypotheses:
         rejected_mask = np.isfinite(recording.readings) & ~state.is_used_reading
-        readmitted_mask = has_small_residual_when_omitted(refit.adjustment, rejected_mask)
+        readmitted_mask = explained_reading_mask(refit.adjustment, rejected_mask)
         if readmitted_mask.any():  # the effects of the model explain these rejected readings
-            del state, initial_space_and_designs, model, refit  # their memory is for the second search
+            del state, initial_space, initial_designs, model, refit  # their memory is for the second search
             state, blunder_findings = start_state(level=None, readmitted_mask=readmitted_mask)
-            initial_space_and_designs, model, refit = _search_and_refit(
-                state, compare_with_reference, is_mismatch=is_mismatch
-            )
+            initial_space, initial_designs = state.space, state.searcher.catalogue_designs
+            state, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
     final_adjustment = refit.adjustment if refit.adjustment.solution.has_converged else state.baseline_adjustment
     contradictions = _contradictions_unexplained_by_model(state, model, final_adjustment, compare_with_reference)
     constant_findings = [
         contradicting_constant_finding(c)
         for c in contradictions
         if not _varies_constant(c.parameter.name, model.effects)
-    ][:MAX_MODEL_MEMBERS]
+    ][:MAX_MODEL_EFFECTS]
     repeats_search = not state.searcher.is_large_network if held_out is None else held_out
     errors = (
         HeldOutErrors()
@@ -152,7 +157,7 @@ def diagnose(
         ),
         held_out_log_odds=errors.log_odds_of_model,
     )
-    detectability = detectability_report(*initial_space_and_designs)
+    detectability = detectability_report(initial_space, initial_designs)
     source_entry = SourceEntry.from_recording(recording)
     return assemble_diagnosis(
         source_entry,
@@ -166,7 +171,7 @@ def diagnose(
     )
 
 
-def _start_state(
+def _state_without_blunders(
     recording: Recording,
     construction: GeometricErrorModel,
     selection: CauseSelection | None,
@@ -189,7 +194,7 @@ def _start_state(
         baseline, use, blunder_findings = adjustment_without_blunders(
             recording, construction, selection, readmitted_mask=readmitted_mask
         )
-    state = SelectionState(
+    state = SelectionState.from_adjustment(
         baseline,
         use,
         seed,
@@ -210,14 +215,12 @@ def _varies_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> 
 
 def _search_and_refit(
     state: SelectionState, compare_with_reference: ConstantComparisonFunction, *, is_mismatch: bool
-) -> tuple[tuple[ResidualSpace, CatalogueDesigns], Model, Refit]:
-    """Residual space and catalogue design matrices before the search (a pair), the selected model, and its refit.
-
-    The refit is a nonlinear adjustment. The model is empty unless `is_mismatch`.
-    """
-    initial_space_and_designs = state.space, state.searcher.catalogue_designs
-    model = select_model(state, compare_with_reference) if is_mismatch else state.empty_model
-    return initial_space_and_designs, *_refit_and_prune(state, model)
+) -> tuple[SelectionState, Model, Refit]:
+    """State after the search, the selected model, and its nonlinear refit; the model is empty unless `is_mismatch`."""
+    state, model = (
+        select_noise_and_effects(state, compare_with_reference) if is_mismatch else (state, state.empty_model)
+    )
+    return state, *_refit_and_prune(state, model)
 
 
 def _contradictions_unexplained_by_model(
@@ -228,22 +231,23 @@ def _contradictions_unexplained_by_model(
 ) -> tuple[ConstantContradiction, ...]:
     """Instrument constants that contradict their reference with the selected model as well as without it.
 
-    Their difference from the reference with the model is at least `MIN_REMAINING_DIFFERENCE_RATIO` times the difference
-    without the model.
+    Their difference from the reference with the model is at least `MIN_UNEXPLAINED_CONSTANT_DIFFERENCE_RATIO` times the
+    difference without the model.
     """
     with_model = compare_with_reference(final_adjustment).contradictions
-    if not model.members:
+    if not model.hypotheses:
         return with_model
     contradictions = compare_with_reference(state.space.adjustment).contradictions
     difference_by_constant = {
-        (contradiction.instruments, contradiction.parameter.name): abs(contradiction.difference)
+        (contradiction.instruments, contradiction.parameter.name): abs(contradiction.difference_from_reference)
         for contradiction in contradictions
     }
     return tuple(
         c
         for c in with_model
-        if abs(c.difference)
-        > MIN_REMAINING_DIFFERENCE_RATIO * difference_by_constant.get((c.instruments, c.parameter.name), np.inf)
+        if abs(c.difference_from_reference)
+        > MIN_UNEXPLAINED_CONSTANT_DIFFERENCE_RATIO
+        * difference_by_constant.get((c.instruments, c.parameter.name), np.inf)
     )
 
 
@@ -253,17 +257,17 @@ def _refit_and_prune(state: SelectionState, model: Model) -> tuple[Model, Refit]
     The search is linear. The second-order part of a large effect can therefore look like a further effect.
     """
     refit = state.refit(model.effects, state.reading_sigmas)
-    while len(model.members) > 1:
-        rest = [state.searcher.model_without(model, i) for i in range(len(model.members))]
-        refits_without_member = [state.refit(reduced.effects, state.reading_sigmas) for reduced in rest]
+    while len(model.hypotheses) > 1:
+        rest = [state.searcher.model_without(model, i) for i in range(len(model.hypotheses))]
+        refits_without_effect = [state.refit(reduced.effects, state.reading_sigmas) for reduced in rest]
         gains = [
             log_bayes_factor_of_refits(model, reduced, refitted.adjustment.chi2 - refit.adjustment.chi2)
-            for reduced, refitted in zip(rest, refits_without_member, strict=True)
+            for reduced, refitted in zip(rest, refits_without_effect, strict=True)
         ]
         least = int(np.argmin(gains))
         if gains[least] >= 0.0:
             break
-        model, refit = rest[least], refits_without_member[least]
+        model, refit = rest[least], refits_without_effect[least]
     return model, refit
 
 
@@ -292,7 +296,7 @@ def _held_out_errors(state: SelectionState, model: Model, *, repeats_search: boo
     space, seed = state.searcher.space, state.seed
     if (state.reading_sigmas < nominal).any():
         space = ResidualSpace.from_adjustment(state.refit((), np.maximum(state.reading_sigmas, nominal)).adjustment)
-    if not model.members:
+    if not model.hypotheses:
         before = cross_validated_errors(space, seed).rms_without_model
         return HeldOutErrors(before, before)
     return (

@@ -220,7 +220,7 @@ class Diagnosis(ResultFile):
         return self.arrays.variance_factors
 
     @property
-    def n_coefficients(self) -> int:
+    def n_effect_coefficients(self) -> int:
         """Number of estimated coefficients of all effects that shift readings.
 
         An empirical law with an estimated ratio of its w components has w - 1 coefficients in addition. If no effect

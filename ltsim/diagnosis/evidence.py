@@ -229,7 +229,7 @@ N_EXACTLY_EVALUATED = 7
 approximation; a limit of the computing time. The hypotheses with the largest approximate log evidence are evaluated. A
 screening returns the same number of laws for each place.
 """
-MAX_EVIDENCE_DEFICIT = 10.0
+MAX_LOG_EVIDENCE_DEFICIT = 10.0
 """Largest difference of the approximate log evidence of a hypothesis from the largest value, for which the hypothesis
 is evaluated without approximation. The hypothesis is a local optimum of a catalogue effect over places and shapes, or a
 product of a law and a second factor.
@@ -270,7 +270,7 @@ def log_evidence_of_effect(effect: CandidateEffect, gram: Floats, score: Floats)
     return total
 
 
-MAX_SIZE_FACTOR = 1e4
+MAX_SIZE_FACTOR_TO_NOISE_LEVEL = 1e4
 """Largest factor by which the plausible size of an error of a tracker is raised, as from a tenth of a micrometre to a
 millimetre."""
 
@@ -285,7 +285,7 @@ def size_factor_to_noise_level(effects_in_sigmas: Floats) -> float:
     if not len(positive):
         return 1.0
     median = 0.5 * float(positive[(len(positive) - 1) // 2] + positive[len(positive) // 2])
-    return 1.0 / min(max(median, 1.0 / MAX_SIZE_FACTOR), 1.0)
+    return 1.0 / min(max(median, 1.0 / MAX_SIZE_FACTOR_TO_NOISE_LEVEL), 1.0)
 
 
 MIN_SQUARED_SHIFT_FRACTION = 0.01
@@ -297,7 +297,7 @@ is reported to act. It is larger than `MIN_SQUARED_SHIFT_FRACTION`, because the 
 observable over the other observables."""
 
 
-def active_observables(is_used_reading: Bools, shift: Floats, projected_shift: Floats) -> tuple[str, ...]:
+def observables_changed_by_effect(is_used_reading: Bools, shift: Floats, projected_shift: Floats) -> tuple[str, ...]:
     """Names of the observables on which an effect acts; empty if it acts on all.
 
     `is_used_reading` (n, 3) flags the r used readings of n pointings, `shift` (r,) is the whitened shift of these
@@ -320,19 +320,19 @@ def _squared_shift_fraction_by_observable(is_used_reading: Bools, shift: Floats)
     return fraction
 
 
-DISCREPANCY_RATIOS = np.geomspace(0.05, 1.0, 9)
+RELATIVE_DISCREPANCY_GRID = np.geomspace(0.05, 1.0, 9)
 """Grid of relative differences between the change of readings by an unmodelled cause and the change by the hypothesis
 that it resembles. It is log-uniform from a hardly visible difference to 1, a difference as large as the change.
 """
 
 
-def log_bayes_factor_discrepancy(space: ResidualSpace, shift: Floats, residual: Floats, redundancy: Floats) -> float:
+def log_bayes_factor_of_discrepancy(space: ResidualSpace, shift: Floats, residual: Floats, redundancy: Floats) -> float:
     """Log Bayes factor of an unmodelled cause that resembles a hypothesis, relative to the hypothesis itself.
 
     Such a cause differs from the hypothesis by a random shift of each reading. The standard deviation of this shift is
-    delta times the rms shift by the hypothesis in the observable, with delta log-uniform over `DISCREPANCY_RATIOS`. The
-    restricted likelihood of the added variance shows whether the residuals support the unmodelled cause. For a weak
-    effect the Bayes factor is near 1.
+    delta times the rms shift by the hypothesis in the observable, with delta log-uniform over
+    `RELATIVE_DISCREPANCY_GRID`. The restricted likelihood of the added variance shows whether the residuals support the
+    unmodelled cause. For a weak effect the Bayes factor is near 1.
 
     Parameters
     ----------
@@ -346,6 +346,6 @@ def log_bayes_factor_discrepancy(space: ResidualSpace, shift: Floats, residual: 
     kind, square, share = kind[rows], residual[rows] ** 2, redundancy[rows]
     n_by_kind = np.maximum(np.bincount(kind, minlength=3), 1)
     mean_squares = (np.bincount(kind, shift[rows] ** 2, minlength=3) / n_by_kind)[kind]
-    variance = 1.0 + DISCREPANCY_RATIOS[:, None] ** 2 * mean_squares
+    variance = 1.0 + RELATIVE_DISCREPANCY_GRID[:, None] ** 2 * mean_squares
     log_likelihood_ratios = log_restricted_likelihood_ratio(square, share, variance).sum(axis=1)
-    return float(log_sum_exp(log_likelihood_ratios) - np.log(len(DISCREPANCY_RATIOS)))
+    return float(log_sum_exp(log_likelihood_ratios) - np.log(len(RELATIVE_DISCREPANCY_GRID)))

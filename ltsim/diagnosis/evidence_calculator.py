@@ -84,10 +84,10 @@ class EvidenceCalculator:
     def refine_locally(
         self, effects: Sequence[CandidateEffectT], conditioning_model: Model
     ) -> list[tuple[CandidateEffectT, float]]:
-        """Results of a local search from each given effect: pairs of the effect with the largest evidence and a value.
+        """Most probable effect near each given effect, found by a local search, with its averaged log evidence.
 
         The search moves from an effect to its neighbours (similar effects), until a step increases the log evidence by
-        no more than its rounding error. The value is the log of the mean evidence of the effect and its neighbours.
+        no more than its rounding error. The log evidence is averaged over the most probable effect and its neighbours.
         """
         best, values = list(effects), self.log_evidence(effects, conditioning_model)
         means, moving_indices = values.copy(), list(range(len(best)))

@@ -14,15 +14,15 @@ from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE, recording_tex
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
 
-RECORDING_FOLDER = "recording"
+RECORDING_FOLDER_NAME = "recording"
 """Name of the folder with the recording, within the folder of a diagnosis."""
-COMPANION_FILES = (
+COMPANION_FILE_NAMES = (
     DIAGNOSED_TARGETS_TABLE.file,
     COVARIANCE_FILE_NAME,
     RESIDUALS_TABLE.file,
     RESIDUALS_BEFORE_TABLE.file,
-    f"{RECORDING_FOLDER}/{OBSERVATIONS_FILE}",
-    f"{RECORDING_FOLDER}/{SETUP_FILE}",
+    f"{RECORDING_FOLDER_NAME}/{OBSERVATIONS_FILE}",
+    f"{RECORDING_FOLDER_NAME}/{SETUP_FILE}",
 )
 
 
@@ -49,6 +49,6 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
     )
     texts |= {} if covariance is None else {COVARIANCE_FILE_NAME: covariance}
     if recording is not None:
-        copied = recording_texts(recording, folder / RECORDING_FOLDER)
-        texts |= {f"{RECORDING_FOLDER}/{name}": text for name, text in copied.items()}
+        copied = recording_texts(recording, folder / RECORDING_FOLDER_NAME)
+        texts |= {f"{RECORDING_FOLDER_NAME}/{name}": text for name, text in copied.items()}
     return write_result(folder, diagnosis, texts)

@@ -14,12 +14,16 @@ from ltsim.core.arrays import Floats
 from ltsim.core.notation import MAX_LISTED_ITEMS, number_text
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.diagnosis.catalogue_designs import ORDINARY_CALIBRATION_EFFECT_TYPES
-from ltsim.diagnosis.detectability import MAX_DETECTABLE_SIZE_RATIO, separating_measurement_sentence, target_distortion
+from ltsim.diagnosis.detectability import (
+    MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO,
+    separating_measurement_sentence,
+    target_distortion_um,
+)
 from ltsim.diagnosis.evidence import (
-    active_observables,
     coefficient_posterior,
-    log_bayes_factor_discrepancy,
+    log_bayes_factor_of_discrepancy,
     log_evidence_of_wrong_readings,
+    observables_changed_by_effect,
 )
 from ltsim.diagnosis.forms import response_curve
 from ltsim.diagnosis.global_test import GlobalTestResult
@@ -29,7 +33,7 @@ from ltsim.diagnosis.schema import Finding, FindingEvidence, FindingScope, Param
 from ltsim.diagnosis.scopes import effect_scope
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.diagnosis.sentences import (
-    MIN_PROBABLE,
+    MIN_PROBABILITY_OF_PROBABLE_CAUSE,
     catalogue_effect_sentence,
     estimate_without_clock,
     law_sentence,
@@ -43,7 +47,7 @@ from ltsim.physics.laws.regressors import covariate_names_in_files
 from ltsim.physics.laws.text_form import law_suffix, regressor_text
 from ltsim.recordings.recording import OBSERVABLES
 
-MIN_LISTED_CHI2_FRACTION = 0.8
+MIN_CHI2_FRACTION_OF_LISTED_READINGS = 0.8
 """Fraction of the chi-square decrease of a finding that the readings listed in its sentence have together, at least."""
 
 
@@ -51,7 +55,7 @@ MIN_LISTED_CHI2_FRACTION = 0.8
 class SelectedModelFit:
     """Selected model of a recording after its nonlinear refit, from which the findings are reported."""
 
-    state: SelectionState
+    selection_state: SelectionState
     """State of the model selection at its end."""
     global_test: GlobalTestResult
     """Result of the global tests of the recording."""
@@ -64,145 +68,155 @@ class SelectedModelFit:
     held_out_log_odds: float = 0.0
     """Log odds of the model against no effect if held-out readings contradict the model; otherwise 0."""
 
-    def _ranking_of_alternatives(self, member_index: int) -> Ranking:
+    def _ranking_of_alternatives(self, effect_index: int) -> Ranking:
         """Ranking of all alternatives to an effect in the model, with changes of the noise and an unmodelled cause."""
-        searcher, model = self.state.searcher, self.model
-        reduced_model = searcher.model_without(model, member_index)
+        searcher, model = self.selection_state.searcher, self.model
+        reduced_model = searcher.model_without(model, effect_index)
         noises = [
             Hypothesis(change.effect, 0.0, value, change.effect.name)
-            for value, change in self.state.ranked_noise_changes(reduced_model)
+            for value, change in self.selection_state.ranked_noise_changes(reduced_model)
         ]
-        effect, spread = self.refit.effects[member_index], model.members[member_index].plausible_sizes
+        effect, spread = self.refit.effects[effect_index], model.hypotheses[effect_index].plausible_sizes
         moments = searcher.evidence_calculator.grams_and_scores([effect], reduced_model)[0]
         coefficient_means = coefficient_posterior(*moments, spread)[0]
         redundancy = searcher.space.redundancy - np.sum(model.basis**2, axis=1)
         shift = searcher.space.whitened_design(effect) @ coefficient_means
-        likeness = log_bayes_factor_discrepancy(searcher.space, shift, model.residual, redundancy)
-        ranking = searcher.ranking(reduced_model).with_rivals(noises).with_unmodelled_cause(likeness)
+        likeness = log_bayes_factor_of_discrepancy(searcher.space, shift, model.residual, redundancy)
+        ranking = searcher.ranking(reduced_model).with_further_hypotheses(noises).with_unmodelled_cause(likeness)
         return ranking.with_held_out_evidence(self.held_out_log_odds)
 
-    def p_same_name(self, member_index: int) -> float:
+    def p_same_name(self, effect_index: int) -> float:
         """Posterior probability that the cause is an effect with the same name as the given effect in the model.
 
-        `member_index` is the index of the effect in the model. For an unknown effect the result is the probability that
+        `effect_index` is the index of the effect in the model. For an unknown effect the result is the probability that
         an unknown effect acts on the same observables.
         """
-        hypothesis, ranking = self.model.members[member_index], self.rankings[member_index]
+        hypothesis, ranking = self.model.hypotheses[effect_index], self.rankings_of_alternatives[effect_index]
         if hypothesis.is_catalogued:
             return ranking.probabilities_by_name().get(hypothesis.name, 0.0)
         changed_observables = set(hypothesis.effect.observables)
         p_same = ranking.posterior_probability_of(
             lambda h: not h.is_catalogued and set(h.effect.observables) == changed_observables
         )
-        return p_same + P_EVEN_ODDS * ranking.p_unmodelled
+        return p_same + P_EVEN_ODDS * ranking.p_unmodelled_cause
 
     @cached_property
-    def rankings(self) -> list[Ranking]:
+    def rankings_of_alternatives(self) -> list[Ranking]:
         """Ranking of all alternatives to each effect in the model, one per effect."""
-        return [self._ranking_of_alternatives(i) for i in range(len(self.model.members))]
+        return [self._ranking_of_alternatives(i) for i in range(len(self.model.hypotheses))]
 
     @cached_property
-    def p_located(self) -> list[float]:
-        """Probability, for each effect in the model, that an effect of any name acts on its observables and place."""
-        return [self._p_located_of(i) for i in range(len(self.model.members))]
+    def p_same_scope(self) -> list[float]:
+        """Probability, for each effect in the model, that the cause is an effect of any name with the same scope."""
+        return [self._p_same_scope_of(i) for i in range(len(self.model.hypotheses))]
 
     @cached_property
     def squared_residual_decreases(self) -> list[Floats]:
         """Decrease of the m squared whitened residuals by each effect in the model, given the other effects."""
-        reduced_models = (self.state.searcher.model_without(self.model, i) for i in range(len(self.model.members)))
+        reduced_models = (
+            self.selection_state.searcher.model_without(self.model, i) for i in range(len(self.model.hypotheses))
+        )
         return [others.residual**2 - self.model.residual**2 for others in reduced_models]
 
     @cached_property
-    def withheld_effect_keys(self) -> tuple[str, ...]:
+    def unreported_effect_keys(self) -> tuple[str, ...]:
         """Keys (`Hypothesis.key`) of the effects in the model that are too improbable to be reported.
 
         The effect with the largest chi-square decrease is reported nevertheless if there is no other finding, or if it
         is certain that there is a cause.
         """
-        members, gains = self.model.members, [gain.sum() for gain in self.squared_residual_decreases]
+        hypotheses, gains = self.model.hypotheses, [gain.sum() for gain in self.squared_residual_decreases]
         is_doubtful = [
-            self.p_real(i) < MIN_PROBABLE
+            self.p_real(i) < MIN_PROBABILITY_OF_PROBABLE_CAUSE
             and (gains[i] < max(gains) or (self.has_test_findings and self.p_any_cause(i) < 1.0 - FAMILY_WISE_LEVEL))
-            for i in range(len(members))
+            for i in range(len(hypotheses))
         ]
-        return tuple(member.key for member, doubt in zip(members, is_doubtful, strict=True) if doubt)
+        return tuple(hypothesis.key for hypothesis, doubt in zip(hypotheses, is_doubtful, strict=True) if doubt)
 
-    def p_real(self, member_index: int) -> float:
+    def p_real(self, effect_index: int) -> float:
         """Probability that an effect in the model is real under any name, and not the result of several wrong readings.
 
         It is 0 if neither a size nor the decrease of chi-square is significant. It is also 0 if neither the place, nor
         the observable, nor the form of the effect is determined.
         """
-        effect, gain = self.refit.effects[member_index], float(self.squared_residual_decreases[member_index].sum())
-        size_estimates = [size for size in self.refit.estimates[member_index] if size.parameter in effect.parameters]
+        effect, gain = self.refit.effects[effect_index], float(self.squared_residual_decreases[effect_index].sum())
+        size_estimates = [size for size in self.refit.estimates[effect_index] if size.parameter in effect.parameters]
         is_significant = isinstance(effect, EmpiricalLaw) or gain > MIN_SIGNIFICANT_SIGMAS**2 * n_constants(effect)
         is_significant |= any(abs(size.value) > MIN_SIGNIFICANT_SIGMAS * size.sigma for size in size_estimates)
-        p_located = self.p_located[member_index]
+        p_same_scope = self.p_same_scope[effect_index]
         anywhere = FindingScope(covariates=covariate_names_in_files(effect.covariates))
-        is_specific = self._scope(effect) != anywhere or p_located >= MIN_PROBABLE
+        is_specific = self._scope(effect) != anywhere or p_same_scope >= MIN_PROBABILITY_OF_PROBABLE_CAUSE
         if not (is_significant and is_specific):
             return 0.0
-        return max(self.p_same_name(member_index), p_located) * (1.0 - self._p_wrong_readings(member_index))
+        return max(self.p_same_name(effect_index), p_same_scope) * (1.0 - self._p_wrong_readings(effect_index))
 
-    def p_any_cause(self, member_index: int) -> float:
+    def p_any_cause(self, effect_index: int) -> float:
         """Probability that an effect in the model has any cause other than several wrong readings."""
-        return (1.0 - self.rankings[member_index].p_none) * (1.0 - self._p_wrong_readings(member_index))
+        return (1.0 - self.rankings_of_alternatives[effect_index].p_no_cause) * (
+            1.0 - self._p_wrong_readings(effect_index)
+        )
 
-    def _p_wrong_readings(self, member_index: int) -> float:
+    def _p_wrong_readings(self, effect_index: int) -> float:
         """Probability that several wrong readings, with separate errors, are the cause of an effect in the model."""
-        searcher, model = self.state.searcher, self.model
-        other_model = searcher.model_without(model, member_index)
-        if isinstance(model.members[member_index].effect, Outlier):
+        searcher, model = self.selection_state.searcher, self.model
+        other_model = searcher.model_without(model, effect_index)
+        if isinstance(model.hypotheses[effect_index].effect, Outlier):
             return 0.0
         redundancy = searcher.space.redundancy - np.sum(other_model.basis**2, axis=1)
         prior = searcher.catalogue_designs.log_prior_of_family(Outlier.name)
         rival = log_evidence_of_wrong_readings(searcher.space, other_model.residual, redundancy, prior)
         return float(expit(rival - (model.penalised_log_evidence - other_model.penalised_log_evidence)))
 
-    def finding_of_member(self, member_index: int) -> Finding:
+    def finding_of_effect(self, effect_index: int) -> Finding:
         """Finding that reports an effect in the model, given the other effects in the model."""
-        searcher, model, ranking = self.state.searcher, self.model, self.rankings[member_index]
-        space, others = searcher.space, searcher.model_without(model, member_index)
-        hypothesis = replace(model.members[member_index], effect=self.refit.effects[member_index])
+        searcher, model, ranking = (
+            self.selection_state.searcher,
+            self.model,
+            self.rankings_of_alternatives[effect_index],
+        )
+        space, others = searcher.space, searcher.model_without(model, effect_index)
+        hypothesis = replace(model.hypotheses[effect_index], effect=self.refit.effects[effect_index])
         effect, name = hypothesis.effect, hypothesis.name
         probability, rivals = (
-            self.p_same_name(member_index),
+            self.p_same_name(effect_index),
             probability_and_equivalents(ranking.probabilities_by_name(), name)[1],
         )
-        p_located = self.p_located[member_index]
-        gain = self.squared_residual_decreases[member_index]
+        p_same_scope = self.p_same_scope[effect_index]
+        gain = self.squared_residual_decreases[effect_index]
         coefficient_means = coefficient_posterior(
             *searcher.evidence_calculator.grams_and_scores([effect], others)[0], hypothesis.plausible_sizes
         )[0]
         design_columns, rows = space.whitened_design(effect), int(space.is_used_reading.sum())
         shift = design_columns @ coefficient_means
-        projected_design = searcher.model_of([hypothesis]).projected_designs[0] @ coefficient_means
-        scope = self._scope(effect, active_observables(space.is_used_reading, shift[:rows], projected_design[:rows]))
-        estimates = self._estimates_of(member_index, hypothesis, others)
+        projected_design = searcher.model_with([hypothesis]).projected_designs[0] @ coefficient_means
+        scope = self._scope(
+            effect, observables_changed_by_effect(space.is_used_reading, shift[:rows], projected_design[:rows])
+        )
+        estimates = self._estimates_of(effect_index, hypothesis, others)
         sentence, further_values = "", dict[str, object]()
         if isinstance(effect, EmpiricalLaw):
-            regressor = regressor_text(effect.regressor, has_clock=self.state.recording.has_clock)
+            regressor = regressor_text(effect.regressor, has_clock=self.selection_state.recording.has_clock)
             law = law_text(effect, regressor)
-            sentence = law_sentence(scope, estimates, p_located, law)
+            sentence = law_sentence(scope, estimates, p_same_scope, law)
             further_values = {"carrier": effect.response.name, "driver": regressor}
             further_values |= {} if hypothesis.is_catalogued else {"formula": law}
             curve = response_curve(effect, space.sightings, *searcher.law_coefficients(effect, others))
             further_values |= {} if curve is None else {"curve": curve}
         elif isinstance(effect, Effect):
-            other_effects = [e for k, e in enumerate(self.refit.effects) if k != member_index]
+            other_effects = [e for k, e in enumerate(self.refit.effects) if k != effect_index]
             measurement = separating_measurement_sentence(
-                self.state.baseline_adjustment, name, [rival.effect for rival in rivals], other_effects
+                self.selection_state.baseline_adjustment, name, [rival.effect for rival in rivals], other_effects
             )
             further_values = {"separate_by": measurement} if measurement else {}
         if hypothesis.is_catalogued:
             doubt = self._plausibility_sentence(effect, estimates)
-            sentence = catalogue_effect_sentence(name, scope, estimates, probability, p_located=p_located) + doubt
-        distortion = target_distortion(space, shift)
+            sentence = catalogue_effect_sentence(name, scope, estimates, probability, p_same_scope=p_same_scope) + doubt
+        distortion = target_distortion_um(space, shift)
         n_touched = max(int(np.count_nonzero(design_columns.any(axis=1))), 1)
         sigmas_text = number_text(np.sqrt(max(float(gain.sum()), 0.0) / n_touched), 2)
-        sentence += f" If left uncorrected, it causes residuals of {sigmas_text} sigma (rms)"
         sentence += (
-            f" and shifts the targets by {number_text(distortion, 2)} um (rms).{self._decisive_readings_sentence(gain)}"
+            f" Without a correction, this effect causes residuals of {sigmas_text} sigma (rms) and shifts the targets "
+            f"by {number_text(distortion, 2)} um (rms).{self._decisive_readings_sentence(gain)}"
         )
         return Finding(
             effect=name,
@@ -212,9 +226,9 @@ class SelectedModelFit:
             evidence=FindingEvidence(
                 chi2_drop=float(gain.sum()),
                 parameters=model.basis.shape[1] - others.basis.shape[1],
-                p_value=self.global_test.p_value_of(ranking.log_evidence_total),
+                p_value=self.global_test.p_value_of(ranking.total_log_evidence),
                 probability=probability,
-                p_located=p_located,
+                p_same_scope=p_same_scope,
             ),
             sentence=sentence,
             target_shift_rms_um=distortion,
@@ -226,10 +240,10 @@ class SelectedModelFit:
 
         `chi2_decreases` (m,) is the decrease in each of the m rows of the residual space.
         """
-        use, recording = self.state.searcher.space.is_used_reading, self.state.recording
+        use, recording = self.selection_state.searcher.space.is_used_reading, self.selection_state.recording
         reading_gain = chi2_decreases[: int(use.sum())]
         order = np.argsort(-reading_gain)
-        min_sum = MIN_LISTED_CHI2_FRACTION * max(float(chi2_decreases.sum()), MAX_ROUNDING_ERROR)
+        min_sum = MIN_CHI2_FRACTION_OF_LISTED_READINGS * max(float(chi2_decreases.sum()), MAX_ROUNDING_ERROR)
         n_readings = int(np.searchsorted(np.cumsum(reading_gain[order]), min_sum)) + 1
         if n_readings > MAX_LISTED_ITEMS:
             return ""
@@ -244,13 +258,13 @@ class SelectedModelFit:
         )
         return f" Most of the decrease of chi-square is in the {', the '.join(names)}."
 
-    def _p_located_of(self, member_index: int) -> float:
-        """Sum of the probabilities of all hypotheses with the observables, place and covariates of the given effect.
+    def _p_same_scope_of(self, effect_index: int) -> float:
+        """Sum of the probabilities of all hypotheses with the scope (observables, place, covariates) of an effect.
 
-        All effects that act on the same single target count as having these in common, because a target that moved, is
-        badly seated or was read wrongly changes the same readings.
+        `effect_index` is the index of the effect in the model. All effects that act on the same targets count as having
+        the same scope, because a target that moved, is badly seated or was read wrongly changes the same readings.
         """
-        effect = self.model.members[member_index].effect
+        effect = self.model.hypotheses[effect_index].effect
 
         def scope_of(candidate: CandidateEffect) -> FindingScope:
             scope = self._scope(candidate)
@@ -259,7 +273,9 @@ class SelectedModelFit:
             return scope.model_copy(update={"observables": tuple(sorted(candidate.observables))})
 
         scope = scope_of(effect)
-        return self.rankings[member_index].posterior_probability_of(lambda h: scope_of(h.effect) == scope)
+        return self.rankings_of_alternatives[effect_index].posterior_probability_of(
+            lambda h: scope_of(h.effect) == scope
+        )
 
     def _scope(self, effect: CandidateEffect, default_observables: tuple[str, ...] = ()) -> FindingScope:
         """Scope of an effect; for an effect at all set-ups of one of several instruments it names the instrument.
@@ -267,21 +283,23 @@ class SelectedModelFit:
         `default_observables` are named if the effect does not restrict its observables.
         """
         scope = effect_scope(effect, default_observables)
-        for tracker in instrument_places(self.state.searcher.space.sightings, self.state.recording.instruments):
+        for tracker in instrument_places(
+            self.selection_state.searcher.space.sightings, self.selection_state.recording.instruments
+        ):
             if set(scope.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
                 return scope.model_copy(update={"stations": (), "instruments": tracker.instruments})
         return scope
 
     def _plausibility_sentence(self, effect: CandidateEffect, estimates: Sequence[ParameterEstimate]) -> str:
         """Sentence on the declared prior of an instrument constant, or on a size that is implausible; else empty."""
-        recording = self.state.recording
+        recording = self.selection_state.recording
         if isinstance(effect, ORDINARY_CALIBRATION_EFFECT_TYPES):
             name = recording.instruments[self._instrument_index(effect)]
             prior = recording.setup.instrument_named(name).prior
             declared = ((p.prior_sigma_from(prior) / p.si_per_display_unit, p.unit) for p in effect.parameters)
             sigmas = ", ".join(f"{number_text(sigma, 2)} {unit}" for sigma, unit in declared)
-            return f" Its declared prior is zero with a standard deviation of {sigmas}."
-        implausible = " Such a size is hardly plausible for this cause. Check other causes too."
+            return f" The set-up declares that this constant is zero with a standard deviation of {sigmas}."
+        implausible = " This size is hardly plausible for this cause: check other causes too."
         return implausible if _is_implausible_size(effect, estimates) else ""
 
     def _constant_estimates_without_prior(self, effect: CandidateEffect) -> tuple[ParameterEstimate, ...]:
@@ -289,8 +307,8 @@ class SelectedModelFit:
 
         All other constants of the instrument have their prior.
         """
-        adjustment, which = self.state.baseline_adjustment, self._instrument_index(effect)
-        prior = prior_sigmas(self.state.recording, adjustment.construction)[which]
+        adjustment, which = self.selection_state.baseline_adjustment, self._instrument_index(effect)
+        prior = prior_sigmas(self.selection_state.recording, adjustment.construction)[which]
         variance = np.diag(adjustment.instrument_covariance_of(which))
         factors = 1.0 / np.maximum(1.0 - variance / prior**2, MAX_ROUNDING_ERROR)
         value, sigma = adjustment.state.instrument_parameters[which] * factors, np.sqrt(variance * factors)
@@ -301,12 +319,12 @@ class SelectedModelFit:
 
     def _instrument_index(self, effect: CandidateEffect) -> int:
         """Index of the instrument at whose set-ups an effect acts."""
-        recording = self.state.recording
+        recording = self.selection_state.recording
         index = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
         return int(recording.instrument[recording.station == index][0])
 
     def _estimates_of(
-        self, member_index: int, hypothesis: Hypothesis, reduced_model: Model
+        self, effect_index: int, hypothesis: Hypothesis, reduced_model: Model
     ) -> tuple[ParameterEstimate, ...]:
         """Estimates of the sizes and shape constants of an effect; without a clock its times are numbers of pointings.
 
@@ -314,13 +332,17 @@ class SelectedModelFit:
         """
         refitted = [
             ParameterEstimate.from_si(*estimate)
-            for estimate in self.refit.estimates[member_index]
+            for estimate in self.refit.estimates[effect_index]
             if np.isfinite(estimate.sigma)
         ]
         if isinstance(hypothesis.effect, ORDINARY_CALIBRATION_EFFECT_TYPES):
             return self._constant_estimates_without_prior(hypothesis.effect)
-        estimates = self.state.searcher.estimates(hypothesis, reduced_model, refitted)
-        return estimates if self.state.recording.has_clock else tuple(estimate_without_clock(e) for e in estimates)
+        estimates = self.selection_state.searcher.estimates(hypothesis, reduced_model, refitted)
+        return (
+            estimates
+            if self.selection_state.recording.has_clock
+            else tuple(estimate_without_clock(e) for e in estimates)
+        )
 
 
 def law_text(law: EmpiricalLaw, regressor_phrase: str) -> str:
@@ -342,6 +364,7 @@ def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterE
     parameter_scales = zip(effect.parameters, effect.plausible_sizes.tolist(), strict=True)
     matches = [(e, p, size) for p, size in parameter_scales for e in estimates if e.name == p.name]
     is_large = any(
-        abs(e.value) - 2 * e.sigma > MAX_DETECTABLE_SIZE_RATIO * size / p.si_per_display_unit for e, p, size in matches
+        abs(e.value) - 2 * e.sigma > MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO * size / p.si_per_display_unit
+        for e, p, size in matches
     )
     return is_large or any(p.is_positive and e.value + 2 * e.sigma < 0.0 for e, p, _ in matches)

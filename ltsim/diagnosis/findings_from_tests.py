@@ -54,7 +54,7 @@ def axes_point_finding(test: ReferenceTest) -> Finding:
             chi2_drop=test.chi2_drop, parameters=test.rank, p_value=None, probability=MAX_P_OF_TEST_FINDINGS
         ),
         sentence=test.sentence[0].upper() + test.sentence[1:] + ".",
-        formula=f"the {DECLARED_COORDINATES_TEXT} of {test.name} is wrong",
+        formula=f"the {DECLARED_COORDINATES_TEXT} of {test.name} are wrong",
         carrier=DECLARED_COORDINATES_TEXT,
     )
 
@@ -66,15 +66,17 @@ def contradicting_constant_finding(contradiction: ConstantContradiction) -> Find
     """
     p, off = contradiction.parameter, 1.0 / (1.0 + float(np.exp(-contradiction.log_evidence)))
     p_by_effect_name: dict[str, float] = {}
-    for constant, share in contradiction.evidence_shares.items():
+    for constant, share in contradiction.evidence_share_by_constant.items():
         p_by_effect_name[_effect_name_of_constant(constant)] = (
             p_by_effect_name.get(_effect_name_of_constant(constant), 0.0) + off * share
         )
     estimate, (probability, rivals) = (
-        ParameterEstimate.from_si(p, contradiction.difference, contradiction.sigma),
+        ParameterEstimate.from_si(p, contradiction.difference_from_reference, contradiction.sigma),
         probability_and_equivalents(p_by_effect_name, _effect_name_of_constant(p)),
     )
-    rival_names = " or ".join(parameter_text(other.name) for other in contradiction.evidence_shares if other != p)
+    rival_names = " or ".join(
+        parameter_text(other.name) for other in contradiction.evidence_share_by_constant if other != p
+    )
     owners = " and ".join(filter(None, contradiction.instruments)) or "the instrument"
     ambiguity = f" These readings hardly distinguish this constant from {rival_names}." if rival_names else ""
     sentence = (
@@ -82,14 +84,14 @@ def contradicting_constant_finding(contradiction: ConstantContradiction) -> Find
         f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {contradiction.reference_text}, "
         f"with a probability of {percent_text(off)}.{ambiguity}"
     )
-    chi2_drop = (contradiction.difference / contradiction.sigma) ** 2
+    chi2_drop = (contradiction.difference_from_reference / contradiction.sigma) ** 2
     return Finding(
         effect=_effect_name_of_constant(p),
         known=True,
         where=confined_scope(instruments=tuple(filter(None, contradiction.instruments))),
         parameters=(estimate,),
         evidence=FindingEvidence(
-            chi2_drop=chi2_drop, parameters=1, p_value=contradiction.p_value, probability=probability, p_located=off
+            chi2_drop=chi2_drop, parameters=1, p_value=contradiction.p_value, probability=probability, p_same_scope=off
         ),
         sentence=sentence,
         equivalents=rivals,

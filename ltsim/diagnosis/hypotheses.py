@@ -1,4 +1,4 @@
-"""Hypotheses, models (sets of hypotheses), and rankings of hypotheses given a model."""
+"""Hypotheses, models (sets of hypotheses), and rankings_of_alternatives of hypotheses given a model."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ltsim.calibration.evidence import LOG_SIZE_PRIOR, RELATIVE_EFFECT_SIZES, lo
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import index_of_largest
-from ltsim.diagnosis.prior import LOG_PRIOR_ODDS_OF_REPETITION, P_UNMODELLED
+from ltsim.diagnosis.prior import LOG_PRIOR_ODDS_OF_REPETITION, P_UNMODELLED_CAUSE
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.linear_effect import CandidateEffect
@@ -61,7 +61,7 @@ class Hypothesis:
 class Model:
     """Model: a set of hypotheses that are true at the same time; its basis and residuals are computed on demand."""
 
-    members: tuple[Hypothesis, ...]
+    hypotheses: tuple[Hypothesis, ...]
     """Hypotheses of the model."""
     projected_designs: tuple[Floats, ...]
     """Projected design matrix (m, k) of each effect: change of m whitened residuals per unit of its k coefficients."""
@@ -71,21 +71,21 @@ class Model:
     """The m whitened residuals (m,) of the adjustment without the effects of the model."""
 
     @classmethod
-    def from_space(cls, members: Sequence[Hypothesis], space: ResidualSpace) -> Model:
+    def from_space(cls, hypotheses: Sequence[Hypothesis], space: ResidualSpace) -> Model:
         """Model with the given hypotheses in a residual space."""
-        designs = [space.whitened_design(h.effect) for h in members]
+        designs = [space.whitened_design(h.effect) for h in hypotheses]
         norms = map(space.norms_without_centring, designs)
-        return cls(tuple(members), tuple(map(space.project, designs)), tuple(norms), space.residuals)
+        return cls(tuple(hypotheses), tuple(map(space.project, designs)), tuple(norms), space.residuals)
 
     @property
     def effects(self) -> list[CandidateEffect]:
         """Effects in the model."""
-        return [h.effect for h in self.members]
+        return [h.effect for h in self.hypotheses]
 
     @cached_property
     def basis(self) -> Floats:
         """Orthonormal basis (m, e), e vectors, of the changes of m whitened residuals by all effects in the model."""
-        if not self.members:
+        if not self.hypotheses:
             return np.zeros((len(self.baseline_residual), 0))
         return orthonormal_columns(np.hstack(self.projected_designs), np.concatenate(self.design_column_norms))
 
@@ -107,7 +107,7 @@ class Model:
 
         It is 0 for a model with effects of the catalogue only.
         """
-        if all(h.is_catalogued for h in self.members):
+        if all(h.is_catalogued for h in self.hypotheses):
             return 0.0
         norms = np.concatenate(self.design_column_norms)
         unit = 1.0 / np.where(norms > 0, norms, 1.0)
@@ -126,11 +126,13 @@ class Model:
 
         The penalty is `discrepancy_penalty`.
         """
-        if not self.members:
+        if not self.hypotheses:
             return 0.0
-        log_prior_odds = sum(log_prior_odds_of_repetition(h, self.members[:i]) for i, h in enumerate(self.members))
-        penalty = self.discrepancy_penalty * (len(self.members) - 1)
-        return _size_averaged_log_evidence(self) + sum(h.log_prior for h in self.members) + log_prior_odds - penalty
+        log_prior_odds = sum(
+            log_prior_odds_of_repetition(h, self.hypotheses[:i]) for i, h in enumerate(self.hypotheses)
+        )
+        penalty = self.discrepancy_penalty * (len(self.hypotheses) - 1)
+        return _size_averaged_log_evidence(self) + sum(h.log_prior for h in self.hypotheses) + log_prior_odds - penalty
 
 
 RELATIVE_MODEL_ERROR = 0.05
@@ -145,11 +147,11 @@ class Ranking:
 
     hypotheses: tuple[Hypothesis, ...]
     """Hypotheses in the order of decreasing log evidence."""
-    log_evidence_total: float
+    total_log_evidence: float
     """Log of the sum of the evidence of all hypotheses; only the first ones are evaluated without approximation."""
-    log_evidence_unmodelled: float = -np.inf
+    log_evidence_of_unmodelled_cause: float = -np.inf
     """Log evidence of a cause that is no hypothesis of the ranking."""
-    log_evidence_none: float = 0.0
+    log_evidence_of_no_cause: float = 0.0
     """Log evidence of no cause, neither a hypothesis of the ranking nor an unmodelled cause that resembles one. It is
     0, or larger if held-out readings contradict the model."""
 
@@ -165,19 +167,19 @@ class Ranking:
             )
         return list(first.values())
 
-    def with_rivals(self, rivals: Sequence[Hypothesis]) -> Ranking:
+    def with_further_hypotheses(self, rivals: Sequence[Hypothesis]) -> Ranking:
         """Copy of the ranking that also contains the hypotheses `rivals`."""
         hypotheses = sorted([*self.hypotheses, *rivals], key=lambda h: -h.log_evidence)
-        log_total = float(log_sum_exp(np.array([self.log_evidence_total, *(h.log_evidence for h in rivals)])))
+        log_total = float(log_sum_exp(np.array([self.total_log_evidence, *(h.log_evidence for h in rivals)])))
         return Ranking(tuple(hypotheses), log_total)
 
     def with_unmodelled_cause(self, log_bayes_factor: float) -> Ranking:
         """Copy of the ranking with an unmodelled cause, given its log Bayes factor against the first hypothesis."""
         return replace(
             self,
-            log_evidence_unmodelled=self.log_evidence_total
+            log_evidence_of_unmodelled_cause=self.total_log_evidence
             + log_bayes_factor
-            + float(np.log(P_UNMODELLED / (1.0 - P_UNMODELLED))),
+            + float(np.log(P_UNMODELLED_CAUSE / (1.0 - P_UNMODELLED_CAUSE))),
         )
 
     def with_held_out_evidence(self, log_odds_of_model: float) -> Ranking:
@@ -188,8 +190,8 @@ class Ranking:
         """
         if log_odds_of_model >= 0.0:
             return self
-        total = float(np.logaddexp(self.log_evidence_total, self.log_evidence_unmodelled))
-        return replace(self, log_evidence_none=max(self.log_evidence_none, total - log_odds_of_model))
+        total = float(np.logaddexp(self.total_log_evidence, self.log_evidence_of_unmodelled_cause))
+        return replace(self, log_evidence_of_no_cause=max(self.log_evidence_of_no_cause, total - log_odds_of_model))
 
     def most_probable_name(self) -> str:
         """Most probable name of the cause; `unknown` if it is more probable than all catalogue effects together."""
@@ -205,18 +207,18 @@ class Ranking:
     @cached_property
     def _log_evidence_sum(self) -> float:
         """Log of the sum of the evidence of all hypotheses, of an unmodelled cause, and of no cause."""
-        rest = [self.log_evidence_unmodelled, self.log_evidence_none]
+        rest = [self.log_evidence_of_unmodelled_cause, self.log_evidence_of_no_cause]
         return float(np.logaddexp.reduce([*(h.log_evidence for h in self.hypotheses), *rest]))
 
     @property
-    def p_none(self) -> float:
+    def p_no_cause(self) -> float:
         """Posterior probability that there is no cause: neither a hypothesis of the ranking nor an unmodelled cause."""
-        return float(np.exp(self.log_evidence_none - self._log_evidence_sum))
+        return float(np.exp(self.log_evidence_of_no_cause - self._log_evidence_sum))
 
     @cached_property
-    def p_unmodelled(self) -> float:
+    def p_unmodelled_cause(self) -> float:
         """Posterior probability of an unmodelled cause."""
-        return float(np.exp(self.log_evidence_unmodelled - self._log_evidence_sum))
+        return float(np.exp(self.log_evidence_of_unmodelled_cause - self._log_evidence_sum))
 
     def posterior_probability_of(self, is_counted: Callable[[Hypothesis], bool]) -> float:
         """Sum of the posterior probabilities of the hypotheses for which `is_counted` is true."""
@@ -229,7 +231,7 @@ class Ranking:
 
     def probabilities_by_name(self) -> dict[str, float]:
         """Sum of the posterior probabilities of the hypotheses with each name, including `unknown`."""
-        p_by_name = {"unknown": self.p_unmodelled} if self.p_unmodelled else {}
+        p_by_name = {"unknown": self.p_unmodelled_cause} if self.p_unmodelled_cause else {}
         for hypothesis, weight in zip(self.hypotheses, self.posterior_probabilities.tolist(), strict=True):
             p_by_name[hypothesis.name] = min(p_by_name.get(hypothesis.name, 0.0) + weight, 1.0)
         return p_by_name
@@ -270,8 +272,8 @@ def _size_averaged_log_evidence(model: Model) -> float:
     covers only the factors near the combination of factors with the largest evidence.
     """
     gram, score = model.gram_and_score
-    spread, owner = _plausible_sizes_and_effect_indices(model.members)
-    count, whole = len(model.members), 1.0 + float(model.baseline_residual @ model.baseline_residual)
+    spread, owner = _plausible_sizes_and_effect_indices(model.hypotheses)
+    count, whole = len(model.hypotheses), 1.0 + float(model.baseline_residual @ model.baseline_residual)
     bordered_matrix = np.block([[gram, score[:, None]], [score, whole]])
     unit_prior = np.diag(np.append(np.ones(len(score)), 0.0))
 
@@ -299,17 +301,17 @@ def _size_averaged_log_evidence(model: Model) -> float:
     return float(log_sum_exp(log_evidence_at_sizes(np.array(list(product(*neighbours))))))
 
 
-def _plausible_sizes_and_effect_indices(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
+def _plausible_sizes_and_effect_indices(hypotheses: Sequence[Hypothesis]) -> tuple[Floats, Ints]:
     """Plausible sizes (k,) of all k coefficients of the effects in a model, and indices (k,) of their effects."""
-    size_sets = [h.plausible_sizes for h in members]
+    size_sets = [h.plausible_sizes for h in hypotheses]
     return np.concatenate(size_sets), np.repeat(np.arange(len(size_sets)), [len(spread) for spread in size_sets])
 
 
-def log_prior_odds_of_repetition(hypothesis: Hypothesis, other_members: Sequence[Hypothesis]) -> float:
+def log_prior_odds_of_repetition(hypothesis: Hypothesis, other_hypotheses: Sequence[Hypothesis]) -> float:
     """Log prior odds of a second effect with the name of another effect in the model, which rarely occurs twice.
 
-    `other_members` are the other effects in the model. The result is 0 for all other hypotheses.
+    `other_hypotheses` are the other effects in the model. The result is 0 for all other hypotheses.
     """
-    if hypothesis.name not in {h.name for h in other_members}:
+    if hypothesis.name not in {h.name for h in other_hypotheses}:
         return 0.0
     return 0.0 if hypothesis.is_catalogued and find_effect(hypothesis.name).may_recur else LOG_PRIOR_ODDS_OF_REPETITION

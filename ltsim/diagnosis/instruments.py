@@ -35,7 +35,7 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import scale_to_unit_diagonal
 
-CHANGED_CONSTANT_PRIOR_VARIANCE = sum(share * size**2 for size, share in SIZE_PRIOR.items())
+CHANGED_CONSTANT_PRIOR_VARIANCE_RATIO = sum(share * size**2 for size, share in SIZE_PRIOR.items())
 """Prior variance of an instrument constant that is selected as changed, divided by its squared specification."""
 CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
 """Name for users of the reference of a constant: with a declared correction (True) or without it (False)."""
@@ -72,7 +72,7 @@ class ConstantContradiction:
     """Names of the instruments with this constant."""
     parameter: Parameter
     """Constant that contradicts its reference."""
-    difference: float
+    difference_from_reference: float
     """Difference [SI] of the constant from its reference: from the other instruments, from zero for a corrected
     instrument, or from earlier calibrations."""
     sigma: float
@@ -83,7 +83,7 @@ class ConstantContradiction:
     """Two-sided p-value of the difference, corrected for the number of constants that are compared."""
     reference_text: str
     """Name of the reference for users, such as `the other instruments`."""
-    evidence_shares: Mapping[Parameter, float]
+    evidence_share_by_constant: Mapping[Parameter, float]
     """Fractions of the evidence for this constant, and for constants of the same instruments that may have changed
     instead."""
 
@@ -111,10 +111,10 @@ class ConstantChange:
     """Index of the constant among the p constants of an instrument."""
     reference_text: str
     """Name for users of the reference with which the constant is compared."""
-    added_variances: Floats | float = 0.0
+    added_variance_grid: Floats | float = 0.0
     """Possible variances (s values) in addition to the expected variance, divided by the squared specification."""
     log_variance_weights: Floats | float = 0.0
-    """Natural logarithms of the prior weights of the s values of `added_variances`."""
+    """Natural logarithms of the prior weights of the s values of `added_variance_grid`."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def constants_contradicting_expectation(
     """Instrument constants that differ from their expectation, with log evidences above `MIN_EFFECT_LOG_EVIDENCE`.
 
     The evidence of each is given the other selected constants. The constants are selected by forward selection with
-    exchange, in which selected constants have the prior variance `CHANGED_CONSTANT_PRIOR_VARIANCE`. The readings
+    exchange, in which selected constants have the prior variance `CHANGED_CONSTANT_PRIOR_VARIANCE_RATIO`. The readings
     without the prior of the adjustment give the normal equations N x = b of the constants x. With the expectation
     x ~ N(m, V), the information on a change of constant k is (V + N^-1)^-1[k, k].
     """
@@ -190,7 +190,7 @@ def constants_contradicting_expectation(
         score, weight = score_test(
             likelihood.information,
             score_vector,
-            expectation.covariance + CHANGED_CONSTANT_PRIOR_VARIANCE * given_changes.T @ given_changes,
+            expectation.covariance + CHANGED_CONSTANT_PRIOR_VARIANCE_RATIO * given_changes.T @ given_changes,
         )
         information_of_change, score_along = (
             np.einsum("hi,ij,hj->h", change_directions, weight, change_directions),
@@ -204,7 +204,7 @@ def constants_contradicting_expectation(
             change = expectation.possible_changes[k]
             log_evidences[k] = log_prior + _log_evidence_of_change(
                 score_along[k] / information_of_change[k],
-                1.0 / information_of_change[k] + change.added_variances,
+                1.0 / information_of_change[k] + change.added_variance_grid,
                 change.log_variance_weights,
             )
         return log_evidences
@@ -264,20 +264,20 @@ def _contradiction_of_change(
     its standard deviation [SI].
     """
     change, parameters = constant_changes[change_index], adjustment.construction.parameters
-    evidence_shares = [
+    alternative_indices = [
         i for i, other in enumerate(constant_changes) if other.instrument_indices == change.instrument_indices
     ]
-    share = normalised_probabilities(log_evidences[evidence_shares])
+    share = normalised_probabilities(log_evidences[alternative_indices])
     return ConstantContradiction(
         instruments=tuple(adjustment.recording.instruments[i] for i in change.instrument_indices),
         parameter=parameters[change.constant_index],
-        difference=difference,
+        difference_from_reference=difference,
         sigma=sigma,
         log_evidence=float(log_evidences[change_index]),
         p_value=p_value,
         reference_text=change.reference_text,
-        evidence_shares={
-            parameters[constant_changes[evidence_shares[i]].constant_index]: float(share[i])
+        evidence_share_by_constant={
+            parameters[constant_changes[alternative_indices[i]].constant_index]: float(share[i])
             for i in np.argsort(-share)
             if share[i] > MIN_REPORTED_PROBABILITY
         },
@@ -294,7 +294,7 @@ def _log_evidence_of_change(
     return float(log_sum_exp(log_changed) - log_sum_exp(log_unchanged))
 
 
-VARIANCE_RATIO_GRID = np.geomspace(0.05, 1e4, 80)
+TRUE_TO_SAMPLE_VARIANCE_RATIO_GRID = np.geomspace(0.05, 1e4, 80)
 """Grid of the true variance of a constant between calibrations, divided by the sample variance of a few
 calibrations."""
 SAMPLE_VARIANCE_PRIOR_DOF = 4
@@ -377,12 +377,12 @@ class HistoryExpectation:
         variances = n_calibrations / np.maximum(precision, MAX_ROUNDING_ERROR)
         usual_variance = variances + np.median(spread) - spread
         added_variance = np.minimum(
-            np.outer(variances, VARIANCE_RATIO_GRID - 1.0), np.maximum(1.0 - spread, 0.0)[:, None]
+            np.outer(variances, TRUE_TO_SAMPLE_VARIANCE_RATIO_GRID - 1.0), np.maximum(1.0 - spread, 0.0)[:, None]
         )
         scaled_sum = (n_calibrations - 1 + SAMPLE_VARIANCE_PRIOR_DOF * usual_variance / variances)[:, None]
         weights = (
-            -0.5 * (n_calibrations - 1 + SAMPLE_VARIANCE_PRIOR_DOF) * np.log(VARIANCE_RATIO_GRID)
-            - 0.5 * scaled_sum / VARIANCE_RATIO_GRID
+            -0.5 * (n_calibrations - 1 + SAMPLE_VARIANCE_PRIOR_DOF) * np.log(TRUE_TO_SAMPLE_VARIANCE_RATIO_GRID)
+            - 0.5 * scaled_sum / TRUE_TO_SAMPLE_VARIANCE_RATIO_GRID
         )
         return np.maximum(added_variance * (1.0 + 1.0 / n_calibrations), -spread[:, None]), weights
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltsim.diagnosis.evidence import MAX_EVIDENCE_DEFICIT, index_of_largest
+from ltsim.diagnosis.evidence import MAX_LOG_EVIDENCE_DEFICIT, index_of_largest
 from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.switches import switched_forms
@@ -72,7 +72,7 @@ def product_forms(calculator: EvidenceCalculator, form: Hypothesis, conditioning
     log_evidences = calculator.log_evidence(laws, conditioning_model)
     top = index_of_largest(log_evidences)
     prior = form.log_prior + float(np.log(ODDS_PER_OPERATOR / len(weights)))
-    if log_evidences[top] + prior < form.log_evidence - MAX_EVIDENCE_DEFICIT:
+    if log_evidences[top] + prior < form.log_evidence - MAX_LOG_EVIDENCE_DEFICIT:
         return []
     refined, value = calculator.refine_locally([laws[top]], conditioning_model)[0]
     products = [Hypothesis(refined, prior, value + prior, catalogue_name(refined))]

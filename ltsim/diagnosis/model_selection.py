@@ -1,7 +1,6 @@
 """Selection of the model of a recording: effects, changes of the noise, and changed constants of instruments."""
 
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +10,8 @@ from ltsim.calibration.evidence import log_sum_exp
 from ltsim.diagnosis.evidence import N_EXACTLY_EVALUATED
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, most_probable_name, probability_and_equivalents
 from ltsim.diagnosis.instruments import ContradictingConstants
-from ltsim.diagnosis.noise_estimation import with_estimated_sizes
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
-from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS, MIN_EFFECT_LOG_EVIDENCE
+from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS, MIN_EFFECT_LOG_EVIDENCE
 from ltsim.diagnosis.selection_state import SelectionState
 
 MAX_NOISE_CHANGES = 3
@@ -22,37 +20,39 @@ ConstantComparisonFunction = Callable[[Adjustment], ContradictingConstants]
 """Function of an adjustment whose result are the instrument constants that contradict their reference."""
 
 
-def select_model(state: SelectionState, compare_with_reference: ConstantComparisonFunction) -> Model:
-    """Selected model of effects, after a selection of changes of the noise and of changed instrument constants.
+def select_noise_and_effects(
+    state: SelectionState, compare_with_reference: ConstantComparisonFunction
+) -> tuple[SelectionState, Model]:
+    """State with the selected changes of the noise and of instrument constants, and the selected model of effects.
 
-    `state` is updated with the changes of the noise and the constants. The kind of hypothesis with the largest evidence
-    is selected first. The selection ends when the evidence increases by less than `MIN_EFFECT_LOG_EVIDENCE`. The order
-    matters, because a law that is selected with a wrong noise level absorbs noise, and noise that is estimated before a
-    law absorbs the law. Noise is therefore estimated with the effects in the model that are among the simple causes of
-    the network.
+    The kind of hypothesis with the largest evidence is selected first. The selection ends when the evidence increases
+    by less than `MIN_EFFECT_LOG_EVIDENCE`. The order matters, because a law that is selected with a wrong noise level
+    absorbs noise, and noise that is estimated before a law absorbs the law. Noise is therefore estimated with the
+    effects in the model that are among the simple causes of the network.
     """
     noise = state.ranked_noise_changes(state.empty_model)[0][0]
-    shifts = state.searcher.lower_bound_model(noise).penalised_log_evidence
+    shifts = state.searcher.model_by_forward_steps(noise).penalised_log_evidence
     if noise >= shifts:
-        identified = state.searcher.catalogue_designs.hypotheses_of(state.identified_effects[: MAX_MODEL_MEMBERS - 1])
-        start_model = state.searcher.model_of(identified)
+        identified = state.searcher.catalogue_designs.hypotheses_of_effects(
+            state.identified_effects[: MAX_MODEL_EFFECTS - 1]
+        )
+        start_model = state.searcher.model_with(identified)
         rival = max(
             shifts - start_model.penalised_log_evidence,
-            state.searcher.ranking(start_model).log_evidence_total,
+            state.searcher.ranking(start_model).total_log_evidence,
         )
-        _select_noise_changes(state, rival, identified)
-        model = _select_effects_given_noise(state, identified)
+        state, model = _select_effects_given_noise(_select_noise_changes(state, rival, identified), identified)
     else:
-        model = state.searcher.select_model(requires_member=True)
+        model = state.searcher.select_effects(requires_effect=True)
     contradicting_constants = compare_with_reference(state.space.adjustment)
     constants = contradicting_constants.contradictions
     if (
         constants
         and contradicting_constants.joint_log_evidence - model.penalised_log_evidence
-        > (len(constants) - len(model.members)) * MIN_EFFECT_LOG_EVIDENCE
+        > (len(constants) - len(model.hypotheses)) * MIN_EFFECT_LOG_EVIDENCE
     ):
-        state.release_priors(constants)
-        model = state.searcher.select_model(requires_member=False)
+        state = state.with_released_priors(constants)
+        model = state.searcher.select_effects(requires_effect=False)
     return _alternate_noise_and_effects(state, model)
 
 
@@ -60,8 +60,8 @@ def _select_noise_changes(
     state: SelectionState,
     log_evidence_of_effects: float,
     start_hypotheses: Sequence[Hypothesis],
-) -> None:
-    """Forward selection of changes of the noise, which are added to `state`.
+) -> SelectionState:
+    """State after a forward selection of changes of the noise.
 
     The noise is estimated with the effects of `start_hypotheses` in the model. The first change is always selected,
     because the global test has failed. Effects, with the log evidence `log_evidence_of_effects`, count among the
@@ -73,67 +73,63 @@ def _select_noise_changes(
         if further and ranked[0][0] < MIN_EFFECT_LOG_EVIDENCE:
             break
         most_probable = _most_probable_noise_change(ranked, 0.0 if further else log_evidence_of_effects)
-        state.add_noise_change(
-            with_estimated_sizes(state.space.with_effects(effects), state.space.sigma, most_probable)
-        )
-        state.set_adjustment(state.estimate_variance_components(effects))
+        state = state.with_noise_change(most_probable, effects)
+    return state
 
 
-def _select_effects_given_noise(state: SelectionState, start_hypotheses: Sequence[Hypothesis]) -> Model:
-    """Model of effects in addition to the selected changes of the noise; the empty model if the latter suffice.
+def _select_effects_given_noise(
+    state: SelectionState, start_hypotheses: Sequence[Hypothesis]
+) -> tuple[SelectionState, Model]:
+    """State and model of effects in addition to the selected changes of the noise.
 
-    The search begins with the hypotheses `start_hypotheses` in the model. Noise that is estimated without an effect
-    includes this effect. The noise is therefore estimated again with each of the hypotheses with the largest evidence.
-    The most probable of them, with its noise, is compared with the noise alone by their evidence.
+    If the changes of the noise suffice, the state is unchanged and the model empty. The search begins with the
+    hypotheses `start_hypotheses` in the model. Noise that is estimated without an effect includes this effect. The
+    noise is therefore estimated again with each of the hypotheses with the largest evidence. The most probable of them,
+    with its noise, is compared with the noise alone by their evidence.
     """
-    alone, searcher = copy(state), state.searcher
-    model = searcher.select_model(requires_member=True, start_hypotheses=start_hypotheses)
+    searcher = state.searcher
+    model = searcher.select_effects(requires_effect=True, start_hypotheses=start_hypotheses)
     leading = searcher.ranking(searcher.empty_model).most_probable_of_each_kind()[:N_EXACTLY_EVALUATED]
-    candidates = [model.members, *((h,) for h in leading)]
+    candidates = [model.hypotheses, *((h,) for h in leading)]
     best = max(candidates[:1] if searcher.is_large_network else candidates, key=state.log_evidence_with_effects)
-    state.prune_variance_components([h.effect for h in best])
-    model = state.searcher.select_model(requires_member=False, start_hypotheses=best)
-    if (
-        model.members
-        and state.log_evidence_of_noise + model.penalised_log_evidence
-        > alone.log_evidence_of_noise + MIN_EFFECT_LOG_EVIDENCE
-    ):
-        return model
-    state.replace_by(alone)
-    return state.empty_model
+    with_effects = state.with_pruned_noise([h.effect for h in best])
+    model = with_effects.searcher.select_effects(requires_effect=False, start_hypotheses=best)
+    is_supported = (
+        with_effects.log_evidence_of_noise + model.penalised_log_evidence
+        > state.log_evidence_of_noise + MIN_EFFECT_LOG_EVIDENCE
+    )
+    return (with_effects, model) if model.hypotheses and is_supported else (state, state.empty_model)
 
 
-def _alternate_noise_and_effects(state: SelectionState, model: Model) -> Model:
-    """Model after alternating selections of changes of the noise and of effects, while the evidence increases.
+def _alternate_noise_and_effects(state: SelectionState, model: Model) -> tuple[SelectionState, Model]:
+    """State and model after alternating selections of changes of the noise and of effects, while evidence increases.
 
     Each change of the noise is tried in addition to `model`, in place of one of the effects in the model, and in place
     of all effects.
     """
     for _ in range(MAX_NOISE_CHANGES):
-        searcher, members = state.searcher, model.members
-        bases = [model, *(searcher.model_without(model, i) for i in range(len(members)))]
-        bases += [searcher.empty_model] if len(members) > 1 else []
+        searcher, hypotheses = state.searcher, model.hypotheses
+        bases = [model, *(searcher.model_without(model, i) for i in range(len(hypotheses)))]
+        bases += [searcher.empty_model] if len(hypotheses) > 1 else []
         ranked = [state.ranked_noise_changes(base) for base in bases]
         least = MIN_EFFECT_LOG_EVIDENCE + model.discrepancy_penalty
         rest = [
-            min(searcher.ranking(model).log_evidence_total, least),
-            *(searcher.ranking(base).log_evidence_total for base in bases[1:]),
+            min(searcher.ranking(model).total_log_evidence, least),
+            *(searcher.ranking(base).total_log_evidence for base in bases[1:]),
         ]
         lost = [
             0.0,
-            *rest[1 : len(members) + 1],
-            *(model.penalised_log_evidence - base.penalised_log_evidence for base in bases[len(members) + 1 :]),
+            *rest[1 : len(hypotheses) + 1],
+            *(model.penalised_log_evidence - base.penalised_log_evidence for base in bases[len(hypotheses) + 1 :]),
         ]
         gains = [noise[0][0] - less for noise, less in zip(ranked, lost, strict=True)]
         most = int(np.argmax(gains))
-        if gains[most] < (least if not most and (state.noise_changes or members) else 0.0):
+        if gains[most] < (least if not most and (state.noise_changes or hypotheses) else 0.0):
             break
         likeliest_noise = _most_probable_noise_change(ranked[most], rest[most])
-        space = state.space.with_effects(bases[most].effects)
-        state.add_noise_change(with_estimated_sizes(space, state.space.sigma, likeliest_noise))
-        state.set_adjustment(state.estimate_variance_components(bases[most].effects))
-        model = state.searcher.select_model(requires_member=False)
-    return model
+        state = state.with_noise_change(likeliest_noise, bases[most].effects)
+        model = state.searcher.select_effects(requires_effect=False)
+    return state, model
 
 
 def _most_probable_noise_change(

@@ -40,7 +40,7 @@ from ltsim.diagnosis.noise_groups import (
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis, log_prior_of_noise_family
 from ltsim.diagnosis.noise_patterns import candidate_variance_functions
 from ltsim.diagnosis.noise_windows import NoiseWindows
-from ltsim.diagnosis.null_ensemble import basis_of_small_network
+from ltsim.diagnosis.null_ensemble import parameter_basis_of_small_network
 from ltsim.diagnosis.repeats import added_variance_of_means, normalised_sum_matrix_of_repeats, redundancy_of_means
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import NoiseEffect
@@ -51,10 +51,10 @@ from ltsim.physics.laws.variance import REPETITION_KINDS, VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
-MIN_COMPARABLE_EVIDENCE_FRACTION = 0.2
+MIN_LOG_EVIDENCE_FRACTION_FOR_NOISE_AT_PLACES = 0.2
 """Fraction of the largest log evidence, above which larger noise in intervals of time is also tried at single stations,
 groups of targets and regions of the hall."""
-N_FINE_SIZES = 48
+N_FINE_GRID_SIZES = 48
 """Number of sizes on the fine grid over which the evidence of the most probable hypotheses is averaged."""
 
 
@@ -88,7 +88,7 @@ class NoiseHypothesisSet:
     """Variance factors of the m rows, and of the g means of repeated readings for errors that repetitions share."""
     averaging_matrix: sp.csr_array
     """Matrix (g, m) that maps the m rows to g means of repeated readings, first in each face and then in both faces."""
-    basis: Floats | None
+    parameter_basis: Floats | None
     """Orthonormal basis (m, u) of the changes of the m rows by u estimated parameters; None in a network that is too
     large for a basis."""
     group_noise_changes: tuple[GroupNoiseChange, ...]
@@ -113,7 +113,7 @@ class NoiseHypothesisSet:
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
-        basis = basis_of_small_network(space)
+        basis = parameter_basis_of_small_network(space)
         group_noise_changes = (
             RecordingNoiseLevel.from_space(space, allows_quieter=allows_quieter),
             *GroupNoiseMixture.candidates(space),
@@ -177,10 +177,10 @@ class NoiseHypothesisSet:
         `residual` (m,) are the m whitened residuals given a model, and the e columns of `model_basis` (m, e) are the
         basis of the changes by the model.
         """
-        assert self.basis is not None
+        assert self.parameter_basis is not None
         at, logs = self.variance_factors.affected_rows_and_log_factors(hypothesis_index)
         weight, size = -np.expm1(-logs), len(residual)
-        basis = np.hstack([self.basis, model_basis])
+        basis = np.hstack([self.parameter_basis, model_basis])
         basis_rows = np.vstack([basis[at[at < size]], self.averaging_matrix[at[at >= size] - size] @ basis])
         values = np.concatenate([residual[at[at < size]], self.averaging_matrix[at[at >= size] - size] @ residual])
         normal = np.eye(basis_rows.shape[1]) - basis_rows.T @ (weight[:, None] * basis_rows)
@@ -197,31 +197,36 @@ class NoiseHypothesisSet:
         """
         return (
             0.0
-            if self.basis is None
+            if self.parameter_basis is None
             else self.log_restricted_likelihood_ratio(hypothesis_index, residual, model_basis) - diagonal_log_ratio
         )
 
     def _log_evidence_on_fine_grid(
-        self, member_indices: Ints, best_index: int, log_likelihood_ratios: Floats, residual: Floats, redundancy: Floats
+        self,
+        hypothesis_indices: Ints,
+        best_index: int,
+        log_likelihood_ratios: Floats,
+        residual: Floats,
+        redundancy: Floats,
     ) -> float:
         """Log evidence of a family of noise changes, with a fine grid of sizes of its most probable effect.
 
-        `member_indices` are the indices of the family's hypotheses, `best_index` is the one with the largest
+        `hypothesis_indices` are the indices of the family's hypotheses, `best_index` is the one with the largest
         likelihood, and `log_likelihood_ratios` are their log likelihood ratios. For an effect with several parameters,
         the evidence is averaged over each parameter alone and all parameters together.
         """
         effect = self.hypotheses[best_index].effect
-        is_same = np.array([self.hypotheses[i].effect == effect for i in member_indices.tolist()])
-        size_grid = np.array([self.hypotheses[i].sizes for i in member_indices[is_same].tolist()])
+        is_same = np.array([self.hypotheses[i].effect == effect for i in hypothesis_indices.tolist()])
+        size_grid = np.array([self.hypotheses[i].sizes for i in hypothesis_indices[is_same].tolist()])
         size_limits = np.where(size_grid > 0.0, size_grid, np.inf).min(axis=0), size_grid.max(axis=0)
         reml_gain = reml_gain_function(self.space, self.space.sigma, effect, residual, redundancy)
         log_evidences = log_sum_exp(
-            np.array([reml_gain(sizes) for sizes in np.geomspace(*size_limits, N_FINE_SIZES)])
-        ) - np.log(N_FINE_SIZES)
+            np.array([reml_gain(sizes) for sizes in np.geomspace(*size_limits, N_FINE_GRID_SIZES)])
+        ) - np.log(N_FINE_GRID_SIZES)
         subsets = [*log_evidences, log_evidences.sum()] if len(log_evidences) > 1 else log_evidences
         fine_evidence = log_sum_exp(np.array(subsets)) + np.log(is_same.sum() / len(subsets))
         return float(
-            log_sum_exp(np.append(log_likelihood_ratios[~is_same], fine_evidence)) - np.log(len(member_indices))
+            log_sum_exp(np.append(log_likelihood_ratios[~is_same], fine_evidence)) - np.log(len(hypothesis_indices))
         )
 
     def ranked_noise_changes(
@@ -297,7 +302,10 @@ class NoiseHypothesisSet:
             (change, self._group_noise_log_evidence_of_residuals(change, residual, redundancy))
             for change in self.group_noise_changes
         ]
-        least = max(rival_log_evidence, *(value for _, value in ranked_hypotheses)) * MIN_COMPARABLE_EVIDENCE_FRACTION
+        least = (
+            max(rival_log_evidence, *(value for _, value in ranked_hypotheses))
+            * MIN_LOG_EVIDENCE_FRACTION_FOR_NOISE_AT_PLACES
+        )
         places = [
             x
             for change, value in ranked_hypotheses

@@ -19,10 +19,10 @@ from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import log_restricted_likelihood_ratio, normalised_probabilities
 from ltsim.diagnosis.noise_centring import with_estimated_centring
 from ltsim.diagnosis.noise_groups import (
-    COARSE_VARIANCE_FACTORS,
+    COARSE_GROUP_VARIANCE_FACTORS,
     GROUP_VARIANCE_FACTORS,
+    HEAVY_TAIL_VARIANCE_FACTORS,
     NOISY_GROUP_FRACTIONS,
-    TAIL_VARIANCE_FACTORS,
 )
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.repeats import added_variance_of_means, normalised_sum_matrix_of_repeats, redundancy_of_means
@@ -31,7 +31,7 @@ from ltsim.physics.laws.centring import CentringVariance
 
 N_VARIANCE_GRID_VALUES = 7
 """Number of points of each grid on which the posterior distribution of a size is summed."""
-N_GRID_ZOOMS = 9
+N_VARIANCE_GRID_ZOOMS = 9
 """Number of successively narrower grids on which the posterior distribution of a size is summed. The sum over a normal
 density is accurate for spacings of up to 1.5 standard deviations."""
 
@@ -99,10 +99,14 @@ def _heavy_tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[
     The fraction of readings in the tail is the fraction with the largest likelihood.
     """
     n_readings = len(hypothesis.effect.parameters)
-    log_ratios = _log_ratios_of_groups(reml_gain, n_readings, TAIL_VARIANCE_FACTORS)
+    log_ratios = _log_ratios_of_groups(reml_gain, n_readings, HEAVY_TAIL_VARIANCE_FACTORS)
     q = float(NOISY_GROUP_FRACTIONS[int(np.argmax(_log_likelihood_by_fraction(log_ratios)))])
     inside = expit(log_sum_exp(log_ratios) - np.log(len(log_ratios)) + np.log(q / (1.0 - q)))
-    weight = 1.0 - inside + inside * (normalised_probabilities(log_ratios) / TAIL_VARIANCE_FACTORS[:, None]).sum(axis=0)
+    weight = (
+        1.0
+        - inside
+        + inside * (normalised_probabilities(log_ratios) / HEAVY_TAIL_VARIANCE_FACTORS[:, None]).sum(axis=0)
+    )
     values = 1.0 / weight - 1.0
     drop, sigma = (
         2.0 * float((reml_gain(values) - reml_gain(np.zeros(n_readings))).sum()),
@@ -129,14 +133,14 @@ def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis
     least = np.full(len(scale), np.log1p(effect.min_relative_size))
     most = np.full(len(scale), np.log1p(GROUP_VARIANCE_FACTORS.max()))
     least_step = float(np.log(GROUP_VARIANCE_FACTORS[1] / GROUP_VARIANCE_FACTORS[0]))
-    for _ in range(N_GRID_ZOOMS):  # noise may be larger than the factors over which evidence is averaged
+    for _ in range(N_VARIANCE_GRID_ZOOMS):  # noise may be larger than the factors over which evidence is averaged
         rise = reml_gain(scale * np.expm1(most + least_step)) - reml_gain(scale * np.expm1(most))
         is_larger = rise > MAX_SOLUTION_ROUNDING_ERROR
         if not is_larger.any():
             break
         most = np.where(is_larger, 2.0 * most, most)
     low, high = least, most
-    for _ in range(N_GRID_ZOOMS):
+    for _ in range(N_VARIANCE_GRID_ZOOMS):
         points = np.linspace(low, high, N_VARIANCE_GRID_VALUES)
         sizes = scale * np.expm1(points)
         ratio = np.array([reml_gain(size) for size in sizes])
@@ -158,4 +162,4 @@ def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis
     estimated = replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
     if not getattr(effect, "group_kind", ""):
         return estimated
-    return _with_occam_factor(estimated, _log_ratios_of_groups(reml_gain, len(scale), COARSE_VARIANCE_FACTORS))
+    return _with_occam_factor(estimated, _log_ratios_of_groups(reml_gain, len(scale), COARSE_GROUP_VARIANCE_FACTORS))

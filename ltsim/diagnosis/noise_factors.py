@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from ltsim.core.arrays import Floats, Ints, Singles, batches, stack_and_release
 
-MIN_DENSE_FRACTION = 0.5
+MIN_NONZERO_FRACTION_OF_DENSE_PATTERN = 0.5
 """Fraction of nonzero elements above which a pattern is stored as a dense row, which limits the memory. The fraction
 refers to the rows of the kinds of observations that the pattern changes."""
 
@@ -119,7 +119,7 @@ class VarianceFactors:
             row_indices = np.flatnonzero(added_variance)
             touched = np.bincount(observation_kinds[row_indices], minlength=kinds) > 0
             rows = np.flatnonzero(touched[observation_kinds])
-            if len(row_indices) < MIN_DENSE_FRACTION * len(rows) or not len(row_indices):
+            if len(row_indices) < MIN_NONZERO_FRACTION_OF_DENSE_PATTERN * len(rows) or not len(row_indices):
                 sparse.append((row_indices.astype(np.int32), added_variance[row_indices].astype(np.float32)))
                 few.append((n_hypotheses, sizes))
             else:

@@ -25,17 +25,17 @@ from ltsim.recordings.recording import OBSERVABLES
 
 GROUP_VARIANCE_FACTORS = np.geomspace(0.05, 400.0, 96)
 """Factors on the variance of a group, in steps of 10 %, over which the evidence is averaged."""
-COARSE_VARIANCE_FACTORS = np.geomspace(1.5, 400.0, 15)
+COARSE_GROUP_VARIANCE_FACTORS = np.geomspace(1.5, 400.0, 15)
 """Factors on the variance of one of many groups, over which the evidence is averaged; only clearly larger variances are
 tried."""
 NOISY_GROUP_FRACTIONS = np.array([0.05, 0.15, 0.5])
 """Fractions of targets, set-ups or readings with larger noise than declared, over which the evidence is averaged."""
-MIN_TAIL_READINGS = 60
+MIN_READINGS_FOR_HEAVY_TAIL = 60
 """Smallest number of readings in a recording for which the search tries a heavy tail of their error distribution."""
-MAX_TAIL_READINGS = 4000
+MAX_READINGS_FOR_HEAVY_TAIL = 4000
 """Largest number of readings in a recording for which the search tries a heavy tail of their error distribution, to
 limit the computing time."""
-TAIL_VARIANCE_FACTORS = np.array([4.0, 12.0, 36.0, 100.0])
+HEAVY_TAIL_VARIANCE_FACTORS = np.array([4.0, 12.0, 36.0, 100.0])
 """Factors on the variance of a reading in the tail, over which the evidence is averaged. The standard deviation is then
 two to ten times the declared one."""
 NOISY_OBSERVABLE_SETS: tuple[tuple[str, ...], ...] = (*((name,) for name in OBSERVABLES), OBSERVABLES[1:], OBSERVABLES)
@@ -198,10 +198,10 @@ class GroupNoiseMixture(GroupNoiseChange):
                 cls(
                     VarianceFunction(group_kind=each, group_names=names, per_observable=per_observable),
                     group_indicators,
-                    COARSE_VARIANCE_FACTORS,
+                    COARSE_GROUP_VARIANCE_FACTORS,
                 )
             )
-        if MIN_TAIL_READINGS <= space.n_rows <= MAX_TAIL_READINGS:
+        if MIN_READINGS_FOR_HEAVY_TAIL <= space.n_rows <= MAX_READINGS_FOR_HEAVY_TAIL:
             banks += [cls._heavy_tail(space, acts) for acts in NOISY_OBSERVABLE_SETS]
         return tuple(banks)
 
@@ -217,7 +217,7 @@ class GroupNoiseMixture(GroupNoiseChange):
             (np.ones(len(reading_indices)), (reading_indices, places)), (len(names) * len(observables), space.n_rows)
         )
         effect = VarianceFunction(observables, group_kind="reading", group_names=names, per_observable=True)
-        return cls(effect, group_indicators, TAIL_VARIANCE_FACTORS)
+        return cls(effect, group_indicators, HEAVY_TAIL_VARIANCE_FACTORS)
 
     @property
     def name(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ltsim.diagnosis.prior import log_prior_by_base_rate, log_prior_of_each_explanation
 from ltsim.diagnosis.schema import Equivalent
@@ -47,6 +47,16 @@ class NoiseHypothesis:
         in the diagonal form.
         """
         return min(self.log_evidence - 0.5 * self.chi2_drop, self.log_prior)
+
+    def increased_by(self, further: NoiseHypothesis) -> NoiseHypothesis:
+        """Sum of this change of the noise and a further change with the same effect."""
+        return replace(
+            self,
+            sizes=tuple(a + b for a, b in zip(self.sizes, further.sizes, strict=True)),
+            chi2_drop=self.chi2_drop + further.chi2_drop,
+            log_evidence=self.log_evidence + further.log_evidence,
+            log_occam_factor=self.log_occam_factor + further.log_occam_factor,
+        )
 
 
 def log_prior_of_noise_family(family: str, families: Collection[str]) -> float:

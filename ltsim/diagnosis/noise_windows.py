@@ -17,7 +17,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Bools, Floats
 from ltsim.diagnosis.evidence import index_of_largest, log_restricted_likelihood_ratio, normalised_probabilities
-from ltsim.diagnosis.noise_groups import MIN_TAIL_READINGS, NOISY_OBSERVABLE_SETS, GroupNoiseChange
+from ltsim.diagnosis.noise_groups import MIN_READINGS_FOR_HEAVY_TAIL, NOISY_OBSERVABLE_SETS, GroupNoiseChange
 from ltsim.physics.laws.places import target_clusters
 from ltsim.physics.laws.variance import VarianceFunction
 from ltsim.recordings.recording import OBSERVABLES
@@ -60,7 +60,7 @@ class NoiseWindows(GroupNoiseChange):
         """Hypothesis of larger noise in time windows; empty for few readings, and for a recording without times."""
         time, (pointing, kind) = space.sightings.time, np.nonzero(space.is_used_reading)
         distinct = np.unique(time)
-        if space.n_rows < MIN_TAIL_READINGS or len(distinct) < 2:
+        if space.n_rows < MIN_READINGS_FOR_HEAVY_TAIL or len(distinct) < 2:
             return ()
         steps = min(len(distinct), MAX_CHAIN_STEPS)
         starts = distinct[np.linspace(0, len(distinct), steps, endpoint=False).round().astype(int)]

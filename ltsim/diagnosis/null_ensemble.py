@@ -28,7 +28,7 @@ MIN_SIMULATED_RECORDINGS = 300
 MIN_SIMULATED_RECORDINGS_IN_LARGE_NETWORK = 99
 """Smallest number of simulated recordings of a large network, smaller to limit the computing time. The smallest p-value
 is then 1 / 100."""
-N_GRAM_DRAWS = 200
+N_MONTE_CARLO_GRAM_VECTORS = 200
 """Number of simulated vectors of residuals for Monte-Carlo Gram matrices. The relative standard deviation of such a
 matrix is sqrt(2 / 200), 10 %."""
 
@@ -58,8 +58,8 @@ class NullEnsemble:
     @classmethod
     def from_space(cls, space: ResidualSpace, seed: int, n_trials: int) -> NullEnsemble:
         """Ensemble of a residual space for the empty model, with `n_trials` recordings simulated from `seed`."""
-        basis = basis_of_small_network(space)
-        n_basis_vectors = N_GRAM_DRAWS if basis is None else basis.shape[1]
+        basis = parameter_basis_of_small_network(space)
+        n_basis_vectors = N_MONTE_CARLO_GRAM_VECTORS if basis is None else basis.shape[1]
         vectors = np.empty((space.n_rows, 1 + n_trials + n_basis_vectors), dtype=np.float32)
         vectors[:, 0] = space.residuals
         _simulate_residuals(space, random_stream(seed, "diagnose", "null"), vectors[:, 1 : 1 + n_trials])
@@ -124,7 +124,7 @@ class NullEnsemble:
         )
 
 
-def basis_of_small_network(space: ResidualSpace) -> Floats | None:
+def parameter_basis_of_small_network(space: ResidualSpace) -> Floats | None:
     """Orthonormal basis (m, u) of changes of m rows by u parameters; None for more than `MAX_DENSE_UNKNOWNS`."""
     projector = space.projector
     is_small = isinstance(projector, BasisResidualProjector) and projector.basis.shape[1] <= MAX_DENSE_UNKNOWNS
@@ -134,7 +134,9 @@ def basis_of_small_network(space: ResidualSpace) -> Floats | None:
 def n_simulated_recordings(space: ResidualSpace, level: float) -> int:
     """Number of simulated recordings for a test with the false-alarm rate `level`."""
     usual = (
-        MIN_SIMULATED_RECORDINGS_IN_LARGE_NETWORK if basis_of_small_network(space) is None else MIN_SIMULATED_RECORDINGS
+        MIN_SIMULATED_RECORDINGS_IN_LARGE_NETWORK
+        if parameter_basis_of_small_network(space) is None
+        else MIN_SIMULATED_RECORDINGS
     )
     return max(usual, ceil(1.0 / level))
 

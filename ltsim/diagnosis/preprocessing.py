@@ -6,14 +6,14 @@ from typing import cast
 
 import numpy as np
 
-from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment import Adjustment, adjust_from_state
 from ltsim.adjustment.centring import correct_centring
 from ltsim.adjustment.identification import CauseSelection, NetworkFit, adjust_with_causes, cause_tests
 from ltsim.adjustment.identification.cause_selection import largest_displacement
 from ltsim.adjustment.identification.cause_tests import reported_kind
 from ltsim.adjustment.identification.hypothesis import (
+    CauseHypothesis,
     CentringChange,
-    Hypothesis,
     NoiseFactor,
     ReadingShiftChange,
 )
@@ -35,11 +35,11 @@ MIN_FAR_OUTLIER_SIGMAS = 8.0
 """Difference of an outlier from its prediction, in standard deviations, above which the outlier may be a single error.
 Readings with twice the declared noise do not reach this difference.
 """
-MAX_SINGLE_OUTLIERS = 2
+MAX_SINGLE_OUTLIERS_PER_PLACE = 2
 """Largest number of outliers of one observable at a station, or at a target, that count as single errors."""
 
 
-def causes_corrected_before_search(selection: CauseSelection) -> list[Hypothesis]:
+def causes_corrected_before_search(selection: CauseSelection) -> list[CauseHypothesis]:
     """Selected simple causes with sufficient evidence that are corrected before the search for effects.
 
     They are blunders in rows of the recording, and reference values that contradict the readings. Shifts of readings
@@ -70,7 +70,7 @@ def identified_effects(selection: CauseSelection) -> tuple[CandidateEffect, ...]
     return tuple(cast(CandidateEffect, effect) for effect in effects if type(effect) in CATALOGUE)
 
 
-def is_single_error(fit: NetworkFit) -> Bools:
+def single_error_mask(fit: NetworkFit) -> Bools:
     """Flags (n, 3) of the outliers of n pointings that count as single errors and not as results of an effect.
 
     They are gross errors, and large errors that are single. If several readings of an observable are wrong at one
@@ -80,11 +80,11 @@ def is_single_error(fit: NetworkFit) -> Bools:
     isolated, gross = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_SIGMAS)
     for place in (fit.recording.station, fit.recording.target):
         count = np.stack([np.bincount(place, fit.is_outlier[:, k], place.max() + 1) for k in range(3)], axis=1)
-        isolated &= count[place] <= MAX_SINGLE_OUTLIERS
+        isolated &= count[place] <= MAX_SINGLE_OUTLIERS_PER_PLACE
     return gross | isolated
 
 
-def has_small_residual_when_omitted(adjustment: Adjustment, is_omitted: Bools) -> Bools:
+def explained_reading_mask(adjustment: Adjustment, is_omitted: Bools) -> Bools:
     """Flags (n, 3) of omitted readings of n pointings whose residuals are small in an adjustment with effects."""
     whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
     return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)
@@ -103,7 +103,7 @@ def adjustment_without_blunders(
     causes of the recording. `readmitted_mask` (n, 3) flags readings that are used although they count as single errors.
     """
     fit, mistakes = selection.fit, causes_corrected_before_search(selection)
-    errors = is_single_error(fit)
+    errors = single_error_mask(fit)
     if readmitted_mask is not None:
         errors &= ~readmitted_mask
     baseline = adjust_with_causes(fit, recording, construction, mistakes, subtracts_changes=True, reading_mask=~errors)
@@ -117,7 +117,7 @@ def adjustment_without_blunders(
     ]
     moved, tripods = correct_centring(baseline)
     if tripods:
-        baseline = adjust(
+        baseline = adjust_from_state(
             moved, construction, effects=baseline.effects, reading_mask=~errors, start_state=baseline.state
         )
     axes = [test for test in baseline.axes_point_tests if test.is_excluded]

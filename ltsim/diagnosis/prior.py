@@ -29,13 +29,13 @@ CAUSE_TEXTS = {
     ),
 }
 """Description for users of each kind of cause, by the keys of `CAUSE_PRIOR`."""
-P_UNMODELLED = 0.2
+P_UNMODELLED_CAUSE = 0.2
 """Prior probability that a cause is neither in the catalogue nor a law, but resembles one of these."""
 P_EVEN_ODDS = 0.5
 """Prior probability of a statement that is as probable as its contrary: an unmodelled cause acts on the observable of
 the effect or law that it resembles; the components of a law have a fixed ratio.
 """
-MAX_P_OF_TEST_FINDINGS = 1.0 - P_UNMODELLED * P_EVEN_ODDS
+MAX_P_OF_TEST_FINDINGS = 1.0 - P_UNMODELLED_CAUSE * P_EVEN_ODDS
 """Largest probability that is reported for findings of tests, whose probabilities do not include an unmodelled cause.
 """
 PLACE_PRIOR = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
@@ -64,7 +64,7 @@ coefficients at each set-up; a law at one set-up alone, except for the kinds of 
 P_SINGLE_SET_UP_BY_RESPONSE_KIND = {"stand": 0.5}
 """Prior probability that a law acts at only one set-up, by the kind of its response. It is large for stands, which
 differ between set-ups more than instruments do."""
-MAX_MODEL_MEMBERS = 5
+MAX_MODEL_EFFECTS = 5
 """Largest number of effects in a model, and of reported instrument constants."""
 MIN_EFFECT_LOG_EVIDENCE = 2.0
 """Smallest increase of the log evidence by an additional effect. It represents a geometric prior on the number of

@@ -59,13 +59,13 @@ class FindingEvidence(Entry):
     simulated recordings without effects, and is never below 1 / (n + 1)."""
     probability: Finite = 1.0
     """Posterior probability of this effect against all other explanations."""
-    p_located: OptionalFloat = None
+    p_same_scope: OptionalFloat = None
     """Posterior probability of any effect with the same scope: observables, stations, targets and covariates."""
 
     @property
     def p_real(self) -> float:
-        """Probability that the finding is real: the larger of `probability` and `p_located`."""
-        return max(self.probability, self.p_located or 0.0)
+        """Probability that the finding is real: the larger of `probability` and `p_same_scope`."""
+        return max(self.probability, self.p_same_scope or 0.0)
 
 
 class Equivalent(Entry):
@@ -78,7 +78,7 @@ class Equivalent(Entry):
 
 
 class ParameterEstimate(Entry):
-    """Estimate, as a correction (true value minus reading), of a parameter of a finding or an instrument constant."""
+    """Estimate of a parameter of a finding or of an instrument constant, as a correction: true value minus reading."""
 
     name: str
     """Name of the parameter."""

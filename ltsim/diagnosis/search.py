@@ -38,7 +38,7 @@ from ltsim.diagnosis.hypotheses import Hypothesis, Model, Ranking, log_prior_odd
 from ltsim.diagnosis.law_batch import LawBatch, ScreenedLaw, evaluate_law_batches
 from ltsim.diagnosis.law_search_space import law_batches
 from ltsim.diagnosis.null_ensemble import NullEnsemble
-from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS, MIN_EFFECT_LOG_EVIDENCE
+from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS, MIN_EFFECT_LOG_EVIDENCE
 from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.diagnosis.shape_constants import (
     estimates_averaged_over_shapes,
@@ -57,7 +57,7 @@ N_EXACTLY_EVALUATED_IN_LARGE_NETWORK = 3
 """Number of catalogue effects, and of laws, that a step evaluates without approximation in a large network."""
 MAX_RANKED_LAWS = 400
 """Largest number of laws in a ranking of hypotheses."""
-MIN_SIGMA_INCREASE_RATIO = 1.15
+MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO = 1.15
 """Ratio of two standard deviations of a parameter, that of the posterior integrated over shape constants and that of
 the refit (Laplace's approximation), above which the integrated posterior is reported."""
 
@@ -146,7 +146,7 @@ class Searcher:
 
     def ranking(self, conditioning_model: Model) -> Ranking:
         """Ranking of all hypotheses given a model: all are screened, and the most probable are evaluated exactly."""
-        key = frozenset(h.key for h in conditioning_model.members)
+        key = frozenset(h.key for h in conditioning_model.hypotheses)
         if key not in self._rankings:
             self._rankings[key] = self._compute_ranking(conditioning_model)
         return self._rankings[key]
@@ -155,10 +155,10 @@ class Searcher:
         """Screening of all catalogue effects and laws given a model."""
         probe = (
             self.null_ensemble.with_model(conditioning_model.residual, conditioning_model.basis)
-            if conditioning_model.members
+            if conditioning_model.hypotheses
             else self.null_ensemble
         )
-        values, null_values = self.catalogue_designs.log_evidence_and_null_values(probe)
+        values, null_values, self.catalogue_designs = self.catalogue_designs.screen(probe)
         families = self.catalogue_designs.log_evidence_by_family(values) + self.catalogue_designs.log_family_prior
         laws: list[ScreenedLaw] = []
         statistic, null = (
@@ -172,7 +172,7 @@ class Searcher:
 
     def _compute_ranking(self, conditioning_model: Model) -> Ranking:
         values, families, laws, _, _ = (
-            self._screening(conditioning_model) if conditioning_model.members else self.empty_model_screening
+            self._screening(conditioning_model) if conditioning_model.hypotheses else self.empty_model_screening
         )
         hypotheses = self._law_hypotheses(laws, conditioning_model)
         for i, family in enumerate(ranked_indices(families, MAX_SINGLE_ROUNDING_ERROR)):
@@ -186,7 +186,7 @@ class Searcher:
                 )
             )
         hypotheses = [
-            replace(h, log_evidence=h.log_evidence + log_prior_odds_of_repetition(h, conditioning_model.members))
+            replace(h, log_evidence=h.log_evidence + log_prior_odds_of_repetition(h, conditioning_model.hypotheses))
             for h in hypotheses
         ]
         hypotheses = [hypotheses[i] for i in ranked_indices(np.array([h.log_evidence for h in hypotheses]))]
@@ -207,17 +207,17 @@ class Searcher:
         `family_log_evidence` of this catalogue effect.
         """
         designs = self.catalogue_designs
-        members = np.flatnonzero(designs.family_indices == family_index)
-        members = members[ranked_indices(effect_log_evidence[members], MAX_SINGLE_ROUNDING_ERROR)]
-        prior = float(designs.log_family_prior[family_index] - np.log(len(members)))
-        best = Hypothesis(designs.effects[members[0]], prior, family_log_evidence, designs.families[family_index])
+        indices = np.flatnonzero(designs.family_indices == family_index)
+        indices = indices[ranked_indices(effect_log_evidence[indices], MAX_SINGLE_ROUNDING_ERROR)]
+        prior = float(designs.log_family_prior[family_index] - np.log(len(indices)))
+        best = Hypothesis(designs.effects[indices[0]], prior, family_log_evidence, designs.families[family_index])
         if not is_exact:
             return best
-        for i in designs.local_optima(members, effect_log_evidence):
+        for i in designs.local_optima(indices, effect_log_evidence):
             effect, value = integrate_over_shapes(self.evidence_calculator, designs.effects[i], conditioning_model)
-            others = np.delete(effect_log_evidence[members], np.flatnonzero(members == i))
+            others = np.delete(effect_log_evidence[indices], np.flatnonzero(indices == i))
             whole = float(log_sum_exp(np.append(others, value))) + prior
-            if i == members[0] or value + prior > best.log_evidence:
+            if i == indices[0] or value + prior > best.log_evidence:
                 best = replace(best, effect=effect, log_evidence=whole)
         return best
 
@@ -258,7 +258,7 @@ class Searcher:
         """Estimates of the parameters and shape constants of a hypothesis.
 
         They are the estimates of the refit, or means over all values of the shape constants if these means have much
-        larger standard deviations (`MIN_SIGMA_INCREASE_RATIO`).
+        larger standard deviations (`MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO`).
         """
         effect = hypothesis.effect
         if isinstance(effect, EmpiricalLaw):
@@ -268,9 +268,8 @@ class Searcher:
                 *region_centre_estimates(self.evidence_calculator, effect, reduced_model),
             )
         marginal = estimates_averaged_over_shapes(self.evidence_calculator, effect, reduced_model, refit_estimates)
-        wider = any(
-            marginal[e.name].sigma > MIN_SIGMA_INCREASE_RATIO * e.sigma for e in refit_estimates if e.name in marginal
-        )
+        both = ((marginal[e.name].sigma, e.sigma) for e in refit_estimates if e.name in marginal)
+        wider = any(integrated > MIN_INTEGRATED_TO_REFIT_SIGMA_RATIO * refit for integrated, refit in both)
         estimates = [marginal.get(e.name, e) if wider else e for e in refit_estimates]
         if "time" in marginal and all(e.name != "time" for e in estimates):
             estimates.append(marginal["time"])
@@ -281,16 +280,16 @@ class Searcher:
         gram, score = self.evidence_calculator.grams_and_scores([law], reduced_model)[0]
         return coefficient_posterior(gram, score, law.plausible_sizes)[:2]
 
-    def model_of(self, members: Sequence[Hypothesis]) -> Model:
+    def model_with(self, hypotheses: Sequence[Hypothesis]) -> Model:
         """Model with the given hypotheses."""
-        if not members:
+        if not hypotheses:
             return self.empty_model
-        designs = [self._projected_design(h) for h in members]
-        return Model(tuple(members), tuple(p[0] for p in designs), tuple(p[1] for p in designs), self.space.residuals)
+        designs, norms = zip(*map(self._projected_design, hypotheses), strict=True)
+        return Model(tuple(hypotheses), designs, norms, self.space.residuals)
 
-    def model_without(self, model: Model, member_index: int) -> Model:
-        """Model without the effect that has the index `member_index`."""
-        return self.model_of(model.members[:member_index] + model.members[member_index + 1 :])
+    def model_without(self, model: Model, effect_index: int) -> Model:
+        """Model without the effect that has the index `effect_index`."""
+        return self.model_with(model.hypotheses[:effect_index] + model.hypotheses[effect_index + 1 :])
 
     def _projected_design(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
         """Projected design matrix (m, k), k columns on m rows, of a hypothesis, and norms (k,) before projection."""
@@ -303,56 +302,50 @@ class Searcher:
             self._projected_designs.popitem(last=False)
         return self._projected_designs[key]
 
-    def select_model(self, *, requires_member: bool, start_hypotheses: Sequence[Hypothesis] = ()) -> Model:
+    def select_effects(self, *, requires_effect: bool, start_hypotheses: Sequence[Hypothesis] = ()) -> Model:
         """Selected model, in which each further effect increases the log evidence by `MIN_EFFECT_LOG_EVIDENCE` or more.
 
-        The search begins with the hypotheses `start_hypotheses` in the model. With `requires_member` the result has at
+        The search begins with the hypotheses `start_hypotheses` in the model. With `requires_effect` the result has at
         least one effect. If it has a curve with many coefficients, which can imitate several effects, the search starts
         again with the most probable hypothesis that has few coefficients. The model with the larger evidence is
         selected.
         """
-        begin = self.reexamined_model(self.model_of(start_hypotheses))
-        best_model = self._forward_selection(begin, requires_member=requires_member)
-        stiff = [
-            h
-            for h in self.ranking(self.empty_model).hypotheses
-            if len(h.plausible_sizes) <= MAX_COEFFICIENTS_OF_SIMPLE_EFFECT
-        ]
-        if (
-            stiff
-            and not self.uses_fewer_evaluations
-            and any(len(h.plausible_sizes) > MAX_COEFFICIENTS_OF_SIMPLE_EFFECT for h in best_model.members)
-        ):
-            made = (
+        begin = self.model_after_exchanges(self.model_with(start_hypotheses))
+        best_model = self._forward_selection(begin, requires_effect=requires_effect)
+        is_simple = [len(h.plausible_sizes) <= MAX_COEFFICIENTS_OF_SIMPLE_EFFECT for h in best_model.hypotheses]
+        if not self.uses_fewer_evaluations and not all(is_simple):
+            ranked = self.ranking(self.empty_model).hypotheses
+            simple = [h for h in ranked if len(h.plausible_sizes) <= MAX_COEFFICIENTS_OF_SIMPLE_EFFECT][:1]
+            models = [
                 best_model,
-                self._forward_selection(self.model_of(stiff[:1]), requires_member=True),
-            )
-            best_model = max(made, key=lambda s: s.penalised_log_evidence - MIN_EFFECT_LOG_EVIDENCE * len(s.members))
+                *(self._forward_selection(self.model_with([h]), requires_effect=True) for h in simple),
+            ]
+            best_model = max(models, key=lambda m: m.penalised_log_evidence - MIN_EFFECT_LOG_EVIDENCE * len(m.effects))
         return self._pruned_and_renamed_model(best_model)
 
-    def lower_bound_model(self, rival_log_evidence: float) -> Model:
+    def model_by_forward_steps(self, rival_log_evidence: float) -> Model:
         """Model from forward steps alone, whose log evidence is a lower bound of the result of a complete search.
 
         The steps end when the log evidence exceeds `rival_log_evidence`, the log evidence of an alternative. They also
         end when the log evidence would not exceed `rival_log_evidence` even if all further effects increased the
         evidence as much as the last effect did.
         """
-        return self._forward_selection(self.empty_model, requires_member=True, rival_log_evidence=rival_log_evidence)
+        return self._forward_selection(self.empty_model, requires_effect=True, rival_log_evidence=rival_log_evidence)
 
     def _forward_selection(
-        self, model: Model, *, requires_member: bool, rival_log_evidence: float | None = None
+        self, model: Model, *, requires_effect: bool, rival_log_evidence: float | None = None
     ) -> Model:
-        """Model after a forward selection that starts with `model`.
+        """Model after a forward selection that starts with `model`; with `requires_effect` it has at least one effect.
 
         Without `rival_log_evidence` the effects in the model are tested again after each step.
         """
         again = rival_log_evidence is None
-        for depth in range(len(model.members), MAX_MODEL_MEMBERS):
+        for depth in range(len(model.hypotheses), MAX_MODEL_EFFECTS):
             ranking, least = self.ranking(model), MIN_EFFECT_LOG_EVIDENCE + model.discrepancy_penalty
-            if ranking.log_evidence_total < least and (depth or not requires_member):
+            if ranking.total_log_evidence < least and (depth or not requires_effect):
                 break
-            grown = _best_model([self.model_of((*model.members, h)) for h in ranking.hypotheses[:3]])
-            grown = self.reexamined_model(grown) if again and not self.uses_fewer_evaluations else grown
+            grown = _best_model([self.model_with((*model.hypotheses, h)) for h in ranking.hypotheses[:3]])
+            grown = self.model_after_exchanges(grown) if again and not self.uses_fewer_evaluations else grown
             if depth and grown.penalised_log_evidence < model.penalised_log_evidence + MIN_EFFECT_LOG_EVIDENCE:
                 break
             gain, model = grown.penalised_log_evidence - model.penalised_log_evidence, grown
@@ -360,37 +353,43 @@ class Searcher:
                 rival_log_evidence is not None
                 and not model.penalised_log_evidence
                 < rival_log_evidence
-                < model.penalised_log_evidence + gain * (MAX_MODEL_MEMBERS - 1 - depth)
+                < model.penalised_log_evidence + gain * (MAX_MODEL_EFFECTS - 1 - depth)
             ):
                 break
-        return self.reexamined_model(model) if again and self.uses_fewer_evaluations else model
+        return self.model_after_exchanges(model) if again and self.uses_fewer_evaluations else model
 
     def _pruned_and_renamed_model(self, model: Model) -> Model:
         """Model without the effects that its other effects explain, and with the most probable name of each effect."""
-        for member in model.members[::-1]:
-            others = self.model_without(model, model.members.index(member))
+        for hypothesis in model.hypotheses[::-1]:
+            others = self.model_without(model, model.hypotheses.index(hypothesis))
             ranking = self.ranking(others)
-            if others.members and ranking.log_evidence_total < MIN_EFFECT_LOG_EVIDENCE + others.discrepancy_penalty:
+            if others.hypotheses and ranking.total_log_evidence < MIN_EFFECT_LOG_EVIDENCE + others.discrepancy_penalty:
                 model = others
-            elif (likeliest := ranking.most_probable_name()) != member.name:
+            elif (likeliest := ranking.most_probable_name()) != hypothesis.name:
                 better = next(h for h in ranking.hypotheses if h.name == likeliest)
-                model = self.model_of((*others.members, better))
+                model = self.model_with((*others.hypotheses, better))
         return model
 
-    def reexamined_model(self, model: Model) -> Model:
+    def model_after_exchanges(self, model: Model) -> Model:
         """Model after backward and exchange steps, in which its effects are replaced, removed or merged."""
         for turn in range(2):
             before = model.penalised_log_evidence
-            for size in (1,) if turn or self.uses_fewer_evaluations else (1, 2):
-                for dropped in combinations(range(len(model.members)), size):
-                    if len(model.members) < 2 or max(dropped) >= len(model.members):
-                        continue
-                    others = tuple(h for i, h in enumerate(model.members) if i not in dropped)
-                    rest = self.model_of(others)
-                    made = [self.model_of((*others, h)) for h in self.ranking(rest).hypotheses[: 2 if others else 6]]
-                    model = _best_model([model, *made, *([rest] if others else [])])
+            model = self._exchange_step(model, n_dropped=1)
+            if not (turn or self.uses_fewer_evaluations):
+                model = self._exchange_step(model, n_dropped=2)
             if model.penalised_log_evidence <= before + 1e-6:
                 break
+        return model
+
+    def _exchange_step(self, model: Model, n_dropped: int) -> Model:
+        """Model in which `n_dropped` effects at a time are replaced by one, or removed, if the evidence increases."""
+        for dropped in combinations(range(len(model.hypotheses)), n_dropped):
+            if len(model.hypotheses) < 2 or max(dropped) >= len(model.hypotheses):
+                continue
+            others = tuple(h for i, h in enumerate(model.hypotheses) if i not in dropped)
+            rest = self.model_with(others)
+            made = [self.model_with((*others, h)) for h in self.ranking(rest).hypotheses[: 2 if others else 6]]
+            model = _best_model([model, *made, *([rest] if others else [])])
         return model
 
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
-from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment import Adjustment, adjust_from_state
 from ltsim.adjustment.refit import Refit, refit_with_effects
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Bools, Floats
+from ltsim.diagnosis.catalogue_designs import CatalogueDesigns
 from ltsim.diagnosis.evidence import WIDE_PRIOR_SIGMA_FACTOR, log_restricted_likelihood
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.instruments import ConstantContradiction
@@ -31,9 +31,9 @@ N_VARIANCE_ITERATIONS = 2
 """Number of adjustments with new weights, after which the variance components have converged."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class SelectionState:
-    """State of the model selection on a recording without blunders."""
+    """State of the model selection on a recording without blunders; each step of the selection returns a new state."""
 
     baseline_adjustment: Adjustment
     """Ordinary adjustment, from which all other adjustments start."""
@@ -41,51 +41,68 @@ class SelectionState:
     """Flags (n, 3) of the readings that are used, for n pointings."""
     seed: int
     """Seed of the random draws of simulated recordings."""
-    level: float | None = 0.05
+    false_alarm_rate: float | None
     """False-alarm rate of the search; None for a search without p-value."""
-    tests_ordinary_constants: bool = True
+    tests_ordinary_constants: bool
     """True if changes of the constants of the ordinary calibration are also hypotheses."""
-    identified_effects: tuple[CandidateEffect, ...] = ()
+    identified_effects: tuple[CandidateEffect, ...]
     """Catalogue effects among the simple causes of the network, from which a second search starts if the noise is
     larger than declared."""
-    reading_sigmas: Floats = field(init=False)
+    reading_sigmas: Floats
     """Standard deviations (n, 3) of the readings of n pointings, with the selected changes of the noise."""
-    noise_changes: list[NoiseHypothesis] = field(default_factory=list)
-    """Selected changes of the noise."""
-    space: ResidualSpace = field(init=False)
+    space: ResidualSpace
     """Residual space of the present adjustment."""
-    noise_hypotheses: NoiseHypothesisSet = field(init=False)
-    """Hypotheses of changes of the noise in this residual space."""
-    _searcher: Searcher | None = None
-    """Search in this residual space; None before its first use."""
-    _previous_searcher: Searcher | None = None
-    """Search in the previous residual space, whose projected design matrices can be used again."""
+    noise_changes: tuple[NoiseHypothesis, ...] = ()
+    """Selected changes of the noise."""
+    earlier_designs: CatalogueDesigns | None = None
+    """Design matrices of the most recent search in an earlier state; None before the first search."""
 
-    def __post_init__(self) -> None:
-        self.reading_sigmas = self.recording.sigma()
-        self.set_adjustment(self.baseline_adjustment)
+    @classmethod
+    def from_adjustment(
+        cls,
+        adjustment: Adjustment,
+        is_used_reading: Bools,
+        seed: int,
+        false_alarm_rate: float | None = 0.05,
+        *,
+        tests_ordinary_constants: bool = True,
+        identified_effects: tuple[CandidateEffect, ...] = (),
+    ) -> SelectionState:
+        """State before the first step of the selection, from the ordinary adjustment and the attributes of a state."""
+        return cls(
+            adjustment,
+            is_used_reading,
+            seed,
+            false_alarm_rate,
+            tests_ordinary_constants,
+            identified_effects,
+            adjustment.recording.sigma(),
+            ResidualSpace.from_adjustment(adjustment),
+        )
 
-    @property
+    @cached_property
     def searcher(self) -> Searcher:
-        """Search in the residual space of the present adjustment, created on first use."""
-        if self._searcher is None:
-            before = self._previous_searcher
-            is_reusable = before is not None and before.space.n_rows == self.space.n_rows
-            catalogue_designs = (
-                None
-                if before is None or not is_reusable
-                else before.catalogue_designs.with_weights_of(before.space, self.space)
-            )
-            trials = n_simulated_recordings(self.space, self.level) if before is None and self.level else 0
-            self._previous_searcher = None
-            self._searcher = Searcher(
-                self.space,
-                self.seed,
-                trials,
-                catalogue_designs=catalogue_designs,
-                tests_ordinary_constants=self.tests_ordinary_constants,
-            )
-        return self._searcher
+        """Search in the residual space of the present adjustment.
+
+        It uses the design matrices of an earlier search, with other weights, if the rows of the residual space are the
+        same. Only the first search of a recording has a p-value.
+        """
+        earlier = self.earlier_designs
+        is_reusable = earlier is not None and earlier.n_rows == self.space.n_rows
+        return Searcher(
+            self.space,
+            self.seed,
+            n_simulated_recordings(self.space, self.false_alarm_rate)
+            if earlier is None and self.false_alarm_rate
+            else 0,
+            catalogue_designs=earlier.with_weights_of(self.space) if earlier is not None and is_reusable else None,
+            tests_ordinary_constants=self.tests_ordinary_constants,
+        )
+
+    @cached_property
+    def noise_hypotheses(self) -> NoiseHypothesisSet:
+        """Hypotheses of changes of the noise in the residual space of the present adjustment."""
+        return self._noise_hypotheses(self.space)
 
     @property
     def empty_model(self) -> Model:
@@ -111,7 +128,7 @@ class SelectionState:
             return Refit(self.baseline_adjustment, (), ())
         old = self.baseline_adjustment
         adjusted = partial(
-            adjust,
+            adjust_from_state,
             with_declared_centring(old.recording, noise_changes),
             old.construction,
             sigma=sigma,
@@ -120,21 +137,21 @@ class SelectionState:
             prior=old.problem.prior,
         )
 
-        def with_causes(effects: Sequence[LinearEffect] = (), start_state: NetworkState | None = None) -> Adjustment:
+        def with_causes(effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
             """Adjustment with effects in addition to the causes of the baseline."""
             return adjusted(effects=(*effects, *old.effects), start_state=start_state)
 
         return refit_with_effects(with_causes if old.effects else adjusted, effects, start_state=old.state)
 
-    def release_priors(self, contradictions: Sequence[ConstantContradiction]) -> None:
-        """Removal of the prior of instrument constants that contradict their reference, followed by an adjustment."""
+    def with_released_priors(self, contradictions: Sequence[ConstantContradiction]) -> SelectionState:
+        """State after an adjustment without the prior of the constants that contradict their reference."""
         old = self.baseline_adjustment
         freed = np.zeros(old.state.instrument_parameters.shape, dtype=bool)
         for contradiction in contradictions:
             owners = [self.recording.instruments.index(name) for name in contradiction.instruments]
             freed[owners, old.construction.parameter_names.index(contradiction.parameter.name)] = True
         prior = old.problem.prior.with_widened_sigmas(freed)
-        self.baseline_adjustment = adjust(
+        baseline = adjust_from_state(
             old.recording,
             old.construction,
             effects=old.effects,
@@ -143,16 +160,18 @@ class SelectionState:
             start_state=old.state,
             prior=prior,
         )
-        self.set_adjustment(self.refit((), self.reading_sigmas).adjustment)
+        return self._changed(baseline_adjustment=baseline)._with_space_of_refit()
 
-    def set_adjustment(self, adjustment: Adjustment) -> None:
-        """Replacement of the present adjustment, with its residual space and the search in it."""
-        self.space, self._previous_searcher, self._searcher = (
-            ResidualSpace.from_adjustment(adjustment),
-            self._searcher or self._previous_searcher,
-            None,
-        )
-        self.noise_hypotheses = self._noise_hypotheses(self.space)
+    def _changed(self, **attributes: object) -> SelectionState:
+        """Copy of the state with other attributes, and with the design matrices of its search, if there was one."""
+        searcher: Searcher | None = vars(self).get("searcher")  # no search is started for its design matrices alone
+        designs = self.earlier_designs if searcher is None else searcher.catalogue_designs
+        return replace(self, earlier_designs=designs, **attributes)  # type: ignore[arg-type]
+
+    def _with_space_of_refit(self) -> SelectionState:
+        """State with the residual space of an adjustment without effects, with the present noise."""
+        adjustment = self.refit((), self.reading_sigmas).adjustment
+        return self._changed(space=ResidualSpace.from_adjustment(adjustment))
 
     def ranked_noise_changes(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
         """Pairs of a log evidence and the most probable noise change of each kind, given a model.
@@ -165,23 +184,25 @@ class SelectionState:
             ranked.append((gain + self.noise_hypotheses.log_prior_of_family(hypothesis.family), hypothesis))
         return sorted(ranked, key=lambda entry: -entry[0])
 
-    def add_noise_change(self, new_hypothesis: NoiseHypothesis) -> None:
-        """Addition of a change of the noise; the sizes of an equal change that was selected before are increased."""
-        for i, change in enumerate(self.noise_changes):
-            if change.effect == new_hypothesis.effect:
-                values = tuple(a + b for a, b in zip(change.sizes, new_hypothesis.sizes, strict=True))
-                larger = replace(
-                    change,
-                    sizes=values,
-                    chi2_drop=change.chi2_drop + new_hypothesis.chi2_drop,
-                    log_evidence=change.log_evidence + new_hypothesis.log_evidence,
-                    log_occam_factor=change.log_occam_factor + new_hypothesis.log_occam_factor,
-                )
-                self.noise_changes = [*self.noise_changes[:i], larger, *self.noise_changes[i + 1 :]]
-                break
-        else:
-            self.noise_changes = [*self.noise_changes, new_hypothesis]
-        self.reading_sigmas = self._sigmas_with_noise_changes(self.noise_changes)
+    def with_noise_change(self, hypothesis: NoiseHypothesis, effects: Sequence[CandidateEffect]) -> SelectionState:
+        """State after the addition of a change of the noise, whose sizes are estimated with `effects` in the model.
+
+        If an equal change was selected before, its sizes are increased. All changes of the noise are then estimated
+        together.
+        """
+        new_change = with_estimated_sizes(self.space.with_effects(effects), self.space.sigma, hypothesis)
+        if all(change.effect != new_change.effect for change in self.noise_changes):
+            return self._with_noise_changes((*self.noise_changes, new_change)).with_estimated_noise(effects)
+        noise_changes = [
+            change if change.effect != new_change.effect else change.increased_by(new_change)
+            for change in self.noise_changes
+        ]
+        return self._with_noise_changes(noise_changes).with_estimated_noise(effects)
+
+    def _with_noise_changes(self, noise_changes: Sequence[NoiseHypothesis]) -> SelectionState:
+        """State with other changes of the noise and the standard deviations of readings that follow from them."""
+        changed = self._changed(noise_changes=tuple(noise_changes))
+        return changed._changed(reading_sigmas=changed._sigmas_with_noise_changes(noise_changes))
 
     @property
     def log_evidence_of_noise(self) -> float:
@@ -194,33 +215,38 @@ class SelectionState:
             n.log_prior_times_occam_factor for n in self.noise_changes
         )
 
-    def log_evidence_with_effects(self, members: Sequence[Hypothesis]) -> float:
+    def log_evidence_with_effects(self, hypotheses: Sequence[Hypothesis]) -> float:
         """Log evidence of hypotheses together with the selected changes of the noise.
 
         The changes of the noise are estimated with the hypotheses in the model. The result is comparable with
         `log_evidence_of_noise`, the log evidence without the hypotheses.
         """
-        state = copy(self)
-        state.space = ResidualSpace.from_adjustment(state.estimate_variance_components([h.effect for h in members]))
-        return state.log_evidence_of_noise + Model.from_space(members, state.space).penalised_log_evidence
+        state = self.with_estimated_noise([h.effect for h in hypotheses])
+        return state.log_evidence_of_noise + Model.from_space(hypotheses, state.space).penalised_log_evidence
 
-    def replace_by(self, state: SelectionState) -> None:
-        """Replacement of this state by another `state` of the same recording."""
-        vars(self).update(vars(state))
+    def with_estimated_noise(self, effects: Sequence[CandidateEffect]) -> SelectionState:
+        """State with variance components estimated by REML (Foerstner 1979), with `effects` in the model.
 
-    def estimate_variance_components(self, effects: Sequence[CandidateEffect]) -> Adjustment:
-        """Adjustment with variance components estimated by REML (Foerstner 1979), with `effects` in the model."""
+        Its residual space is that of an adjustment with the estimated noise.
+        """
+        return self._with_estimated_variances(effects)._with_space_of_refit()
+
+    def _with_estimated_variances(self, effects: Sequence[CandidateEffect]) -> SelectionState:
+        """State with variance components as in `with_estimated_noise`, but with the present residual space."""
+        state = self
         for _ in range(N_VARIANCE_ITERATIONS):
-            self.noise_changes = [
-                replace(
-                    estimate,
-                    chi2_drop=change.chi2_drop,
-                    log_evidence=change.log_evidence + estimate.log_occam_factor - change.log_occam_factor,
-                )
-                for estimate, change in zip(self._noise_estimates(effects), self.noise_changes, strict=True)
-            ]
-            self.reading_sigmas = self._sigmas_with_noise_changes(self.noise_changes)
-        return self.refit((), self.reading_sigmas).adjustment
+            estimates = state._noise_estimates(effects)
+            state = state._with_noise_changes(
+                [
+                    replace(
+                        estimate,
+                        chi2_drop=change.chi2_drop,
+                        log_evidence=change.log_evidence + estimate.log_occam_factor - change.log_occam_factor,
+                    )
+                    for estimate, change in zip(estimates, state.noise_changes, strict=True)
+                ]
+            )
+        return state
 
     def _noise_estimates(self, effects: Sequence[CandidateEffect]) -> list[NoiseHypothesis]:
         """Selected changes of the noise with new estimates of their sizes, with `effects` in the model.
@@ -259,19 +285,18 @@ class SelectionState:
             space, noise_hypotheses(space.sightings, self.recording.instruments), allows_quieter=quieter
         )
 
-    def prune_variance_components(self, effects: Sequence[CandidateEffect]) -> None:
-        """New estimation of the variance components with `effects` in the model.
+    def with_pruned_noise(self, effects: Sequence[CandidateEffect]) -> SelectionState:
+        """State with new estimates of the noise, with `effects` in the model.
 
         Changes of the noise without a positive log evidence are removed.
         """
-        self.estimate_variance_components(effects)
-        self.noise_changes = [
+        state = self._with_estimated_variances(effects)
+        supported = [
             n
-            for n, change in zip(self.noise_changes, self._noise_estimates(effects), strict=True)
+            for n, change in zip(state.noise_changes, state._noise_estimates(effects), strict=True)
             if 0.5 * change.chi2_drop + change.log_prior > 0.0
         ]
-        self.reading_sigmas = self._sigmas_with_noise_changes(self.noise_changes)
-        self.set_adjustment(self.estimate_variance_components(effects))
+        return state._with_noise_changes(supported).with_estimated_noise(effects)
 
     def _sigmas_with_noise_changes(self, noise_changes: Sequence[NoiseHypothesis]) -> Floats:
         """Standard deviations (n, 3) of the readings of n pointings with the given changes of the noise."""

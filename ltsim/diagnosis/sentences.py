@@ -6,11 +6,11 @@ import numpy as np
 
 from ltsim.adjustment.significance import MIN_CLEAR_SIGMAS
 from ltsim.core.notation import MAX_LISTED_ITEMS, listing, with_sigma
-from ltsim.diagnosis.prior import MAX_MODEL_MEMBERS
+from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS
 from ltsim.diagnosis.schema import Finding, FindingScope, InstrumentEntry, Misfit, ParameterEstimate
 from ltsim.physics.effects import catalogue_entry, effect_title, find_effect, parameter_text
 
-MIN_PROBABLE = 0.5
+MIN_PROBABILITY_OF_PROBABLE_CAUSE = 0.5
 """Smallest probability at which a cause is reported as probable: it is then more probable than not."""
 CONTRADICTED_MODEL_SENTENCE = (
     " Held-out readings are predicted worse with the effects in the model than without them. These effects are "
@@ -74,17 +74,18 @@ def catalogue_effect_sentence(
     parameters: Sequence[ParameterEstimate],
     probability: float,
     *,
-    p_located: float | None = None,
+    p_same_scope: float | None = None,
 ) -> str:
     """Sentences on an effect of the catalogue: its size, place and usual cause, and two probabilities.
 
-    `probability` is the probability of this effect, and `p_located` the probability of any effect with the same scope.
+    `probability` is the probability of this effect, and `p_same_scope` the probability of any effect with the same
+    scope.
     """
     entry = catalogue_entry(find_effect(effect_name))
     place_name = place_text(scope).removeprefix("at ").removeprefix("in the ")
     lower_title = f"{entry.title[0].lower()}{entry.title[1:]}"
     sizes_text = estimates_phrase(parameters)
-    if max(probability, p_located or 0.0) < MIN_PROBABLE:
+    if max(probability, p_same_scope or 0.0) < MIN_PROBABILITY_OF_PROBABLE_CAUSE:
         size_text = f" ({sizes_text})" if sizes_text else ""
         return (
             f"An unidentified systematic effect is present ({place_name}). "
@@ -93,41 +94,43 @@ def catalogue_effect_sentence(
     place_phrase = place_text(scope.model_copy(update={"observables": ()}))
     located = (
         ""
-        if p_located is None
-        else f"An effect like this {place_phrase} has a probability of {percent_text(p_located)}. "
+        if p_same_scope is None
+        else f"An effect like this {place_phrase} has a probability of {percent_text(p_same_scope)}. "
     )
     cause = f"This cause ({entry.cause_description}) has a probability of {percent_text(probability)}."
-    title = entry.title if probability >= MIN_PROBABLE else f"Perhaps {lower_title}"
+    title = entry.title if probability >= MIN_PROBABILITY_OF_PROBABLE_CAUSE else f"Perhaps {lower_title}"
     return f"{title} ({place_name}){f': {sizes_text}' if sizes_text else ''}. {located}{cause}"
 
 
-def law_sentence(scope: FindingScope, parameters: Sequence[ParameterEstimate], p_located: float, law_text: str) -> str:
+def law_sentence(
+    scope: FindingScope, parameters: Sequence[ParameterEstimate], p_same_scope: float, law_text: str
+) -> str:
     """Sentences on a law outside the catalogue: changed quantity, regressor, place, size, probability.
 
-    `law_text` is the description of the law, and `p_located` the probability of any effect with the same scope.
+    `law_text` is the description of the law, and `p_same_scope` the probability of any effect with the same scope.
     """
     sizes_text = estimates_phrase(parameters)
     size_phrase = f" ({sizes_text})" if sizes_text else ""
     place_phrase = _place_suffix(scope.model_copy(update={"observables": ()}))
     response, verb, regressor = law_text.partition(" follows " if " follows " in law_text else " differs")
-    if p_located < MIN_PROBABLE:
+    if p_same_scope < MIN_PROBABILITY_OF_PROBABLE_CAUSE:
         return (
             f"An effect outside the catalogue is present{_place_suffix(scope)}. "
             "The readings do not determine its form. "
             f"One of several possible forms is that the {response}{place_phrase}{verb}{regressor}{size_phrase}, "
-            f"with a probability of {percent_text(p_located)}."
+            f"with a probability of {percent_text(p_same_scope)}."
         )
     return (
         f"The {response}{place_phrase}{verb}{regressor}{size_phrase}. "
-        f"The catalogue has no such effect. An effect like this has a probability of {percent_text(p_located)}."
+        f"The catalogue has no such effect. An effect like this has a probability of {percent_text(p_same_scope)}."
     )
 
 
 def unknown_noise_sentence(scope: FindingScope, noise_text: str) -> str:
     """Sentences on a change of the noise outside the catalogue: place, covariates, and description `noise_text`."""
     covariates = listing([COVARIATE_TEXTS.get(name, name) for name in scope.covariates])
-    dependence = f" The effect depends on {covariates}." if covariates else ""
-    present = f"An effect outside the catalogue is present{_place_suffix(scope)}."
+    dependence = f" It depends on {covariates}." if covariates else ""
+    present = f"A change of the noise that is not in the catalogue is present{_place_suffix(scope)}."
     return f"{present}{dependence} The most probable description is {noise_text}."
 
 
@@ -157,7 +160,7 @@ def significant_constants_texts(instruments: Sequence[InstrumentEntry]) -> list[
             plain = f"{parameter_text(name)}{used} of {of}: {with_sigma(value, sigma)} {unit}"
             ranked.append((abs(value) / max(sigma, 1e-300), plain))
     ranked.sort(key=lambda combination: -combination[0])
-    return [words for times, words in ranked if times > MIN_CLEAR_SIGMAS][:MAX_MODEL_MEMBERS]
+    return [words for times, words in ranked if times > MIN_CLEAR_SIGMAS][:MAX_MODEL_EFFECTS]
 
 
 ROW_UNITS_BY_TIME_UNIT = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}
@@ -202,7 +205,7 @@ def diagnosis_summary(
         return (
             f"The recording agrees with the model and the {noise_origin} noise "
             f"(chi-square {misfit_before.chi2:.0f} for {misfit_before.dof} degrees of freedom). "
-            f"In a recording without errors, a result like this has a probability of {100 * p_value:.0f} %."
+            f"A recording without errors shows at least this misfit with a probability of {100 * p_value:.0f} %."
         )
     if not findings:
         return (
@@ -213,7 +216,7 @@ def diagnosis_summary(
     first_finding = findings[0]
     suffix = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
     others = [effect_text(e.effect) for e in first_finding.equivalents]
-    open_ = f" This recording cannot exclude {' or '.join(others)} instead." if others else ""
+    open_ = f" This recording cannot exclude another cause: {' or '.join(others)}." if others else ""
     further = "1 further effect is" if n_withheld == 1 else f"{n_withheld} further effects are"
     unreported_text = f" {further} in the model but not reported (small or uncertain)." if n_withheld else ""
     return (

@@ -32,10 +32,10 @@ MIN_TARGET_SWITCH_EDGES = 3
 the law equals a catalogue effect, such as a target that moved."""
 MAX_PIECES = 10
 """Largest number of steps and ramps of a law, and of intervals whose state is toggled."""
-N_INTERVALS_AFTER_MAXIMUM = 3
+N_TOGGLED_INTERVALS_AFTER_MAXIMUM = 3
 """Number of intervals that a search toggles after the last increase of the evidence, before it stops."""
 
-MIN_SWITCHED_MEAN_SQUARE = 1e-3
+MIN_SWITCHED_MEAN_SQUARE_RATIO = 1e-3
 """Smallest mean square of a switched regressor, divided by its mean square without the switch. At this limit the law
 acts on about one pointing in a thousand."""
 
@@ -78,7 +78,7 @@ def switched_forms(
     """
     sightings = calculator.space.sightings
     edges = law.candidate_switch_steps(sightings)
-    if len(edges) < N_INTERVALS_AFTER_MAXIMUM:
+    if len(edges) < N_TOGGLED_INTERVALS_AFTER_MAXIMUM:
         return []
     if law.depends_on_fixed_region and refines_region:
         law = calculator.refine_locally([law], conditioning_model)[0][0]
@@ -153,7 +153,7 @@ def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple
     price = float(np.log(len(first)))
     state = best = np.zeros(count, dtype=bool)
     value, taken, turn = -np.inf, 0, 0
-    while turn < min(taken + N_INTERVALS_AFTER_MAXIMUM, MAX_PIECES):
+    while turn < min(taken + N_TOGGLED_INTERVALS_AFTER_MAXIMUM, MAX_PIECES):
         turn += 1
         sign = 1.0 - 2.0 * state
         within = sign[:, None, None, None] * spans.gram * sign[:, None]
@@ -167,14 +167,14 @@ def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple
         scores = _cumulative_sums(sign[:, None] * spans.score)
         squares = _cumulative_sums(sign * spans.mean_square_contributions)
         square = state @ spans.mean_square_contributions + squares[last] - squares[first]
-        size = np.sqrt(np.maximum(square, MIN_SWITCHED_MEAN_SQUARE))
+        size = np.sqrt(np.maximum(square, MIN_SWITCHED_MEAN_SQUARE_RATIO))
         scored = (state @ spans.score + scores[last] - scores[first]) / size[:, None]
         values = log_evidence_of_coefficients(
             grams / size[:, None, None] ** 2, scored, np.broadcast_to(plausible_sizes, scored.shape)
         )
         intervals = (np.arange(count) >= first[:, None]) & (np.arange(count) < last[:, None])
         states = state ^ intervals
-        values[square < MIN_SWITCHED_MEAN_SQUARE] = -np.inf
+        values[square < MIN_SWITCHED_MEAN_SQUARE_RATIO] = -np.inf
         state = states[index_of_largest(values)]
         total = float(log_sum_exp(values)) - turn * price
         if total > value + MAX_SOLUTION_ROUNDING_ERROR:

@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from scipy import optimize, special
 
-from ltsim.adjustment import adjust
+from ltsim.adjustment import adjust_from_state
 from ltsim.core.arrays import Bools, Floats, batches
 from ltsim.core.equality import ValueEquality
 from ltsim.core.limits import MAX_RESULT_DRAWS
@@ -134,7 +134,7 @@ def nonlinearity_differences(task_inputs: TaskInputs, measurands: Sequence[Measu
         noise = random_stream(seed, "curvature", i).standard_normal(count)
         readings = recording.readings.copy()
         readings[used] += noise * problem.sigma[used]
-        again = adjust(
+        again = adjust_from_state(
             recording.with_readings(readings),
             point_source.construction,
             sigma=problem.sigma,

@@ -8,12 +8,12 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.averaging import (
-    MAX_P_EXCEEDED_ERROR_INCREASE,
-    MAX_RELATIVE_ERROR_INCREASE,
-    alternative_weights_and_changes,
+    MAX_PROBABILITY_OF_LARGER_ERROR_INCREASE,
+    MAX_RELATIVE_COORDINATE_ERROR_INCREASE,
+    alternative_probabilities_and_reading_changes,
     average_over_explanations,
     first_order_reading_change,
-    max_safe_shift_fraction,
+    max_subtracted_shift_fraction,
 )
 from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
 from ltsim.diagnosis.selection_state import SelectionState
@@ -30,31 +30,31 @@ from tests.networks import network
 def test_coordinates_become_much_worse_as_rarely_as_is_said(size, along):
     """The error is drawn of which nothing is known but its covariance; a share of it lies along the change."""
     count, spread = 60, size * along
-    share = max_safe_shift_fraction(size, spread, 1.0)
+    share = max_subtracted_shift_fraction(size, spread, 1.0)
     rng = random_stream(8, "safe")
     error = rng.standard_normal((20_000, count)) * np.sqrt([along, *np.full(count - 1, (1.0 - along) / (count - 1))])
     shift = np.zeros(count)
     shift[0] = np.sqrt(size)
     before, after = (np.sum((error + part * shift) ** 2, axis=1) for part in (1.0, 1.0 - share))
-    harmed = float(np.mean(after > (1.0 + MAX_RELATIVE_ERROR_INCREASE) ** 2 * before))
-    assert harmed < 2.5 * MAX_P_EXCEEDED_ERROR_INCREASE  # e'e is taken to be its expectation
+    harmed = float(np.mean(after > (1.0 + MAX_RELATIVE_COORDINATE_ERROR_INCREASE) ** 2 * before))
+    assert harmed < 2.5 * MAX_PROBABILITY_OF_LARGER_ERROR_INCREASE  # e'e is taken to be its expectation
     if 0.05 < share < 1.0 and along < 0.1:
-        assert harmed > 0.5 * MAX_P_EXCEEDED_ERROR_INCREASE
+        assert harmed > 0.5 * MAX_PROBABILITY_OF_LARGER_ERROR_INCREASE
 
 
 def test_a_law_that_does_much_is_taken_off_whole():
-    assert max_safe_shift_fraction(100.0, 1.0, 1.0) == 1.0
-    assert max_safe_shift_fraction(0.0, 0.0, 1.0) == 1.0
-    assert max_safe_shift_fraction(1.0, 1.0, 1.0) < 0.5
+    assert max_subtracted_shift_fraction(100.0, 1.0, 1.0) == 1.0
+    assert max_subtracted_shift_fraction(0.0, 0.0, 1.0) == 1.0
+    assert max_subtracted_shift_fraction(1.0, 1.0, 1.0) < 0.5
 
 
 def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_both_does():
     baseline = adjust(network(faces=1, seed=3)[0])
-    case = SelectionState(baseline, baseline.problem.is_used_reading, 0)
+    case = SelectionState.from_adjustment(baseline, baseline.problem.is_used_reading, 0)
     elevation = RESPONSE_AND_DESIGN_BY_NAME["elevation"][0]
     laws = [EmpiricalLaw((), (), elevation, smooth_regressor(name)) for name in ("time", "station-time")]
     fitted = case.refit(laws, case.reading_sigmas)
-    found = case.searcher.model_of([Hypothesis(law, 0.0, 0.0, "unknown") for law in laws])
+    found = case.searcher.model_with([Hypothesis(law, 0.0, 0.0, "unknown") for law in laws])
     points = baseline.state.target_points
     basis = points - points.mean(axis=0)
     linear = -case.searcher.space.target_shifts(first_order_reading_change(case.searcher, found))
@@ -64,7 +64,7 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
     )
     assert np.linalg.norm(expected) > 1e-5
     np.testing.assert_allclose(shift, expected, atol=0.01 * np.abs(expected).max())
-    targets, change = average_over_explanations(case.searcher, found, [Ranking(found.members, 0.0)] * 2, fitted)
+    targets, change = average_over_explanations(case.searcher, found, [Ranking(found.hypotheses, 0.0)] * 2, fitted)
     refitted = np.zeros_like(change)
     refitted[case.is_used_reading] = (
         first_order_reading_change(case.searcher, found)[: int(case.is_used_reading.sum())]
@@ -77,13 +77,15 @@ def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_bo
 def test_noise_moves_no_target() -> None:
     """The probability of a change of the noise is not that of a shift."""
     baseline = adjust(network(faces=1, seed=3)[0])
-    case = SelectionState(baseline, baseline.problem.is_used_reading, 0)
+    case = SelectionState.from_adjustment(baseline, baseline.problem.is_used_reading, 0)
     law = Hypothesis(
         EmpiricalLaw((), (), RESPONSE_AND_DESIGN_BY_NAME["elevation"][0], smooth_regressor("time")), 0.0, 5.0, "unknown"
     )
     noise = Hypothesis(VarianceFunction(("distance",), covariates=("distance",)), 0.0, 5.0 + np.log(19.0), "unknown")
     ranking = Ranking((noise, law), 8.0)
-    weights, changes = alternative_weights_and_changes(case.searcher, case.searcher.empty_model, law, ranking, 1.0)
+    weights, changes = alternative_probabilities_and_reading_changes(
+        case.searcher, case.searcher.empty_model, law, ranking, 1.0
+    )
     assert weights.sum() == pytest.approx(1.0)
     moving = np.any(changes != 0.0, axis=1)
     assert weights[moving].sum() == pytest.approx(np.exp(5.0) / (1.0 + 20.0 * np.exp(5.0)), rel=1e-6)

@@ -82,9 +82,9 @@ def test_an_index_that_one_face_shows_only_with_the_circle_is_told_as_that():
     assert found
     first = found[0]
     assert first.instruments == ("B",)
-    assert "vertical-index" in {p.name for p in first.evidence_shares}
-    assert sum(first.evidence_shares.values()) == pytest.approx(1.0, abs=0.05)
-    assert abs(first.difference) / first.parameter.si_per_display_unit == pytest.approx(10.0, abs=5.0)
+    assert "vertical-index" in {p.name for p in first.evidence_share_by_constant}
+    assert sum(first.evidence_share_by_constant.values()) == pytest.approx(1.0, abs=0.05)
+    assert abs(first.difference_from_reference) / first.parameter.si_per_display_unit == pytest.approx(10.0, abs=5.0)
 
 
 def test_a_scale_against_known_points_is_told_of_both_trackers():
@@ -113,7 +113,7 @@ def test_a_scale_against_known_points_is_told_of_both_trackers():
     found = find_contradictions(adjust(recording, built)).contradictions
     (both,) = found
     assert (both.instruments, both.parameter.name) == (("A", "B"), "range-scale")
-    assert abs(both.difference - 20e-6) < 4 * both.sigma
+    assert abs(both.difference_from_reference - 20e-6) < 4 * both.sigma
 
 
 def test_trackers_alike_contradict_nothing_and_chances_are_bounded():

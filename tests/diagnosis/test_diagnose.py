@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from ltsim.adjustment import adjust
+from ltsim.adjustment import adjust_from_state
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.diagnose import diagnose
@@ -31,7 +31,7 @@ def workshop(seed: int, *, faces: int = 1, repeats: int = 2) -> tuple[Recording,
 
 def strengthened(recording, state, change):
     """A change of readings (n, 3) scaled to the wanted noncentrality after the adjustment, with its factor."""
-    space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction(), start_state=state))
+    space = ResidualSpace.from_adjustment(adjust_from_state(recording, misalignment_construction(), start_state=state))
     left = space.project(space.whiten(change[:, :, None]))[:, 0]
     factor = np.sqrt(NONCENTRALITY / float(left @ left))
     return recording.with_readings(recording.readings + factor * change), factor
@@ -73,7 +73,7 @@ def test_a_concealed_effect_is_named_placed_and_sized(name, fields, values):
     assert first.where.stations == fields.get("stations", ())
     assert first.where.targets == fields.get("targets", ())
     assert first.evidence.p_value == pytest.approx(1 / 301)
-    assert first.evidence.p_located >= 0.9 * first.evidence.probability
+    assert first.evidence.p_same_scope >= 0.9 * first.evidence.probability
     factors = [p.si_per_display_unit for p in find_effect(name)(**fields).parameters]
     for estimate, value, factor in zip(first.parameters, truth, factors, strict=False):
         assert abs(estimate.value - value / factor) < 4 * estimate.sigma, estimate

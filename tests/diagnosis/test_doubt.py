@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,12 +13,13 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import ARCSECOND
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.diagnosis.evidence import log_bayes_factor_discrepancy
+from ltsim.diagnosis.evidence import log_bayes_factor_of_discrepancy
 from ltsim.diagnosis.findings import SelectedModelFit
 from ltsim.diagnosis.global_test import run_global_test
 from ltsim.diagnosis.hypotheses import Hypothesis
+from ltsim.diagnosis.model_selection import select_noise_and_effects
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
-from ltsim.diagnosis.preprocessing import is_single_error
+from ltsim.diagnosis.preprocessing import single_error_mask
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects import find_effect
 from ltsim.physics.model.construction import misalignment_construction
@@ -46,7 +49,7 @@ def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     redundancy = float(space.redundancy[at][0])
     selection = identify_causes(recording, misalignment_construction())
     assert selection is not None
-    assert np.argwhere(is_single_error(selection.fit)).tolist() == [[row, column]]
+    assert np.argwhere(single_error_mask(selection.fit)).tolist() == [[row, column]]
     diagnosis = diagnose(recording)
     (told,) = diagnosis.findings
     assert told.effect == "outlier"
@@ -72,7 +75,7 @@ def test_an_outlier_of_a_long_sight_is_no_gross_error_by_its_size_alone(sigmas, 
     selection = identify_causes(changed(large, 40, 1, sigmas), misalignment_construction())
     assert selection is not None
     assert selection.fit.is_gross_reading[40, 1]
-    assert bool(is_single_error(selection.fit)[40, 1]) == is_error
+    assert bool(single_error_mask(selection.fit)[40, 1]) == is_error
 
 
 def test_outliers_share_their_place_with_those_that_are_small():
@@ -84,7 +87,7 @@ def test_outliers_share_their_place_with_those_that_are_small():
     selection = identify_causes(recording, misalignment_construction())
     assert selection is not None
     assert selection.fit.is_outlier[rows, 1].all()
-    assert not is_single_error(selection.fit).any()
+    assert not single_error_mask(selection.fit).any()
 
 
 @pytest.mark.parametrize("last", family([True, False]))
@@ -102,7 +105,7 @@ def test_a_target_that_moved_is_no_wrong_reading():
     recording, _ = concealing("target-moved", 3, [1e-5, 1e-5, -1e-5], targets=("T07",), time=2500.0)
     selection = identify_causes(recording, misalignment_construction())
     assert selection is not None
-    assert not is_single_error(selection.fit).any()
+    assert not single_error_mask(selection.fit).any()
 
 
 @pytest.mark.long
@@ -137,12 +140,12 @@ def test_a_weak_effect_leaves_its_cause_in_doubt_and_a_strong_one_ends_it():
     law[rows:] = 0.0
     law /= np.linalg.norm(law)
     weak, strong = (
-        log_bayes_factor_discrepancy(space, size * law, space.residuals, redundancy) for size in (8.0, 400.0)
+        log_bayes_factor_of_discrepancy(space, size * law, space.residuals, redundancy) for size in (8.0, 400.0)
     )
     assert -1.0 < weak < 1.0  # as likely as the law itself
     assert strong < -4.0
     wrong = space.residuals + np.append(1.5 * rng.standard_normal(rows), np.zeros(space.n_rows - rows))
-    assert log_bayes_factor_discrepancy(space, 40.0 * law, wrong, redundancy) > 20.0  # something else is left behind
+    assert log_bayes_factor_of_discrepancy(space, 40.0 * law, wrong, redundancy) > 20.0  # something else is left behind
 
 
 def test_a_name_is_less_certain_than_the_place_that_the_readings_show():
@@ -176,16 +179,15 @@ def test_nothing_unlikely_is_told_beside_anything_else(monkeypatch):
     noisy = NoiseHypothesis(
         "noise-level", find_effect("noise-level")(), (0.1, 0.1, 0.1), (0.1, 0.1, 0.1), 9.0, 5.0, 0.4
     )
-    search = SelectionState.set_adjustment
 
-    def with_noise(case, adjustment):
-        search(case, adjustment)
-        case.noise_changes = [noisy]
+    def with_noise(*arguments):
+        state, model = select_noise_and_effects(*arguments)
+        return replace(state, noise_changes=(noisy,)), model
 
-    monkeypatch.setattr(SelectionState, "set_adjustment", with_noise)
+    monkeypatch.setattr("ltsim.diagnosis.diagnose.select_noise_and_effects", with_noise)
     told = diagnose(recording).findings
     assert [f.effect for f in told] == ["range-cyclic"]
-    monkeypatch.setattr(SelectedModelFit, "finding_of_member", lambda *_: unlikely)
+    monkeypatch.setattr(SelectedModelFit, "finding_of_effect", lambda *_: unlikely)
     assert diagnose(recording).findings
 
 
@@ -210,10 +212,12 @@ def test_noise_that_differs_from_set_up_to_set_up_is_one_finding():
 def test_nothing_without_a_size_is_told_beside_something_else():
     """A plume that fits the way of one station by chance has no temperature: the wrong reading alone is told."""
     recording = changed(workshop(2)[0], 40, 0, 15.0)
-    case = SelectionState(adjust(recording, misalignment_construction()), np.ones((len(recording), 3), dtype=bool), 0)
+    case = SelectionState.from_adjustment(
+        adjust(recording, misalignment_construction()), np.ones((len(recording), 3), dtype=bool), 0
+    )
     plume = find_effect("heat-plume")(("S2",), (), (0.0, 0.0, 0.4), 0.2)
     members = [Hypothesis(plume, -9.0, 5.0, "heat-plume")]
-    found = case.searcher.model_of(members)
+    found = case.searcher.model_with(members)
     explained = SelectedModelFit(
         case,
         run_global_test(case.searcher, case.noise_hypotheses),

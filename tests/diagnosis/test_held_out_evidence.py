@@ -7,8 +7,8 @@ import pytest
 from scipy.special import expit
 
 import ltsim.diagnosis.diagnose as steps
+from ltsim.diagnosis.cross_validation import HeldOutErrors
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.diagnosis.held_out import HeldOutErrors
 from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
 from ltsim.physics.effects import find_effect
 from tests.networks import with_effect
@@ -33,8 +33,8 @@ def test_a_gain_within_its_scatter_is_no_evidence_against_a_model() -> None:
 @pytest.mark.parametrize("unmodelled", [-np.inf, 29.0])
 def test_all_causes_together_have_at_most_the_odds_of_the_held_out_readings(unmodelled: float) -> None:
     before, after = ranking(unmodelled), ranking(unmodelled).with_held_out_evidence(-1.5)
-    assert before.p_none < 1e-9
-    assert 1.0 - after.p_none == pytest.approx(expit(-1.5))
+    assert before.p_no_cause < 1e-9
+    assert 1.0 - after.p_no_cause == pytest.approx(expit(-1.5))
     assert sum(after.probabilities_by_name().values()) == pytest.approx(expit(-1.5))
     names = before.probabilities_by_name()
     for name, p in after.probabilities_by_name().items():

@@ -105,7 +105,7 @@ def test_a_blow_is_told_with_its_constant_and_size(faces: int, count: int, name:
     found = [told(faces, count, seed, 3.0, constant) for seed in range(4)]
     assert [f[0].parameter.name for f in found if f] == [name] * 4
     assert sum(len(f) for f in found) <= 5
-    gaps = np.array([(f[0].difference - 3.0 * GUARANTEE[constant]) / f[0].sigma for f in found])
+    gaps = np.array([(f[0].difference_from_reference - 3.0 * GUARANTEE[constant]) / f[0].sigma for f in found])
     assert np.abs(gaps).max() < 4.0
     assert ("history (5 calibrations, spread" in found[0][0].reference_text) == (count == 5)
 
@@ -115,7 +115,10 @@ def test_two_constants_that_changed_are_told_apart() -> None:
     today = estimated(2, GUARANTEE * ((np.arange(len(GUARANTEE)) == INDEX) * 2.0), random_stream(3, "a"))
     today[BUILT.parameter_names.index("beam-tilt")] -= GUARANTEE[BUILT.parameter_names.index("beam-tilt")]
     known = EarlierCalibrationPrior.from_source(calibration.with_changes(estimates=np.zeros((1, len(GUARANTEE)))))
-    sizes = {c.parameter.name: c.difference / c.parameter.prior_sigma for c in against(known, adjustment, today)}
+    sizes = {
+        c.parameter.name: c.difference_from_reference / c.parameter.prior_sigma
+        for c in against(known, adjustment, today)
+    }
     assert sizes == {"vertical-index": pytest.approx(2.0, abs=0.3), "beam-tilt": pytest.approx(-1.0, abs=0.3)}
 
 

@@ -58,7 +58,7 @@ def test_two_kernels_give_the_same_figures(root: Path) -> None:
     assert one.keys() == other.keys()
     for key, value in one.items():
         if isinstance(value, float):
-            chance = key.rpartition("/")[2] in ("probability", "p_located", "p_value")
+            chance = key.rpartition("/")[2] in ("probability", "p_same_scope", "p_value")
             assert value == pytest.approx(other[key], rel=ALIKE, abs=ALIKE if chance else 1e-9), key
         else:
             assert value == other[key], key

@@ -51,11 +51,10 @@ def test_centring_errors_do_not_absorb_an_effect_in_the_model() -> None:
     recording, effect = centred_anew(14, SIGMA), RangeCyclic()
     size = np.array([2000.0, 0.0]) * MICROMETRE
     shifted = recording.with_readings(recording.readings + effect.reading_change(adjust(recording).sightings, size))
-    state = SelectionState(adjust(shifted), adjust(shifted).problem.is_used_reading, 0, None)
+    state = SelectionState.from_adjustment(adjust(shifted), adjust(shifted).problem.is_used_reading, 0, None)
     ((_, hypothesis),) = centring_hypotheses_with_evidence(state.space)
     assert hypothesis.sizes[0] > 2.0 * SIGMA
-    state.add_noise_change(hypothesis)
-    state.estimate_variance_components([effect])
+    state = state.with_noise_change(hypothesis, [effect])
     assert state.noise_changes[0].sizes[0] == pytest.approx(SIGMA, rel=0.25)
 
 

@@ -8,7 +8,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import random_stream
-from ltsim.diagnosis.catalogue_designs import FamilyEvidenceAccumulator
+from ltsim.diagnosis.catalogue_designs import FamilyEvidenceSums
 from ltsim.diagnosis.evidence import log_mean_exp_by_group
 from ltsim.diagnosis.global_test import GlobalTestResult
 from ltsim.diagnosis.search import Searcher
@@ -47,7 +47,7 @@ def test_family_means_do_not_depend_on_the_batches() -> None:
     rng = random_stream(7, "families")
     family, values = rng.integers(0, 4, 50), 30.0 * rng.standard_normal((50, 6))
     family[:4] = np.arange(4)
-    means = FamilyEvidenceAccumulator.empty(family, 4, 6)
+    means = FamilyEvidenceSums.empty(family, 4, 6)
     for members in np.split(rng.permutation(50), [3, 20, 21]):
-        means.add(members, values[members])
+        means = means.with_effects(members, values[members])
     np.testing.assert_allclose(means.log_means, log_mean_exp_by_group(values, family, 4), rtol=1e-12)

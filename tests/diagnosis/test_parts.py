@@ -16,7 +16,7 @@ from ltsim.diagnosis.assembly import _reported_findings
 from ltsim.diagnosis.detectability import separating_measurement_sentence
 from ltsim.diagnosis.diagnose import log_bayes_factor_of_refits
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.diagnosis.evidence import active_observables
+from ltsim.diagnosis.evidence import observables_changed_by_effect
 from ltsim.diagnosis.findings import SelectedModelFit
 from ltsim.diagnosis.global_test import GlobalTestResult
 from ltsim.diagnosis.hypotheses import Model
@@ -32,10 +32,16 @@ from tests.networks import network, with_effect
 def test_an_effect_is_told_in_the_observables_on_which_it_acts_and_in_which_it_shows() -> None:
     use = np.array([[True, True, False], [True, True, True]])
     everywhere = np.ones(5)
-    assert active_observables(use, everywhere, np.array([3.0, 0.9, 0.0, 0.0, 0.0])) == ("distance",)
-    assert active_observables(use, everywhere, np.array([3.0, 1.1, 0.0, 0.0, 0.0])) == ("distance", "azimuth")
-    assert active_observables(use, everywhere, everywhere) == ()
-    assert active_observables(use, np.array([1.0, 0.0, 1.0, 0.0, 1.0]), everywhere) == ("distance", "elevation")
+    assert observables_changed_by_effect(use, everywhere, np.array([3.0, 0.9, 0.0, 0.0, 0.0])) == ("distance",)
+    assert observables_changed_by_effect(use, everywhere, np.array([3.0, 1.1, 0.0, 0.0, 0.0])) == (
+        "distance",
+        "azimuth",
+    )
+    assert observables_changed_by_effect(use, everywhere, everywhere) == ()
+    assert observables_changed_by_effect(use, np.array([1.0, 0.0, 1.0, 0.0, 1.0]), everywhere) == (
+        "distance",
+        "elevation",
+    )
 
 
 # --- separate ---------------------------------------------------------------------------------------------------------
@@ -99,7 +105,7 @@ class Set:
 
     @property
     def model(self) -> SimpleNamespace:
-        return SimpleNamespace(members=[SimpleNamespace(key=name) for name in self.members])
+        return SimpleNamespace(hypotheses=[SimpleNamespace(key=name) for name in self.members])
 
     @property
     def squared_residual_decreases(self) -> list[np.ndarray]:
@@ -113,7 +119,7 @@ class Set:
 
 
 def test_a_doubtful_finding_is_modelled_and_told_only_where_nothing_else_is() -> None:
-    untold = SelectedModelFit.withheld_effect_keys.func
+    untold = SelectedModelFit.unreported_effect_keys.func
     assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, has_test_findings=True)) == ("b", "c")
     assert untold(Set(("a", "b", "c"), {"a": 0.9, "b": 0.1, "c": 0.2}, has_test_findings=False)) == ("b",)
     assert untold(Set(("b",), {"b": 0.1}, has_test_findings=False)) == ()

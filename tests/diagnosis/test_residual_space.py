@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ltsim.adjustment import adjust
+from ltsim.adjustment import adjust, adjust_from_state
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
-from ltsim.diagnosis.held_out import cross_validated_errors, fold_rows
+from ltsim.diagnosis.cross_validation import cross_validated_errors, fold_rows
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.search import Searcher
 from ltsim.physics.laws.law import EmpiricalLaw
@@ -59,7 +59,9 @@ def test_held_out_error_is_that_of_refits_without_the_fold(space):
         out = np.zeros(len(recording), dtype=bool)
         out[rows // 3] = True
         use = np.broadcast_to(~out[:, None], (len(recording), 3))
-        rest = adjust(recording, misalignment_construction(), reading_mask=use, start_state=space.adjustment.state)
+        rest = adjust_from_state(
+            recording, misalignment_construction(), reading_mask=use, start_state=space.adjustment.state
+        )
         system = rest.problem.__class__.from_model(rest.problem.model).linearise(rest.state)
         held = np.flatnonzero(np.repeat(out, 3))
         design, gap = system.design[held] @ np.eye(system.design.shape[1]), system.whitened_residuals[held]
@@ -94,7 +96,7 @@ def test_held_out_readings_contradict_a_law_that_they_do_not_follow(space):
     follows, opposes = (replace(space, residuals=space.residuals + sign * change) for sign in (1.0, -1.0))
     effect = Hypothesis(law("distance", Regressor("wave", ("azimuth",), constant=3.0)), 0.0, 0.0, "unknown")
     model = Model((effect,), (space.project(wave),), np.linalg.norm(wave, axis=0)[None], follows.residuals)
-    search = SimpleNamespace(without_rows=lambda _: SimpleNamespace(select_model=lambda *_, **__: model))
+    search = SimpleNamespace(without_rows=lambda _: SimpleNamespace(select_effects=lambda *_, **__: model))
     supported, contradicted = (cross_validated_errors(data, 0, search) for data in (follows, opposes))
     assert supported.log_odds_of_model == 0.0
     assert contradicted.log_odds_of_model < -10.0

@@ -204,11 +204,9 @@ def test_simulated_residuals_stand_for_the_basis_in_large_networks(space, monkey
     probe = NullEnsemble.from_space(space, 0, 0)
     assert probe.uses_monte_carlo_gram
     effects = [find_effect("station-weather")(("S2",)), find_effect("index-drift")()]
-    sampled = CatalogueDesigns.from_space(space, effects)
-    sampled.log_evidence_and_null_values(probe)
+    _, _, sampled = CatalogueDesigns.from_space(space, effects).screen(probe)
     monkeypatch.undo()
-    exact = CatalogueDesigns.from_space(space, effects)
-    exact.log_evidence_and_null_values(NullEnsemble.from_space(space, 0, 0))
+    _, _, exact = CatalogueDesigns.from_space(space, effects).screen(NullEnsemble.from_space(space, 0, 0))
     for one, other in zip(sampled.groups, exact.groups, strict=True):
         np.testing.assert_allclose(one.projected_gram, other.projected_gram, rtol=0.4)
 
@@ -223,9 +221,9 @@ def test_what_is_like_a_finding_is_not_overrated_in_a_large_network(space, monke
     values = []
     for most in (0, 500):
         monkeypatch.setattr("ltsim.diagnosis.null_ensemble.MAX_DENSE_UNKNOWNS", most)
-        probe, cards = NullEnsemble.from_space(space, 0, 0), CatalogueDesigns.from_space(space, steps)
-        cards.log_evidence_and_null_values(probe)
-        values.append(cards.log_evidence_and_null_values(probe.with_model(base.residual, base.basis))[0])
+        probe = NullEnsemble.from_space(space, 0, 0)
+        _, _, cards = CatalogueDesigns.from_space(space, steps).screen(probe)
+        values.append(cards.screen(probe.with_model(base.residual, base.basis))[0])
     sampled, exact = values
     assert (sampled < 1.2 * np.maximum(exact, 0.0) + 1.0).all()
 

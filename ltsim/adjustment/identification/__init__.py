@@ -12,11 +12,13 @@ Baarda, A testing procedure for use in geodetic networks (1968); Teunissen, Test
 identification and adaptation of model errors. Kass and Raftery, Bayes factors, J. Am. Stat. Assoc. 90 (1995) 773.
 """
 
-from ltsim.adjustment.identification.adaptation import adjust_with_causes as adjust_with_causes
-from ltsim.adjustment.identification.cause_selection import CauseSelection as CauseSelection
+from ltsim.adjustment.identification.cause_selection import (
+    CauseSelection as CauseSelection,
+    adjust_with_causes as adjust_with_causes,
+)
 from ltsim.adjustment.identification.cause_tests import CauseTest as CauseTest, cause_tests as cause_tests
 from ltsim.adjustment.identification.fit import FitInput as FitInput, NetworkFit as NetworkFit
-from ltsim.adjustment.identification.hypothesis import Hypothesis as Hypothesis
+from ltsim.adjustment.identification.hypothesis import CauseHypothesis as CauseHypothesis
 from ltsim.adjustment.identification.selection import (
     identify_causes as identify_causes,
     select_causes as select_causes,

@@ -1,20 +1,30 @@
-"""Selected causes of errors in a network, and the decisions of the commands about them."""
+"""Selected causes of errors in a network, the decisions of the commands about them, and the adjustment with them.
+
+References
+----------
+Teunissen, Testing theory (2006): adaptation of the model follows detection and identification.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.estimate import adjust_from_state
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
+    CauseHypothesis,
     CentringChange,
     CoordinateExchange,
-    Hypothesis,
     NoiseFactor,
     ReadingShiftChange,
     ReferenceOmission,
 )
+from ltsim.adjustment.identification.model_changes import apply_corrections_and_omissions
 from ltsim.adjustment.identification.reading_shifts import displacement_per_reading
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MAX_TRACKER_ERROR, MIN_LOG_EVIDENCE_CERTAIN
 from ltsim.adjustment.station_motions import FittedMotion, SuddenMotion
@@ -22,6 +32,8 @@ from ltsim.core.arrays import Floats
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
+from ltsim.physics.model.construction import GeometricErrorModel
+from ltsim.recordings.recording import Recording
 
 MAX_LOG_EVIDENCE_GAIN = float(np.finfo(np.float32).max)
 """Finite number instead of the infinite gain of log evidence of a hypothesis without which no fit is possible."""
@@ -40,7 +52,7 @@ MAX_REFERENCE_MISCLOSURE = 0.1
 may not converge with it. """
 
 
-def largest_displacement(fit: NetworkFit, hypothesis: Hypothesis) -> float:
+def largest_displacement(fit: NetworkFit, hypothesis: CauseHypothesis) -> float:
     """Size [m] of an error: largest displacement of a measured point, or misclosure of a reference value.
 
     The size is 0 for a hypothesis on the noise or on wrongly recorded pointings.
@@ -66,15 +78,15 @@ def has_larger_noise_of_all_readings(fit: NetworkFit) -> bool:
 class SelectedHypothesis:
     """Selected hypothesis with its gain of log evidence, and the alternatives that were fitted in its place."""
 
-    hypothesis: Hypothesis
+    hypothesis: CauseHypothesis
     """Selected hypothesis."""
     log_evidence_gain: float
     """Log evidence of the fit with all selected hypotheses, minus log evidence of the fit without this hypothesis."""
-    alternatives: tuple[tuple[Hypothesis, float], ...]
+    alternatives: tuple[tuple[CauseHypothesis, float], ...]
     """Alternative hypotheses, each with its gain of log evidence in place of this hypothesis."""
 
     @property
-    def probabilities(self) -> Floats:
+    def posterior_probabilities(self) -> Floats:
         """Posterior probabilities (k + 2,): of the hypothesis, of its k alternatives, and of no error at all."""
         every = [self.log_evidence_gain, *(gain for _, gain in self.alternatives), 0.0]
         gains = np.minimum(every, MAX_LOG_EVIDENCE_GAIN)
@@ -92,7 +104,7 @@ class CauseSelection:
     first in each group."""
 
     @property
-    def _decisively_supported_hypotheses(self) -> list[Hypothesis]:
+    def _decisively_supported_hypotheses(self) -> list[CauseHypothesis]:
         """Selected hypotheses with a gain of log evidence of more than `MIN_LOG_EVIDENCE_CERTAIN`."""
         return [c.hypothesis for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN]
 
@@ -148,7 +160,7 @@ class CauseSelection:
         return sum(isinstance(change, ReadingShiftChange) for change in changes) > len(self.certain_station_motions)
 
     @property
-    def larger_noise_hypotheses(self) -> tuple[Hypothesis, ...]:
+    def larger_noise_hypotheses(self) -> tuple[CauseHypothesis, ...]:
         """Selected hypotheses if all are noise larger than declared and the network is consistent; otherwise empty."""
         chosen = tuple(choice.hypothesis for choice in self.selected_hypotheses)
         changes = [h.model_change for h in chosen]
@@ -172,3 +184,53 @@ class CauseSelection:
         causes = self.selected_hypotheses
         sure = all(c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN and c.hypothesis.kind != "unit" for c in causes)
         return bool(changes) and sure and not doubtful and self.fit.adjustment.p_value > FAMILY_WISE_LEVEL
+
+
+def adjust_with_causes(
+    fit: NetworkFit,
+    recording: Recording,
+    construction: GeometricErrorModel,
+    hypotheses: Sequence[CauseHypothesis],
+    *,
+    effects: Sequence[LinearEffect] = (),
+    subtracts_changes: bool = False,
+    **options: Any,
+) -> Adjustment:
+    """Adjustment of a recording with identified errors (hypotheses) in its model, started at the state of a fit.
+
+    Parameters
+    ----------
+    fit : NetworkFit
+        Fit that contains the hypotheses.
+    recording : Recording
+        Recording as it was read.
+    construction : GeometricErrorModel
+        Geometric error model of the tracker; its parameters are estimated.
+    hypotheses : sequence of CauseHypothesis
+        Hypotheses of the fit that the model contains. Of the shifts of readings either all or none are permitted.
+    effects : sequence of LinearEffect
+        Further effects to estimate; their parameters precede those of the shifts.
+    subtracts_changes : bool
+        True to subtract the estimated shifts from the readings first. The adjustment estimates the (remaining) shifts
+        in both cases, with start values of zero if they are subtracted, otherwise with the estimates of the fit.
+    **options
+        Options of `adjust_from_state`.
+    """
+    changed, shifts, values = (
+        apply_corrections_and_omissions(recording, hypotheses),
+        tuple[LinearEffect, ...](),
+        np.zeros(0),
+    )
+    if any(isinstance(h.model_change, ReadingShiftChange) for h in hypotheses):
+        shifts, values = fit.effects, fit.state.extra_parameters
+        if subtracts_changes:
+            changed = changed.with_readings(fit.correct_recording(recording, keeps_outliers=True).readings)
+            values = np.zeros_like(values)
+    instrument = np.zeros((len(recording.instruments), construction.n_parameters))
+    if construction.n_parameters == fit.state.instrument_parameters.shape[1]:
+        instrument = fit.state.instrument_parameters
+    effect_values = np.zeros(sum(len(e.parameters) for e in effects))
+    start_state = replace(
+        fit.state, instrument_parameters=instrument, extra_parameters=np.concatenate([effect_values, values])
+    )
+    return adjust_from_state(changed, construction, effects=(*effects, *shifts), start_state=start_state, **options)

@@ -11,10 +11,10 @@ from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAI
 from ltsim.adjustment.identification.evidence import log_occam_factor_of_shift, log_prior_of_kind
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
+    CauseHypothesis,
     CauseKind,
     CentringChange,
     CoordinateExchange,
-    Hypothesis,
     NoiseFactor,
     ReadingShiftChange,
     ReferenceOmission,
@@ -130,7 +130,7 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
         if isinstance(h.model_change, ReadingShiftChange | ReferenceOmission)
         else None
     )
-    share = selected_hypothesis.probabilities.tolist()
+    share = selected_hypothesis.posterior_probabilities.tolist()
     alternatives = tuple(
         AlternativeCause(
             kind=other.kind, where=CausePlace(stations=other.stations, targets=other.targets), probability=s
@@ -153,14 +153,14 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
     )
 
 
-def reported_kind(fit: NetworkFit, hypothesis: Hypothesis) -> CauseKind:
+def reported_kind(fit: NetworkFit, hypothesis: CauseHypothesis) -> CauseKind:
     """Kind under which a hypothesis is reported; displacements of equal length are reported as another SMR radius."""
     if fit.common_displacement(hypothesis) is not None:
         return "reflector-radius"
     return hypothesis.kind
 
 
-def _size_entry(hypothesis: Hypothesis, shift_components: Floats, covariance: Floats) -> dict[str, Any]:
+def _size_entry(hypothesis: CauseHypothesis, shift_components: Floats, covariance: Floats) -> dict[str, Any]:
     """Entries `estimate`, `sigma` and `unit` of a shift: length of its p components, `shift_components` (p,) [SI]."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     unit, factor = ("mm", MILLIMETRE)
@@ -175,7 +175,7 @@ def _size_entry(hypothesis: Hypothesis, shift_components: Floats, covariance: Fl
     return {"estimate": estimated_size / factor, "sigma": sigma / factor, "unit": unit}
 
 
-def _misclosure_and_unit(fit: NetworkFit, hypothesis: Hypothesis) -> tuple[float, str, float]:
+def _misclosure_and_unit(fit: NetworkFit, hypothesis: CauseHypothesis) -> tuple[float, str, float]:
     """Misclosure of an excluded reference value [SI], and the name and the size [SI] of its display unit."""
     assert isinstance(hypothesis.model_change, ReferenceOmission)
     misclosure = float(np.linalg.norm(fit.misclosure_of(hypothesis.model_change.reference_value)))
@@ -194,13 +194,13 @@ REFERENCE_PHRASES = {
 """First words of a sentence on a reference value, by its kind; the name of the value follows them."""
 
 
-def cause_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
+def cause_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
     """Sentence on an accepted hypothesis with the size of the error and its usual causes."""
     is_centring = isinstance(hypothesis.model_change, CentringChange)
     return (_centring_sentence if is_centring else _shift_or_noise_sentence)(fit, hypothesis)
 
 
-def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
+def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
     """Sentence on an accepted hypothesis that is not about centring errors."""
     place_names = ", ".join((*hypothesis.stations, *hypothesis.targets))
     if isinstance(hypothesis.model_change, RowCorrection | CoordinateExchange):
@@ -266,7 +266,7 @@ OBSERVABLE_CAUSE_TEXTS = {
 """Usual causes of a shift of one observable, by kind of the error, observable, and `station` or `target`."""
 
 
-def _observable_sentence(fit: NetworkFit, hypothesis: Hypothesis, estimate: dict[str, Any]) -> str:
+def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate: dict[str, Any]) -> str:
     """Sentence on a shift of all readings of one observable; `estimate` has its size, standard deviation and unit."""
     place_names = ", ".join((*hypothesis.stations, *hypothesis.targets))
     place, link = ("target", "to") if hypothesis.targets else ("station", "from")
@@ -286,7 +286,7 @@ def _observable_sentence(fit: NetworkFit, hypothesis: Hypothesis, estimate: dict
     return f"{what} are {size_text} too {'long' if number > 0 else 'short'}: {cause}."
 
 
-def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
+def _centring_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
     """Sentence on centring errors at a set-up, on a target, or at all set-ups, with the size of the displacements."""
     assert isinstance(hypothesis.model_change, CentringChange)
     sigma = f"{_number_text(float(f'{hypothesis.model_change.centring.sigma_mm:.2g}'))} mm"
@@ -313,7 +313,7 @@ def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     )
 
 
-def _interval_text(fit: NetworkFit, hypothesis: Hypothesis) -> str:
+def _interval_text(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
     """Text of the times and row numbers of the two pointings between which an error began."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     effect, s = hypothesis.model_change.effect, fit.adjustment.sightings

@@ -25,7 +25,7 @@ from ltsim.adjustment.identification.evidence import (
     log_prior_of_kind,
 )
 from ltsim.adjustment.identification.fit import NetworkFit
-from ltsim.adjustment.identification.hypothesis import CentringChange, Hypothesis
+from ltsim.adjustment.identification.hypothesis import CauseHypothesis, CentringChange
 from ltsim.adjustment.residual_space import MAX_SCREENED_ENTRIES, ResidualSpace
 from ltsim.adjustment.significance import MIN_MEAN_REPEATS, MIN_REPEATS_FOR_VARIANCE
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -57,13 +57,13 @@ class _CentringPlace:
     """Index (n,) of the occupation to which each of n pointings belongs; -1 for other pointings."""
 
 
-def centring_hypotheses(fit: NetworkFit, residual_space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
+def centring_hypotheses(fit: NetworkFit, residual_space: ResidualSpace) -> list[tuple[float, CauseHypothesis]]:
     """Hypotheses of centring errors, each preceded by its gain of log evidence in the linear approximation at a fit."""
     places = _centring_places(fit.recording, residual_space.is_used_reading)
     squares = np.zeros(residual_space.is_used_reading.shape)
     squares[residual_space.is_used_reading] = residual_space.residuals[: int(residual_space.is_used_reading.sum())] ** 2
     largest_first = sorted(places, key=lambda place: -float(squares[place.occupation >= 0].mean()))
-    offers, entries = list[tuple[float, Hypothesis]](), 0
+    offers, entries = list[tuple[float, CauseHypothesis]](), 0
     for place in largest_first:
         entries += 3 * (int(place.occupation.max()) + 1) * residual_space.n_rows
         if entries > MAX_SCREENED_ENTRIES:
@@ -76,7 +76,7 @@ def centring_hypotheses(fit: NetworkFit, residual_space: ResidualSpace) -> list[
 
 def _gain_and_hypothesis(
     place: _CentringPlace, log_likelihood_ratio: float, sigma: float, n_places: int
-) -> tuple[float, Hypothesis]:
+) -> tuple[float, CauseHypothesis]:
     """Gain of log evidence by centring errors at a place, including their prior probability, and the hypothesis.
 
     `log_likelihood_ratio` is the gain without the prior probability, `sigma` [m] the standard deviation of the
@@ -85,10 +85,12 @@ def _gain_and_hypothesis(
     centring, prior = place.centring, log_prior_of_kind("centring", n_places) + LOG_ODDS_OF_CENTRING
     change = CentringChange(centring.model_copy(update={"sigma_mm": sigma / MILLIMETRE}))
     targets = () if len(centring.targets) > 1 else centring.targets
-    return log_likelihood_ratio + prior, Hypothesis("centring", "position", centring.stations, targets, prior, change)
+    return log_likelihood_ratio + prior, CauseHypothesis(
+        "centring", "position", centring.stations, targets, prior, change
+    )
 
 
-def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
+def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, CauseHypothesis]]:
     """Hypotheses of large centring errors, each preceded by its gain of log evidence.
 
     The effect of large displacements is not linear, and the affected readings were rejected as outliers. The

@@ -18,8 +18,8 @@ from ltsim.adjustment.identification.evidence import (
     log_prior_of_kind,
 )
 from ltsim.adjustment.identification.hypothesis import (
+    CauseHypothesis,
     CentringChange,
-    Hypothesis,
     NoiseFactor,
     ReadingShiftChange,
     ReferenceOmission,
@@ -87,7 +87,7 @@ class NetworkFit:
 
     network: FitInput
     """Input of the fit."""
-    hypotheses: tuple[Hypothesis, ...]
+    hypotheses: tuple[CauseHypothesis, ...]
     """Hypotheses in the model."""
     problem_with_all_readings: NetworkProblem
     """Least-squares problem with all usable readings."""
@@ -98,7 +98,7 @@ class NetworkFit:
 
     @classmethod
     def references_with_large_residuals(
-        cls, network: FitInput, hypotheses: Sequence[Hypothesis]
+        cls, network: FitInput, hypotheses: Sequence[CauseHypothesis]
     ) -> tuple[list[ReferenceValueRows], int, NetworkState]:
         """Reference values with large residuals in a robust fit, number of all reference values, and state of the fit.
 
@@ -116,7 +116,7 @@ class NetworkFit:
     def from_start(
         cls,
         network: FitInput,
-        hypotheses: Sequence[Hypothesis] = (),
+        hypotheses: Sequence[CauseHypothesis] = (),
         start_state: NetworkState | None = None,
         approximate_sightings: Sightings | None = None,
         robust_state: NetworkState | None = None,
@@ -138,7 +138,7 @@ class NetworkFit:
     def _with_hypotheses(
         cls,
         network: FitInput,
-        hypotheses: tuple[Hypothesis, ...],
+        hypotheses: tuple[CauseHypothesis, ...],
         start_state: NetworkState | None,
         approximate_sightings: Sightings | None = None,
         robust_state: NetworkState | None = None,
@@ -161,14 +161,14 @@ class NetworkFit:
         return all(self.estimate_length_in_sigmas(h) > MAX_CHANCE_SIGMAS for h, _, _ in self.shifts_with_slices)
 
     @property
-    def shifts_with_slices(self) -> Iterator[tuple[Hypothesis, ReadingShiftChange, slice]]:
+    def shifts_with_slices(self) -> Iterator[tuple[CauseHypothesis, ReadingShiftChange, slice]]:
         """Triples of a hypothesis that is a shift, its model change, and the slice of its parameters in the state."""
         start = 0
         for h in self.hypotheses:
             if isinstance(h.model_change, ReadingShiftChange):
                 yield h, h.model_change, slice(start, start := start + len(h.model_change.effect.parameters))
 
-    def estimate_and_covariance(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
+    def estimate_and_covariance(self, hypothesis: CauseHypothesis) -> tuple[Floats, Floats]:
         """Estimate (p,) and covariance (p, p) [SI] of the p parameters of a hypothesis: a shift or centring errors."""
         centrings = [h for h in self.hypotheses if isinstance(h.model_change, CentringChange)]
         slices = [(h, at) for h, _, at in self.shifts_with_slices]
@@ -176,7 +176,7 @@ class NetworkFit:
         at = next(at for h, at in slices if h is hypothesis)
         return self.state.extra_parameters[at], self.adjustment.effect_covariance[at, at]
 
-    def common_displacement(self, hypothesis: Hypothesis) -> CommonDisplacement | None:
+    def common_displacement(self, hypothesis: CauseHypothesis) -> CommonDisplacement | None:
         """Common length of the displacements by centring errors at a set-up; None if the lengths differ."""
         change = hypothesis.model_change
         if not isinstance(change, CentringChange) or len(hypothesis.stations) != 1:
@@ -186,7 +186,7 @@ class NetworkFit:
         sight_vectors = self.adjustment.sightings.sight_vectors[first_rows[-len(displacements) :]]
         return common_displacement(displacements, sight_vectors)
 
-    def estimate_length_in_sigmas(self, hypothesis: Hypothesis) -> float:
+    def estimate_length_in_sigmas(self, hypothesis: CauseHypothesis) -> float:
         """Length of the estimate of a shift or of centring errors, in standard deviations (Mahalanobis)."""
         values, covariance = self.estimate_and_covariance(hypothesis)
         return float(np.sqrt(max(float(values @ np.linalg.pinv(covariance) @ values), 0.0)))
@@ -194,7 +194,7 @@ class NetworkFit:
     @staticmethod
     def _make_problem(
         network: FitInput,
-        hypotheses: Sequence[Hypothesis],
+        hypotheses: Sequence[CauseHypothesis],
         start_state: NetworkState | None = None,
         approximate_sightings: Sightings | None = None,
     ) -> tuple[NetworkProblem, NetworkState]:
@@ -375,7 +375,7 @@ class NetworkFit:
         log_evidence_sum = -0.5 * self.solution.sum_of_squares + self.outlier_log_evidence
         return log_evidence_sum + sum(h.log_prior + self._log_occam_factor_of(h) for h in self.hypotheses)
 
-    def _log_occam_factor_of(self, hypothesis: Hypothesis) -> float:
+    def _log_occam_factor_of(self, hypothesis: CauseHypothesis) -> float:
         """Log Occam factor of a hypothesis in the model; for a noise factor plus the change of the log determinant."""
         change = hypothesis.model_change
         if isinstance(change, ReadingShiftChange):

@@ -95,7 +95,7 @@ ModelChange = ReadingShiftChange | ReferenceOmission | RowCorrection | NoiseFact
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class CauseHypothesis:
     """Hypothesis that one cause, at certain stations or targets, explains a disagreement of readings and model."""
 
     kind: CauseKind
@@ -123,7 +123,7 @@ class Hypothesis:
         """
         return self.kind, self.acts_on, self.stations, self.targets, self.rows
 
-    def competes_with(self, rival: Hypothesis) -> bool:
+    def competes_with(self, rival: CauseHypothesis) -> bool:
         """True if this hypothesis and `rival` may explain the same readings.
 
         This is so if they share a station or target, or if one hypothesis acts on the whole recording.

@@ -18,9 +18,9 @@ from ltsim.adjustment.blunders import correct_faces, correct_units, detect_blund
 from ltsim.adjustment.identification.evidence import log_prior_of_kind
 from ltsim.adjustment.identification.fit import NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
+    CauseHypothesis,
     CauseKind,
     CoordinateExchange,
-    Hypothesis,
     NoiseFactor,
     ReadingShiftChange,
     ReferenceOmission,
@@ -203,12 +203,12 @@ class ShiftCandidate:
     n_candidates_of_kind: int
     """Number of candidates of this kind, which share the prior probability of the kind equally."""
 
-    def make_hypothesis(self, start_values: Floats) -> Hypothesis:
+    def make_hypothesis(self, start_values: Floats) -> CauseHypothesis:
         """Hypothesis of the candidate, with start values (p,) [SI] of its p parameters."""
         effect = self.family.make_effect(self.place, self.onset_time)
         kind, acts_on = self.family.kind, self.family.acts_on
         change = ReadingShiftChange(effect, tuple(start_values.tolist()))
-        return Hypothesis(kind, acts_on, effect.stations, effect.targets, self.log_prior, change)
+        return CauseHypothesis(kind, acts_on, effect.stations, effect.targets, self.log_prior, change)
 
     @property
     def place_key(self) -> tuple[object, ...]:
@@ -237,12 +237,12 @@ def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
     return [ShiftCandidate(*shift, n_by_kind[shift[0].kind]) for shift in shifts]
 
 
-def reference_omissions(fit: NetworkFit) -> list[Hypothesis]:
+def reference_omissions(fit: NetworkFit) -> list[CauseHypothesis]:
     """Hypotheses that one reference value of a fit is wrong, one for each reference value."""
     return omissions_of_reference_values(fit.recording, list(reference_values(fit.problem, fit.state)))
 
 
-def omissions_of_reference_values(recording: Recording, values: Sequence[ReferenceValueRows]) -> list[Hypothesis]:
+def omissions_of_reference_values(recording: Recording, values: Sequence[ReferenceValueRows]) -> list[CauseHypothesis]:
     """Hypotheses that one reference value is wrong, one for each of the reference values `values`."""
     hypotheses = []
     for v in values:
@@ -252,7 +252,9 @@ def omissions_of_reference_values(recording: Recording, values: Sequence[Referen
         )
         stations = tuple(name for name in recording.stations if name in ends) if not targets else ()
         prior = log_prior_of_kind("reference-value", len(values))
-        hypotheses.append(Hypothesis("reference-value", v.kind, stations, targets, prior, ReferenceOmission(v), v.name))
+        hypotheses.append(
+            CauseHypothesis("reference-value", v.kind, stations, targets, prior, ReferenceOmission(v), v.name)
+        )
     return hypotheses
 
 
@@ -265,7 +267,7 @@ CAUSE_KIND_BY_BLUNDER: dict[str, CauseKind] = {
 """Kind of cause under which a corrected blunder is reported, by the name of the blunder's effect."""
 
 
-def row_corrections(fit: NetworkFit) -> list[Hypothesis]:
+def row_corrections(fit: NetworkFit) -> list[CauseHypothesis]:
     """Hypotheses of wrongly recorded pointings: outliers that agree with a target if a typical blunder is corrected."""
     places, hypotheses = len(fit.recording.stations) * len(fit.recording.targets), []
     is_suspect = np.asarray((fit.is_outlier & fit.is_gross_reading).any(axis=1)) | fit.adjustment.is_gross_pointing
@@ -275,12 +277,12 @@ def row_corrections(fit: NetworkFit) -> list[Hypothesis]:
         rows = tuple((mistake.rows + 1).tolist())
         prior = log_prior_of_kind(kind, places)
         hypotheses.append(
-            Hypothesis(kind, "position", mistake.stations, mistake.targets, prior, change, mistake.sentence, rows)
+            CauseHypothesis(kind, "position", mistake.stations, mistake.targets, prior, change, mistake.sentence, rows)
         )
     return hypotheses
 
 
-def convention_corrections(recording: Recording) -> list[Hypothesis]:
+def convention_corrections(recording: Recording) -> list[CauseHypothesis]:
     """Hypotheses of set-ups recorded in another unit, sense of rotation or face.
 
     The shape of the points that each set-up measured shows these errors, before any adjustment.
@@ -292,11 +294,11 @@ def convention_corrections(recording: Recording) -> list[Hypothesis]:
         rows = mistake.rows
         change = RowCorrection(rows, converted.readings[rows], recording.target[rows], faced.face[rows])
         prior = log_prior_of_kind("unit", len(recording.stations))
-        hypotheses.append(Hypothesis("unit", "position", mistake.stations, (), prior, change, mistake.sentence))
+        hypotheses.append(CauseHypothesis("unit", "position", mistake.stations, (), prior, change, mistake.sentence))
     return hypotheses
 
 
-def reference_point_exchanges(recording: Recording) -> list[Hypothesis]:
+def reference_point_exchanges(recording: Recording) -> list[CauseHypothesis]:
     """Hypothesis that the coordinates of two reference points are exchanged, as a list; empty if no exchange fits well.
 
     The reference coordinates are compared with the shape of the network that is computed without them.
@@ -324,7 +326,9 @@ def reference_point_exchanges(recording: Recording) -> list[Hypothesis]:
     first, second = (names[i] for i in pairs[best_index])
     sentence = f"The reference coordinates of {first} and {second} are exchanged: correct their names."
     prior = log_prior_of_kind("names", len(pairs))
-    return [Hypothesis("names", "point", (), (first, second), prior, CoordinateExchange((first, second)), sentence)]
+    return [
+        CauseHypothesis("names", "point", (), (first, second), prior, CoordinateExchange((first, second)), sentence)
+    ]
 
 
 def _swapped_order(n_points: int, first_index: int, second_index: int) -> list[int]:
@@ -334,7 +338,7 @@ def _swapped_order(n_points: int, first_index: int, second_index: int) -> list[i
     return order
 
 
-def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[Hypothesis, Bools]]:
+def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[CauseHypothesis, Bools]]:
     """Hypotheses that the noise of all readings, an observable, the angles, a target or a station is not as declared.
 
     The second element of each pair is the mask (n, 3) of the affected readings of n pointings.
@@ -347,9 +351,9 @@ def noise_hypotheses(fit: NetworkFit) -> Iterator[tuple[Hypothesis, Bools]]:
 
     def noise(
         acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], n_rivals: int, is_scaled: Bools
-    ) -> Hypothesis:
+    ) -> CauseHypothesis:
         prior = log_prior_of_kind("noise-level", n_rivals)
-        return Hypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactor(is_scaled))
+        return CauseHypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactor(is_scaled))
 
     yield noise("noise", (), (), 1, full_mask), full_mask
     for acts_on, is_column in columns.items():

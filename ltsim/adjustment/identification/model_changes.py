@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.adjustment.identification.hypothesis import (
+    CauseHypothesis,
     CentringChange,
     CoordinateExchange,
-    Hypothesis,
     ReadingShiftChange,
     ReferenceOmission,
     RowCorrection,
@@ -26,7 +26,7 @@ standard deviation of an estimate from a hundred displacement components is 7 %.
 
 
 def start_parameter_values(
-    hypotheses: Sequence[Hypothesis], n_parameters: int, approximate_sightings: Sightings | None
+    hypotheses: Sequence[CauseHypothesis], n_parameters: int, approximate_sightings: Sightings | None
 ) -> Floats:
     """Start values (`n_parameters`,) [SI] of the parameters of additional effects; the shifts come first.
 
@@ -44,7 +44,7 @@ def start_parameter_values(
 
 
 def subtract_shifts(
-    recording: Recording, hypotheses: Sequence[Hypothesis], approximate_sightings: Sightings
+    recording: Recording, hypotheses: Sequence[CauseHypothesis], approximate_sightings: Sightings
 ) -> Recording:
     """Recording from which the shifts of the hypotheses are subtracted; their start values are used as sizes."""
     readings = recording.readings.copy()
@@ -56,7 +56,7 @@ def subtract_shifts(
     return recording.with_readings(readings)
 
 
-def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[Hypothesis]) -> Recording:
+def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[CauseHypothesis]) -> Recording:
     """Recording with the changes of the hypotheses, except shifts and noise factors.
 
     Wrong rows are corrected, centring errors declared, coordinates exchanged and wrong reference values removed.
@@ -83,8 +83,8 @@ def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[H
 
 
 def with_centring_sigma(
-    hypothesis: Hypothesis, estimate_function: Callable[[Hypothesis], tuple[Floats, Floats]]
-) -> Hypothesis:
+    hypothesis: CauseHypothesis, estimate_function: Callable[[CauseHypothesis], tuple[Floats, Floats]]
+) -> CauseHypothesis:
     """Hypothesis of centring errors with a new standard deviation s, estimated from the fitted displacements.
 
     `estimate_function` returns the q components u (q,) [m] of the displacements of a hypothesis, and their covariance C

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.adjustment.identification.fit import NetworkFit
-from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor
+from ltsim.adjustment.identification.hypothesis import CauseHypothesis, NoiseFactor
 from ltsim.adjustment.stochastic_model import noise_declaration_texts
 from ltsim.core.notation import listing
 from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
@@ -15,14 +15,14 @@ READING_TEXTS = {"noise": "the readings", "angles": "the azimuths and elevations
 """Texts of the readings that a noise hypothesis acts on, for hypotheses on more than one observable."""
 
 
-def estimated_noise_factor(fit: NetworkFit, hypothesis: Hypothesis) -> float:
+def estimated_noise_factor(fit: NetworkFit, hypothesis: CauseHypothesis) -> float:
     """Estimated factor of an accepted noise hypothesis on the declared standard deviations (median over readings)."""
     assert isinstance(hypothesis.model_change, NoiseFactor)
     mask = hypothesis.model_change.reading_mask & fit.problem.is_used_reading
     return float(np.median(fit.problem.sigma[mask] / fit.network.recording.sigma()[mask]))
 
 
-def noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
+def noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
     """Sentence on an accepted noise hypothesis, with the factor on the declared noise and the noise to declare."""
     place_text = ", ".join((*hypothesis.stations, *hypothesis.targets))
     readings_text = READING_TEXTS.get(hypothesis.acts_on, f"the readings of the {hypothesis.acts_on}")
@@ -33,7 +33,7 @@ def noise_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     return f"The standard deviation of {readings_text}{place_phrase} is {factor:.2g} times the {origin} one: {cure}."
 
 
-def _noise_declaration(fit: NetworkFit, hypothesis: Hypothesis) -> str:
+def _noise_declaration(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
     """Advice to declare the estimated noise in the set-up.
 
     It contains the values to declare, for a single instrument and a recording without columns of standard deviations.

@@ -24,7 +24,7 @@ from ltsim.adjustment.identification.evidence import (
     log_prior_of_kind,
 )
 from ltsim.adjustment.identification.fit import NetworkFit
-from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, ReadingShiftChange
+from ltsim.adjustment.identification.hypothesis import CauseHypothesis, NoiseFactor, ReadingShiftChange
 from ltsim.adjustment.identification.hypothesis_library import (
     ShiftCandidate,
     noise_hypotheses,
@@ -49,13 +49,14 @@ MIN_GROSS_FRACTION_FOR_TRIAL = 0.4
 """Fraction of gross errors among the pointings of a station or target, above which a motion of the target is tested, or
 a fit without these distances is made."""
 MAX_FITTED_HYPOTHESES = 4
-"""Largest number of hypotheses that are fitted in one step, of fitted hypotheses that prove to be undetermined, and of
-stations or targets with trial fits (limited because of the processor time)."""
+"""Largest number of hypotheses, of undetermined hypotheses, and of places with trial fits that one step fits."""
 MIN_LENGTHS_FOR_SCALE = 2
 """Smallest number of reference lengths for a test of a common scale error."""
+ScreenedHypothesis = tuple[float, CauseHypothesis]
+"""Approximate gain of log evidence by a hypothesis, and the hypothesis."""
 
 
-def screened_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
+def screened_hypotheses(fit: NetworkFit) -> list[ScreenedHypothesis]:
     """Hypotheses that may explain a fit, each preceded by its approximate gain of log evidence; largest gain first."""
     every = shift_candidates(fit.adjustment.sightings)
     gains = np.full(len(every), -np.inf)
@@ -283,7 +284,7 @@ def _target_position(fit: NetworkFit, pointing_indices: Ints) -> Floats | None:
     return fit_point(usable, fit.state.station_positions[station], fit.state.station_rotations[station])
 
 
-def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> list[tuple[float, Hypothesis]]:
+def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandidate]) -> list[ScreenedHypothesis]:
     """Hypotheses of offsets and scale errors of distances at the stations and targets with most outliers, with gains.
 
     Distances with large errors displace the target or station, so that its angles have large residuals too. The network
@@ -298,7 +299,7 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
     price = -log_prior_of_kind("outlier", int(fit.problem_with_all_readings.is_used_reading.sum())) - float(
         log_occam_factor_of_shift(10.0, 1)
     )
-    offers, fits = list[tuple[float, Hypothesis]](), dict[object, NetworkFit | None]()
+    offers, fits = list[ScreenedHypothesis](), dict[object, NetworkFit | None]()
     for c in sorted(tried, key=lambda c: -share[id(c)]):
         names = c.place.stations, c.place.targets
         if names not in fits:
@@ -341,7 +342,7 @@ def _outlier_log_evidence(fit: NetworkFit, pointing_indices: Ints) -> float:
     )
 
 
-def _affected_pointings(fit: NetworkFit, hypothesis: Hypothesis) -> Ints:
+def _affected_pointings(fit: NetworkFit, hypothesis: CauseHypothesis) -> Ints:
     """Indices of the pointings from the stations, or to the targets, at which a hypothesis acts."""
     recording = fit.recording
     targets = [recording.targets.index(name) for name in hypothesis.targets]
@@ -349,7 +350,7 @@ def _affected_pointings(fit: NetworkFit, hypothesis: Hypothesis) -> Ints:
     return np.flatnonzero(np.isin(recording.target, targets) | np.isin(recording.station, stations))
 
 
-def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[tuple[float, Hypothesis]]:
+def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[ScreenedHypothesis]:
     problem = with_nonzero_reference_sigmas(adjustment.problem, adjustment.state)
     solution = adjustment.solution if problem is adjustment.problem else solve(problem, adjustment.state)
     tests: dict[tuple[str, str], ReferenceTest] = {}
@@ -363,29 +364,28 @@ def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[tuple
     return offers
 
 
-def _length_scale_hypothesis(fit: NetworkFit, residual_space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
+def _length_scale_hypothesis(fit: NetworkFit, residual_space: ResidualSpace) -> list[ScreenedHypothesis]:
     """Gain and hypothesis of a relative scale error of reference lengths and distances; empty for too few lengths."""
     scale = GaugeScale()
     if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge_rows) < MIN_LENGTHS_FOR_SCALE:
         return []
     drop, rank = residual_space.chi2_drop(residual_space.whitened_design(scale))
     prior = log_prior_of_kind("reference-scale", 1)
-    scale_hypothesis = Hypothesis("reference-scale", "length", (), (), prior, ReadingShiftChange(scale))
+    scale_hypothesis = CauseHypothesis("reference-scale", "length", (), (), prior, ReadingShiftChange(scale))
     return [(_log_evidence(drop, rank) + prior, scale_hypothesis)] if rank else []
 
 
-def _noise_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]:
+def _noise_hypotheses(fit: NetworkFit) -> list[ScreenedHypothesis]:
     """Hypotheses of noise that differs from the declared noise, each preceded by its gain of log evidence."""
     return [_best_noise_hypothesis(fit, h, readings) for h, readings in noise_hypotheses(fit)]
 
 
-def _best_noise_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, reading_mask: Bools) -> tuple[float, Hypothesis]:
+def _best_noise_hypothesis(fit: NetworkFit, hypothesis: CauseHypothesis, reading_mask: Bools) -> ScreenedHypothesis:
     """Largest gain of log evidence by a factor on the noise, and the hypothesis with this factor as start value.
 
-    With larger noise some outliers are correct readings; the number of remaining outliers is that of the largest gain.
+    With larger noise the outliers with the smallest residuals are correct readings, as many as maximise the gain.
     """
     within, out = reading_mask & fit.problem.is_used_reading, reading_mask & fit.is_outlier
-    # The outliers with the smallest residuals become correct readings, as many as maximise the gain.
     residual_sizes = np.sort(np.abs(fit.whitened_residuals[out]))
     squares = np.sum(fit.whitened_residuals[within] ** 2) + np.append(0.0, np.cumsum(residual_sizes**2))
     redundancy = np.nansum(fit.redundancy[within]) + np.arange(len(residual_sizes) + 1)

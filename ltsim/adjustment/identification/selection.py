@@ -1,12 +1,13 @@
 """Selection of the causes of errors in a network by forward, backward and exchange steps, by their log evidence.
 
-After each step the network is fitted again with the selected hypotheses, and outliers, reference values and all other
-hypotheses are tested again. No reading is corrected in advance.
+`select_causes` is the loop. Its steps are `_forward_step`, `_backward_step` and `_exchange_step`. After each step the
+network is fitted again with the selected hypotheses, and outliers, reference values and all other hypotheses are tested
+again. No reading is corrected in advance.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,8 +19,8 @@ from ltsim.adjustment.identification.cause_selection import (
 from ltsim.adjustment.identification.evidence import LOG_ODDS_OF_CENTRING
 from ltsim.adjustment.identification.fit import FitInput, NetworkFit
 from ltsim.adjustment.identification.hypothesis import (
+    CauseHypothesis,
     CentringChange,
-    Hypothesis,
     NoiseFactor,
     ReadingShiftChange,
     ReferenceOmission,
@@ -68,14 +69,36 @@ standard deviations. A smaller shift hardly changes the converged state."""
 MIN_GAIN_FRACTION_TRUSTED = 0.8
 """Ratio of the gain of log evidence of the first fitted hypothesis to its approximate gain from the screening, above
 which only hypotheses that may explain the same readings are fitted too."""
-
-
 MIN_MOTION_SIGMAS_FOR_REFINEMENT = 1000.0
 """Smallest size of a sudden station motion, in its standard deviations, for which other times of the motion are fitted;
 a smaller motion does not distort the network.
 """
-FitWithTrials = tuple[NetworkFit, list[tuple[Hypothesis, NetworkFit]]]
-"""Fit of a network, and list of the hypotheses that were tried in addition, each with the fit that contains it."""
+Trials = tuple[tuple[CauseHypothesis, NetworkFit], ...]
+"""Hypotheses that were fitted in addition to a fit, each with the fit that contains it; the best fit first."""
+
+
+@dataclass(frozen=True)
+class CauseSelectionState:
+    """State of the selection of causes; each step of the selection returns a new state."""
+
+    fit: NetworkFit
+    """Fit with the hypotheses that are selected so far."""
+    min_gain: float
+    """Smallest gain of log evidence by a selected cause."""
+    initial_hypotheses: tuple[CauseHypothesis, ...]
+    """Hypotheses of the initial fit."""
+    indispensable_hypotheses: tuple[CauseHypothesis, ...] = ()
+    """Hypotheses without which no fit was possible in an earlier step."""
+    fit_before_trials: NetworkFit | None = None
+    """Fit to which the `trials` were added; None if a later step changed their fit."""
+    trials: Trials = ()
+    """Trials of the latest forward step, whose first fit is `fit`; empty if a later step changed it."""
+
+    def trials_in_place_of(self, hypothesis: CauseHypothesis) -> tuple[NetworkFit, Trials] | None:
+        """Fit without a hypothesis and the trials in its place; None unless it is the last one of a forward step."""
+        hypotheses, before = self.fit.hypotheses, self.fit_before_trials
+        is_last = before is not None and hypothesis is hypotheses[-1] and before.hypotheses == hypotheses[:-1]
+        return (before, self.trials) if before is not None and is_last else None
 
 
 @single_threaded
@@ -93,21 +116,95 @@ def select_causes(network: FitInput, min_gain: float = MIN_LOG_EVIDENCE_GAIN) ->
     NetworkError
         If the readings determine no network with any hypothesis.
     """
-    fit = beginning = _initial_fit(network)
-    last_fit: FitWithTrials | None = None
-    indispensable_hypotheses: list[Hypothesis] = []
-    while len(fit.hypotheses) < MAX_SELECTED_HYPOTHESES and not _is_consistent_as_a_whole(fit):
-        tried = _fit_best_hypotheses(fit)
-        needed = min_gain if not has_larger_noise_of_all_readings(fit) else -LOG_ODDS_OF_CENTRING
-        if not tried or tried[0][1].log_evidence < fit.log_evidence + needed:
-            break
-        best = _refine_motion_time(tried[0][1])
-        if isinstance(tried[0][0].model_change, CentringChange):
-            best = max(best, _fit_with_other_causes(fit, needed, best), key=lambda made: made.log_evidence)
-        chosen = _drop_unneeded_hypotheses(best, min_gain, len(beginning.hypotheses), indispensable_hypotheses)
-        last_fit = (fit, tried) if chosen is tried[0][1] else None
-        fit = chosen
-    return _with_compared_alternatives(fit, min_gain, beginning, last_fit, indispensable_hypotheses)
+    initial_fit = _initial_fit(network)
+    state = CauseSelectionState(initial_fit, min_gain, initial_fit.hypotheses)
+    is_growing = True
+    while True:
+        grown = _forward_step(state) if is_growing else None
+        if grown is not None:
+            state = _backward_step(grown)
+            continue
+        is_growing = False
+        exchanged = _exchange_step(state)
+        if isinstance(exchanged, CauseSelection):
+            return exchanged
+        state = exchanged
+
+
+def _forward_step(state: CauseSelectionState) -> CauseSelectionState | None:
+    """State with one more hypothesis, the one with the largest evidence; None if none increases it enough.
+
+    In place of centring errors several other causes may be added.
+    """
+    fit = state.fit
+    if len(fit.hypotheses) >= MAX_SELECTED_HYPOTHESES or _is_consistent_as_a_whole(fit):
+        return None
+    trials = _fit_best_hypotheses(fit)
+    needed = state.min_gain if not has_larger_noise_of_all_readings(fit) else -LOG_ODDS_OF_CENTRING
+    if not trials or trials[0][1].log_evidence < fit.log_evidence + needed:
+        return None
+    best = _refine_motion_time(trials[0][1])
+    if isinstance(trials[0][0].model_change, CentringChange):
+        best = max(best, _fit_with_other_causes(fit, needed, best), key=lambda made: made.log_evidence)
+    return replace(state, fit=best, fit_before_trials=fit, trials=trials)
+
+
+def _backward_step(state: CauseSelectionState) -> CauseSelectionState:
+    """State without the hypotheses whose removal costs less log evidence than the smallest gain.
+
+    Only hypotheses that may explain the same readings as the last one are tried. Of the initial hypotheses only
+    exclusions of reference values may be removed, because no network can be fitted without the others.
+    """
+    fit, indispensable = state.fit, state.indispensable_hypotheses
+    for i, h in enumerate(fit.hypotheses[:-1]):
+        is_initial = i < len(state.initial_hypotheses) and not isinstance(h.model_change, ReferenceOmission)
+        if is_initial or not h.competes_with(fit.hypotheses[-1]):
+            continue
+        rest, indispensable = _fit_without_hypothesis(fit, h, indispensable)
+        if rest is not None and rest.log_evidence > fit.log_evidence - state.min_gain:
+            fit = rest
+    is_trial = bool(state.trials) and fit is state.trials[0][1]
+    return replace(
+        state,
+        fit=fit,
+        indispensable_hypotheses=indispensable,
+        fit_before_trials=state.fit_before_trials if is_trial else None,
+        trials=state.trials if is_trial else (),
+    )
+
+
+def _exchange_step(state: CauseSelectionState) -> CauseSelectionState | CauseSelection:
+    """State with one hypothesis exchanged for a better one; if there is no better one, the result.
+
+    Every hypothesis is compared with its alternatives, given the other hypotheses. The hypotheses of the initial fit
+    are not compared, because the network needs them.
+    """
+    fit, indispensable = state.fit, state.indispensable_hypotheses
+    choices = [SelectedHypothesis(h, np.inf, ()) for h in fit.hypotheses if h in state.initial_hypotheses]
+    for h in fit.hypotheses[len(choices) :]:
+        rest_and_trials = state.trials_in_place_of(h)
+        if rest_and_trials is None:
+            rest, indispensable = _fit_without_hypothesis(fit, h, indispensable)
+        else:
+            rest = rest_and_trials[0]
+        if rest is None:
+            choices.append(SelectedHypothesis(h, np.inf, ()))
+            continue
+        gain = fit.log_evidence - rest.log_evidence
+        trials = (
+            _fit_best_hypotheses(rest, gain + float(np.log(MIN_REPORTED_PROBABILITY)), h)
+            if rest_and_trials is None
+            else rest_and_trials[1]
+        )
+        others = [(other, made) for other, made in trials if other.place_key != h.place_key]
+        if others and others[0][1].log_evidence > fit.log_evidence + state.min_gain:
+            return CauseSelectionState(others[0][1], state.min_gain, state.initial_hypotheses, indispensable)
+        gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
+        choices.append(SelectedHypothesis(h, gain, gains))
+    # Random errors come after shifts: they may be remainders of a shift whose nests or times are not exactly known.
+    random_errors = NoiseFactor | CentringChange
+    choices.sort(key=lambda c: (isinstance(c.hypothesis.model_change, random_errors), -c.log_evidence_gain))
+    return CauseSelection(fit, tuple(choices))
 
 
 def _fit_with_other_causes(fit: NetworkFit, min_gain_needed: float, rival: NetworkFit) -> NetworkFit:
@@ -140,23 +237,28 @@ def _refine_motion_time(fit: NetworkFit) -> NetworkFit:
         return fit
     first, bumps = change.effect, StationBump.candidates(fit.adjustment.sightings)
     bumps = [bump for bump in bumps if bump.stations == first.stations]
+    variants = [(*others, replace(last, model_change=replace(change, effect=bump))) for bump in bumps]
     now, step = int(np.argmin([abs(bump.time - first.time) for bump in bumps])), max(len(bumps) // 4, 1)
     while step:
-        for at in (now - step, now + step):
-            if not 0 <= at < len(bumps):
-                continue
-            moved = replace(last, model_change=replace(change, effect=bumps[at]))
-            try:
-                state = replace(fit.state, extra_parameters=np.zeros(0))
-                made = NetworkFit.from_start(fit.network, (*others, moved), state)
-            except LtsimError:
-                continue
-            if made is not None and made.log_evidence > fit.log_evidence:
-                fit, now = made, at
-                break
-        else:
-            step //= 2
+        neighbours = [at for at in (now - step, now + step) if 0 <= at < len(bumps)]
+        better_fits = ((at, _better_fit_or_none(fit, variants[at])) for at in neighbours)
+        now, better_fit = next(((at, made) for at, made in better_fits if made is not None), (now, None))
+        step, fit = (step // 2, fit) if better_fit is None else (step, better_fit)
     return fit
+
+
+def _better_fit_or_none(fit: NetworkFit, hypotheses: tuple[CauseHypothesis, ...]) -> NetworkFit | None:
+    """Fit with other hypotheses that starts at the state of `fit`; None if its log evidence is not larger."""
+    made = _fit_or_none(fit, hypotheses)
+    return made if made is not None and made.log_evidence > fit.log_evidence else None
+
+
+def _fit_or_none(fit: NetworkFit, hypotheses: tuple[CauseHypothesis, ...]) -> NetworkFit | None:
+    """Fit with other hypotheses that starts at the state of `fit`; None if no fit is possible."""
+    try:
+        return NetworkFit.from_start(fit.network, hypotheses, replace(fit.state, extra_parameters=np.zeros(0)))
+    except LtsimError:
+        return None
 
 
 def _is_consistent_as_a_whole(fit: NetworkFit) -> bool:
@@ -219,11 +321,11 @@ def _initial_fit(network: FitInput) -> NetworkFit:
 def _fit_best_hypotheses(
     fit: NetworkFit,
     min_approximate_gain: float = 0.0,
-    replaced_hypothesis: Hypothesis | None = None,
+    replaced_hypothesis: CauseHypothesis | None = None,
     *,
     excluded_change_types: tuple[type, ...] = (),
-) -> list[tuple[Hypothesis, NetworkFit]]:
-    """Fitted hypotheses with the largest approximate gains, each with its fit, the largest log evidence first.
+) -> Trials:
+    """Fits with one more hypothesis, for the hypotheses with the largest approximate gains.
 
     The approximate gains exceed `min_approximate_gain`. If the fit of the first hypothesis nearly reaches its
     approximate gain, only hypotheses that may explain the same readings are fitted too, because the order of causes at
@@ -231,7 +333,7 @@ def _fit_best_hypotheses(
     `excluded_change_types` are left out.
     """
     first, undetermined = 0.0, 0
-    tried: list[tuple[Hypothesis, NetworkFit]] = []
+    tried: list[tuple[CauseHypothesis, NetworkFit]] = []
     places = {h.place_key for h in fit.hypotheses if isinstance(h.model_change, NoiseFactor)}
     places |= {replaced_hypothesis.place_key} if replaced_hypothesis is not None else set()
     for promised, hypothesis in screened_hypotheses(fit):
@@ -254,10 +356,10 @@ def _fit_best_hypotheses(
             continue
         first = first if tried else promised
         tried.append((hypothesis, made))
-    return sorted(tried, key=lambda pair: -pair[1].log_evidence)
+    return tuple(sorted(tried, key=lambda pair: -pair[1].log_evidence))
 
 
-def refit_with_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, approximate_gain: float) -> NetworkFit | None:
+def refit_with_hypothesis(fit: NetworkFit, hypothesis: CauseHypothesis, approximate_gain: float) -> NetworkFit | None:
     """Fit with one more hypothesis, started at the present state, and at new start values if its gain is too small.
 
     The gain is compared with `approximate_gain`, that of the screening. The result is None if no fit is possible.
@@ -280,81 +382,15 @@ def refit_with_hypothesis(fit: NetworkFit, hypothesis: Hypothesis, approximate_g
     return best_fit
 
 
-def _drop_unneeded_hypotheses(
-    fit: NetworkFit, min_gain: float, n_initial: int, indispensable_hypotheses: list[Hypothesis]
-) -> NetworkFit:
-    """Fit without hypotheses whose removal costs less log evidence than `min_gain`.
-
-    Of the first `n_initial` hypotheses only exclusions of reference values may be removed, because no network can be
-    fitted without the others. The hypotheses in the list `indispensable_hypotheses` remain too; hypotheses that prove
-    to be necessary are added to this list.
-    """
-    for i, h in enumerate(fit.hypotheses[:-1]):
-        is_initial = i < n_initial and not isinstance(h.model_change, ReferenceOmission)
-        if is_initial or not h.competes_with(fit.hypotheses[-1]):
-            continue
-        rest = _fit_without_hypothesis(fit, h, indispensable_hypotheses)
-        if rest is not None and rest.log_evidence > fit.log_evidence - min_gain:
-            fit = rest
-    return fit
-
-
 def _fit_without_hypothesis(
-    fit: NetworkFit, hypothesis: Hypothesis, indispensable_hypotheses: list[Hypothesis]
-) -> NetworkFit | None:
-    """Fit without a hypothesis; None if no fit is possible, so that `indispensable_hypotheses` gets this hypothesis."""
-    if any(h is hypothesis for h in indispensable_hypotheses):
-        return None
-    remaining = tuple(h for h in fit.hypotheses if h is not hypothesis)
-    try:
-        rest = NetworkFit.from_start(fit.network, remaining, replace(fit.state, extra_parameters=np.zeros(0)))
-    except LtsimError:
-        rest = None
-    if rest is None:
-        indispensable_hypotheses.append(hypothesis)
-    return rest
+    fit: NetworkFit, hypothesis: CauseHypothesis, indispensable_hypotheses: tuple[CauseHypothesis, ...]
+) -> tuple[NetworkFit | None, tuple[CauseHypothesis, ...]]:
+    """Fit without a hypothesis, or None if no fit is possible, and the indispensable hypotheses.
 
-
-def _with_compared_alternatives(
-    fit: NetworkFit,
-    min_gain: float,
-    initial_fit: NetworkFit,
-    last_fit: FitWithTrials | None,
-    indispensable_hypotheses: list[Hypothesis],
-) -> CauseSelection:
-    """Selection in which every hypothesis is compared again with its alternatives, given the other hypotheses.
-
-    The hypotheses of the `initial_fit` are not compared, because the network needs them. `last_fit` contains the
-    hypotheses that were fitted in place of the last hypothesis. `min_gain` and `indispensable_hypotheses` have the same
-    meaning as in `_drop_unneeded_hypotheses`.
+    No fit is tried without one of the `indispensable_hypotheses`, to which the hypothesis is added if no fit is
+    possible without it.
     """
-    choices = [SelectedHypothesis(h, np.inf, ()) for h in fit.hypotheses if h in initial_fit.hypotheses]
-    for h in fit.hypotheses[len(choices) :]:
-        is_last = last_fit is not None and h is fit.hypotheses[-1] and last_fit[0].hypotheses == fit.hypotheses[:-1]
-        rest = (
-            last_fit[0]
-            if last_fit is not None and is_last
-            else _fit_without_hypothesis(fit, h, indispensable_hypotheses)
-        )
-        if rest is None:
-            choices.append(SelectedHypothesis(h, np.inf, ()))
-            continue
-        gain = fit.log_evidence - rest.log_evidence
-        tried = (
-            last_fit[1]
-            if last_fit is not None and is_last
-            else _fit_best_hypotheses(rest, gain + float(np.log(MIN_REPORTED_PROBABILITY)), h)
-        )
-        others = [(other, made) for other, made in tried if other.place_key != h.place_key]
-        if others and others[0][1].log_evidence > fit.log_evidence + min_gain:
-            return _with_compared_alternatives(others[0][1], min_gain, initial_fit, None, indispensable_hypotheses)
-        gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
-        choices.append(SelectedHypothesis(h, gain, gains))
-    # Random errors come after shifts: they may be remainders of a shift whose nests or times are not exactly known.
-    random_errors = NoiseFactor | CentringChange
-    return CauseSelection(
-        fit,
-        tuple(
-            sorted(choices, key=lambda c: (isinstance(c.hypothesis.model_change, random_errors), -c.log_evidence_gain))
-        ),
-    )
+    if any(h is hypothesis for h in indispensable_hypotheses):
+        return None, indispensable_hypotheses
+    rest = _fit_or_none(fit, tuple(h for h in fit.hypotheses if h is not hypothesis))
+    return rest, indispensable_hypotheses if rest is not None else (*indispensable_hypotheses, hypothesis)

@@ -1,7 +1,8 @@
 """Forward model: predicted readings and their derivatives, from the network's state, its instruments and effects."""
 
 import itertools
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -124,6 +125,20 @@ def smr_radius_offsets(recording: Recording) -> Floats | None:
     return None if excess is None else excess[:, None] * np.nan_to_num(_nest_normals(recording))[recording.target]
 
 
+class LatestPrediction:
+    """Cache of the predicted readings at one network state, the last one for which they were computed."""
+
+    def __init__(self) -> None:
+        self._state: NetworkState | None = None
+        self._readings: Floats = np.zeros((0, 3))
+
+    def readings_at(self, state: NetworkState, compute_readings: Callable[[NetworkState], Floats]) -> Floats:
+        """Copy of the readings (n, 3) of n pointings at `state`, computed unless `state` is the last object given."""
+        if state is not self._state:
+            self._state, self._readings = state, compute_readings(state)
+        return self._readings.copy()
+
+
 @dataclass(frozen=True)
 class MeasurementModel:
     """Forward model of a recording, with the geometric error model of its instruments and additional effects."""
@@ -133,6 +148,8 @@ class MeasurementModel:
     """Geometric error model of all instruments."""
     effects: tuple[LinearEffect, ...] = ()
     """Additional effects, whose parameters are unknowns."""
+    latest_prediction: LatestPrediction = field(default_factory=LatestPrediction, init=False, repr=False, compare=False)
+    """Cache of the readings at the state of the last call of `predict`: several tests need those at the solution."""
 
     @cached_property
     def height_errors(self) -> tuple[HeightErrors, ...]:
@@ -274,16 +291,9 @@ class MeasurementModel:
             change += linear_effect.reading_change(sightings, values)
         return change
 
-    @cached_property
-    def _latest_prediction(self) -> list[tuple[NetworkState, Floats]]:
-        """State of the last call of `predict` and its readings: several tests need the readings at the solution."""
-        return []
-
     def predict(self, state: NetworkState) -> Floats:
         """Predicted raw readings (n, 3) [m, rad] of n pointings at `state`."""
-        if not self._latest_prediction or self._latest_prediction[0][0] is not state:
-            self._latest_prediction[:] = [(state, self._predicted_readings(state))]
-        return self._latest_prediction[0][1].copy()
+        return self.latest_prediction.readings_at(state, self._predicted_readings)
 
     def _predicted_readings(self, state: NetworkState) -> Floats:
         sightings = self.sightings_without_covariates(state)

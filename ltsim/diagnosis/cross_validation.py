@@ -111,11 +111,11 @@ def _normalised_errors_on_fold(residual: Floats, eigenvalues: Floats, eigenvecto
 
 def _reading_shift_by_selected_model(space: ResidualSpace, searcher: Searcher) -> Floats:
     """Change (m,) of m whitened rows by the model that the search selects; 0 for rows that are no readings."""
-    model = searcher.select_model(requires_member=True)
-    if not model.members:
+    model = searcher.select_effects(requires_effect=True)
+    if not model.hypotheses:
         return np.zeros(space.n_rows)
     coefficient_means = wide_prior_posterior(
-        *model.gram_and_score, np.concatenate([h.plausible_sizes for h in model.members])
+        *model.gram_and_score, np.concatenate([h.plausible_sizes for h in model.hypotheses])
     )[0]
     designs: Sequence[Floats] = [space.whitened_design(effect) for effect in model.effects]
     return np.hstack(designs) @ coefficient_means

@@ -1,0 +1,131 @@
+"""Tests of the points that define the axes of a network: each declared point against the other points."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import special
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.datum import motions_about_centre, move_to_datum
+from ltsim.adjustment.frame import alignment_distances
+from ltsim.adjustment.reference_tests import ReferenceTest
+from ltsim.adjustment.reliability import noise_factor
+from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MAX_TRACKER_ERROR, MIN_CLEAR_SIGMAS, MIN_MISFIT_RATIO
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.units import MILLIMETRE
+from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rigid_motion_design
+from ltsim.recordings.recording import Recording
+
+
+def exclude_contradicting_axes_points(
+    adjustment: Adjustment, names: Sequence[str]
+) -> tuple[Recording, tuple[ReferenceTest, ...]]:
+    """Recording whose datum consists of the points with consistent declared coordinates, and the test of each point.
+
+    `names` are the points that define the axes. Each point is tested against the other points: its misclosure in their
+    axes is compared with the uncertainty of the network at this point, multiplied by the `noise_factor` of the fit, and
+    with the scatter of the other points. A contradicting point is excluded. If the other points alone do not determine
+    the axes, the point remains, with its coordinates corrected by the estimated error.
+    """
+    recording = adjustment.recording
+    declared_points = (
+        np.array([recording.target_setup(name).approximate_mm for name in names], dtype=np.float64) * MILLIMETRE
+    )
+    adjusted_points = adjustment.state.target_points[[recording.targets.index(name) for name in names]]
+    deviations = alignment_distances(adjusted_points, declared_points, align_robustly(adjusted_points, declared_points))
+    use = deviations <= max(MIN_MISFIT_RATIO * float(np.median(deviations)), MAX_TRACKER_ERROR)
+    use |= use.sum() <= len(names) / 2
+    factor = noise_factor(adjustment.problem, adjustment.solution)
+    for _ in range(2 * len(names)):
+        tests = _axes_point_tests(adjustment, names, declared_points, use, factor)
+        ratio = np.array([test.normalised_error / test.critical_value for test in tests])
+        if (~use & (ratio <= 1.0)).any():
+            k = int(np.argmin(np.where(use, np.inf, ratio)))
+        elif (use & (ratio > 1.0)).any():
+            k = int(np.argmax(np.where(use, ratio, 0.0)))
+        else:
+            break
+        if use[k] and use.sum() <= MIN_RIGID_POINTS:
+            tests[k] = replace(tests[k], is_excluded=True)
+            declared_points[k] -= tests[k].error
+            break
+        use = use ^ (np.arange(len(names)) == k)
+    targets = dict(recording.setup.targets)
+    for name, used, place in zip(names, use, declared_points / MILLIMETRE, strict=True):
+        targets[name] = targets[name].model_copy(update={"datum": bool(used), "approximate_mm": tuple(place.tolist())})
+    return recording.replace(setup=recording.setup.model_copy(update={"targets": targets})), tuple(tests)
+
+
+def _axes_point_tests(
+    adjustment: Adjustment, names: Sequence[str], declared_points: Floats, used_mask: Bools, factor: float
+) -> list[ReferenceTest]:
+    """Tests of k points with declared coordinates (k, 3) [m], each against the points that `used_mask` (k,) flags.
+
+    The standard deviations of the network are multiplied by `factor`.
+    """
+    chosen = [name for name, used in zip(names, used_mask, strict=True) if used]
+    datum_adjustment = adjustment.with_inner_datum(chosen)
+    indices = [datum_adjustment.recording.targets.index(name) for name in names]
+    state, _ = move_to_datum(datum_adjustment.problem, datum_adjustment.state, chosen)
+    turn = state.station_rotations[0] @ datum_adjustment.state.station_rotations[0].T
+    covariance = factor**2 * turn @ datum_adjustment.target_covariance[indices] @ turn.T
+    gap, places = declared_points - state.target_points[indices], state.target_points[indices]
+    centre = places[used_mask].mean(axis=0)
+    motions = motions_about_centre(datum_adjustment.problem.free_motions, centre)
+    motion = (rigid_motion_design(places, centre) @ motions).reshape(-1, 3, motions.shape[1])
+    leverages = motion @ np.linalg.inv(np.linalg.qr(motion[used_mask].reshape(-1, motion.shape[2]))[1])
+    hat_blocks = leverages @ np.swapaxes(leverages, 1, 2)
+    square = float(np.sum(gap[used_mask] ** 2)) - float(np.trace(covariance[used_mask].sum(axis=0)))
+    test_values = square, 3 * int(used_mask.sum()) - motion.shape[2], FAMILY_WISE_LEVEL / len(names)
+    return [
+        _axes_point_test(
+            name, gap[k], covariance[k], hat_blocks[k], is_used=bool(used_mask[k]), scatter_dof_and_level=test_values
+        )
+        for k, name in enumerate(names)
+    ]
+
+
+def _axes_point_test(
+    target_name: str,
+    misclosure: Floats,
+    covariance: Floats,
+    hat_block: Floats,
+    *,
+    is_used: bool,
+    scatter_dof_and_level: tuple[float, int, float],
+) -> ReferenceTest:
+    """Test of one of the points that define the axes.
+
+    `misclosure` (3,) [m] is declared minus adjusted coordinates, `covariance` (3, 3) [m^2] the covariance of the
+    latter. `hat_block` (3, 3) is the block of the hat matrix of the alignment for this point. The misclosure of a point
+    in use is (1 - `hat_block`) times its error; that of an excluded point is its full error. `scatter_dof_and_level`
+    contains the sum of squared misclosures of the points in use, its degrees of freedom, and the significance level of
+    this test.
+    """
+    share, turned = np.linalg.eigh(np.eye(3) - hat_block if is_used else np.eye(3) + hat_block)
+    is_checked = share > MAX_SOLUTION_ROUNDING_ERROR
+    turned, share = turned[:, is_checked], share[is_checked]
+    redundancy = share if is_used else np.ones(len(share))
+    square, dof, level = scatter_dof_and_level
+    error = turned.T @ misclosure / redundancy
+    if is_used:
+        square, dof = square - float(share @ error**2) + float(np.trace(covariance)), dof - len(share)
+    variance_factor = max(square, 0.0) / max(dof, 1)
+    network = (turned.T @ covariance @ turned) / np.outer(redundancy, redundancy)
+    spread = network + np.diag(variance_factor / share if is_used else variance_factor * share)
+    limit = len(share) * special.fdtri(len(share), max(dof, 1), 1.0 - level)
+    return ReferenceTest(
+        kind="axes",
+        name=target_name,
+        declared_components="xyz",
+        sigma=np.sqrt(np.diag(covariance) + variance_factor),
+        residual=misclosure,
+        error=turned @ error,
+        sigma_error=np.sqrt(np.einsum("ik,kl,il->i", turned, spread, turned)),
+        chi2_drop=float(error @ np.linalg.solve(spread, error)),
+        rank=len(share),
+        is_excluded=not is_used,
+        critical_value=max(MIN_CLEAR_SIGMAS, float(np.sqrt(limit))),
+    )
