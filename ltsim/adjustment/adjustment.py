@@ -17,9 +17,9 @@ from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests_with
 from ltsim.adjustment.reliability import (
     detect_noisy_targets,
     iterative_snooping,
+    normalise_residuals,
     p_value_of_tau,
     redundancy_numbers,
-    standardised_residuals,
 )
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.snooping import drop_undetermined_targets, pose_defect_sentence
@@ -217,7 +217,7 @@ class Adjustment(Result):
     @cached_property
     def normalised_residuals(self) -> Floats:
         """Residuals (n, 3) of n pointings divided by their standard deviations, standard normal for a correct model."""
-        return standardised_residuals(self.problem, self.residuals, self.redundancy)
+        return normalise_residuals(self.problem, self.residuals, self.redundancy)
 
     @cached_property
     def noisy_targets_and_scatter(self) -> tuple[Ints, float, float]:
@@ -296,7 +296,7 @@ class Adjustment(Result):
             return np.diag(self.redundancy[pointing_indices, columns])
         residual_rows = (np.cumsum(use) - 1).reshape(use.shape)[pointing_indices, columns]
         design = to_dense(self.solution.system.design[residual_rows])
-        response = self.factorised_normals.covariance_columns(np.ascontiguousarray(design.T))
+        response = self.factorised_normals.multiply_by_covariance(np.ascontiguousarray(design.T))
         return np.asarray(np.eye(len(residual_rows)) - design @ response)
 
     def covariance_of(self, columns: Ints) -> Floats:
@@ -308,9 +308,9 @@ class Adjustment(Result):
         return covariance if self.datum is None else self.datum.transform_covariance(covariance, columns)
 
     @cached_property
-    def reduced_covariance(self) -> Floats:
+    def retained_covariance(self) -> Floats:
         """Covariance (K, K) of the K unknowns that the factorisation keeps: poses, some targets, parameters."""
-        covariance = self.factorised_normals.reduced_covariance()
+        covariance = self.factorised_normals.retained_covariance()
         if self.datum is None:
             return covariance
         return self.datum.transform_covariance(covariance[None], np.arange(len(covariance))[None])[0]
@@ -325,7 +325,7 @@ class Adjustment(Result):
         return self.covariance_of(self.problem.unknowns.instrument_columns[[instrument]])[0]
 
     @cached_property
-    def constants_covariance(self) -> Floats:
+    def covariance_of_all_instruments(self) -> Floats:
         """Covariance (I p, I p) [SI] of the p parameters of each of I instruments, instrument by instrument."""
         return self.covariance_of(self.problem.unknowns.instrument_columns.reshape(1, -1))[0]
 
@@ -358,10 +358,10 @@ class Adjustment(Result):
         """Covariances (T, 3, 3) [m^2] of T targets; NaN for targets that the readings in use do not determine."""
         unknowns = self.problem.unknowns
         covariance = np.empty((len(unknowns.target_columns), 3, 3))
-        is_reduced = unknowns.target_columns[:, 0] < unknowns.n_reduced
-        covariance[is_reduced] = self.factorised_normals.covariances_of_sets(unknowns.target_columns[is_reduced])
+        is_retained = unknowns.target_columns[:, 0] < unknowns.n_retained
+        covariance[is_retained] = self.factorised_normals.covariances_of_sets(unknowns.target_columns[is_retained])
         blocks = self.factorised_normals.block_covariance()
-        covariance[~is_reduced] = blocks[(unknowns.target_columns[~is_reduced][:, 0] - unknowns.n_reduced) // 3]
+        covariance[~is_retained] = blocks[(unknowns.target_columns[~is_retained][:, 0] - unknowns.n_retained) // 3]
         if self.datum is not None:
             covariance = self.datum.transform_covariance(covariance, unknowns.target_columns)
             diagonal = np.arange(3)  # a coordinate fixed by the datum has variance 0, up to rounding

@@ -27,7 +27,7 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 class DatumPoints:
     """Points that define a datum, k in number."""
 
-    columns: Ints
+    coordinate_columns: Ints
     """Indices (k, 3) of the coordinates of the k points in the vector of unknowns."""
     points: Floats
     """Coordinates (k, 3) [m] of the k points."""
@@ -112,7 +112,7 @@ class InnerDatum:
 
     The columns of G are the free motions, B contains the rows of G of the datum points and zeros elsewhere. The
     covariance C becomes C' = S C S^T with S = I - G (B^T G)^-1 B^T. The equal sum C' = C - G U^T - U G^T + G M G^T is
-    computed from the matrices U (`transformation`) and M (`motion_covariance`).
+    computed from the matrices U (`motion_cross_covariance`) and M (`motion_covariance`).
 
     References
     ----------
@@ -122,12 +122,12 @@ class InnerDatum:
 
     free_motions: Floats
     """Matrix G, (u, f): changes of the u unknowns by the f rigid motions that no observation determines."""
-    transformation: Floats
+    motion_cross_covariance: Floats
     """Matrix U = C B (G^T B)^-1, (u, f), from the covariance C (u, u) of the u unknowns, the matrix G (u, f) of the f
     free motions, and the matrix B of its rows for the datum points, with zeros elsewhere."""
     motion_covariance: Floats
     """Covariance M = (B^T G)^-1 B^T C B (G^T B)^-1, (f, f), of the amounts of the f free motions; C, G and B are the
-    covariance, the free motions and their rows for the datum points, as for `transformation`."""
+    covariance, the free motions and their rows for the datum points, as for `motion_cross_covariance`."""
     point_names: tuple[str, ...] = ()
     """Names of the datum points."""
 
@@ -172,13 +172,15 @@ class InnerDatum:
         ):
             motion[columns.ravel()] = np.hstack([rigid_motion_design(places, centre) @ free, grown(places - centre)])
         return replace(
-            cls.from_columns(motion, tied.columns[tied.defines_datum], normal_equations.covariance_columns),
+            cls.from_columns(
+                motion, tied.coordinate_columns[tied.defines_datum], normal_equations.multiply_by_covariance
+            ),
             point_names=tuple(names),
         )
 
     def transform_covariance(self, covariance: Floats, columns: Ints) -> Floats:
         """Covariances (c, k, k) of c sets of k unknowns (`columns` (c, k)), transformed to this datum."""
-        motion, carried = self.free_motions[columns], self.transformation[columns]
+        motion, carried = self.free_motions[columns], self.motion_cross_covariance[columns]
         cross_covariance = motion @ np.swapaxes(carried, 1, 2)
         transformed = np.asarray(covariance - cross_covariance)
         transformed -= np.swapaxes(cross_covariance, 1, 2)

@@ -60,7 +60,7 @@ def fit_pose(
     points = points[rows] + fit_readings.sight_vector_offsets
     azimuth, elevation = (bool(np.isfinite(fit_readings.readings[:, i]).any()) for i in (1, 2))
     is_tilted = not is_levelled and (azimuth or elevation)
-    slope = bool(np.isfinite(fit_readings.readings[~fit_readings.is_horizontal, 0]).any())
+    slope = bool(np.isfinite(fit_readings.readings[~fit_readings.has_horizontal_distance, 0]).any())
     height_free = position is None and (slope or elevation or not is_levelled)
     is_free = np.array([position is None] * 2 + [height_free] + [is_tilted] * 2 + [azimuth])
     if fit_readings.n_readings < is_free.sum():
@@ -252,7 +252,7 @@ class HorizontalLengths:
     lengths: Floats
 
 
-def fit_plan(
+def fit_horizontal_network(
     setup_indices: Ints,
     start_indices: Ints,
     end_indices: Ints,
@@ -285,7 +285,7 @@ def fit_plan(
     has_control = np.isfinite(control_coordinates[used]).all(axis=1)
     if has_control.sum() < 2 and not len(along):
         return None
-    shape = _plan_shape(first, second, bearing, along, length, len(used))
+    shape = _xy_shape(first, second, bearing, along, length, len(used))
     if shape is None:
         return None
     places, is_in_frame = np.full(control_coordinates.shape, np.nan), bool(has_control.sum() > 1)
@@ -317,14 +317,14 @@ def lines_of_undetermined_length(
     """Lines (pairs of point indices) of undetermined length in a plan, although all its set-ups are oriented.
 
     The list is empty for a determined plan, and for a plan in which more than one length is free. The parameters are
-    those of `fit_plan`.
+    those of `fit_horizontal_network`.
     """
     yaw = _setup_yaws(setup, starts, end_indices, azimuths)
     is_oriented = np.isfinite(yaw[setup])
     used, at = np.unique(np.concatenate([starts[is_oriented], end_indices[is_oriented]]), return_inverse=True)
     first, second = at.reshape(2, -1)
     along, _ = _measured_lengths_of_directions(lines, starts[is_oriented], end_indices[is_oriented])
-    _, size, right = np.linalg.svd(_plan_design(first, second, (yaw[setup] + azimuths)[is_oriented], along, len(used)))
+    _, size, right = np.linalg.svd(_xy_design(first, second, (yaw[setup] + azimuths)[is_oriented], along, len(used)))
     if (
         not len(along)
         or not is_oriented.all()
@@ -342,7 +342,7 @@ def lines_of_undetermined_length(
     return sorted(ends)
 
 
-def _plan_design(start_indices: Ints, end_indices: Ints, bearings: Floats, length_rows: Ints, n_points: int) -> Floats:
+def _xy_design(start_indices: Ints, end_indices: Ints, bearings: Floats, length_rows: Ints, n_points: int) -> Floats:
     """Design matrix of the equations for x and y of `n_points` points in plan, without the first point.
 
     Each direction gives an equation perpendicular to its bearing, and a second one along its bearing if its length is
@@ -360,7 +360,7 @@ def _plan_design(start_indices: Ints, end_indices: Ints, bearings: Floats, lengt
     return np.concatenate([design[:, 1:].reshape(-1, n_coordinates), np.zeros((n_coordinates, n_coordinates))])
 
 
-def _plan_shape(
+def _xy_shape(
     start_indices: Ints, end_indices: Ints, bearings: Floats, length_rows: Ints, lengths: Floats, n_points: int
 ) -> np.ndarray[tuple[int], np.dtype[np.complex128]] | None:
     """Coordinates of points in plan as complex numbers x + iy, the first at 0; None if the shape is undetermined.
@@ -368,7 +368,7 @@ def _plan_shape(
     `length_rows` are the indices of the directions along lines with a measured length, `lengths` these lengths [m].
     Without lengths the scale is arbitrary.
     """
-    design = _plan_design(start_indices, end_indices, bearings, length_rows, n_points)
+    design = _xy_design(start_indices, end_indices, bearings, length_rows, n_points)
     right_side = np.zeros(len(design))
     right_side[len(bearings) : len(bearings) + len(length_rows)] = lengths
     u, size, rows = np.linalg.svd(design, full_matrices=False)

@@ -41,15 +41,15 @@ class DeclaredFrame:
     """Flags (S,) of those of the S stations that are levelled."""
     marks: StationMarks
     """Marks under the stations."""
-    plan_positions: Floats
+    floor_plan_positions: Floats
     """Approximate positions of S stations on a floor plan, (S, 3) [m]."""
-    plan_yaws: Floats
+    floor_plan_yaws: Floats
     """Direction of azimuth zero of each of S stations in the floor plan, (S,) [rad]."""
     has_declared_yaw: Bools
     """Flags (S,) of those of the S stations whose yaw (direction of azimuth zero) is known and not only approximate."""
     approximate_points: Floats
     """Known or approximate coordinates of T targets, (T, 3) [m]."""
-    plan_points: Floats
+    points_with_known_xy: Floats
     """Coordinates (T, 3) [m] of those of T targets whose x and y are known, with height 0."""
 
     @classmethod
@@ -83,7 +83,7 @@ class DeclaredFrame:
         """True if a target or station has declared coordinates that define the frame."""
         return any(
             bool(np.isfinite(places).any())
-            for places in (self.declared_points, self.declared_station_positions, self.plan_points)
+            for places in (self.declared_points, self.declared_station_positions, self.points_with_known_xy)
         )
 
     def network_and_declared_points(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
@@ -112,8 +112,8 @@ class DeclaredFrame:
             return align_robustly(here, there)
         height = float(np.mean(there[:, 2] - (here @ levelling_rotation.T)[:, 2])) if len(here) else 0.0
         if len(here) < 2:
-            both = np.isfinite(points).all(axis=1) & np.isfinite(self.plan_points).all(axis=1)
-            here, there = points[both], self.plan_points[both]
+            both = np.isfinite(points).all(axis=1) & np.isfinite(self.points_with_known_xy).all(axis=1)
+            here, there = points[both], self.points_with_known_xy[both]
         if heading_rotation is not None and len(here) == 1:
             shift = there[0] - heading_rotation @ levelling_rotation @ here[0]
             return heading_rotation @ levelling_rotation, np.array([*shift[:2], height])
@@ -132,24 +132,20 @@ class DeclaredFrame:
         result is None without such positions, and if a station misses its position by `MAX_FLOOR_PLAN_ERROR` or more.
         """
         planned_indices = np.flatnonzero(
-            np.isfinite(self.plan_positions).all(axis=1) & np.isfinite(position).all(axis=1)
+            np.isfinite(self.floor_plan_positions).all(axis=1) & np.isfinite(position).all(axis=1)
         )
+        here, there = position[planned_indices], self.floor_plan_positions[planned_indices]
         if len(planned_indices) > 1:
             try:
-                motion = upright_alignment(position[planned_indices], self.plan_positions[planned_indices])
+                motion = upright_alignment(here, there)
             except NetworkError:
                 return None
-            return (
-                motion
-                if alignment_distances(position[planned_indices], self.plan_positions[planned_indices], motion).max()
-                < MAX_FLOOR_PLAN_ERROR
-                else None
-            )
-        if not len(planned_indices) or not np.isfinite(self.plan_yaws[planned_indices[0]]):
+            return motion if alignment_distances(here, there, motion).max() < MAX_FLOOR_PLAN_ERROR else None
+        if not len(planned_indices) or not np.isfinite(self.floor_plan_yaws[planned_indices[0]]):
             return None
         headings = rotation[planned_indices[0], :, 0]
-        turn = rotation_about_z(float(self.plan_yaws[planned_indices[0]] - np.arctan2(headings[1], headings[0])))
-        return turn, self.plan_positions[planned_indices[0]] - turn @ position[planned_indices[0]]
+        turn = rotation_about_z(float(self.floor_plan_yaws[planned_indices[0]] - np.arctan2(headings[1], headings[0])))
+        return turn, there[0] - turn @ here[0]
 
     def mirror_factors(self, network_points: Floats, declared_points: Floats) -> Floats | None:
         """Factors (3,) on the coordinates of a network of ranges alone: (1, 1, -1) mirrors it, (1, 1, 1) does not.
@@ -179,7 +175,7 @@ class DeclaredFrame:
         """
         return (
             self.mirror_factors(
-                np.concatenate([position, points]), np.concatenate([self.plan_positions, self.approximate_points])
+                np.concatenate([position, points]), np.concatenate([self.floor_plan_positions, self.approximate_points])
             )
             is not None
         )
@@ -195,7 +191,7 @@ class DeclaredFrame:
         """
         here, there = (
             np.concatenate([position, points]),
-            np.concatenate([self.plan_positions[stations], self.approximate_points[targets]]),
+            np.concatenate([self.floor_plan_positions[stations], self.approximate_points[targets]]),
         )
         factors = self.mirror_factors(here, there)
         if factors is not None:
@@ -220,9 +216,8 @@ class DeclaredFrame:
         if not mask.any():
             return None
         headings = rotation[mask, :, 0]
-        return rotation_about_z(
-            float(np.angle(np.sum(np.exp(1j * (self.plan_yaws[mask] - np.arctan2(headings[:, 1], headings[:, 0]))))))
-        )
+        turns = self.floor_plan_yaws[mask] - np.arctan2(headings[:, 1], headings[:, 0])
+        return rotation_about_z(float(np.angle(np.sum(np.exp(1j * turns)))))
 
     def levelling_rotation(self, rotation: Floats, is_joined_station: Bools) -> Floats:
         """Smallest rotation (3, 3) that brings the axes of levelled joined stations to their plumb lines."""

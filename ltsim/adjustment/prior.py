@@ -32,7 +32,7 @@ class ParameterPrior:
     """Flags (I, p) of those of the p parameters of each of I instruments that are fixed at their mean."""
 
     @classmethod
-    def independent(cls, sigma: Floats) -> ParameterPrior:
+    def from_sigmas(cls, sigma: Floats) -> ParameterPrior:
         """Uncorrelated priors of p parameters of each of I instruments, with mean zero and standard deviations `sigma`.
 
         `sigma` (I, p) [SI] is infinite for parameters without a prior.

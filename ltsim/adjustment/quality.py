@@ -32,7 +32,7 @@ MAX_CONSISTENT_SIGMA0 = 100.0
 deviations are reported as not valid."""
 MIN_COS_MEDIAN_TILT = 0.9
 """Smallest cosine of the median tilt of the stations at which the network is compared with approximate positions."""
-MAX_CURVATURE = 0.3
+MAX_POSE_CURVATURE = 0.3
 """Largest curvature of a pose (Bates and Watts), in standard deviations of a reading, at which its linearised standard
 deviations are valid. For a larger curvature they are reported as too small.
 """
@@ -87,9 +87,9 @@ def _require_consistent_control(adjustment: Adjustment) -> None:
         return
     if not (alone.solution.has_converged and MIN_MISFIT_RATIO * alone.sigma0 < adjustment.sigma0):
         return
-    gap = 1e3 * float(np.abs(adjustment.state.target_points[control.place_indices] - control.declared_points).max())
+    gap = 1e3 * float(np.abs(adjustment.state.target_points[control.point_indices] - control.declared_points).max())
     is_complete = control.declared_components.all(axis=1)
-    points = alone.state.target_points[control.place_indices[is_complete]]
+    points = alone.state.target_points[control.point_indices[is_complete]]
     raise NetworkError(
         f"the known points contradict the readings (sigma0 {adjustment.sigma0:.3g}, without them {alone.sigma0:.3g}; "
         f"largest difference {gap:.3g} mm): {_control_difference_text(points, control.declared_points[is_complete])}"
@@ -167,7 +167,7 @@ def adjustment_warnings(adjustment: Adjustment) -> tuple[str, ...]:
         _cause_sentences,
         _reference_sentences,
         _motion_sentences,
-        _plan_sentences,
+        _declared_position_sentences,
         *slips,
         _sparse_station_sentences,
         _unreliable_sigma_sentences,
@@ -178,7 +178,12 @@ def adjustment_warnings(adjustment: Adjustment) -> tuple[str, ...]:
 
 def network_warnings(adjustment: Adjustment) -> tuple[str, ...]:
     """Warnings on the network as a whole, without warnings on single reference values or blunders."""
-    kinds = _plan_sentences, _undecided_target_sentences, _sparse_station_sentences, _unreliable_sigma_sentences
+    kinds = (
+        _declared_position_sentences,
+        _undecided_target_sentences,
+        _sparse_station_sentences,
+        _unreliable_sigma_sentences,
+    )
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
@@ -203,15 +208,15 @@ def _motion_sentences(adjustment: Adjustment) -> Iterator[str]:
     yield from () if adjustment.cause_sentences else (sentence for _, sentence in motion_sentences(adjustment))
 
 
-def _plan_sentences(adjustment: Adjustment) -> Iterator[str]:
+def _declared_position_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on declared positions of upright stations that do not fit the network, or fit its mirror image."""
     frame, state = DeclaredFrame.from_recording(adjustment.recording), adjustment.state
-    planned_indices = np.flatnonzero(np.isfinite(frame.plan_positions).all(axis=1))
+    planned_indices = np.flatnonzero(np.isfinite(frame.floor_plan_positions).all(axis=1))
     if len(planned_indices) < MIN_RIGID_POINTS or np.median(state.station_rotations[:, 2, 2]) < MIN_COS_MEDIAN_TILT:
         return
     here, there = (
         state.station_positions[planned_indices] * [1.0, 1.0, 0.0],
-        frame.plan_positions[planned_indices] * [1.0, 1.0, 0.0],
+        frame.floor_plan_positions[planned_indices] * [1.0, 1.0, 0.0],
     )
     extent = float(np.ptp(here, axis=0).max())
     if extent < MAX_FLOOR_PLAN_ERROR:  # set-ups over one mark
@@ -308,12 +313,12 @@ def _unreliable_sigma_sentences(adjustment: Adjustment) -> Iterator[str]:
             f"{listing(adjustment.undetermined_stations)}: the undetermined components have no standard deviation"
         )
     bend = np.nan_to_num(pose_curvatures(adjustment)) if adjustment.solution.has_converged else np.zeros(0)
-    curved_stations = [adjustment.recording.stations[s] for s in np.flatnonzero(bend > MAX_CURVATURE)]
+    curved_stations = [adjustment.recording.stations[s] for s in np.flatnonzero(bend > MAX_POSE_CURVATURE)]
     if curved_stations:
         yield (
             f"the targets of station {listing(curved_stations)} "
             "hardly determine its pose, so that its standard deviations (a linear approximation) are too small "
-            f"(curvature {bend.max():.2g}, trustworthy below {MAX_CURVATURE:g}): "
+            f"(curvature {bend.max():.2g}, trustworthy below {MAX_POSE_CURVATURE:g}): "
             "add targets far apart and not on one line"
         )
     if adjustment.sigma0 > MAX_CONSISTENT_SIGMA0:
@@ -350,13 +355,13 @@ def pose_curvatures(adjustment: Adjustment) -> Floats:
     np.maximum.at(steepest, station[has_readings], (range_ / min_sigmas)[has_readings])
     bend = np.where(np.isnan(spread).any(axis=(1, 2)), np.nan, 0.0)
     turn = np.trace(np.nan_to_num(spread)[:, 3:, 3:], axis1=1, axis2=2)
-    for s in np.flatnonzero((0.5 * turn * steepest > MAX_CURVATURE) & ~np.isnan(bend)):
+    for s in np.flatnonzero((0.5 * turn * steepest > MAX_POSE_CURVATURE) & ~np.isnan(bend)):
         columns, size = problem.unknowns.pose_columns[s], np.sqrt(np.diag(spread[s]))
         size = np.where(size > 0, size, 1.0)  # components that define the frame do not vary
         worst = np.linalg.eigh(spread[s] / np.outer(size, size))[1][:, -1] / size
         direction = np.zeros((problem.unknowns.n_columns, 1))
         direction[columns, 0] = worst
-        carried = adjustment.factorised_normals.covariance_columns(direction)[:, 0]
+        carried = adjustment.factorised_normals.multiply_by_covariance(direction)[:, 0]
         step = carried / np.sqrt(carried[columns] @ worst)
         gaps = [problem.model.predict(problem.retract(state, sign * step)) for sign in (1.0, -1.0)]
         gaps = [gap - problem.model.predict(state) for gap in gaps]

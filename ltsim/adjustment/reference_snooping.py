@@ -31,8 +31,8 @@ from ltsim.adjustment.reliability import (
     neg_log_p_chi2,
     noise_factor,
     noise_factor_from_residuals,
+    normalise_residuals,
     redundancy_numbers,
-    standardised_residuals,
 )
 from ltsim.adjustment.significance import (
     FAMILY_WISE_LEVEL,
@@ -197,7 +197,7 @@ def _most_contradicting_observation(
         return None
     assert solution.factor is not None
     redundancy = redundancy_numbers(problem, solution.factor)
-    w = standardised_residuals(problem, problem.reading_residuals(problem.model.predict(solution.x)), redundancy)
+    w = normalise_residuals(problem, problem.reading_residuals(problem.model.predict(solution.x)), redundancy)
     shown = noise_factor_from_residuals(w, redundancy)
 
     def noise(test: ReferenceTest) -> float:

@@ -160,7 +160,7 @@ def reference_tests(
     values += common_scale_reference(problem, solution.x) if min_residual else []
     for batch in (values[part] for part in batches(len(values), 3 * solution.system.design.shape[1])):
         inside = np.hstack([to_dense(solution.system.design[value.rows]).T @ value.design_columns for value in batch])
-        response, first = solution.factor.covariance_columns(inside), 0
+        response, first = solution.factor.multiply_by_covariance(inside), 0
         for value in batch:
             columns = slice(first, first := first + value.design_columns.shape[1])
             gram = value.design_columns.T @ value.design_columns - inside[:, columns].T @ response[:, columns]

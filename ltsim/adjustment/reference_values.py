@@ -65,7 +65,7 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
         yield ReferenceValueRows("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
     first += len(gauge)
     points, marks, differences = problem.control_rows, problem.control_rows_of_marks, problem.difference_rows
-    at, on, names = points.place_indices, marks.place_indices, problem.marks.mark_names
+    at, on, names = points.point_indices, marks.point_indices, problem.marks.mark_names
     by_name: tuple[tuple[ReferenceKind, ControlRows, list[str], Sequence[str], Floats], ...] = (
         ("point", points, [recording.targets[t] for t in at], (), state.target_points[at]),
         ("point", marks, [names[s] for s in on], recording.stations, state.station_positions[on]),
@@ -78,7 +78,7 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
         ),
     )
     for kind, controls, called, under, here in by_name:
-        for i, place in enumerate(controls.place_indices.tolist()):
+        for i, place in enumerate(controls.point_indices.tolist()):
             axes = controls.declared_components[i]
             root = controls.whitening_matrices[i][np.ix_(axes, axes)]
             sigma = np.linalg.norm(np.linalg.inv(root), axis=1)

@@ -40,7 +40,7 @@ MAX_TRACKER_ERROR = 1e-3
 pointing with a larger error has a gross error. """
 MAX_WORKSHOP_RANGE = 10.0
 """Range [m] above which the limit `MAX_TRACKER_ERROR` grows in proportion to the range."""
-MIN_RESIDUAL_BEYOND_NOISE = 50.0
+MIN_SIGMAS_BEYOND_NOISE = 50.0
 """Residual, in declared standard deviations, above which noise is no explanation, even if it is ten times as large as
 declared."""
 MIN_CHECKED_REDUNDANCY = 0.05
@@ -59,7 +59,7 @@ MIN_MEAN_REPEATS = 1.5
 Half of the occupations or targets are then repeated. Without repeats a displacement is not distinguishable from noise,
 or is part of the coordinates.
 """
-MIN_EQUIVALENT_CORRELATION = 0.9
+MIN_EQUIVALENT_SQUARED_CORRELATION = 0.9
 """Squared correlation of two residuals or design columns, above which errors of both are indistinguishable: one
 explains 9/10 of the chi-square of the other. """
 MIN_MISFIT_RATIO = 10.0

@@ -12,8 +12,8 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import (
     critical_w,
     noise_factor_from_residuals,
+    normalise_residuals,
     redundancy_numbers,
-    standardised_residuals,
 )
 from ltsim.adjustment.significance import (
     MAX_TRACKER_ERROR,
@@ -133,7 +133,7 @@ def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bool
     along = gauge.unit_vectors(state.target_points) / gauge.sigma[:, None]
     for end in (gauge.first_targets, gauge.second_targets):
         np.add.at(normal, end, along[:, :, None] * along[:, None, :])
-    np.add.at(normal, control.place_indices, np.swapaxes(control.whitening_matrices, 1, 2) @ control.whitening_matrices)
+    np.add.at(normal, control.point_indices, np.swapaxes(control.whitening_matrices, 1, 2) @ control.whitening_matrices)
     for end in problem.difference_rows.ends:
         rows_at_end = problem.difference_rows.subset(end < count)
         np.add.at(
@@ -200,7 +200,7 @@ def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
     excess = _relative_misclosure(model, state)
     for _ in range(MAX_ITERATIONS if np.any(excess > 1.0) else 0):
         problem = drop_undetermined_targets(NetworkProblem.from_model(model), state)
-        state, length = _relaxed_step(problem, state, model.linearise(state), np.maximum(excess, 1.0)[:, None])
+        state, length = _weighted_step(problem, state, model.linearise(state), np.maximum(excess, 1.0)[:, None])
         before, excess = excess, _relative_misclosure(model, state)
         if not length or not np.any((excess > 1.0) & (excess < MAX_CONVERGENCE_RATIO * before)):
             break
@@ -225,7 +225,7 @@ def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats
     return miss / limit
 
 
-def _relaxed_step(
+def _weighted_step(
     problem: NetworkProblem, state: NetworkState, prediction: Prediction, sigma_factors: Floats
 ) -> tuple[NetworkState, float]:
     """State after one Gauss-Newton step, and the squared step length in standard deviations; 0 for a singular system.
@@ -343,7 +343,7 @@ def prediction_sigmas(
     assert solution.factor is not None
     system = problem.linear_system(solution.x, prediction or problem.model.linearise(solution.x))
     omitted_rows = to_dense(system.design[np.flatnonzero(is_omitted[problem.is_used_reading])])
-    response = solution.factor.covariance_columns(np.ascontiguousarray(omitted_rows.T))
+    response = solution.factor.multiply_by_covariance(np.ascontiguousarray(omitted_rows.T))
     return np.asarray(np.sqrt(1.0 + np.maximum(np.sum(omitted_rows * response.T, axis=1), 0.0)))
 
 
@@ -355,7 +355,7 @@ def _test_readings(
     `readings` (n, 3) are the predicted readings, `normal_equations` the factorised normal equations at the same state.
     """
     redundancy = redundancy_numbers(reduced_problem, normal_equations)
-    w = standardised_residuals(reduced_problem, problem.reading_residuals(readings), redundancy)
+    w = normalise_residuals(reduced_problem, problem.reading_residuals(readings), redundancy)
     return np.nan_to_num(np.abs(w)), noise_factor_from_residuals(w, redundancy), redundancy
 
 

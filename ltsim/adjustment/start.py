@@ -8,7 +8,7 @@ from ltsim.adjustment.fit_readings import FitReadings
 from ltsim.adjustment.fitting import (
     HorizontalLengths,
     beam_intersection,
-    fit_plan,
+    fit_horizontal_network,
     fit_point,
     fit_pose,
     lines_of_undetermined_length,
@@ -164,7 +164,7 @@ class NetworkInitialiser:
         for station in oriented_indices if self._is_in_frame else ():
             stand = self._position_from_mark(station)
             if stand is not None:
-                self._join_station(station, stand, rotation_about_z(float(self._frame.plan_yaws[station])))
+                self._join_station(station, stand, rotation_about_z(float(self._frame.floor_plan_yaws[station])))
                 return True
         return False
 
@@ -178,13 +178,13 @@ class NetworkInitialiser:
         recording, has_new = self._recording, False
         usable = self._is_joined[recording.station] & ~self._has_coordinates[recording.target]
         for target, rows in group_rows(recording.target, np.flatnonzero(usable)):
-            if self._is_worth_trying(-1 - target, len(rows)):
+            if self._is_fit_worth_trying(-1 - target, len(rows)):
                 point = self._locate_point(rows)
                 if point is not None:
                     self._located_targets[target], has_new = point, True
         return has_new
 
-    def _is_worth_trying(self, key: int, n_neighbours: int) -> bool:
+    def _is_fit_worth_trying(self, key: int, n_neighbours: int) -> bool:
         """True unless a fit failed with as many neighbours; `key` is a station index, or -1 minus the target index."""
         tried, self._failed_attempts[key] = self._failed_attempts.get(key), n_neighbours
         return tried != n_neighbours
@@ -194,7 +194,7 @@ class NetworkInitialiser:
         position, rotation = self._positions[station], self._rotations[station]
         sight = self._readings.select_rows(pointing_indices)
         front = sight.readings
-        no_heights = np.isnan(front[:, 2]) & (np.isnan(front[:, 0]) | sight.is_horizontal)
+        no_heights = np.isnan(front[:, 2]) & (np.isnan(front[:, 0]) | sight.has_horizontal_distance)
         if self._is_levelled and self._frame.is_levelled[station].all() and no_heights.all():
             front = np.where([False, False, True], 0.0, front)  # directions and horizontal distances intersect in plan
         beams = np.isfinite(front[:, 1:]).all(axis=1)
@@ -213,7 +213,7 @@ class NetworkInitialiser:
         groups = group_rows(recording.station, np.flatnonzero(usable))
         for station, rows in sorted(groups, key=lambda group: -np.isfinite(self._front_readings[group[1]]).sum()):
             stand = self._position_from_mark(station)
-            if not self._is_worth_trying(station, 2 * len(rows) + (stand is not None)):
+            if not self._is_fit_worth_trying(station, 2 * len(rows) + (stand is not None)):
                 continue
             level = self._is_levelled and bool(self._frame.is_levelled[station])
             sight = self._readings.select_rows(rows)
@@ -305,8 +305,9 @@ class NetworkInitialiser:
             return
         if np.linalg.norm(up) > 0.0:
             turn = smallest_rotation(VERTICAL, up / np.linalg.norm(up))
+            yaws = np.nan_to_num(self._frame.floor_plan_yaws)
             for station in np.flatnonzero(~reads_angles & self._is_joined):
-                self._rotations[station] = turn @ rotation_about_z(float(np.nan_to_num(self._frame.plan_yaws[station])))
+                self._rotations[station] = turn @ rotation_about_z(float(yaws[station]))
 
     # --- initialisation methods ------------------------------------------------------------------------------------
 
@@ -345,7 +346,7 @@ class NetworkInitialiser:
         self._located_targets, marks = self._frame.approximate_points.copy(), self._frame.marks
         on_marks = self._located_targets[marks.target_indices] + marks.instrument_offsets
         declared = np.where((marks.target_indices >= 0)[:, None], on_marks, self._frame.declared_station_positions)
-        declared = np.where(np.isnan(declared), self._frame.plan_positions, declared)
+        declared = np.where(np.isnan(declared), self._frame.floor_plan_positions, declared)
         for station in np.flatnonzero(np.isfinite(declared).all(axis=1)).tolist():
             rows = np.flatnonzero(self._recording.station == station)
             x, y, _ = (self._located_targets[self._recording.target[rows]] - declared[station]).T
@@ -360,16 +361,15 @@ class NetworkInitialiser:
             return
         over, extra = marks.target_indices, len(self._located_targets) + marks.first_setup_on_mark
         stands = np.where(over >= 0, over, extra)
-        control = np.concatenate([frame.plan_points, frame.declared_station_positions])[:, :2]
+        control = np.concatenate([frame.points_with_known_xy, frame.declared_station_positions])[:, :2]
         ranged_indices = np.flatnonzero(np.isfinite(self._front_readings[:, 0]))
         starts, ends = stands[recording.station[ranged_indices]], recording.target[ranged_indices]
         lines = HorizontalLengths(starts, ends, self._front_readings[ranged_indices, 0])
         station, end = recording.station[bearing_rows], recording.target[bearing_rows]
-        plan = fit_plan(station, stands[station], end, self._front_readings[bearing_rows, 1], control, lines)
+        azimuths = self._front_readings[bearing_rows, 1]
+        plan = fit_horizontal_network(station, stands[station], end, azimuths, control, lines)
         if plan is None:
-            self._open_lines = lines_of_undetermined_length(
-                station, stands[station], end, self._front_readings[bearing_rows, 1], lines
-            )
+            self._open_lines = lines_of_undetermined_length(station, stands[station], end, azimuths, lines)
             return
         places, yaw, in_frame = np.pad(plan[0], ((0, 0), (0, 1))), plan[1], plan[2]
         if in_frame:

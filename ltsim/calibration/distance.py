@@ -202,7 +202,7 @@ class ErrorPropagation:
     @cached_property
     def _unknowns_per_observation(self) -> Floats:
         """Matrix A (unknowns, observations) that maps whitened observations to the adjusted unknowns of the network."""
-        return self.adjustment.factorised_normals.covariance_columns(np.ascontiguousarray(self._whitened_design.T))
+        return self.adjustment.factorised_normals.multiply_by_covariance(np.ascontiguousarray(self._whitened_design.T))
 
     @cached_property
     def _parameter_design(self) -> Floats:

@@ -291,7 +291,7 @@ def _make_calibration(
     is_fixed = adjustment.problem.prior.is_fixed
     is_free = ~is_fixed.ravel()
     covariance = np.where(
-        is_free[:, None] & is_free, adjustment.reduced_covariance[columns_of_free[:, None], columns_of_free], 0.0
+        is_free[:, None] & is_free, adjustment.retained_covariance[columns_of_free[:, None], columns_of_free], 0.0
     )
     prior = adjustment.problem.prior.sigma
     values, directions = (

@@ -70,7 +70,7 @@ class SelectionState:
         """Search in the residual space of the present adjustment, created on first use."""
         if self._searcher is None:
             before = self._previous_searcher
-            is_reusable = before is not None and before.space.n_rows == self.space.n_rows
+            is_reusable = before is not None and before.space.n_equations == self.space.n_equations
             catalogue_designs = (
                 None
                 if before is None or not is_reusable

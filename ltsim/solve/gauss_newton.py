@@ -187,7 +187,7 @@ def _step_with_previous_design(
 
 def _system_after_step(block_system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
     """Linear system with the same design matrix after a `step`; its residuals are `residual` minus design @ step."""
-    return BlockSystem(block_system.design, residual - block_system.design @ step, block_system.n_reduced)
+    return BlockSystem(block_system.design, residual - block_system.design @ step, block_system.n_retained)
 
 
 def _damped_factor(block_system: BlockSystem, damping: float) -> tuple[BlockFactor | None, float]:

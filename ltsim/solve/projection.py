@@ -154,14 +154,14 @@ class FactorResidualProjector:
         design_products = (
             self._transposed_design if len(columns) == len(self.removed_columns) else self.design[rows].T
         ) @ columns
-        residual: Floats = self.design @ -self.factor.covariance_columns(design_products)
+        residual: Floats = self.design @ -self.factor.multiply_by_covariance(design_products)
         residual[rows] += columns
         again = self._transposed_design @ residual
         if np.any(
             np.abs(again) * self._inverse_column_norms[:, None]
             > MAX_UNPROJECTED_OVERLAP * np.linalg.norm(columns, axis=0)
         ):
-            residual -= self.design @ self.factor.covariance_columns(again)
+            residual -= self.design @ self.factor.multiply_by_covariance(again)
         if self.removed_columns.shape[1]:
             residual -= self.removed_columns @ (self.removed_columns.T @ residual)
         return residual

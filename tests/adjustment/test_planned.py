@@ -61,6 +61,6 @@ def test_other_readings_in_use_are_counted_anew() -> None:
     fewer = replace(problem, is_used_reading=use)
     assert np.flatnonzero(fewer.undetermined_unknowns.is_unmeasured_target).tolist() == [5]
     assert fewer.undetermined_unknowns.yaw_undetermined_stations.tolist() == [2]
-    assert fewer.undetermined_unknowns.n_fixed == len(fewer.undetermined_unknowns.fixed_columns) == 4
+    assert fewer.undetermined_unknowns.n_fixing_equations == len(fewer.undetermined_unknowns.fixed_columns) == 4
     assert fewer.unknowns is problem.unknowns
     assert problem.dof - fewer.dof == (~use).sum() - 4

@@ -148,9 +148,9 @@ def test_noise_of_each_observable_is_found():
     found = adjust(noisy(4, truth, faces=2), TRACKER, noise_grouping="observable")
     assert [c.observable for c in found.variance_components] == ["distance", "azimuth", "elevation"]
     for component, true in zip(found.variance_components, truth, strict=True):
-        assert component.factor == pytest.approx(true, abs=4 * component.factor_sigma)
-        assert component.factor_sigma < 0.1 * true
-        assert abs(component.factor - 1.0) > 3.0 * component.factor_sigma
+        assert component.noise_factor == pytest.approx(true, abs=4 * component.noise_factor_sigma)
+        assert component.noise_factor_sigma < 0.1 * true
+        assert abs(component.noise_factor - 1.0) > 3.0 * component.noise_factor_sigma
     assert found.sigma0 == pytest.approx(1.0, abs=0.02)
 
 
@@ -169,8 +169,8 @@ def test_noise_of_each_instrument_is_found_with_blunders_about():
     assert set(where) <= {tuple(map(int, at)) for at in np.argwhere(found.is_rejected)}
     assert found.is_rejected.sum() < 8
     for component in found.variance_components:
-        assert component.factor == pytest.approx(
-            {"A": 1.0, "B": 3.0}[component.instrument], abs=4 * component.factor_sigma
+        assert component.noise_factor == pytest.approx(
+            {"A": 1.0, "B": 3.0}[component.instrument], abs=4 * component.noise_factor_sigma
         )
 
 
@@ -179,8 +179,8 @@ def test_a_group_without_redundancy_keeps_its_noise():
     readings = recording.readings.copy()
     readings[1:, 0] = np.where(np.arange(len(readings) - 1) < 2, readings[1:, 0], np.nan)
     gauge = adjust(recording.with_readings(readings), TRACKER, noise_grouping="observable")
-    assert gauge.variance_components[0].factor == 1.0
-    assert gauge.variance_components[0].factor_sigma == np.inf
+    assert gauge.variance_components[0].noise_factor == 1.0
+    assert gauge.variance_components[0].noise_factor_sigma == np.inf
 
 
 # --- verdict ------------------------------------------------------------------------------------------------------

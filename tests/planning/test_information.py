@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.remedies.detectability import detectability_at_places
+from ltsim.adjustment.remedies.detectability import detectability_of_variants
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.core.randomness import random_stream
@@ -219,7 +219,7 @@ def test_an_effect_that_knows_the_clock_is_the_same_in_the_batch(face_by_face: b
     for blocks in (whole, alone):
         information = reducer.evaluate_layouts(blocks, np.arange(5)[None]).information
         for k, effect in enumerate(effects):
-            visible = detectability_at_places(space, [effect])
+            visible = detectability_of_variants(space, [effect])
             assert visible is not None
             only = np.delete(
                 np.delete(information, [16 + j for j in range(3) if j != k], 1), [16 + j for j in range(3) if j != k], 2

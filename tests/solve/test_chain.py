@@ -43,7 +43,7 @@ def test_a_ring_becomes_a_chain_and_gives_what_dense_algebra_gives(shared, close
     assert sparse._schur_factor.n_blocks > 2
     right = random_stream(1, "right").standard_normal((design.shape[1], 2))
     np.testing.assert_allclose(sparse.solve(right), dense.solve(right), rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(sparse.reduced_inverse, dense.reduced_inverse, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(sparse.retained_inverse, dense.retained_inverse, rtol=1e-7, atol=1e-9)
     for ours, theirs in zip(sparse.inverse_blocks_and_leverage, dense.inverse_blocks_and_leverage, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-9)
     columns = np.array([[0, 1], [5, 5]]) if not shared else np.array([[kept - 1, kept - 2], [3, kept - 1]])

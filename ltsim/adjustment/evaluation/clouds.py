@@ -108,7 +108,7 @@ class CalibrationErrors:
     """Rms error [m] of the points corrected with the true parameters."""
 
     @property
-    def share_removed(self) -> float:
+    def removed_error_fraction(self) -> float:
         """Fraction of the correctable mean square error that the calibration removed."""
         return removed_error_fraction(self.raw_rms, self.calibrated_rms, self.true_parameters_rms)
 

@@ -41,18 +41,18 @@ from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile, Sourc
 class StationDisagreement(ValueEquality):
     """Disagreement of the stations [m]: for distances one value per pair of targets, for coordinates one per target."""
 
-    values: Floats
+    disagreements: Floats
     """Disagreement of each pair of targets or each target [m]."""
 
     @property
     def mean(self) -> float:
         """Mean disagreement [m]."""
-        return float(self.values.mean())
+        return float(self.disagreements.mean())
 
     @property
     def maximum(self) -> float:
         """Largest disagreement [m]."""
-        return float(self.values.max())
+        return float(self.disagreements.max())
 
 
 CRITERIA_TABLE = Table(
@@ -248,7 +248,7 @@ def evaluate_criteria(
             return criterion_function(align_to_first_station(clouds, recording.stations) if is_aligned else clouds)
 
         raw_disagreement = disagreement_of(raw_clouds)
-        if not len(raw_disagreement.values):
+        if not len(raw_disagreement.disagreements):
             raise NetworkError("the criteria need targets and pairs of targets that two stations measured")
         return CriterionEntry.from_differences(
             raw_disagreement, None if corrected_clouds is None else disagreement_of(corrected_clouds)
@@ -272,7 +272,7 @@ def _distance_to_first_criterion(uncalibrated: Floats, calibrated: Floats | None
     `uncalibrated` and `calibrated` (stations, targets, 3) [m] are the points of each station.
     """
     differences = distance_differences_to_first(uncalibrated)
-    if not len(differences.values):
+    if not len(differences.disagreements):
         return {}
     corrected = None if calibrated is None else distance_differences_to_first(calibrated)
     return {"distance_to_first": CriterionEntry.from_differences(differences, corrected)}

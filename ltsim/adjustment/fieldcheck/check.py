@@ -347,7 +347,9 @@ def _bump_item(
     chance = test_family.corrected_p_value(occupation.p_value(fit), len(order) - 1)
     motion_interval_text = interval_text(recording, int(pair[0]), int(pair[1]), row_numbers.tolist())
     sentence = bump_sentence(recording, motion_interval_text, fit)
-    return CheckItem.from_test(name, "bump", False, sentence, chance, rows=rows_around_motion, between_s=time_interval)
+    return CheckItem.from_test(
+        name, "bump", False, sentence, chance, rows=rows_around_motion, motion_interval_s=time_interval
+    )
 
 
 def _zero_drift_design(occupation: StationOccupation) -> Floats:

@@ -275,7 +275,7 @@ class TwoFaceDifferences:
     """Standard deviations (m, 3) [m, rad, rad] of the half differences of m pairs, from the declared noise."""
     exceeds_limit: Bools
     """Flags (m, 3) of the half differences of m pairs that exceed their limits, after the correction for motions."""
-    max_half_differences: Floats
+    half_difference_limits: Floats
     """Largest permitted half differences of m pairs, (m, 3) [m, rad, rad]."""
 
     @classmethod
@@ -338,7 +338,7 @@ class TwoFacePairs:
         return np.sqrt(np.mean(self.half_differences**2, axis=0))
 
     @property
-    def median(self) -> Floats:
+    def median_absolute(self) -> Floats:
         """Median (3,) [m, rad, rad] of the absolute half differences, insensitive to a few gross errors."""
         return np.median(np.abs(self.half_differences), axis=0)
 

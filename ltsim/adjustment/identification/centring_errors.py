@@ -65,7 +65,7 @@ def centring_hypotheses(fit: NetworkFit, residual_space: ResidualSpace) -> list[
     largest_first = sorted(places, key=lambda place: -float(squares[place.occupation >= 0].mean()))
     offers, entries = list[tuple[float, Hypothesis]](), 0
     for place in largest_first:
-        entries += 3 * (int(place.occupation.max()) + 1) * residual_space.n_rows
+        entries += 3 * (int(place.occupation.max()) + 1) * residual_space.n_equations
         if entries > MAX_SCREENED_ENTRIES:
             break
         offers.append(
@@ -182,7 +182,7 @@ def _centring_places(recording: Recording, is_used_reading: Bools) -> list[_Cent
 class CentringEstimate(NamedTuple):
     """Maximum likelihood estimate of the standard deviation of centring errors."""
 
-    gain: float
+    log_evidence_gain: float
     """Gain of log evidence by the centring errors, without the prior probability of the hypothesis."""
     sigma: float
     """Standard deviation [m] of each component of a displacement."""

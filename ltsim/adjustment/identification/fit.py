@@ -41,7 +41,7 @@ from ltsim.adjustment.reference_values import (
     reference_values,
     with_nonzero_reference_sigmas,
 )
-from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS, MAX_TRACKER_ERROR, MIN_RESIDUAL_BEYOND_NOISE
+from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS, MAX_TRACKER_ERROR, MIN_SIGMAS_BEYOND_NOISE
 from ltsim.adjustment.snooping import drop_undetermined_targets, prediction_sigmas, snoop_readings
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import fit_robust_state
@@ -59,7 +59,7 @@ from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, Solution, solve
 
 MAX_NOISE_ESTIMATES = 3
 """Largest number of iterations for the noise factors, or for the standard deviations of centring errors, in a fit."""
-NOISE_TOLERANCE = 0.05
+NOISE_FACTOR_TOLERANCE = 0.05
 """Largest relative change of noise factors at which their iteration ends. Such a change alters log evidence by 0.1."""
 MIN_NOISE_CHANGE_FOR_OUTLIERS = 0.2
 """Relative change of the noise factors above which outliers are searched again."""
@@ -102,13 +102,13 @@ class NetworkFit:
     ) -> tuple[list[ReferenceValueRows], int, NetworkState]:
         """Reference values with large residuals in a robust fit, number of all reference values, and state of the fit.
 
-        Large residuals exceed `MIN_RESIDUAL_BEYOND_NOISE` robust standard deviations. An adjustment with such a
+        Large residuals exceed `MIN_SIGMAS_BEYOND_NOISE` robust standard deviations. An adjustment with such a
         reference value would distort the whole network.
         """
         problem, start = cls._make_problem(network, hypotheses)
         relaxed_problem = with_nonzero_reference_sigmas(problem, start)
         state, residual = fit_robust_state(relaxed_problem, resect_contradicted_setups(relaxed_problem, start))
-        limit = MIN_RESIDUAL_BEYOND_NOISE * max(robust_sigma(residual[: int(problem.is_used_reading.sum())]), 1.0)
+        limit = MIN_SIGMAS_BEYOND_NOISE * max(robust_sigma(residual[: int(problem.is_used_reading.sum())]), 1.0)
         references = [v for v in reference_values(problem, state) if v.kind != "mark"]
         return [v for v in references if float(np.abs(residual[v.rows]).max()) > limit], len(references), state
 
@@ -239,7 +239,7 @@ class NetworkFit:
         for _ in range(MAX_NOISE_ESTIMATES):
             sigma = fit._estimated_sigmas()
             changed = float(np.nanmax(np.abs(np.log(sigma / fit.problem_with_all_readings.sigma))))
-            if not changed > NOISE_TOLERANCE:
+            if not changed > NOISE_FACTOR_TOLERANCE:
                 break
             whole, problem = replace(fit.problem_with_all_readings, sigma=sigma), replace(fit.problem, sigma=sigma)
             solution = solve(problem, fit.state)

@@ -19,7 +19,7 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 
-CENTRING_TOLERANCE = 0.15
+CENTRING_SIGMA_TOLERANCE = 0.15
 """Smallest relative change of the standard deviation of centring errors at which a fit is repeated. The relative
 standard deviation of an estimate from a hundred displacement components is 7 %.
 """
@@ -89,7 +89,7 @@ def with_centring_sigma(
 
     `estimate_function` returns the q components u (q,) [m] of the displacements of a hypothesis, and their covariance C
     (q, q). The step of restricted maximum likelihood is s^2 = u'u / (q - tr(C) / s^2). A hypothesis is returned
-    unchanged if it is not about centring errors, or if s changes by less than `CENTRING_TOLERANCE`.
+    unchanged if it is not about centring errors, or if s changes by less than `CENTRING_SIGMA_TOLERANCE`.
     """
     change = hypothesis.model_change
     if not isinstance(change, CentringChange):
@@ -100,7 +100,7 @@ def with_centring_sigma(
     if determined < 1.0:
         return hypothesis
     factor = float(np.sqrt(displacement @ displacement / determined)) / sigma
-    if abs(np.log(max(factor, 1e-3))) < CENTRING_TOLERANCE:
+    if abs(np.log(max(factor, 1e-3))) < CENTRING_SIGMA_TOLERANCE:
         return hypothesis
     centring = change.centring.model_copy(update={"sigma_mm": max(factor, 1e-3) * change.centring.sigma_mm})
     return replace(hypothesis, model_change=CentringChange(centring))

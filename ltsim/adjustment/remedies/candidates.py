@@ -134,7 +134,7 @@ class CandidateMeasurement:
             return None
 
     @property
-    def added_setup_on_plan(self) -> tuple[Floats, float] | None:
+    def added_setup_on_floor_plan(self) -> tuple[Floats, float] | None:
         """Position (3,) [m] and yaw [rad] of the additional set-up on the floor plan; None without such a set-up."""
         state, plan = self.network.state, FloorPlan.from_recording(self.network.recording, self.network.state)
         return (
