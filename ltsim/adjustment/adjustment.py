@@ -51,7 +51,7 @@ class FlaggedReading:
     observable_column: int
     """Index of the observable: 0 range, 1 azimuth, 2 elevation."""
     estimated_error: float
-    """Estimated gross error of the reading [m, rad]."""
+    """Estimated gross error of the reading: [m] for a range, [rad] for an angle."""
     normalised_residual: float
     """Normalised residual, the statistic of the w-test."""
     p_value: float
@@ -67,9 +67,9 @@ class Adjustment(Result):
     solution: Solution[NetworkState]
     """Solution of the problem, with its convergence status."""
     is_gross_pointing: Bools
-    """Flags (n,) of those of the n pointings that were rejected as gross errors before the adjustment."""
+    """Flags (n,), True for those of the n pointings that were rejected as gross errors before the adjustment."""
     variance_components: tuple[VarianceComponent, ...] = ()
-    """Estimated noise of groups of readings, which `problem.sigma` contains; empty if no estimate was requested."""
+    """Estimated noise of groups of readings, already part of `problem.sigma`; empty if no estimate was requested."""
     unconnected_targets: tuple[str, ...] = ()
     """Names of targets without start coordinates, which are not adjusted; their coordinates in `state` have no
     meaning."""
@@ -211,7 +211,7 @@ class Adjustment(Result):
 
     @cached_property
     def redundancy(self) -> Floats:
-        """Redundancy numbers (n, 3) of n pointings: derivatives of residuals by errors of readings; NaN if unused."""
+        """Redundancy numbers (n, 3) of n pointings: change of each residual per error of its reading; NaN if unused."""
         return redundancy_numbers(self.problem, self.factorised_normals)
 
     @cached_property
@@ -286,7 +286,7 @@ class Adjustment(Result):
         return [FlaggedReading(*place[k], float(error * unit[k]), w, p_value) for k, error, w, p_value in outliers]
 
     def _redundancy_block(self, pointing_indices: Ints, columns: Ints) -> Floats:
-        """Block (k, k) of the redundancy matrix for k readings in use, given by their rows and columns (k,).
+        """Block (k, k) of the redundancy matrix for k readings: pointings `pointing_indices`, observables `columns`.
 
         Element (i, j) is the change of residual i by an error of reading j, in standard deviations. For more than
         `MAX_SUCCESSIVELY_TESTED_READINGS` readings the block is diagonal.
@@ -302,14 +302,14 @@ class Adjustment(Result):
     def covariance_of(self, columns: Ints) -> Floats:
         """Covariances (c, k, k) of c sets of k unknowns each; `columns` (c, k) are their columns in the design matrix.
 
-        Columns of targets that the factorisation eliminates are not permitted.
+        Targets that are eliminated from the normal equations are not permitted.
         """
         covariance = self.factorised_normals.covariances_of_sets(columns)
         return covariance if self.datum is None else self.datum.transform_covariance(covariance, columns)
 
     @cached_property
     def retained_covariance(self) -> Floats:
-        """Covariance (K, K) of the K unknowns that the factorisation keeps: poses, some targets, parameters."""
+        """Covariance (K, K) of the K unknowns that are not eliminated: poses, some targets, parameters."""
         covariance = self.factorised_normals.retained_covariance()
         if self.datum is None:
             return covariance
@@ -321,7 +321,7 @@ class Adjustment(Result):
         return self.instrument_covariance_of(0)
 
     def instrument_covariance_of(self, instrument: int) -> Floats:
-        """Covariance (p, p) of the p parameters of one instrument [SI]."""
+        """Covariance (p, p) [SI] of the p parameters of the instrument with the index `instrument`."""
         return self.covariance_of(self.problem.unknowns.instrument_columns[[instrument]])[0]
 
     @cached_property
@@ -372,13 +372,13 @@ class Adjustment(Result):
 
     @cached_property
     def is_height_undetermined(self) -> Bools:
-        """Flags (T,) of those of the T targets whose height is undetermined."""
+        """Flags (T,), True for those of the T targets whose height is undetermined."""
         plan = [self.recording.target_setup(name).in_plan for name in self.recording.targets]
         return np.asarray(self.problem.undetermined_unknowns.is_height_undetermined_target | np.array(plan, dtype=bool))
 
     @single_threaded
     def with_effects(self, effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
-        """Adjustment of the same readings with the same weights, but with `effects` as additional effects."""
+        """Adjustment of the same readings with the same weights, in which `effects` replace the additional effects."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
         use = old.is_used_reading
         new_problem = NetworkProblem.from_model(model, sigma=old.sigma, reading_mask=use, prior=old.prior)

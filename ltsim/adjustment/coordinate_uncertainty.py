@@ -101,7 +101,7 @@ def _covariance_columns(adjustment: Adjustment, columns: Ints) -> Floats:
 def relevant_air_uncertainty(
     adjustment: Adjustment, air_uncertainty: AirUncertainty | None = None
 ) -> AirUncertainty | None:
-    """Uncertainty of the air, by default that of the set-up; None if all ranges are too short for an effect."""
+    """Uncertainty of the air, by default as declared in the set-up; None if all ranges are too short to be affected."""
     declared_air = air_uncertainty or adjustment.recording.setup.air or AirUncertainty()
     is_used = adjustment.problem.is_used_reading.any(axis=1)
     return declared_air if declared_air.is_relevant(longest_range(adjustment)) and is_used.any() else None
@@ -133,7 +133,7 @@ def displacements_by_air_error(
 
 
 def _reading_shifts_by_shared_air_errors(adjustment: Adjustment, air: AirUncertainty) -> tuple[Floats, Ints]:
-    """Shifts (2, r) of the r readings in use by errors of temperature and gradient, and the station (r,) of each.
+    """Shifts (2, r) of the r readings in use by errors of air temperature and gradient, and their stations (r,).
 
     The errors have the size of one standard deviation. The shifts are in standard deviations of the readings.
     """
@@ -157,7 +157,7 @@ def shared_air_error_names(air: AirUncertainty) -> tuple[str, str]:
     scale = air.temperature_k * relative_index_decrease_per_kelvin() / PPM
     return (
         f"air {air.temperature_k:g} K warmer than measured at all stations (scale {scale:.2g} ppm)",
-        f"vertical gradient of {air.gradient_k_per_m:g} K/m at all stations",
+        f"vertical temperature gradient of {air.gradient_k_per_m:g} K/m at all stations",
     )
 
 

@@ -35,7 +35,7 @@ class DatumPoints:
     """Approximate coordinates (k, 3) [m] of the k points; NaN if not declared or if the axis is not part of the
     datum."""
     defines_datum: Bools
-    """Flags (k, 3) of those coordinates of the k points that define the datum."""
+    """Flags (k, 3), True for those coordinates of the k points that define the datum."""
 
     @classmethod
     def from_names(cls, problem: NetworkProblem, state: NetworkState, names: Sequence[str]) -> DatumPoints:
@@ -123,11 +123,12 @@ class InnerDatum:
     free_motions: Floats
     """Matrix G, (u, f): changes of the u unknowns by the f rigid motions that no observation determines."""
     motion_cross_covariance: Floats
-    """Matrix U = C B (G^T B)^-1, (u, f), from the covariance C (u, u) of the u unknowns, the matrix G (u, f) of the f
-    free motions, and the matrix B of its rows for the datum points, with zeros elsewhere."""
+    """Covariance U = C B (G^T B)^-1, (u, f), of the u unknowns with the amounts of the f free motions. C (u, u) is the
+    covariance of the unknowns, G (u, f) contains the free motions, B the rows of G of the datum points and zeros
+    elsewhere."""
     motion_covariance: Floats
-    """Covariance M = (B^T G)^-1 B^T C B (G^T B)^-1, (f, f), of the amounts of the f free motions; C, G and B are the
-    covariance, the free motions and their rows for the datum points, as for `motion_cross_covariance`."""
+    """Covariance M = (B^T G)^-1 B^T C B (G^T B)^-1, (f, f), of the amounts of the f free motions; C, G and B as for
+    `motion_cross_covariance`."""
     point_names: tuple[str, ...] = ()
     """Names of the datum points."""
 

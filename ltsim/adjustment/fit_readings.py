@@ -25,7 +25,7 @@ class FitReadings:
     readings: Floats
     """Readings of k pointings converted to the front face, (k, 3) [m, rad, rad]; NaN if not measured."""
     has_horizontal_distance: Bools
-    """Flags (k,) of those of the k pointings whose distance is horizontal."""
+    """Flags (k,), True for those of the k pointings whose distance is horizontal."""
     sight_vector_offsets: Floats
     """Offsets (k, 3) [m] of the k sight vectors in the network frame: offset of the reflector from its point minus
     offset of the instrument from its point."""

@@ -260,10 +260,10 @@ def fit_horizontal_network(
     control_coordinates: Floats,
     lengths: HorizontalLengths,
 ) -> tuple[Floats, Floats, bool] | None:
-    """Plan of P points from horizontal directions and lengths: coordinates (P, 2) [m], yaws (S,) [rad] of S set-ups.
+    """Coordinates (P, 2) [m] of P points, and yaws (S,) [rad] of S set-ups, from horizontal directions and lengths.
 
-    The points are those of set-ups and targets. The third element is True if the plan is aligned to two or more known
-    points; otherwise its x axis is azimuth zero of the first set-up. None if shape or scale are undetermined.
+    The points are set-ups and targets. The third element is True if the network is aligned to two or more known points;
+    otherwise its x axis is azimuth zero of the first set-up. None if shape or scale are undetermined.
 
     Parameters
     ----------
@@ -314,10 +314,10 @@ def _measured_lengths_of_directions(lines: HorizontalLengths, starts: Ints, ends
 def lines_of_undetermined_length(
     setup: Ints, starts: Ints, end_indices: Ints, azimuths: Floats, lines: HorizontalLengths
 ) -> list[tuple[int, int]]:
-    """Lines (pairs of point indices) of undetermined length in a plan, although all its set-ups are oriented.
+    """Lines (pairs of point indices) of undetermined length in a horizontal network whose set-ups are all oriented.
 
-    The list is empty for a determined plan, and for a plan in which more than one length is free. The parameters are
-    those of `fit_horizontal_network`.
+    The list is empty if the network is determined, and if more than one length is free. The parameters are those of
+    `fit_horizontal_network`.
     """
     yaw = _setup_yaws(setup, starts, end_indices, azimuths)
     is_oriented = np.isfinite(yaw[setup])
@@ -343,7 +343,7 @@ def lines_of_undetermined_length(
 
 
 def _xy_design(start_indices: Ints, end_indices: Ints, bearings: Floats, length_rows: Ints, n_points: int) -> Floats:
-    """Design matrix of the equations for x and y of `n_points` points in plan, without the first point.
+    """Design matrix of the equations for x and y of `n_points` points, without the first point.
 
     Each direction gives an equation perpendicular to its bearing, and a second one along its bearing if its length is
     measured (indices `length_rows`). Zero rows are added so that the matrix has at least as many rows as columns.
@@ -363,7 +363,7 @@ def _xy_design(start_indices: Ints, end_indices: Ints, bearings: Floats, length_
 def _xy_shape(
     start_indices: Ints, end_indices: Ints, bearings: Floats, length_rows: Ints, lengths: Floats, n_points: int
 ) -> np.ndarray[tuple[int], np.dtype[np.complex128]] | None:
-    """Coordinates of points in plan as complex numbers x + iy, the first at 0; None if the shape is undetermined.
+    """Horizontal coordinates of points as complex numbers x + iy, the first at 0; None if the shape is undetermined.
 
     `length_rows` are the indices of the directions along lines with a measured length, `lengths` these lengths [m].
     Without lengths the scale is arbitrary.

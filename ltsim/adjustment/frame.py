@@ -33,12 +33,12 @@ class DeclaredFrame:
     """
 
     declared_points: Floats
-    """Coordinates (T, 3) [m] of T targets, if they define the frame: known ones, or approximate ones of the datum."""
+    """Coordinates (T, 3) [m] of T targets that define the frame: known, or approximate for targets of the datum."""
     declared_station_positions: Floats
-    """Positions (S, 3) [m] of the instruments of S stations, if over marks that are no targets, from declared
-    coordinates of the marks."""
+    """Positions (S, 3) [m] of S instruments, from the declared coordinates of their marks; not for marks that are
+    targets."""
     is_levelled: Bools
-    """Flags (S,) of those of the S stations that are levelled."""
+    """Flags (S,), True for those of the S stations that are levelled."""
     marks: StationMarks
     """Marks under the stations."""
     floor_plan_positions: Floats
@@ -46,7 +46,7 @@ class DeclaredFrame:
     floor_plan_yaws: Floats
     """Direction of azimuth zero of each of S stations in the floor plan, (S,) [rad]."""
     has_declared_yaw: Bools
-    """Flags (S,) of those of the S stations whose yaw (direction of azimuth zero) is known and not only approximate."""
+    """Flags (S,), True for those of the S stations whose yaw (direction of azimuth zero) is known, not approximate."""
     approximate_points: Floats
     """Known or approximate coordinates of T targets, (T, 3) [m]."""
     points_with_known_xy: Floats

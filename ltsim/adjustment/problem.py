@@ -147,7 +147,7 @@ class NetworkProblem(NetworkRows):
         return moved
 
     def is_undetermined_difference(self, is_undetermined_target: Bools) -> Bools:
-        """Flags (k,) of those of the k known differences with an undetermined end, which give no information.
+        """Flags (k,), True for those of the k known differences with an undetermined end, which give no information.
 
         An end is undetermined if it is an undetermined target or a station without readings, or if its height is
         undetermined and part of the difference. `is_undetermined_target` (T,) has a flag for each of T targets.

@@ -130,7 +130,7 @@ def _rigid_fit_misfit(points: Floats, goal_points: Floats) -> float:
 
 
 def _is_unused(adjustment: Adjustment) -> Bools:
-    """Flags (m,) of those of the m measured pointings of which no reading is in use."""
+    """Flags (m,), True for those of the m measured pointings of which no reading is in use."""
     measured, used = (
         np.asarray(adjustment.recording.is_measured.any(axis=1)),
         adjustment.problem.is_used_reading.any(axis=1),
@@ -241,7 +241,7 @@ def _declared_position_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _undecided_target_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on targets of two stations whose positions differ, so that pointings of one or both were rejected."""
+    """Sentences on targets whose positions from two stations differ, so that pointings of one or both were rejected."""
     recording = adjustment.recording
     measured_pairs, used_pairs = np.zeros((2, len(recording.stations), len(recording.targets)), dtype=bool)
     for table, readings in ((measured_pairs, recording.is_measured), (used_pairs, adjustment.problem.is_used_reading)):

@@ -117,7 +117,7 @@ class ReferenceTest(ReferenceValue):
         if self.indistinguishable_from:
             both = f"{', '.join((self.name, *self.indistinguishable_from))} are inconsistent"
             return f"{both} ({what} by {self.error_text}); the data do not show which one is wrong"
-        note = "but its readings are not: excluded"
+        note = "as the readings show: excluded from the adjustment"
         if self.kind == "axes":
             note = "as the other points show: excluded from the datum"
         if self.occupied_by and self.is_height_error:

@@ -25,8 +25,8 @@ class GaugeRows(ReferenceLengths):
     """Observation equations of g reference lengths, converted to the temperature of the hall."""
 
     is_unweighted: Bools | bool = False
-    """Flags (g,) of those of the g lengths that have no weight, because an end is undetermined; their equations remain
-    in the system."""
+    """Flags (g,), True for those of the g lengths that have no weight, because an end is undetermined; their equations
+    remain in the system."""
 
     @cached_property
     def sigma(self) -> Floats:
@@ -49,12 +49,12 @@ class GaugeRows(ReferenceLengths):
         return np.diag(self.sigma) if self.correlation_root is None else self.sigma[:, None] * self.correlation_root
 
     def decorrelate(self, length_changes: Floats) -> Floats:
-        """Changes of g lengths (g,) [m], or per unit of q parameters (g, q), transformed to independent unit errors."""
+        """Changes of g lengths [m], (g,) or for q parameters (g, q), whitened: with independent unit errors."""
         scaled_values = length_changes / (self.sigma if length_changes.ndim == 1 else self.sigma[:, None])
         return self.decorrelate_scaled(scaled_values)
 
     def decorrelate_scaled(self, scaled_changes: Floats) -> Floats:
-        """Changes of g lengths (g,), or for q parameters (g, q), in their sigmas, transformed to independent errors."""
+        """Changes of g lengths in standard deviations, (g,) or for q parameters (g, q), without their correlations."""
         return (
             scaled_changes
             if self.correlation_root is None
@@ -87,7 +87,7 @@ class ControlRows:
     declared_points: Floats
     """Known coordinates of k points, (k, 3) [m]; values of unknown coordinates have no meaning."""
     declared_components: Bools
-    """Flags (k, 3) of those coordinates of k points that are known."""
+    """Flags (k, 3), True for those coordinates of k points that are known."""
     whitening_matrices: Floats
     """Matrices R that whiten the misclosures of k points, (k, 3, 3) [1 / m]: R' R is the inverse covariance of the
     known coordinates. Rows and columns of unknown coordinates are 0.

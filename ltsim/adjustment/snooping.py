@@ -61,7 +61,7 @@ def without_copied_rows(recording: Recording) -> tuple[Recording, int]:
 
 
 def _is_copied_row(recording: Recording) -> Bools:
-    """Flags (n,) of those of n rows that are exact copies of an earlier row with equal time, set-up, target and face.
+    """Flags (n,), True for rows that are exact copies of an earlier row with equal time, set-up, target and face.
 
     Two pointings may be equal by chance. Without a clock, rows count as copies only if all repeated pointings are
     equal.
@@ -80,7 +80,7 @@ def _is_copied_row(recording: Recording) -> Bools:
 
 
 def _equals_earlier_row(array_rows: np.ndarray) -> Bools:
-    """Flags (n,) of those of the n rows of an array that equal an earlier row."""
+    """Flags (n,), True for those of the n rows of an array that equal an earlier row."""
     is_later = np.ones(len(array_rows), dtype=bool)
     is_later[np.unique(array_rows, axis=0, return_index=True)[1]] = False
     return is_later
@@ -116,7 +116,7 @@ def drop_undetermined_targets(problem: NetworkProblem, state: NetworkState) -> N
 
 
 def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bools:
-    """Flags (T,) of those of T targets whose position the observations do not determine, even for known stations."""
+    """Flags (T,), True for targets whose position the observations do not determine, even for known stations."""
     recording, count = problem.model.recording, len(problem.model.recording.targets)
     n_complete = np.bincount(recording.target, problem.is_used_reading.all(axis=1), count) > 0
     is_doubtful = ~n_complete & ~problem.undetermined_unknowns.is_unmeasured_target
@@ -179,9 +179,9 @@ class ScreenedNetwork(NamedTuple):
     start_poses_and_points: tuple[Floats, Floats, Floats]
     """Positions (S, 3) [m] and rotations (S, 3, 3) of S stations, and positions (T, 3) [m] of T targets."""
     is_gross_pointing: Bools
-    """Flags (n,) of those of n pointings with gross errors, larger than any error of a tracker."""
+    """Flags (n,), True for those of n pointings with gross errors, larger than any error of a tracker."""
     is_unconnected_target: Bools
-    """Flags (T,) of those of the T targets that are not connected to the network."""
+    """Flags (T,), True for those of the T targets that are not connected to the network."""
 
 
 @raise_for_singular_network
@@ -313,7 +313,7 @@ def _is_newly_rejected(problem: NetworkProblem, state: NetworkState, limit: floa
 
 
 def _is_mostly_rejected_setup(is_rejected: Bools, problem: NetworkProblem) -> Bools:
-    """Flags (S,) of those of the S set-ups with more than half of their used readings rejected, as `is_rejected`."""
+    """Flags (S,), True for set-ups of whose used readings more than half are rejected (`is_rejected`)."""
     recording = problem.model.recording
     out, used = (
         np.bincount(recording.station, rows.sum(axis=1), len(recording.stations))

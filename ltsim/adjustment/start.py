@@ -294,7 +294,7 @@ class NetworkInitialiser:
             self._transform(*motion)
 
     def _level_stations(self) -> None:
-        """Assignment of upright rotations to stations without angles, with axes as other stations or the floor plan."""
+        """Assignment of rotations to stations without angles: upright like other stations, or as on the floor plan."""
         is_measured = np.isfinite(self._front_readings[:, 1:]).any(axis=1)
         reads_angles = np.bincount(self._recording.station, is_measured, len(self._is_joined)) > 0
         if reads_angles.any():

@@ -97,7 +97,7 @@ class NetworkRows:
     model: MeasurementModel
     """Measurement model that predicts the readings."""
     is_used_reading: Bools
-    """Flags (n, 3) of those readings of n pointings that are in use."""
+    """Flags (n, 3), True for those readings of n pointings that are in use."""
     gauge_rows: GaugeRows
     """Equations of the reference lengths."""
     control_rows: ControlRows
@@ -152,11 +152,11 @@ class UndeterminedUnknowns:
     stations_without_readings: Ints
     """Indices of stations without any reading."""
     is_unmeasured_target: Bools
-    """Flags (T,) of those of T targets without a used reading, without known coordinates and without a set-up on
+    """Flags (T,), True for those of T targets without a used reading, without known coordinates and without a set-up on
     them."""
     is_height_undetermined_target: Bools
-    """Flags (T,) of those of T targets with undetermined height: levelled set-ups measured only azimuths and horizontal
-    distances to them.
+    """Flags (T,), True for those of T targets with undetermined height: levelled set-ups measured only azimuths and
+    horizontal distances to them.
     """
     oriented_stations: Ints
     """Indices of stations with azimuths, whose yaw (direction of azimuth zero) is determined."""

@@ -1,6 +1,6 @@
 """Linear least-squares step in which most unknowns are eliminated block by block.
 
-Unknowns are either *eliminated* (E blocks of three columns, such as the coordinates of a target) or *reduced* (the K
+Unknowns are either *eliminated* (E blocks of three columns, such as the coordinates of a target) or *retained* (the K
 other columns). No row of the design has entries in two blocks. The part of the normal equations for the eliminated
 unknowns is therefore block diagonal and inverted block by block. A system of size K remains, the Schur complement. The
 cost is linear in the number of blocks.
@@ -41,7 +41,7 @@ from ltsim.solve.threads import single_threaded
 class DenseElimination:
     """Elimination with dense matrices, for a design of m rows (m, K + 3 E).
 
-    The first K columns are reduced, the others are E eliminated blocks of three. `damping` is added to the diagonal of
+    The first K columns are retained, the others are E eliminated blocks of three. `damping` is added to the diagonal of
     the normal matrix; raises LinAlgError if it is not positive definite.
     """
 
@@ -60,7 +60,7 @@ class DenseElimination:
         return float(np.diag(self._cholesky_factor).min(initial=1.0) ** 2)
 
     def solve(self, right_hand_sides: Floats) -> Floats:
-        """Solutions of the normal equations of K + 3 E unknowns (K reduced) for c right-hand sides (K + 3 E, c)."""
+        """Solutions of the normal equations of K + 3 E unknowns (K retained) for c right-hand sides (K + 3 E, c)."""
         return scipy.linalg.lapack.dpotrs(self._cholesky_factor, right_hand_sides, lower=1)[0]
 
     @cached_property
@@ -69,11 +69,11 @@ class DenseElimination:
 
     @property
     def retained_inverse(self) -> Floats:
-        """Part (K, K) of the inverse normal matrix for the K reduced unknowns."""
+        """Part (K, K) of the inverse normal matrix for the K retained unknowns."""
         return self._inverse[: self._n_retained, : self._n_retained]
 
     def inverses_of_sets(self, columns: Ints) -> Floats:
-        """Parts (c, k, k) of the inverse normal matrix for c sets of k reduced unknowns, indices `columns` (c, k)."""
+        """Parts (c, k, k) of the inverse normal matrix for c sets of k retained unknowns, indices `columns` (c, k)."""
         return self._inverse[columns[:, :, None], columns[:, None, :]]
 
     @cached_property
@@ -121,7 +121,7 @@ class SparseElimination:
         return min(self._smallest_block_pivot, self._schur_factor.smallest_pivot)
 
     def solve(self, right_hand_sides: Floats) -> Floats:
-        """Solutions of the normal equations of K + 3 E unknowns (K reduced) for c right-hand sides (K + 3 E, c)."""
+        """Solutions of the normal equations of K + 3 E unknowns (K retained) for c right-hand sides (K + 3 E, c)."""
         front, back = right_hand_sides[: self._n_retained], right_hand_sides[self._n_retained :]
         reduced = self._schur_factor.solve(front - self._elimination_coefficients @ back)
         blocks = back.reshape(len(back) // 3, 3, right_hand_sides.shape[1])  # of no columns too
@@ -131,11 +131,11 @@ class SparseElimination:
 
     @cached_property
     def retained_inverse(self) -> Floats:
-        """Part (K, K) of the inverse normal matrix for the K reduced unknowns."""
+        """Part (K, K) of the inverse normal matrix for the K retained unknowns."""
         return self._schur_factor.inverse()
 
     def inverses_of_sets(self, columns: Ints) -> Floats:
-        """Parts (c, k, k) of the inverse normal matrix for c sets of k reduced unknowns, indices `columns` (c, k)."""
+        """Parts (c, k, k) of the inverse normal matrix for c sets of k retained unknowns, indices `columns` (c, k)."""
         inverses = np.full((*columns.shape, columns.shape[1]), np.nan)
         lowest = self._first_chain_block(columns, axis=1)
         for i in np.unique(lowest):
@@ -282,7 +282,7 @@ class BlockSystem:
     """Whitened linear least-squares problem with m observations: minimise |design @ step - whitened_residuals|^2."""
 
     design: DesignMatrix
-    """Whitened design matrix of m rows (m, K + 3 E): K columns of reduced unknowns, then E blocks of three columns of
+    """Whitened design matrix of m rows (m, K + 3 E): K columns of retained unknowns, then E blocks of three columns of
     eliminated unknowns."""
     whitened_residuals: Floats
     """Observed minus predicted values of m observations, divided by their standard deviations, (m,)."""
@@ -345,13 +345,13 @@ class BlockFactor:
         return float(image @ image)
 
     def step(self, residual: Floats | None = None) -> Floats:
-        """Damped step of K reduced and 3 E eliminated unknowns (K + 3 E,), by default for the system's residuals."""
+        """Damped step of K retained and 3 E eliminated unknowns (K + 3 E,), by default for the system's residuals."""
         right_side = self._system.design.T @ (self._system.whitened_residuals if residual is None else residual)
         return self.multiply_by_covariance(right_side[:, None])[:, 0]
 
     @single_threaded
     def retained_covariance(self) -> Floats:
-        """Covariance matrix (K, K) of the K reduced unknowns."""
+        """Covariance matrix (K, K) of the K retained unknowns."""
         scale = self._column_scales[: self._system.n_retained]
         covariance: Floats = np.outer(scale, scale)
         covariance *= self._elimination.retained_inverse
@@ -359,7 +359,7 @@ class BlockFactor:
 
     @single_threaded
     def covariances_of_sets(self, columns: Ints) -> Floats:
-        """Covariances (c, k, k) of c sets of k reduced unknowns, given by their columns (c, k).
+        """Covariances (c, k, k) of c sets of k retained unknowns, given by their columns (c, k).
 
         The computation is efficient if the unknowns of each set occur together in a row of the design.
         """
@@ -374,7 +374,7 @@ class BlockFactor:
 
     @single_threaded
     def multiply_by_covariance(self, vectors: Floats) -> Floats:
-        """Product of the covariance matrix of all unknowns (K reduced, 3 E eliminated) and c `vectors` (K + 3 E, c)."""
+        """Product of the covariance matrix of K retained and 3 E eliminated unknowns and c `vectors` (K + 3 E, c)."""
         return self._column_scales[:, None] * self._elimination.solve(self._column_scales[:, None] * vectors)
 
     @property
@@ -385,7 +385,7 @@ class BlockFactor:
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
         """Covariance matrices R N^-1 R' of groups R of linear functions of the unknowns.
 
-        `function_rows` (q, K + 3 E) are the coefficients of q functions of K reduced and 3 E eliminated unknowns, N is
+        `function_rows` (q, K + 3 E) are the coefficients of q functions of K retained and 3 E eliminated unknowns, N is
         the normal matrix. Group i has the rows from entry i of `group_boundaries` to before entry i + 1.
         """
         return self._elimination.covariances_of_functions(function_rows, group_boundaries)

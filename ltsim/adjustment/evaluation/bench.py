@@ -61,7 +61,8 @@ class BenchRow(Entry):
     angle_deg: Finite
     """Angle of the roundness table, equal to the angle of incidence."""
     uncorrected_length_um: Finite
-    """Length measured by the interferometer, before the effect of the eccentricity of the sphere is removed."""
+    """Measured length minus that at the angle nearest 0 deg, before the effect of the eccentricity of the sphere is
+    removed."""
     error_um: Finite
     """Range error of the reflector: measured minus true range."""
     sigma_um: Finite
@@ -140,7 +141,7 @@ class ReflectorBenchReadings:
     probe_direction: float
     """Angle [rad] from the interferometer to the probe, seen from the axis of the roundness table."""
     probe_displacements: Floats
-    """Displacement of the sphere's surface at the probe, outward [m]."""
+    """Displacement [m] of the sphere's surface at the probe, positive outward, for each probe reading."""
     length_sigma: float
     """Standard deviation of a length [m]."""
 
@@ -254,7 +255,7 @@ def fit_vertex_offset(angles: Floats, range_errors: Floats, sigma: float) -> Ver
 
 
 def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: float = 0.1) -> BenchFile:
-    """Range error of a reflector over incidence, from its test on a roundness table.
+    """Range error of a reflector as a function of the incidence angle, from its test on a roundness table.
 
     Parameters
     ----------

@@ -109,7 +109,7 @@ class CalibrationErrors:
 
     @property
     def removed_error_fraction(self) -> float:
-        """Fraction of the correctable mean square error that the calibration removed."""
+        """Removed fraction (R - C) / (R - P) of mean squared errors: R raw, C calibrated, P with true parameters."""
         return removed_error_fraction(self.raw_rms, self.calibrated_rms, self.true_parameters_rms)
 
 

@@ -337,7 +337,7 @@ def _bump_item(
     """Result of the test for a sudden motion of the station; passed if `bump` is None."""
     recording, name = occupation.recording, occupation.recording.stations[0]
     if bump is None:
-        return CheckItem.from_test(name, "bump", True, f"{name}: no sudden motion")
+        return CheckItem.from_test(name, "bump", True, f"{name}: no sudden motion of the station detected")
     fit = occupation.fit_columns(bump.design(occupation.sightings))
     order = np.argsort(recording.time, kind="stable")
     index = int(np.searchsorted(recording.time[order], bump.time))

@@ -66,14 +66,14 @@ class ColumnsFit:
 
 @dataclass(frozen=True)
 class StationOccupation:
-    """Set-up with its whitened residuals, from which target coordinates and instrument errors are projected out."""
+    """Set-up with repeated pointings: whitened residuals after a fit of target coordinates and instrument errors."""
 
     recording: Recording
     """Recording of this station."""
     sightings: Sightings
     """Sightings of the pointings, in the instrument frame."""
     row_mask: Bools
-    """Flags (n,) of those of the n pointings that are in use."""
+    """Flags (n,), True for those of the n pointings that are in use."""
     whitened_residuals: Floats
     """Residuals of the readings of n pointings divided by their standard deviations, (n, 3); 0 for unused readings."""
     target_basis: Floats

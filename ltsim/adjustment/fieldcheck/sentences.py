@@ -16,8 +16,8 @@ ZERO_DRIFT_UNITS_AND_MAX_SIGMAS = (
     ("range", "um", MICROMETRE, 100 * MICROMETRE),
     ("vertical index", "arcsec", ARCSECOND, 100 * ARCSECOND),
 )
-"""Zeros of an instrument: name, unit, size of the unit [SI], and the largest standard deviation [SI] of a reported
-drift over the occupation. """
+"""Zeros of an instrument that may drift: name, unit, size of the unit [SI], and the largest standard deviation [SI] at
+which a sentence states the drift over the occupation. """
 TRANSLATION_COMPONENTS = slice(0, 3)
 """Slice with the translation [m] among the six components of a station's motion."""
 TILT_COMPONENTS = slice(3, 5)

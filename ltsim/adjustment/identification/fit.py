@@ -78,7 +78,7 @@ class FitInput:
     prior: ParameterPrior | None = None
     """Prior of the instrument's parameters; None for the prior that the set-up declares."""
     is_usable: Bools | None = None
-    """Flags (n, 3) of those readings of n pointings that a fit may use; None for all."""
+    """Flags (n, 3), True for those readings of n pointings that a fit may use; None for all."""
 
 
 @dataclass(frozen=True)
@@ -325,14 +325,14 @@ class NetworkFit:
 
     @cached_property
     def is_outlier(self) -> Bools:
-        """Flags (n, 3) of those usable readings of n pointings that are rejected."""
+        """Flags (n, 3), True for those usable readings of n pointings that are rejected."""
         return self.problem_with_all_readings.is_used_reading & ~self.problem.is_used_reading
 
     @cached_property
     def outlier_prediction_sigmas(self) -> Floats:
-        """Standard deviations of outliers minus predictions, divided by the declared ones, (n, 3); 1 if no outlier.
+        """Standard deviations (n, 3) of rejected readings minus their predictions; 1 for other readings of n pointings.
 
-        The array has the shape of the readings of n pointings.
+        The unit is the declared standard deviation of the reading.
         """
         spread = np.ones(self.is_outlier.shape)
         if self.is_outlier.any():
@@ -340,7 +340,7 @@ class NetworkFit:
         return spread
 
     def misclosure_of(self, value: ReferenceValue) -> Floats:
-        """Misclosure (q,) [m, rad] of q components of an excluded value; 0 at a set-up with all readings rejected."""
+        """Misclosure (q,) [m, rad] of an excluded reference value; 0 at a set-up with all readings rejected."""
         declared, centring = self.network.recording, self.problem.model.recording.setup.centring
         declared = declared.replace(setup=declared.setup.model_copy(update={"centring": centring}))
         model = replace(self.problem.model, recording=declared)

@@ -31,9 +31,9 @@ class LocalShift:
     residuals: Floats
     """Whitened residuals (m,) of the m readings in the network without the shift."""
     is_outlier: Bools
-    """Flags (m,) of those of the m readings that the fit of the network without the shift rejected as outliers."""
+    """Flags (m,), True for those of the m readings that are outliers of the network fit without the shift."""
     is_acting_parameter: Bools
-    """Flags (q,) of those r of the q parameters of the shift that change any of the m readings."""
+    """Flags (q,), True for those r of the q parameters of the shift that change any of the m readings."""
 
     @classmethod
     def from_design(cls, design: Floats, residuals: Floats, is_outlier: Bools) -> LocalShift:

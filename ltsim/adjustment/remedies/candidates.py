@@ -75,7 +75,7 @@ ADVICE_SENTENCES = {
     "to and fro": "measure all targets of {station} {count} more times, forward and backward",
     "unmeasured": "measure from {station} the targets it has not measured ({targets})",
     # additional set-ups
-    "turned": "set up once more at {station}, the base turned by {turn:.0f} degrees, and measure all targets",
+    "turned": "set up once more at {station}, with the base turned by {turn:.0f} degrees, and measure all targets",
     "new station": "add station {station} at ({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f}) m, "
     "yaw {yaw:.0f} deg ({frame}), and measure {targets}",
     # the whole survey by another procedure
@@ -92,9 +92,9 @@ ADVICE_SENTENCES = {
     "undecided": "no tested measurement separates {first} from {others} (expected chi-square difference {then}, "
     "{needed:.0f} needed); an independent measurement of the cause would separate them",
     "cause": "an independent measurement of its cause",
-    "determined": "{do} (information on it rises from {now:.0f} % to {then:.0f} %)",
+    "determined": "{do} (information on this combination rises from {now:.0f} % to {then:.0f} %)",
     "network method": "use the network method: it determines this combination from the same recording",
-    "determined already": "{do} (information on it is {then:.0f} %)",
+    "determined already": "{do} (information on this combination is {then:.0f} %)",
     "not determined": "no tested measurement determines it; reference points or a tighter specification may do so",
 }
 """Templates of sentences of advice by key: instructions for a measurement, and sentences on its expected benefit."""

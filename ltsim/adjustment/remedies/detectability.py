@@ -58,17 +58,17 @@ class MinimalSize:
     unit: str
     """Display unit of the parameter."""
     best_size: float
-    """Smallest detectable size [SI] over all places and shape constants of the effect."""
+    """Smallest detectable size [SI] over all variants (places and shape constants) of the effect."""
     median_size: float
-    """Median of the detectable sizes [SI] over all places and shape constants."""
+    """Median of the detectable sizes [SI] over all variants."""
     worst_size: float
-    """Largest detectable size [SI] over all places and shape constants; infinite if unknowns absorb the effect."""
+    """Largest detectable size [SI] over all variants; infinite if unknowns absorb the effect."""
     plausible_size: float
     """Plausible size of the parameter [SI]."""
     visible_fraction: float
-    """Fraction of the change of the readings (sum of squares) that remains in the residuals; median over places."""
+    """Fraction of the change of the readings (sum of squares) that remains in the residuals; median over variants."""
     worst_variant: str
-    """Station, target or shape constants for which the detectable size is largest."""
+    """Stations, targets and shape constants of the variant with the largest detectable size."""
 
 
 def subsample_evenly(variants: Sequence[VariantT]) -> list[VariantT]:
@@ -137,7 +137,7 @@ def _noise_effect_information(residual_space: ResidualSpace, variants: Sequence[
 
 
 def detectability_of_variants(residual_space: ResidualSpace, variants: Sequence[Effect]) -> EffectDetectability | None:
-    """Detectability of one effect in all variants `variants` that a search tests; None if none changes residuals."""
+    """Detectability of one effect in all `variants` that a search tests; None if no variant changes residuals."""
     selected_variants = subsample_evenly(variants)
     noises = [effect for effect in selected_variants if isinstance(effect, NoiseEffect)]
     visible_effects: list[tuple[Effect, Floats, float, int, Floats]] = []
