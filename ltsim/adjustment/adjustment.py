@@ -299,7 +299,7 @@ class Adjustment(Result):
         response = self.factorised_normals.multiply_by_covariance(np.ascontiguousarray(design.T))
         return np.asarray(np.eye(len(residual_rows)) - design @ response)
 
-    def covariance_of(self, columns: Ints) -> Floats:
+    def covariances_of_sets(self, columns: Ints) -> Floats:
         """Covariances (c, k, k) of c sets of k unknowns each; `columns` (c, k) are their columns in the design matrix.
 
         Targets that are eliminated from the normal equations are not permitted.
@@ -322,17 +322,17 @@ class Adjustment(Result):
 
     def instrument_covariance_of(self, instrument: int) -> Floats:
         """Covariance (p, p) [SI] of the p parameters of the instrument with the index `instrument`."""
-        return self.covariance_of(self.problem.unknowns.instrument_columns[[instrument]])[0]
+        return self.covariances_of_sets(self.problem.unknowns.instrument_columns[[instrument]])[0]
 
     @cached_property
     def covariance_of_all_instruments(self) -> Floats:
         """Covariance (I p, I p) [SI] of the p parameters of each of I instruments, instrument by instrument."""
-        return self.covariance_of(self.problem.unknowns.instrument_columns.reshape(1, -1))[0]
+        return self.covariances_of_sets(self.problem.unknowns.instrument_columns.reshape(1, -1))[0]
 
     @property
     def effect_covariance(self) -> Floats:
         """Covariance (q, q) of the q parameters of all additional effects [SI]."""
-        return self.covariance_of(self.problem.unknowns.effect_columns[None])[0]
+        return self.covariances_of_sets(self.problem.unknowns.effect_columns[None])[0]
 
     @property
     def pose_covariance(self) -> Floats:
@@ -340,7 +340,7 @@ class Adjustment(Result):
 
         They are NaN for components that the readings do not determine, and 0 for components that define the frame.
         """
-        covariance = self.covariance_of(self.problem.unknowns.pose_columns)
+        covariance = self.covariances_of_sets(self.problem.unknowns.pose_columns)
         anchors = self.problem.undetermined_unknowns.datum_stations
         if self.datum is None and len(anchors) == 1:  # without the variance of the numerical constraints of the datum
             directions = self.problem.datum_directions(self.state)

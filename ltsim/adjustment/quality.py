@@ -52,7 +52,7 @@ def require_usable(adjustment: Adjustment) -> None:
     _require_consistent_units(adjustment)
     adjustment.require_solution()
     _require_consistent_control(adjustment)
-    is_unused = _is_unused(adjustment)
+    is_unused = _is_unused_pointing(adjustment)
     is_mostly_unused = is_unused.sum() > MIN_FAULTY_FRACTION_OF_GROUP * len(is_unused)
     unit_text = (
         _consistent_unit_text(adjustment) if is_mostly_unused or adjustment.sigma0 > MAX_CONSISTENT_SIGMA0 else ""
@@ -129,7 +129,7 @@ def _rigid_fit_misfit(points: Floats, goal_points: Floats) -> float:
         return float("inf")
 
 
-def _is_unused(adjustment: Adjustment) -> Bools:
+def _is_unused_pointing(adjustment: Adjustment) -> Bools:
     """Flags (m,), True for those of the m measured pointings of which no reading is in use."""
     measured, used = (
         np.asarray(adjustment.recording.is_measured.any(axis=1)),
@@ -151,7 +151,7 @@ def _consistent_unit_text(adjustment: Adjustment) -> str:
         if (
             adjusted.solution.has_converged
             and adjusted.sigma0 < most
-            and _is_unused(adjusted).mean() < MAX_SINGLE_ERROR_FRACTION
+            and _is_unused_pointing(adjusted).mean() < MAX_SINGLE_ERROR_FRACTION
         ):
             return f"{slip.wrong_content}, not {slip.right_content}"
     return ""

@@ -45,7 +45,7 @@ from ltsim.core.arrays import Bools
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.gauss_newton import Solution, solve
 
-MIN_TESTED_RESIDUAL = MIN_CLEAR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUNDANCY))
+MIN_TESTED_WHITENED_RESIDUAL = MIN_CLEAR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUNDANCY))
 """Smallest whitened residual of a tested reference value. An error of `MIN_CLEAR_SIGMAS` standard deviations causes a
 larger residual."""
 MIN_VALUES_FOR_TYPICAL_ERROR = 3
@@ -106,7 +106,9 @@ def snoop_references(
     ended = solve(reduced, solution.x)
     final = reference_tests(reduced, ended)
     others = {kind: [test for test in final if test.kind == kind] for kind in {t.kind for t in gone}}
-    weak = [test for test in gone if test.normalised_error < MIN_CLEAR_SIGMAS * _typical_error(others[test.kind])]
+    weak = [
+        test for test in gone if test.normalised_error < MIN_CLEAR_SIGMAS * _typical_normalised_error(others[test.kind])
+    ]
     if weak:
         contradictory = _contradicting_group(weak, [*weak, *(test for group in others.values() for test in group)])
         again = exempt_values | {(test.kind, test.name) for test in weak}
@@ -158,7 +160,7 @@ def _contradicting_group(
     return ()
 
 
-def _typical_error(tests: Sequence[ReferenceTest]) -> float:
+def _typical_normalised_error(tests: Sequence[ReferenceTest]) -> float:
     """Root-mean-square normalised error of tested reference values of one kind, at least 1."""
     return float(np.sqrt(max(1.0, sum(t.chi2_drop for t in tests) / max(sum(t.rank for t in tests), 1))))
 
@@ -191,7 +193,7 @@ def _most_contradicting_observation(
     The mask (n, 3) contains all readings of n pointings. The result is None if no reference value contradicts
     significantly.
     """
-    tests = [test for test in reference_tests(problem, solution, MIN_TESTED_RESIDUAL) if test.rank]
+    tests = [test for test in reference_tests(problem, solution, MIN_TESTED_WHITENED_RESIDUAL) if test.rank]
     tests = [test for test in tests if test.kind in {*kinds, "scale"} and (test.kind, test.name) not in exempt_values]
     if not tests or problem.dof < 2:
         return None

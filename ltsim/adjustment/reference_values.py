@@ -15,7 +15,7 @@ from ltsim.recordings.references import MIN_UNKNOWN_SCALE_PPM
 
 ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
 """Kind of reference value."""
-MIN_RELATIVE_SIGMA = 0.3
+MIN_SIGMA_RELATIVE_TO_READINGS = 0.3
 """Smallest standard deviation of a tested reference value, divided by the median standard deviation of the readings."""
 REMOVING_UPDATES_BY_KIND: dict[str, dict[str, object]] = {
     "level": {"levelled": False, "yaw_sigma_arcsec": None},
@@ -181,7 +181,7 @@ def with_nonzero_reference_sigmas(problem: NetworkProblem, state: NetworkState) 
         return problem
     range_ = problem.model.sightings_without_covariates(state).range_
     sigma_lengths = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
-    floor = MIN_RELATIVE_SIGMA * float(np.median(sigma_lengths[problem.is_used_reading]))
+    floor = MIN_SIGMA_RELATIVE_TO_READINGS * float(np.median(sigma_lengths[problem.is_used_reading]))
     if not floor > 0.0:  # angles alone, to a target at the position of the station
         return problem
     turn = floor / max(float(np.median(range_[problem.is_used_reading.any(axis=1)])), floor)

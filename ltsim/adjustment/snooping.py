@@ -332,7 +332,7 @@ def _absolute_whitened_residuals(problem: NetworkProblem, readings: Floats) -> F
     return np.nan_to_num(np.abs(problem.reading_residuals(readings) / problem.sigma))
 
 
-def prediction_sigmas(
+def prediction_error_sigmas(
     problem: NetworkProblem, solution: Solution[NetworkState], is_omitted: Bools, prediction: Prediction | None = None
 ) -> Floats:
     """Standard deviations (k,) of k rejected readings minus their predictions, divided by the declared ones.
@@ -377,7 +377,7 @@ def _test_rejected_again(
     if new.any():
         new &= w > 0.5 * w.max()
     if prediction is not None:
-        spread = prediction_sigmas(problem, solution, out, prediction)
+        spread = prediction_error_sigmas(problem, solution, out, prediction)
         still, alone = (
             np.zeros_like(is_rejected),
             np.zeros(len(reduced_problem.undetermined_unknowns.is_unmeasured_target), dtype=bool),

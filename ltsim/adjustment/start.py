@@ -23,7 +23,7 @@ from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import VERTICAL, align_robustly, rotation_about_z, smallest_rotation
 from ltsim.recordings.recording import Recording
 
-INITIALISATION_METHODS = ("frame", "cloud", "ranges", "places", "bearings")
+INITIALISATION_METHODS = ("frame", "cloud", "ranges", "positions", "bearings")
 """Methods for first coordinates: known points, points of one station, ranges alone, declared positions, directions."""
 
 
@@ -87,7 +87,7 @@ class NetworkInitialiser:
             self._locate_targets_and_marks,
             self._join_by_fit,
             self._to_declared_frame,
-            self._resect_in_plan,
+            self._resect_horizontally,
         )
         while not self.is_complete and any(step() for step in steps):
             pass
@@ -225,7 +225,7 @@ class NetworkInitialiser:
                 return True
         return False
 
-    def _resect_in_plan(self) -> bool:
+    def _resect_horizontally(self) -> bool:
         """True if a levelled station was joined by directions in plan to and from other stations."""
         recording, over = self._recording, self._frame.marks.target_indices
         places, ahead, turn = self._target_points(), self._rotations[:, :, 0], self._front_readings[:, 1]
@@ -340,7 +340,7 @@ class NetworkInitialiser:
             placed = self._frame.place_range_network(stations, network[0], targets, network[1])
             self._located_targets[targets], self._is_from_plan = placed
 
-    def _begin_with_places(self) -> None:
+    def _begin_with_positions(self) -> None:
         """Start with all declared positions, known or approximate, and mean rotations from azimuths."""
         self._begin_with_frame()
         self._located_targets, marks = self._frame.approximate_points.copy(), self._frame.marks

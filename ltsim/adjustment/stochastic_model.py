@@ -50,7 +50,7 @@ def noise_declaration_texts(recording: Recording, observable: str, factor: float
     return [f"{key} to {factor * getattr(noise, key):.2g}" for key in NOISE_KEYS[observable] if getattr(noise, key)]
 
 
-def n_observation_rows(problem: NetworkProblem) -> int:
+def n_observation_equations(problem: NetworkProblem) -> int:
     """Number of equations that are observations: readings and reference values, without constraints and priors."""
     return problem.level_row_slice.stop + len(problem.yaw_rows)
 
@@ -60,7 +60,9 @@ def fit_robust_state(problem: NetworkProblem, state: NetworkState) -> tuple[Netw
 
     The method is that of `iterate_reweighted`; `state` is the start state.
     """
-    return iterate_reweighted(problem, state, n_observation_rows(problem), min_scale=1.0, max_steps=MAX_ROBUST_STEPS)
+    return iterate_reweighted(
+        problem, state, n_observation_equations(problem), min_scale=1.0, max_steps=MAX_ROBUST_STEPS
+    )
 
 
 def iterate_reweighted(

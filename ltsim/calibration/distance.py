@@ -89,7 +89,7 @@ def calibrate_distance(
     added_pose = added_covariance[unknowns.pose_columns[:, :, None], unknowns.pose_columns[:, None, :]]
     pose = np.where(pose == 0.0, 0.0, pose + added_pose)  # components that define the frame stay exact
     scale = prior.ravel()
-    null_space = np.array([d.vector for d in estimate.undetermined_combinations]).reshape(-1, len(scale))
+    null_space = np.array([d.coefficient_vector for d in estimate.undetermined_combinations]).reshape(-1, len(scale))
     arrays = CalibrationArrays(
         construction=model,
         instruments=recording.instruments,

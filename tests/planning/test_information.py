@@ -47,7 +47,7 @@ def test_undetermined_combinations_have_the_gain_they_state() -> None:
     information = LayoutInformation.from_survey(survey((1,)))
     assert information.undetermined_combinations, "one face leaves the vertical group undetermined"
     for direction in information.undetermined_combinations:
-        left = direction.vector @ information.scaled_covariance @ direction.vector
+        left = direction.coefficient_vector @ information.scaled_covariance @ direction.coefficient_vector
         assert 1.0 - left == pytest.approx(direction.gain, abs=1e-12)
         assert direction.gain < 0.5
     first = information.undetermined_combinations[0].coefficients(information.construction.parameter_names)

@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from ltsim.core.randomness import random_stream
-from ltsim.solve.chain import MAX_SINGLE_BLOCK, BlockChainFactor, arrange_as_chain
+from ltsim.solve.chain import MAX_SINGLE_BLOCK_COLUMNS, BlockChainFactor, arrange_as_chain
 from ltsim.solve.elimination import DenseElimination, SparseElimination
 
 
@@ -68,7 +68,7 @@ def test_damping_is_that_of_the_unit_diagonal():
 
 def test_a_matrix_without_a_narrow_order_is_one_block():
     rng = random_stream(2, "matrix")
-    size = MAX_SINGLE_BLOCK + 60
+    size = MAX_SINGLE_BLOCK_COLUMNS + 60
     root = rng.standard_normal((size, size)) + size * np.eye(size)
     matrix = root @ root.T
     chain = BlockChainFactor(sp.csr_array(matrix))

@@ -201,7 +201,7 @@ class StationOccupation:
         ]
         return np.asarray(sums[0], dtype=np.float64), np.asarray(sums[1], dtype=np.float64)
 
-    def distance_from_mean(self, row: int) -> float:
+    def distance_from_mean_of_others(self, row: int) -> float:
         """Distance [m] of the point measured in `row` from the mean of the target's other points; NaN without any."""
         points = from_polar(self.recording.readings)
         is_complete = np.isfinite(points).all(axis=1)

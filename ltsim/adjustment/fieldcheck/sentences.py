@@ -97,7 +97,7 @@ def gross_pointing_sentence(occupation: StationOccupation, outlier_indices: Sequ
         if other_rows
         else ""
     )
-    distance = occupation.distance_from_mean(outlier_indices[0])
+    distance = occupation.distance_from_mean_of_others(outlier_indices[0])
     row_text = f"{name} to {first_target}: row {row_numbers[outlier_indices[0]]}"
     if not np.isfinite(distance):
         return f"{row_text} does not fit the other readings and is an outlier{others_text}: measure again"

@@ -20,11 +20,11 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MAX_RELATIVE_LENGTH_SCATTER = 0.1
 """Largest scatter of the lengths of displacements, divided by the rms length, at which the lengths count as equal."""
-MAX_LENGTH_RATIO = 3.0
+MAX_COMMON_TO_RMS_LENGTH_RATIO = 3.0
 """Smallest ratio of the estimated common length to the rms length of the displacements at which the estimate is
 rejected, because any small displacements lie nearly on the surface of a much larger sphere.
 """
-MIN_TARGETS_FOR_LENGTH = 10
+MIN_TARGETS_FOR_COMMON_LENGTH = 10
 """Smallest number of targets for the estimate of a common length, with seven unknowns: the pose of the set-up and the
 length.
 """
@@ -48,7 +48,7 @@ def common_displacement(displacements: Floats, sight_vectors: Floats) -> CommonD
     motion is estimated together with the length. The start values neglect the rotation of the motion: displacements of
     equal length then lie on a sphere, which is fitted. `sight_vectors` (k, 3) [m] point from the set-up to the targets.
     """
-    if len(displacements) < MIN_TARGETS_FOR_LENGTH:
+    if len(displacements) < MIN_TARGETS_FOR_COMMON_LENGTH:
         return None
     linear = np.hstack([2.0 * displacements, np.ones((len(displacements), 1))])
     centre = np.linalg.lstsq(linear, np.sum(displacements**2, axis=1))[0]
@@ -67,7 +67,7 @@ def common_displacement(displacements: Floats, sight_vectors: Floats) -> CommonD
     n_redundant = len(displacements) - design.shape[1]
     scatter = float(np.sqrt(np.sum((residual - design @ step) ** 2) / n_redundant))
     rms = float(np.sqrt(np.mean(np.sum(displacements**2, axis=1))))
-    if not 0.0 < length < MAX_LENGTH_RATIO * rms or scatter > MAX_RELATIVE_LENGTH_SCATTER * rms:
+    if not 0.0 < length < MAX_COMMON_TO_RMS_LENGTH_RATIO * rms or scatter > MAX_RELATIVE_LENGTH_SCATTER * rms:
         return None
     is_away_from_nests = float(np.sum(corrected * sight_vectors)) < 0.0
     sigma = scatter * float(np.sqrt(np.linalg.pinv(design.T @ design)[6, 6]))

@@ -42,7 +42,7 @@ from ltsim.adjustment.reference_values import (
     with_nonzero_reference_sigmas,
 )
 from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS, MAX_TRACKER_ERROR, MIN_SIGMAS_BEYOND_NOISE
-from ltsim.adjustment.snooping import drop_undetermined_targets, prediction_sigmas, snoop_readings
+from ltsim.adjustment.snooping import drop_undetermined_targets, prediction_error_sigmas, snoop_readings
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Bools, Floats
@@ -77,7 +77,7 @@ class FitInput:
     """Geometric error model whose parameters are estimated."""
     prior: ParameterPrior | None = None
     """Prior of the instrument's parameters; None for the prior that the set-up declares."""
-    is_usable: Bools | None = None
+    is_usable_reading: Bools | None = None
     """Flags (n, 3), True for those readings of n pointings that a fit may use; None for all."""
 
 
@@ -182,7 +182,7 @@ class NetworkFit:
         if not isinstance(change, CentringChange) or len(hypothesis.stations) != 1:
             return None
         displacements = self.estimate_and_covariance(hypothesis)[0].reshape(-1, 3)
-        first_rows = np.unique(target_occupations(self.recording, change.centring), return_index=True)[1]
+        first_rows = np.unique(target_occupations(self.recording, change.centring_uncertainty), return_index=True)[1]
         sight_vectors = self.adjustment.sightings.sight_vectors[first_rows[-len(displacements) :]]
         return common_displacement(displacements, sight_vectors)
 
@@ -218,7 +218,7 @@ class NetworkFit:
                 start_state,
                 extra_parameters=start_parameter_values(hypotheses, model.n_extra_parameters, approximate_sightings),
             )
-        usable = np.ones((len(recording), 3), dtype=bool) if network.is_usable is None else network.is_usable
+        usable = np.ones((len(recording), 3), dtype=bool) if (mask := network.is_usable_reading) is None else mask
         sigma = recording.sigma()
         for h in hypotheses:
             if isinstance(h.model_change, NoiseFactor):
@@ -329,14 +329,14 @@ class NetworkFit:
         return self.problem_with_all_readings.is_used_reading & ~self.problem.is_used_reading
 
     @cached_property
-    def outlier_prediction_sigmas(self) -> Floats:
+    def outlier_prediction_error_sigmas(self) -> Floats:
         """Standard deviations (n, 3) of rejected readings minus their predictions; 1 for other readings of n pointings.
 
         The unit is the declared standard deviation of the reading.
         """
-        spread = np.ones(self.is_outlier.shape)
-        if self.is_outlier.any():
-            spread[self.is_outlier] = prediction_sigmas(self.problem_with_all_readings, self.solution, self.is_outlier)
+        is_outlier, spread = self.is_outlier, np.ones(self.is_outlier.shape)
+        if is_outlier.any():
+            spread[is_outlier] = prediction_error_sigmas(self.problem_with_all_readings, self.solution, is_outlier)
         return spread
 
     def misclosure_of(self, value: ReferenceValue) -> Floats:
@@ -390,7 +390,7 @@ class NetworkFit:
         if isinstance(change, CentringChange):
             common = self.common_displacement(hypothesis)
             occam_factor = log_occam_factor_of_centring(
-                self.estimate_and_covariance(hypothesis)[1], change.centring.sigma_mm * MILLIMETRE
+                self.estimate_and_covariance(hypothesis)[1], change.centring_uncertainty.sigma_mm * MILLIMETRE
             )
             return occam_factor + (common.log_evidence_gain if common is not None else 0.0)
         if isinstance(change, ReferenceOmission):

@@ -77,7 +77,7 @@ def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[H
         elif isinstance(h.model_change, CoordinateExchange):
             recording = exchange_coordinates(recording, *h.model_change.target_names)
         elif isinstance(h.model_change, CentringChange):
-            centring = (*recording.setup.centring, h.model_change.centring)
+            centring = (*recording.setup.centring, h.model_change.centring_uncertainty)
             recording = recording.replace(setup=recording.setup.model_copy(update={"centring": centring}))
     return recording
 
@@ -95,12 +95,14 @@ def with_centring_sigma(
     if not isinstance(change, CentringChange):
         return hypothesis
     displacement, covariance = estimate_function(hypothesis)
-    sigma = change.centring.sigma_mm * MILLIMETRE
+    sigma = change.centring_uncertainty.sigma_mm * MILLIMETRE
     determined = len(displacement) - float(np.trace(covariance)) / sigma**2
     if determined < 1.0:
         return hypothesis
     factor = float(np.sqrt(displacement @ displacement / determined)) / sigma
     if abs(np.log(max(factor, 1e-3))) < CENTRING_SIGMA_TOLERANCE:
         return hypothesis
-    centring = change.centring.model_copy(update={"sigma_mm": max(factor, 1e-3) * change.centring.sigma_mm})
+    centring = change.centring_uncertainty.model_copy(
+        update={"sigma_mm": max(factor, 1e-3) * change.centring_uncertainty.sigma_mm}
+    )
     return replace(hypothesis, model_change=CentringChange(centring))

@@ -151,9 +151,9 @@ class FloorPlan:
     Positions on a plan are approximate, but levels are accurate: the plan determines no tilts of the network.
     """
 
-    rotation: Floats
+    rotation_to_plan: Floats
     """Rotation matrix (3, 3) from the frame of the network to the floor plan."""
-    translation: Floats
+    translation_to_plan: Floats
     """Translation (3,) [m] from the frame of the network to the floor plan."""
     has_plan: bool
     """True if the set-up declares positions of stations on a floor plan."""
@@ -183,11 +183,11 @@ class FloorPlan:
 
     def positions_on_plan(self, position: Floats) -> Floats:
         """Positions (..., 3) [m] on the floor plan of positions (..., 3) [m] in the frame of the network."""
-        return position @ self.rotation.T + self.translation
+        return position @ self.rotation_to_plan.T + self.translation_to_plan
 
     def yaw_on_plan(self, rotation: Floats) -> float:
         """Yaw [rad] on the floor plan of an instrument with the rotation matrix `rotation` (3, 3) in the network."""
-        plan_rotation = self.rotation @ rotation
+        plan_rotation = self.rotation_to_plan @ rotation
         return float(np.arctan2(plan_rotation[1, 0], plan_rotation[0, 0]))
 
 

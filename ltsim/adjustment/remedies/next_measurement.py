@@ -82,7 +82,7 @@ def best_explanation(residual_space: ResidualSpace, name: str) -> Explanation:
     best_so_far: Explanation | None = None
     least = float(residual_space.residuals @ residual_space.residuals)
     for effect in kind.candidates(residual_space.sightings):
-        values, sum_of_squares = _best_fitting_size(residual_space, effect, residual_space.residuals)
+        values, sum_of_squares = _best_fitting_parameters(residual_space, effect, residual_space.residuals)
         if sum_of_squares < least:
             least, best_so_far = sum_of_squares, Explanation(effect, values)
     if best_so_far is None:
@@ -92,7 +92,7 @@ def best_explanation(residual_space: ResidualSpace, name: str) -> Explanation:
     return best_so_far
 
 
-def _best_fitting_size(residual_space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
+def _best_fitting_parameters(residual_space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
     """Parameters (p,) [SI] of an effect that fit m whitened residuals (m,) best, and remaining sum of squares.
 
     The effect has p parameters.
@@ -154,7 +154,7 @@ class RivalExplanations:
             for before, effect in rival_variants:
                 if before >= smallest:
                     break
-                smallest = min(smallest, _best_fitting_size(residual_space, effect, residual_change)[1])
+                smallest = min(smallest, _best_fitting_parameters(residual_space, effect, residual_change)[1])
             least.append(smallest)
         return min(least)
 
@@ -171,7 +171,7 @@ def _variants_with_unexplained_part(
     )
     instances = [rival, *subsample_evenly(type(rival).candidates(residual_space.sightings))]
     return sorted(
-        ((_best_fitting_size(residual_space, effect, residual_change)[1], effect) for effect in instances),
+        ((_best_fitting_parameters(residual_space, effect, residual_change)[1], effect) for effect in instances),
         key=lambda pair: pair[0],
     )
 
