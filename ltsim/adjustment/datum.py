@@ -201,7 +201,7 @@ def _scale_displacement_function(problem: NetworkProblem) -> Callable[[Floats], 
 
 
 def motions_about_centre(free_motions: Floats, centre: Floats) -> Floats:
-    """Orthonormal basis (6, f) of f rigid motions, as translations of the point `centre` and rotations about it."""
+    """Orthonormal basis (6, f) of `free_motions` (6, f): translations of the point `centre`, rotations about it."""
     about = free_motions.copy()
     about[:3] += np.cross(free_motions[3:].T, centre).T
     return np.linalg.qr(about)[0]

@@ -20,7 +20,7 @@ from ltsim.geometry.rigid import cross_matrix, matrix_from_rotation_vector, rota
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MAX_SOLUTION_DISTANCE = 1e-3
-"""Largest difference of two solutions that count as the same: relative distance of positions plus that of rotations."""
+"""Largest difference of two equal solutions: relative distance of positions plus norm of the difference of rotations."""
 MIN_SUM_OF_SQUARES_RATIO = 4.0
 """Smallest ratio of the second smallest to the smallest sum of squared residuals at which a solution is unique."""
 MAX_RMS_MISFIT_SIGMAS = 300.0
@@ -187,7 +187,7 @@ def _candidate_rotations(is_levelled: bool) -> Floats:
 
 
 def _start_points(readings: Floats, position: Floats, rotation: Floats) -> Floats:
-    """Start points, one per row [m], along measured directions, and on spheres about stations with ranges only."""
+    """Start points (s, 3) [m] for k pointings from k poses, along beams, or on spheres about stations with ranges."""
     starts = []
     for reading, place, turn in zip(readings, position, rotation, strict=True):
         if np.isfinite(reading).any():
@@ -299,7 +299,7 @@ def fit_horizontal_network(
 
 
 def _measured_lengths_of_directions(lines: HorizontalLengths, starts: Ints, ends: Ints) -> tuple[Ints, Floats]:
-    """Indices (k,) of the k directions along lines with a measured length, and these lengths (k,) [m]."""
+    """Indices (k,) of k directions, `starts` to `ends`, with measured length along `lines`; lengths (k,) [m]."""
     lengths: dict[tuple[int, int], float] = {}
     for start_place, end_place, length in zip(
         lines.start_indices.tolist(), lines.end_indices.tolist(), lines.lengths.tolist(), strict=True
@@ -381,7 +381,7 @@ def _xy_shape(
 
 
 def _setup_yaws(setup: Ints, starts: Ints, ends: Ints, azimuths: Floats) -> Floats:
-    """Yaws (S,) [rad] of S set-ups, if they are connected to the first set-up; NaN for other set-ups.
+    """Yaws (S,) [rad] of S set-ups relative to the first; NaN for set-ups that are not connected to the first.
 
     Two set-ups are connected if they measured the direction of the same line, from the same end or from both ends.
     """

@@ -48,9 +48,9 @@ from ltsim.solve.gauss_newton import Solution, solve
 MIN_TESTED_WHITENED_RESIDUAL = MIN_CLEAR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUNDANCY))
 """Smallest whitened residual of a tested reference value. An error of `MIN_CLEAR_SIGMAS` standard deviations causes a
 larger residual."""
-MIN_VALUES_FOR_TYPICAL_ERROR = 3
-"""Smallest number of other reference values of the same kind with which a wrong reference value can be identified if a
-second reference value contradicts too."""
+MIN_OTHERS_TO_IDENTIFY_WRONG_VALUE = 3
+"""Smallest number of other reference values of the same kind at which one of several contradicting values is identified as
+wrong; with fewer values none is excluded."""
 MAX_CHI2_FRACTION_AFTER_EXCLUSION = 1e-6
 """Ratio of chi-square after to chi-square before the exclusion of reference values, below which the excluded values are
 certainly wrong."""
@@ -124,7 +124,7 @@ def _tests_with_final_errors(
     problem: NetworkProblem,
     final_problem_and_solution: tuple[NetworkProblem, Solution[NetworkState]],
 ) -> Iterator[ReferenceTest]:
-    """Tests of reference values of `problem`, with the errors and the noise of the final solution."""
+    """Tests of reference values of `problem`, with the errors and the noise of the solution after all exclusions."""
     state, factor = final_problem_and_solution[1].x, noise_factor(*final_problem_and_solution)
     names, marks = problem.model.recording.stations, problem.marks
     off = {
@@ -150,12 +150,12 @@ def _contradicting_group(
 ) -> tuple[ReferenceTest, ...]:
     """Tuple with the test of a value that contradicts others of its kind; empty if one value is clearly the wrong one.
 
-    The test names the other values among which the data do not identify the wrong value.
+    The test names the values that may be wrong instead.
     """
     for test in wrong_values:
         others = [other for other in all_tests if other.kind == test.kind and other.name != test.name]
         rivals = tuple(other.name for other in others if other.normalised_error > MIN_CLEAR_SIGMAS)
-        if rivals and len(others) < MIN_VALUES_FOR_TYPICAL_ERROR:
+        if rivals and len(others) < MIN_OTHERS_TO_IDENTIFY_WRONG_VALUE:
             return (replace(test, is_excluded=False, indistinguishable_from=rivals),)
     return ()
 

@@ -40,7 +40,7 @@ ERROR_UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "sc
 """Unit of an error and its size in SI units, by kind of reference value; millimetres for all other kinds."""
 TESTED_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "level", "yaw", "mark", "scale")
 """Kinds of reference values that are tested."""
-SCALE_DEPENDENT_KINDS: tuple[ReferenceKind, ...] = TESTED_REFERENCE_KINDS[:-1]
+TESTED_KINDS_EXCEPT_SCALE: tuple[ReferenceKind, ...] = TESTED_REFERENCE_KINDS[:-1]
 """Kinds of reference values that may be excluded if reference lengths determine the scale of the network. A common
 scale error of the lengths is then only reported."""
 MIN_TESTED_REDUNDANCY = 1e-3
@@ -144,7 +144,7 @@ class ReferenceTest(ReferenceValue):
 def reference_tests(
     problem: NetworkProblem, solution: Solution[NetworkState], min_residual: float = 0.0
 ) -> list[ReferenceTest]:
-    """Tests of the reference values of an adjustment whose whitened residuals are at least `min_residual`.
+    """Tests of those reference values of an adjustment that have whitened residuals of at least `min_residual`.
 
     With a positive `min_residual` the common scale of all reference lengths is tested too. With `min_residual` 0 exact
     reference values get a small standard deviation, so that a test of them is possible.

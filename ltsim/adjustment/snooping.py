@@ -61,7 +61,7 @@ def without_copied_rows(recording: Recording) -> tuple[Recording, int]:
 
 
 def _is_copied_row(recording: Recording) -> Bools:
-    """Flags (n,), True for rows that are exact copies of an earlier row with equal time, set-up, target and face.
+    """Flags (n,) of n rows, True for exact copies of an earlier row with equal time, set-up, target and face.
 
     Two pointings may be equal by chance. Without a clock, rows count as copies only if all repeated pointings are
     equal.
@@ -116,7 +116,7 @@ def drop_undetermined_targets(problem: NetworkProblem, state: NetworkState) -> N
 
 
 def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bools:
-    """Flags (T,), True for targets whose position the observations do not determine, even for known stations."""
+    """Flags (T,) of T targets, True if the observations do not determine its position, even with known stations."""
     recording, count = problem.model.recording, len(problem.model.recording.targets)
     n_complete = np.bincount(recording.target, problem.is_used_reading.all(axis=1), count) > 0
     is_doubtful = ~n_complete & ~problem.undetermined_unknowns.is_unmeasured_target
@@ -313,7 +313,7 @@ def _is_newly_rejected(problem: NetworkProblem, state: NetworkState, limit: floa
 
 
 def _is_mostly_rejected_setup(is_rejected: Bools, problem: NetworkProblem) -> Bools:
-    """Flags (S,), True for set-ups of whose used readings more than half are rejected (`is_rejected`)."""
+    """Flags (S,) of S set-ups, True if more than half of its used readings are rejected (`is_rejected`)."""
     recording = problem.model.recording
     out, used = (
         np.bincount(recording.station, rows.sum(axis=1), len(recording.stations))

@@ -97,7 +97,7 @@ def iterate_reweighted(
 
 
 def has_many_residuals_beyond_noise(whitened_residuals: Floats) -> bool:
-    """True if too many residuals exceed `MIN_SIGMAS_BEYOND_NOISE`: more than `MAX_FRACTION_BEYOND_NOISE`."""
+    """True if more than the fraction `MAX_FRACTION_BEYOND_NOISE` of the residuals exceeds `MIN_SIGMAS_BEYOND_NOISE`."""
     n_beyond = np.count_nonzero(np.abs(whitened_residuals) > MIN_SIGMAS_BEYOND_NOISE)
     return bool(n_beyond > MAX_FRACTION_BEYOND_NOISE * len(whitened_residuals))
 

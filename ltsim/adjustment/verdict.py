@@ -137,7 +137,7 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
 
 
 def _sigma0_limits(dof: int, alpha: float) -> tuple[float, float]:
-    """Lower and upper critical value of sigma0 at the two-sided significance level `alpha`."""
+    """Lower and upper critical value of sigma0 with `dof` degrees of freedom, at the two-sided level `alpha`."""
     low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [alpha / 2, 1 - alpha / 2]) / dof).tolist()
     return low, high
 

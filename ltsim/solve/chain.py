@@ -121,7 +121,7 @@ class BlockChainFactor:
         )
 
     def solve(self, right_hand_sides: Floats) -> Floats:
-        """Solutions (K, c) of the linear systems of the factorised matrix (K, K) with c right-hand sides (K, c)."""
+        """Solutions (K, c) of the linear systems of the factorised matrix of K columns, for c right-hand sides."""
         x = right_hand_sides[self._column_order]
         border = self._block_limits[-2]
         for i, (root, after) in enumerate(zip(self._diagonal_factors, self._off_diagonal_factors, strict=True)):

@@ -83,7 +83,7 @@ class BasisResidualProjector:
             yield _spectrum_from_root(part) if len(rows) > part.shape[1] else np.linalg.eigh(part @ part.T)
 
     def with_removed_columns(self, columns: Floats) -> BasisResidualProjector:
-        """Projector that also removes components along e orthonormal vectors (m, e) of the residual space."""
+        """Projector that also removes components along e orthonormal vectors `columns` (m, e) of m observations."""
         return BasisResidualProjector(np.hstack([self.basis, columns]))
 
 
@@ -147,7 +147,7 @@ class FactorResidualProjector:
         return block
 
     def _residual_part(self, columns: Floats, rows: Ints | slice) -> Floats:
-        """Components (m, q) in the residual space of q vectors with entries `columns` (r, q) on r `rows`, 0 elsewhere.
+        """Components (m, q) in the residual space of q vectors of m entries: `columns` (r, q) on r `rows`, else 0.
 
         If rounding errors of the projection exceed `MAX_UNPROJECTED_OVERLAP`, the result is projected a second time.
         """

@@ -163,7 +163,10 @@ class Check(ResultFile):
     def from_items(
         cls, arrays: CheckArrays, network_items: Sequence[CheckItem], alpha: float, tests: Sequence[CauseTest]
     ) -> Self:
-        """Result with the items in this order: identified causes, blunders, set-ups, network."""
+        """Result with the items in this order: identified causes, blunders, set-ups, network.
+
+        `alpha` is the false-alarm probability of the whole check.
+        """
         causes = tuple(map(item_from_cause, tests))
         mistakes = (item for item in network_items if item.kind == "mistake")
         other_network_items = (item for item in network_items if item.kind != "mistake")

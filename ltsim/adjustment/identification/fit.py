@@ -340,7 +340,7 @@ class NetworkFit:
         return spread
 
     def misclosure_of(self, value: ReferenceValue) -> Floats:
-        """Misclosure (q,) [m, rad] of an excluded reference value; 0 at a set-up with all readings rejected."""
+        """Misclosure (q,) [m, rad] of q components of an excluded value; 0 at a set-up with all readings rejected."""
         declared, centring = self.network.recording, self.problem.model.recording.setup.centring
         declared = declared.replace(setup=declared.setup.model_copy(update={"centring": centring}))
         model = replace(self.problem.model, recording=declared)
