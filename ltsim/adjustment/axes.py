@@ -155,7 +155,7 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
             message = (
                 f"has no standard deviation of {quoted_text(name)}; add a column sigma_mm, or sigma_x_mm and so on"
             )
-            raise RecordError(f"{message}; give coordinates that only define the axes by --frame", file=path, row=line)
+            raise RecordError(f"{message}; use --frame for coordinates that only define the axes", file=path, row=line)
         update = {
             "known_mm": tuple((np.nan_to_num(place) / MILLIMETRE).tolist()),
             "known_axes": "".join(axis for axis, is_given_axis in zip("xyz", is_given, strict=True) if is_given_axis),

@@ -20,7 +20,7 @@ from ltsim.geometry.rigid import cross_matrix, matrix_from_rotation_vector, rota
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MAX_SOLUTION_DISTANCE = 1e-3
-"""Largest difference of two equal solutions: relative distance of positions plus norm of the difference of rotations."""
+"""Largest difference of solutions that count as equal: relative distance plus norm of the difference of rotations."""
 MIN_SUM_OF_SQUARES_RATIO = 4.0
 """Smallest ratio of the second smallest to the smallest sum of squared residuals at which a solution is unique."""
 MAX_RMS_MISFIT_SIGMAS = 300.0

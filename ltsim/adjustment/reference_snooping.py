@@ -49,8 +49,8 @@ MIN_TESTED_WHITENED_RESIDUAL = MIN_CLEAR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUN
 """Smallest whitened residual of a tested reference value. An error of `MIN_CLEAR_SIGMAS` standard deviations causes a
 larger residual."""
 MIN_OTHERS_TO_IDENTIFY_WRONG_VALUE = 3
-"""Smallest number of other reference values of the same kind at which one of several contradicting values is identified as
-wrong; with fewer values none is excluded."""
+"""Smallest number of other reference values of the same kind at which one of several contradicting values is identified
+as wrong; with fewer values none is excluded."""
 MAX_CHI2_FRACTION_AFTER_EXCLUSION = 1e-6
 """Ratio of chi-square after to chi-square before the exclusion of reference values, below which the excluded values are
 certainly wrong."""
