@@ -324,7 +324,7 @@ def _unreliable_sigma_sentences(adjustment: Adjustment) -> Iterator[str]:
     if adjustment.sigma0 > MAX_CONSISTENT_SIGMA0:
         yield (
             f"sigma0 is {adjustment.sigma0:.3g}: readings, lengths and known points contradict each other, and the "
-            "standard deviations are not valid"
+            "standard deviations are not valid; find and correct the wrong values first"
         )
 
 
