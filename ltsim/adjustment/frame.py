@@ -49,7 +49,7 @@ class DeclaredFrame:
     """Flags (S,), True for those of the S stations whose yaw (direction of azimuth zero) is known, not approximate."""
     approximate_points: Floats
     """Known or approximate coordinates of T targets, (T, 3) [m]."""
-    points_with_known_xy: Floats
+    xy_reference_points: Floats
     """Coordinates (T, 3) [m] of those of T targets whose x and y are known, with height 0."""
 
     @classmethod
@@ -83,7 +83,7 @@ class DeclaredFrame:
         """True if a target or station has declared coordinates that define the frame."""
         return any(
             bool(np.isfinite(places).any())
-            for places in (self.declared_points, self.declared_station_positions, self.points_with_known_xy)
+            for places in (self.declared_points, self.declared_station_positions, self.xy_reference_points)
         )
 
     def network_and_declared_points(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
@@ -112,8 +112,8 @@ class DeclaredFrame:
             return align_robustly(here, there)
         height = float(np.mean(there[:, 2] - (here @ levelling_rotation.T)[:, 2])) if len(here) else 0.0
         if len(here) < 2:
-            both = np.isfinite(points).all(axis=1) & np.isfinite(self.points_with_known_xy).all(axis=1)
-            here, there = points[both], self.points_with_known_xy[both]
+            both = np.isfinite(points).all(axis=1) & np.isfinite(self.xy_reference_points).all(axis=1)
+            here, there = points[both], self.xy_reference_points[both]
         if heading_rotation is not None and len(here) == 1:
             shift = there[0] - heading_rotation @ levelling_rotation @ here[0]
             return heading_rotation @ levelling_rotation, np.array([*shift[:2], height])

@@ -361,7 +361,7 @@ class NetworkInitialiser:
             return
         over, extra = marks.target_indices, len(self._located_targets) + marks.first_setup_on_mark
         stands = np.where(over >= 0, over, extra)
-        control = np.concatenate([frame.points_with_known_xy, frame.declared_station_positions])[:, :2]
+        control = np.concatenate([frame.xy_reference_points, frame.declared_station_positions])[:, :2]
         ranged_indices = np.flatnonzero(np.isfinite(self._front_readings[:, 0]))
         starts, ends = stands[recording.station[ranged_indices]], recording.target[ranged_indices]
         lines = HorizontalLengths(starts, ends, self._front_readings[ranged_indices, 0])
