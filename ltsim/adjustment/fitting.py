@@ -1,4 +1,4 @@
-"""Approximate coordinates by fits: a pose or point from any readings, networks of ranges alone, plans of directions.
+"""Approximate coordinates by fits: a pose or point from any readings, networks of ranges alone, horizontal networks.
 
 These fits are used if a station or target has no closed-form solution, for example with bearings without ranges, ranges
 without bearings, a level, or a known mark. Each fit runs from many start values at once, and the best result is used.
@@ -34,7 +34,7 @@ EIGHT_AZIMUTHS = np.arange(8) * np.pi / 4
 START_COORDINATE_GRIDS = np.geomspace(0.3, 300.0, 12), EIGHT_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
 """Grids of start values for the unmeasured polar coordinates of a point: range [m], azimuth [rad], elevation [rad]."""
 MIN_TARGETS_OF_RANGE_NETWORK = 10
-"""Smallest number of targets of a network of ranges only: nine differences to one target give nine coefficients."""
+"""Smallest number of targets of a network of ranges only: `multilaterate` needs nine differences to one target."""
 
 ResidualFunction = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Function that evaluates b trial solutions at once, from positions (b, 3) [m] and rotations (b, 3, 3). It returns the

@@ -20,7 +20,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
 
 MAX_FLOOR_PLAN_ERROR = 0.5
-"""Smallest distance [m] of an adjusted station from its position on a floor plan at which the plan is ignored."""
+"""Distance [m] of an adjusted station from its position on a floor plan, from which on the plan is ignored."""
 UNKNOWN_POINT = (np.nan, np.nan, np.nan)
 """Coordinates of a point without declared coordinates."""
 
@@ -79,7 +79,7 @@ class DeclaredFrame:
         )
 
     @property
-    def has_approximate_positions(self) -> bool:
+    def has_declared_positions(self) -> bool:
         """True if a target or station has declared coordinates that define the frame."""
         return any(
             bool(np.isfinite(places).any())

@@ -243,7 +243,7 @@ class NetworkProblem(NetworkRows):
         return SparsityPattern(self._columns_by_row_kind(), self.unknowns.n_columns)
 
     def _columns_by_row_kind(self) -> list[Ints]:
-        """Column indices of the nonzero elements of the design matrix: one array (rows, elements) per kind of row."""
+        """Column indices of nonzero elements of the design: one array (equations, elements) per kind of equation."""
         recording, at, gauge = self.model.recording, self.unknowns, self.gauge_rows
         blocks = (
             at.pose_columns[recording.station],
@@ -284,7 +284,7 @@ class NetworkProblem(NetworkRows):
         ]
 
     def _whitened_derivatives(self, state: NetworkState, prediction: Prediction) -> Iterator[Floats]:
-        """Nonzero elements of the whitened design matrix by kind of row, in the order of `_columns_by_row_kind`."""
+        """Nonzero elements of the whitened design by kind of equation, in the order of `_columns_by_row_kind`."""
         yield from self._reading_derivatives(prediction)
         direction = self.gauge_rows.unit_vectors(state.target_points)
         gauge = np.concatenate([direction, -direction, self._reference_length_design(state)], axis=1)
@@ -304,7 +304,7 @@ class NetworkProblem(NetworkRows):
         yield self._datum_rows(state)
 
     def _reading_derivatives(self, prediction: Prediction) -> Iterator[Floats]:
-        """Nonzero elements of the design matrix for the readings in use, in batches of pointings (memory)."""
+        """Nonzero elements of the design matrix for the readings in use, in batches that limit the memory."""
         derivatives = [
             prediction.pose_derivatives,
             prediction.target_derivatives,

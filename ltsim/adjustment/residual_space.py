@@ -117,9 +117,9 @@ class ResidualSpace:
         )
 
     def chi2_drop(self, design_columns: Floats) -> tuple[float, int]:
-        """Decrease of chi-square, and its rank, if parameters with whitened `design_columns` are estimated too.
+        """Decrease of chi-square and its degrees of freedom, if parameters with these `design_columns` are added.
 
-        The columns (m, q) are the changes of m equations per unit of q parameters.
+        The columns (m, q) are the whitened changes of m equations per unit of q parameters.
         """
         scores = self._projected_basis(design_columns).T @ self.residuals
         return float(scores @ scores), len(scores)

@@ -243,10 +243,9 @@ class DifferenceRows(ControlRows):
         return np.concatenate([*(signs * self.whitening_matrices)], axis=2)[self.declared_components]
 
     def is_height_undetermined(self, is_undetermined: Bools) -> Bools:
-        """Flags of T targets, S instruments and the origin whose heights are undetermined also with the differences.
+        """Flags (T + S + 1,) of T targets, S instruments and the origin, True if the height remains undetermined.
 
-        The array has the length T + S + 1, as `is_undetermined`, which flags the heights that are undetermined without
-        the known differences.
+        `is_undetermined` (T + S + 1,) flags the heights that are undetermined without the known differences.
         """
         is_undetermined, ends = is_undetermined.copy(), self.ends[:, self.declared_components[:, 2]]
         while (half := is_undetermined[ends[0]] != is_undetermined[ends[1]]).any():

@@ -33,7 +33,7 @@ of 1.7 million normal variates exceeds it.
 """
 MIN_GROSS_SIGMAS = 30.0
 """Smallest residual of a reading with a gross error, in robust standard deviations. The residual must also exceed
-`MAX_TRACKER_ERROR` [m], a limit that in a large hall noise alone exceeds.
+`MAX_TRACKER_ERROR` [m], a limit that noise alone exceeds in a large hall.
 """
 MAX_TRACKER_ERROR = 1e-3
 """Largest displacement [m] of a measured point by errors of a tracker, for ranges up to `MAX_WORKSHOP_RANGE`. A
@@ -52,7 +52,7 @@ MIN_DOF_FOR_ESTIMATED_NOISE = 15
 standard deviation is then 1 / sqrt(2 * 15) = 18 %. """
 MIN_REPEATS_FOR_VARIANCE = 4
 """Smallest number of pointings to a target, of occupations of a target, or of targets in a group, for a test of their
-separate noise; of two or three a single outlier has the same effect.
+separate noise; with two or three, a single outlier has the same effect.
 """
 MIN_MEAN_REPEATS = 1.5
 """Smallest mean number of pointings per occupation, or of occupations per target, for a test of random displacements.

@@ -43,7 +43,7 @@ def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
     pairs = StationTargetPairs.from_recording(recording, points_with_slope_distances(recording))
     frame = DeclaredFrame.from_recording(recording)
     grown = []
-    for beginning in INITIALISATION_METHODS if frame.has_approximate_positions else INITIALISATION_METHODS[1:]:
+    for beginning in INITIALISATION_METHODS if frame.has_declared_positions else INITIALISATION_METHODS[1:]:
         grown.append(NetworkInitialiser(recording, pairs, frame))
         grown[-1].run(beginning)
         if grown[-1].is_complete:
@@ -259,7 +259,7 @@ class NetworkInitialiser:
 
     def _to_declared_frame(self) -> bool:
         """True if the network was transformed to the declared frame, which requires enough declared points."""
-        if self._is_in_frame or not self._frame.has_approximate_positions:
+        if self._is_in_frame or not self._frame.has_declared_positions:
             return False
         turn = self._frame.levelling_rotation(self._rotations, self._is_joined)
         heading = self._frame.rotation_to_declared_yaws(turn @ self._rotations, self._is_joined)
@@ -288,7 +288,7 @@ class NetworkInitialiser:
         if len(here):
             self._transform(np.eye(3), (there - here).mean(axis=0))
             return
-        has_places = self._frame.has_approximate_positions
+        has_places = self._frame.has_declared_positions
         motion = None if has_places else self._frame.motion_to_floor_plan(self._positions, self._rotations)
         if motion is not None:
             self._transform(*motion)
@@ -315,7 +315,7 @@ class NetworkInitialiser:
         """Start with the declared coordinates of targets and marks."""
         self._located_targets = self._frame.declared_points.copy()
         self._positions = self._frame.declared_station_positions.copy()
-        self._is_in_frame = self._is_levelled = self._frame.has_approximate_positions
+        self._is_in_frame = self._is_levelled = self._frame.has_declared_positions
 
     def _begin_with_cloud(self) -> None:
         """Start with one station and the targets that it measured completely."""

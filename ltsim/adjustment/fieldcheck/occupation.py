@@ -274,7 +274,7 @@ class TwoFaceDifferences:
     half_difference_sigmas: Floats
     """Standard deviations (m, 3) [m, rad, rad] of the half differences of m pairs, from the declared noise."""
     exceeds_limit: Bools
-    """Flags (m, 3) of the half differences of m pairs that exceed their limits, after the correction for motions."""
+    """Flags (m, 3) of m pairs, True for half differences that exceed their limits after the correction for motions."""
     half_difference_limits: Floats
     """Largest permitted half differences of m pairs, (m, 3) [m, rad, rad]."""
 

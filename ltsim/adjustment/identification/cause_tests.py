@@ -48,7 +48,7 @@ class AlternativeCause(Entry):
     """Hypothesis that was fitted in place of an accepted hypothesis, for comparison."""
 
     kind: str
-    """Kind of the hypothesis, as `kind` of a test."""
+    """Kind of the alternative error, with the same values as `CauseTest.kind`."""
     where: CausePlace
     """Stations or targets at which the alternative error acts."""
     probability: Finite
@@ -161,7 +161,7 @@ def reported_kind(fit: NetworkFit, hypothesis: Hypothesis) -> CauseKind:
 
 
 def _estimate_sigma_and_unit(hypothesis: Hypothesis, shift_components: Floats, covariance: Floats) -> dict[str, Any]:
-    """Entries `estimate`, `sigma` and `unit` of a shift: length of its p components, `shift_components` (p,) [SI]."""
+    """Entries `estimate`, `sigma`, `unit` for the length of p `shift_components` (p,), `covariance` (p, p) [SI]."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     unit, factor = ("mm", MILLIMETRE)
     if isinstance(hypothesis.model_change.effect, ReadingShift):

@@ -39,7 +39,7 @@ from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
-MIN_OUTLIER_FRACTION = 0.25
+MIN_OUTLIER_FRACTION_FOR_LOCAL_FIT = 0.25
 """Fraction of outliers among the pointings of a set-up or target, above which displacements are also fitted to these
 pointings with the rest of the network unchanged."""
 CENTRING_SIGMA_GRID = np.geomspace(1e-6, 1.0, 241)
@@ -101,7 +101,7 @@ def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, Hypothesis]]
     offers = []
     for place in places:
         rows = np.flatnonzero(place.occupation >= 0)
-        if fit.is_outlier[rows].any(axis=1).mean() > MIN_OUTLIER_FRACTION:
+        if fit.is_outlier[rows].any(axis=1).mean() > MIN_OUTLIER_FRACTION_FOR_LOCAL_FIT:
             offers.append(
                 _log_evidence_gain_and_hypothesis(
                     place, *_local_log_evidence_gain_and_sigma(fit, place, rows), len(places)

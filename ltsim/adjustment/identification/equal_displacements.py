@@ -21,8 +21,8 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 MAX_RELATIVE_LENGTH_SCATTER = 0.1
 """Largest scatter of the lengths of displacements, divided by the rms length, at which the lengths count as equal."""
 MAX_COMMON_TO_RMS_LENGTH_RATIO = 3.0
-"""Smallest ratio of the estimated common length to the rms length of the displacements at which the estimate is
-rejected, because any small displacements lie nearly on the surface of a much larger sphere.
+"""Ratio of the estimated common length to the rms length of the displacements, from which on the estimate is rejected,
+because any small displacements lie nearly on the surface of a much larger sphere.
 """
 MIN_TARGETS_FOR_COMMON_LENGTH = 10
 """Smallest number of targets for the estimate of a common length, with seven unknowns: the pose of the set-up and the

@@ -67,7 +67,7 @@ class Explanation:
 
 
 def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[LinearEffect] = ()) -> ResidualSpace:
-    """Space of the residuals of an adjustment in which the parameters of `extra_effects` are estimated too."""
+    """Residual space of an adjustment in which the parameters of `extra_effects` are estimated too."""
     return ResidualSpace.from_adjustment(adjustment).with_effects(extra_effects)
 
 
