@@ -366,7 +366,7 @@ def _test_rejected_again(
     is_rejected: Bools,
     limit: float,
 ) -> Bools:
-    """Flags (n, 3) of rejected readings of n pointings, after a test of all rejected and used readings."""
+    """Flags (n, 3) of the rejected readings of n pointings, after all readings are tested again against `limit`."""
     assert solution.factor is not None
     out = is_rejected & problem.is_used_reading
     targets, stations = problem.model.recording.target, problem.model.recording.station

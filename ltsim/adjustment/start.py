@@ -226,7 +226,7 @@ class NetworkInitialiser:
         return False
 
     def _resect_horizontally(self) -> bool:
-        """True if a levelled station was joined by directions in plan to and from other stations."""
+        """True if a levelled station was joined by horizontal directions to and from other stations."""
         recording, over = self._recording, self._frame.marks.target_indices
         places, ahead, turn = self._target_points(), self._rotations[:, :, 0], self._front_readings[:, 1]
         usable = self._is_joined[recording.station] & ~self._has_coordinates[recording.target]
@@ -354,7 +354,7 @@ class NetworkInitialiser:
             self._join_station(station, declared[station], rotation_about_z(float(np.angle(np.nansum(turns)))))
 
     def _begin_with_bearings(self) -> None:
-        """Start with a plan from horizontal directions of upright stations and horizontal lengths."""
+        """Start with horizontal coordinates from directions of upright stations and horizontal lengths."""
         recording, frame, marks = self._recording, self._frame, self._frame.marks
         bearing_rows = np.flatnonzero(frame.is_levelled[recording.station] & np.isfinite(self._front_readings[:, 1]))
         if not len(bearing_rows) or np.isfinite(self._front_readings[:, 2]).any():

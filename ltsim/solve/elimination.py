@@ -148,7 +148,7 @@ class SparseElimination:
         return inverses
 
     def _first_chain_block(self, columns: Ints, axis: int) -> Ints:
-        """Index of the first block of the chain to which any column of each set belongs; `axis` is that of the set."""
+        """Index of the first block of the chain to which any column of each set belongs; sets are along `axis`."""
         return np.asarray(
             self._schur_factor.block_of_column[columns].min(axis=axis, initial=self._schur_factor.n_blocks - 1)
         )
