@@ -248,7 +248,7 @@ def geoeasy(out: Path) -> None:
             factors = {c.observable: f"{c.noise_factor:.2f}" for c in found.variance_components}
             rows.append({"parameters": name, "way": way} | state_of(found) | factors)
     show_table(out / "geoeasy.csv", rows)
-    values, sigma = found.state.instrument_parameters[0], np.sqrt(np.diag(found.instrument_covariance))
+    values, sigma = found.state.instrument_parameters[0], np.sqrt(np.diag(found.first_instrument_covariance))
     show_table(out / "geoeasy_parameters.csv", [
         {"parameter": p.name, "value": f"{v / p.si_per_display_unit:.2f}", "sigma": f"{s / p.si_per_display_unit:.2f}",
          "unit": p.unit}

@@ -46,7 +46,7 @@ suspected, each is tested without regard to the others."""
 class FlaggedReading:
     """Reading rejected by the w-test (Baarda 1968) or the tau-test (Pope 1976)."""
 
-    row: int
+    pointing_index: int
     """Index of the pointing in the recording, from 0."""
     observable_column: int
     """Index of the observable: 0 range, 1 azimuth, 2 elevation."""
@@ -316,7 +316,7 @@ class Adjustment(Result):
         return self.datum.transform_covariance(covariance[None], np.arange(len(covariance))[None])[0]
 
     @property
-    def instrument_covariance(self) -> Floats:
+    def first_instrument_covariance(self) -> Floats:
         """Covariance (p, p) [SI] of the p parameters of the first instrument."""
         return self.instrument_covariance_of(0)
 

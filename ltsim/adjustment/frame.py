@@ -59,7 +59,7 @@ class DeclaredFrame:
         setups = [recording.station_setup(name) for name in recording.stations]
         alone, by_name = (
             [name if marks.target_indices[i] < 0 else "" for i, name in enumerate(marks.mark_names)],
-            _coordinates_by_name(recording),
+            _mark_coordinates_by_name(recording),
         )
         return cls(
             _points_in_metres(
@@ -75,7 +75,7 @@ class DeclaredFrame:
             _points_in_metres(
                 [_declared_coordinates(recording, name, datum_targets_only=False) for name in recording.targets]
             ),
-            _points_in_metres([_declared_plan_coordinates(recording.target_setup(name)) for name in recording.targets]),
+            _points_in_metres([_xy_reference_coordinates(recording.target_setup(name)) for name in recording.targets]),
         )
 
     @property
@@ -229,7 +229,7 @@ class DeclaredFrame:
         return smallest_rotation(axis / np.linalg.norm(axis), goal / np.linalg.norm(goal))
 
 
-def _coordinates_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
+def _mark_coordinates_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
     """Coordinates [mm] by name, of known marks and of marks that known differences connect to known marks."""
     targets = recording.setup.targets
     places: dict[str, tuple[float, ...]] = {
@@ -264,7 +264,7 @@ def _declared_coordinates(recording: Recording, name: str, *, datum_targets_only
     return (target.approximate_mm if target.datum or not datum_targets_only else None) or UNKNOWN_POINT
 
 
-def _declared_plan_coordinates(target: Target) -> tuple[float, ...]:
+def _xy_reference_coordinates(target: Target) -> tuple[float, ...]:
     """Coordinates [mm] of a target with known x and y, with height 0; NaN for other targets."""
     if target.known_mm is None or not target.known_axes.startswith("xy"):
         return UNKNOWN_POINT

@@ -123,7 +123,7 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     return (
         *outliers,
         *(
-            row(o.row, o.observable_column, o.estimated_error, o.normalised_residual, p_value=o.p_value)
+            row(o.pointing_index, o.observable_column, o.estimated_error, o.normalised_residual, p_value=o.p_value)
             for o in flagged_readings
         ),
     )

@@ -76,7 +76,7 @@ class LayoutInformation:
     @property
     def instrument_covariance(self) -> Floats:
         """Expected covariance matrix (p, p) of the p instrument parameters [SI], from readings and priors."""
-        return self.adjustment.instrument_covariance
+        return self.adjustment.first_instrument_covariance
 
     @property
     def scaled_covariance(self) -> Floats:

@@ -58,9 +58,9 @@ def test_each_restless_target_is_judged_by_its_own_noise():
     scatter[2 * times + 5, 1] = 8.0 * 6.0  # six of its own standard deviations, one and a half of the loudest
     found = adjust(recording.with_readings(place + scatter * recording.sigma()))
     assert found.noisy_targets_and_scatter[0].tolist() == [3, 2]
-    assert [(one.row, one.observable_column) for one in found.flagged_readings(uses_estimated_noise=True)] == [
-        (2 * times + 5, 1)
-    ]
+    assert [
+        (one.pointing_index, one.observable_column) for one in found.flagged_readings(uses_estimated_noise=True)
+    ] == [(2 * times + 5, 1)]
     assert found.flagged_readings(uses_estimated_noise=True)[0].p_value < 1e-3
 
 
@@ -68,9 +68,9 @@ def test_a_large_error_blames_none_of_the_readings_that_it_bends():
     clean = noisy(3)
     found = adjust(spoiled(clean, [(20, 0)], [80.0]), TRACKER)
     assert np.sum(np.abs(found.normalised_residuals) > critical_w(int(found.problem.is_used_reading.sum()))) > 1
-    assert [(one.row, one.observable_column) for one in found.flagged_readings()] == [(20, 0)]
+    assert [(one.pointing_index, one.observable_column) for one in found.flagged_readings()] == [(20, 0)]
     two = adjust(spoiled(clean, [(20, 0), (47, 2)], [80.0, 9.0]), TRACKER)
-    assert [(one.row, one.observable_column) for one in two.flagged_readings()] == [(20, 0), (47, 2)]
+    assert [(one.pointing_index, one.observable_column) for one in two.flagged_readings()] == [(20, 0), (47, 2)]
     assert two.flagged_readings()[1].estimated_error / two.problem.sigma[47, 2] == pytest.approx(9.0, abs=4.0)
 
 

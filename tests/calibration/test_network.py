@@ -69,7 +69,7 @@ def test_hypothetical_network_starts_from_the_real_covariance(make, drawn) -> No
     construction = misalignment_construction()
     adjustment = adjust(make(drawn(construction, 1, 3)), construction)
     covariance, prior = PlannedNetwork.from_adjustment(adjustment).parameter_covariance_and_prior_sigma()
-    assert np.allclose(covariance[0], adjustment.instrument_covariance, rtol=1e-6, atol=0)
+    assert np.allclose(covariance[0], adjustment.first_instrument_covariance, rtol=1e-6, atol=0)
     assert np.array_equal(prior, adjustment.problem.prior.sigma)
 
 

@@ -37,7 +37,7 @@ def test_information_is_that_of_the_solved_recording() -> None:
     recording = made.noise_free_recording(misalignment_construction())
     noise = random_stream(1, "noise").normal(size=recording.readings.shape) * recording.sigma()
     solved = adjust(recording.with_readings(recording.readings + noise), misalignment_construction())
-    sigma = np.sqrt(np.diag(solved.instrument_covariance))
+    sigma = np.sqrt(np.diag(solved.first_instrument_covariance))
     assert information.instrument_sigmas == pytest.approx(sigma, rel=1e-3)
     trace = np.einsum("tii->t", solved.with_inner_datum().target_covariance)
     assert information.target_sigmas == pytest.approx(np.sqrt(trace), rel=1e-3)

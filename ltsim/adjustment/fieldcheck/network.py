@@ -177,7 +177,7 @@ def network_items(
         ):  # larger noise: only outliers relative to it are reported
             is_explained |= ~np.isin(
                 np.arange(len(is_explained)),
-                [motion.row for motion in adjustment_or_error.flagged_readings(uses_estimated_noise=True)],
+                [reading.pointing_index for reading in adjustment_or_error.flagged_readings(uses_estimated_noise=True)],
             )
         check_items += [
             *_target_agreement_items(adjustment, is_explained, test_family, noise_text),

@@ -123,7 +123,7 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
     elif isinstance(h.model_change, CentringChange):
         rank = len(fit.estimate_and_covariance(h)[0])
         size_entries = {"estimate": h.model_change.centring_uncertainty.sigma_mm, "unit": "mm"}
-        if (common := fit.common_displacement(h)) is not None:
+        if (common := fit.common_displacement_length(h)) is not None:
             size_entries |= {"estimate": common.length / MILLIMETRE, "sigma": common.sigma / MILLIMETRE}
     p = (
         float(special.chdtrc(rank, drop))
@@ -155,7 +155,7 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
 
 def reported_kind(fit: NetworkFit, hypothesis: Hypothesis) -> CauseKind:
     """Kind under which a hypothesis is reported; displacements of equal length are reported as another SMR radius."""
-    if fit.common_displacement(hypothesis) is not None:
+    if fit.common_displacement_length(hypothesis) is not None:
         return "reflector-radius"
     return hypothesis.kind
 
@@ -297,7 +297,7 @@ def _centring_sentence(fit: NetworkFit, hypothesis: Hypothesis) -> str:
     if not hypothesis.stations:
         return shared_errors_sentence(sigma)
     station = hypothesis.stations[0]
-    common = fit.common_displacement(hypothesis)
+    common = fit.common_displacement_length(hypothesis)
     if common is None:
         return (
             f"The reflectors seen from {station} are displaced from their targets at random, "

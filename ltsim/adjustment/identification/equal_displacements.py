@@ -30,7 +30,7 @@ length.
 """
 
 
-class CommonDisplacement(NamedTuple):
+class CommonDisplacementLength(NamedTuple):
     """Common length of the displacements of all reflectors at a set-up, along the unknown normals of their nests."""
 
     length: float
@@ -41,7 +41,7 @@ class CommonDisplacement(NamedTuple):
     """Gain of log evidence against random displacements, at least 0."""
 
 
-def common_displacement(displacements: Floats, sight_vectors: Floats) -> CommonDisplacement | None:
+def common_displacement_length(displacements: Floats, sight_vectors: Floats) -> CommonDisplacementLength | None:
     """Common length of displacements (k, 3) [m] of k reflectors at a set-up; None if the lengths differ.
 
     The readings determine the displacements except for a rigid motion, which the pose of the set-up absorbs. This
@@ -73,4 +73,4 @@ def common_displacement(displacements: Floats, sight_vectors: Floats) -> CommonD
     sigma = scatter * float(np.sqrt(np.linalg.pinv(design.T @ design)[6, 6]))
     gain = n_redundant * (1.0 + float(np.log(length / (6.0 * np.sqrt(3.0) * max(scatter, 1e-300)))))
     gain += float(log_occam_factor_of_variance(n_redundant))
-    return CommonDisplacement(length if is_away_from_nests else -length, sigma, max(gain, 0.0))
+    return CommonDisplacementLength(length if is_away_from_nests else -length, sigma, max(gain, 0.0))

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.identification.equal_displacements import CommonDisplacement, common_displacement
+from ltsim.adjustment.identification.equal_displacements import CommonDisplacementLength, common_displacement_length
 from ltsim.adjustment.identification.evidence import (
     estimate_noise_factors,
     log_occam_factor_of_centring,
@@ -57,11 +57,11 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import robust_sigma
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, Solution, solve
 
-MAX_NOISE_ESTIMATES = 3
+MAX_NOISE_ITERATIONS = 3
 """Largest number of iterations for the noise factors, or for the standard deviations of centring errors, in a fit."""
 NOISE_FACTOR_TOLERANCE = 0.05
 """Largest relative change of noise factors at which their iteration ends. Such a change alters log evidence by 0.1."""
-MIN_NOISE_CHANGE_FOR_OUTLIERS = 0.2
+MIN_NOISE_CHANGE_FOR_OUTLIER_SEARCH = 0.2
 """Relative change of the noise factors above which outliers are searched again."""
 WEAK_SHIFT_PRIOR_FACTOR = 1e6
 """Standard deviation of the prior of a shift, divided by the plausible size of its effect: practically no prior."""
@@ -127,7 +127,7 @@ class NetworkFit:
         it is None. With `approximate_sightings` the start values of the shifts are first subtracted from the readings.
         """
         fit = cls._with_hypotheses(network, tuple(hypotheses), start_state, approximate_sightings, robust_state)
-        for _ in range(MAX_NOISE_ESTIMATES):
+        for _ in range(MAX_NOISE_ITERATIONS):
             revised = tuple(with_centring_sigma(h, fit.estimate_and_covariance) for h in fit.hypotheses)
             if revised == fit.hypotheses or not fit.solution.has_converged:
                 break
@@ -176,7 +176,7 @@ class NetworkFit:
         at = next(at for h, at in slices if h is hypothesis)
         return self.state.extra_parameters[at], self.adjustment.effect_covariance[at, at]
 
-    def common_displacement(self, hypothesis: Hypothesis) -> CommonDisplacement | None:
+    def common_displacement_length(self, hypothesis: Hypothesis) -> CommonDisplacementLength | None:
         """Common length of the displacements by centring errors at a set-up; None if the lengths differ."""
         change = hypothesis.model_change
         if not isinstance(change, CentringChange) or len(hypothesis.stations) != 1:
@@ -184,7 +184,7 @@ class NetworkFit:
         displacements = self.estimate_and_covariance(hypothesis)[0].reshape(-1, 3)
         first_rows = np.unique(target_occupations(self.recording, change.centring_uncertainty), return_index=True)[1]
         sight_vectors = self.adjustment.sightings.sight_vectors[first_rows[-len(displacements) :]]
-        return common_displacement(displacements, sight_vectors)
+        return common_displacement_length(displacements, sight_vectors)
 
     def estimate_length_in_sigmas(self, hypothesis: Hypothesis) -> float:
         """Length of the estimate of a shift or of centring errors, in standard deviations (Mahalanobis)."""
@@ -236,14 +236,14 @@ class NetworkFit:
     def _with_estimated_noise(self) -> NetworkFit:
         """Fit whose noise factors are estimated from the residuals (restricted maximum likelihood)."""
         fit = self
-        for _ in range(MAX_NOISE_ESTIMATES):
+        for _ in range(MAX_NOISE_ITERATIONS):
             sigma = fit._estimated_sigmas()
             changed = float(np.nanmax(np.abs(np.log(sigma / fit.problem_with_all_readings.sigma))))
             if not changed > NOISE_FACTOR_TOLERANCE:
                 break
             whole, problem = replace(fit.problem_with_all_readings, sigma=sigma), replace(fit.problem, sigma=sigma)
             solution = solve(problem, fit.state)
-            if solution.factor is None or changed > MIN_NOISE_CHANGE_FOR_OUTLIERS:
+            if solution.factor is None or changed > MIN_NOISE_CHANGE_FOR_OUTLIER_SEARCH:
                 problem, solution = snoop_readings(whole, fit.state, MAX_ALTERNATIONS)
             fit = replace(fit, problem_with_all_readings=whole, problem=problem, solution=solution)
         return fit
@@ -388,7 +388,7 @@ class NetworkFit:
             redundancy = np.nan_to_num(self.redundancy[chosen])
             return float(log_occam_factor_of_variance(redundancy.sum()) - np.sum(redundancy * np.log(ratio)))
         if isinstance(change, CentringChange):
-            common = self.common_displacement(hypothesis)
+            common = self.common_displacement_length(hypothesis)
             occam_factor = log_occam_factor_of_centring(
                 self.estimate_and_covariance(hypothesis)[1], change.centring_uncertainty.sigma_mm * MILLIMETRE
             )

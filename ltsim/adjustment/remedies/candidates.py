@@ -32,9 +32,9 @@ A flag is True if the target is in sight from the position; no target is in sigh
 """
 CandidateKind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
 """Kind of a further measurement."""
-KINDS_BY_EFFORT: tuple[CandidateKind, ...] = get_args(CandidateKind)
+CANDIDATE_KINDS_BY_EFFORT: tuple[CandidateKind, ...] = get_args(CandidateKind)
 """Kinds of further measurements, in the order of increasing effort."""
-SETUP_KINDS = ("return", "station")
+CANDIDATE_KINDS_WITH_SETUP = ("return", "station")
 """Kinds of further measurements that need another set-up."""
 
 N_ADDITIONAL_ROUNDS = 4
@@ -138,7 +138,7 @@ class CandidateMeasurement:
         state, plan = self.network.state, FloorPlan.from_recording(self.network.recording, self.network.state)
         return (
             (plan.positions_on_plan(state.station_positions[-1]), plan.yaw_on_plan(state.station_rotations[-1]))
-            if self.kind in SETUP_KINDS
+            if self.kind in CANDIDATE_KINDS_WITH_SETUP
             else None
         )
 

@@ -215,7 +215,7 @@ def calibrated_effect_detectability(adjustment: Adjustment, effect: Effect) -> E
     """
     indices = [adjustment.construction.index(p.name) for p in effect.parameters]
     block, prior = (
-        adjustment.instrument_covariance[np.ix_(indices, indices)],
+        adjustment.first_instrument_covariance[np.ix_(indices, indices)],
         adjustment.problem.prior.sigma[0][indices],
     )
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)

@@ -16,7 +16,7 @@ import numpy as np
 from ltsim.adjustment import adjust
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.remedies.candidates import (
-    KINDS_BY_EFFORT,
+    CANDIDATE_KINDS_BY_EFFORT,
     CandidateMeasurement,
     VisibilityFunction,
     advice_sentence,
@@ -208,7 +208,7 @@ class MeasurementProposal(ValueEquality):
         """
         if not adjustment.construction.n_parameters:
             return cls(candidate, 1.0, "", 1.0, expected_chi2_differences or {})
-        before, after = present_adjustment.instrument_covariance, adjustment.instrument_covariance
+        before, after = present_adjustment.first_instrument_covariance, adjustment.first_instrument_covariance
         sigma_gain = np.exp(0.5 / len(before) * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]))
         ratio = np.sqrt(np.diag(after) / np.diag(before))
         best_index = int(np.argmin(ratio))
@@ -240,7 +240,7 @@ class MeasurementProposal(ValueEquality):
             return 0, 0, 0.0, -decisive_chi2
         return (
             -len(self.distinguished_explanations),
-            KINDS_BY_EFFORT.index(self.candidate.kind),
+            CANDIDATE_KINDS_BY_EFFORT.index(self.candidate.kind),
             self.candidate.duration,
             -decisive_chi2,
         )
@@ -383,7 +383,7 @@ def _proposals_for(
 
 def _effort_rank(candidate: CandidateMeasurement) -> tuple[int, float]:
     """Effort of a measurement: rank of its kind, then its duration [s]."""
-    return KINDS_BY_EFFORT.index(candidate.kind), candidate.duration
+    return CANDIDATE_KINDS_BY_EFFORT.index(candidate.kind), candidate.duration
 
 
 def _most_informative_stations(

@@ -80,7 +80,7 @@ def test_a_proposal_keeps_its_promise_when_it_is_measured(drifting: tuple[Record
     readings = best.recording.readings + noise * added[:, None]
     before, after = adjust(recording, construction), adjust(best.recording.with_readings(readings), construction)
     scale = before.problem.prior.sigma[0]
-    ratio = [float(d_criterion(a.instrument_covariance / np.outer(scale, scale))) for a in (before, after)]
+    ratio = [float(d_criterion(a.first_instrument_covariance / np.outer(scale, scale))) for a in (before, after)]
     assert ratio[1] / ratio[0] == pytest.approx(made.proposals[0].remaining_sigma_fraction, rel=0.01)
 
 
