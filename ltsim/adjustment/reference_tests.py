@@ -116,7 +116,7 @@ class ReferenceTest(ReferenceValue):
             return f"{size}, or all ranges are too {less}: {causes}{remark}"
         if self.indistinguishable_from:
             both = f"{', '.join((self.name, *self.indistinguishable_from))} are inconsistent"
-            return f"{both} ({what} by {self.error_text}); the data do not show which one is wrong"
+            return f"{both} ({what} by {self.error_text}); the data do not show which one is wrong: check each"
         note = "as the readings show: excluded from the adjustment"
         if self.kind == "axes":
             note = "as the other points show: excluded from the datum"
