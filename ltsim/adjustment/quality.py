@@ -231,8 +231,8 @@ def _declared_position_sentences(adjustment: Adjustment) -> Iterator[str]:
     if mirrored < min(MAX_FLOOR_PLAN_ERROR, as_is / MIN_MISFIT_RATIO):
         yield (
             f"the declared positions of stations {names} fit the mirror image of this network within {mirrored:.2g} m, "
-            f"and the network itself within {as_is:.2g} m: if the azimuths are clockwise, all coordinates are mirrored; "
-            "check the sense of the azimuths"
+            f"and the network itself within {as_is:.2g} m: if the azimuths are clockwise, all coordinates are "
+            "mirrored; check the sense of the azimuths"
         )
     else:
         yield (
