@@ -74,6 +74,6 @@ def measure_bench(bench: BenchTest, seed: int, *key: str | int) -> ReflectorBenc
         lengths=lengths + bench.length_sigma * noise("length", len(lengths)),
         table_angles_of_probe=bench.probe_angles,
         probe_direction=PROBE,
-        displacements=surface + bench.probe_sigma * noise("probe", len(surface)),
+        probe_displacements=surface + bench.probe_sigma * noise("probe", len(surface)),
         length_sigma=bench.length_sigma,
     )

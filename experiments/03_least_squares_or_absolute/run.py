@@ -55,7 +55,7 @@ class WithoutOutliers:
             found = adjustment.flagged_readings()
             if not found:
                 break
-            use[found[0].row, found[0].observable_column] = False
+            use[found[0].pointing_index, found[0].observable_column] = False
             adjustment = adjust_from_state(recording, self.construction, reading_mask=use, start_state=adjustment.state)
         return adjustment
 

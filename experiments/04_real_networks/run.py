@@ -195,8 +195,8 @@ def what_does_not_fit(found: Adjustment) -> Rows:
 def components(found: Adjustment) -> Rows:
     """Variance components with instruments numbered."""
     number = {name: i + 1 for i, name in enumerate(found.recording.instruments)}
-    return [{"instrument": number.get(c.instrument, "all"), "reading": c.observable, "factor": f"{c.factor:.3f}",
-             "sigma": f"{c.factor_sigma:.3f}", "redundancy": f"{c.redundancy:.1f}"}
+    return [{"instrument": number.get(c.instrument, "all"), "reading": c.observable, "factor": f"{c.noise_factor:.3f}",
+             "sigma": f"{c.noise_factor_sigma:.3f}", "redundancy": f"{c.redundancy:.1f}"}
             for c in found.variance_components]  # fmt: skip
 
 
@@ -245,10 +245,10 @@ def geoeasy(out: Path) -> None:
     for name, built in (("none", ideal_construction()), ("16", misalignment_construction())):
         for way, options in (("as stated", {}), ("noise estimated", {"noise_grouping": "observable"})):
             found = adjust(recording, built, robust=bool(options), **options)
-            factors = {c.observable: f"{c.factor:.2f}" for c in found.variance_components}
+            factors = {c.observable: f"{c.noise_factor:.2f}" for c in found.variance_components}
             rows.append({"parameters": name, "way": way} | state_of(found) | factors)
     show_table(out / "geoeasy.csv", rows)
-    values, sigma = found.state.instrument_parameters[0], np.sqrt(np.diag(found.instrument_covariance))
+    values, sigma = found.state.instrument_parameters[0], np.sqrt(np.diag(found.first_instrument_covariance))
     show_table(out / "geoeasy_parameters.csv", [
         {"parameter": p.name, "value": f"{v / p.si_per_display_unit:.2f}", "sigma": f"{s / p.si_per_display_unit:.2f}",
          "unit": p.unit}

@@ -49,7 +49,7 @@ def row_of(results: list[ReflectorBenchEstimates], table: Floats) -> dict[str, f
         "worst_95_corrected_um": at_edge([r.range_errors for r in results]),
         "vertex_side_um": float(np.mean([v.side_offset for v in vertices])) / MICROMETRE,
         "vertex_axial_um": float(np.mean([v.axial_offset for v in vertices])) / MICROMETRE,
-        "left_by_vertex_um": float(np.mean([v.remaining_rms for v in vertices])) / MICROMETRE,
+        "left_by_vertex_um": float(np.mean([v.unexplained_rms for v in vertices])) / MICROMETRE,
     }
 
 

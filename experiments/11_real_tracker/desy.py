@@ -46,7 +46,7 @@ def snooped(recording: Recording, construction: GeometricErrorModel | None = Non
     """Leave out, one after the other, the station's pointings to the target with the largest outlier (w-test)."""
     built, dropped = construction or misalignment_construction(), []
     while found := adjust(recording, built).flagged_readings():
-        i = found[0].row
+        i = found[0].pointing_index
         own = (recording.station == recording.station[i]) & (recording.target == recording.target[i])
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         dropped.append((station, target, found[0].observable_column, found[0].normalised_residual))

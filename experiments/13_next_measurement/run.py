@@ -28,8 +28,8 @@ def measured(candidate: CandidateMeasurement, before: Recording, truth: Truth, s
     """The recording with the proposed pointings made: true places, true instrument, true effect, new noise."""
     recording, construction = candidate.network.recording, misalignment_construction()
     position, rotation = truth.station_positions, truth.station_rotations
-    if candidate.added_setup_on_plan is not None:
-        place, yaw = candidate.added_setup_on_plan
+    if candidate.added_setup_on_floor_plan is not None:
+        place, yaw = candidate.added_setup_on_floor_plan
         position = np.vstack([position, place])
         rotation = np.concatenate([rotation, rotation_about_z(yaw)[None]])
     order = [truth.target_names.index(name) for name in recording.targets]
@@ -88,8 +88,8 @@ def one(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row
         "between": " ".join(between),
         "proposal": best.candidate.instruction,
         "minutes": round(best.candidate.duration / 60, 1),
-        "evidence_before": " ".join(f"{value:.1f}" for value in proposals.present_chi2.values()),
-        "evidence_after": " ".join(f"{value:.1f}" for value in best.expected_chi2.values()),
+        "evidence_before": " ".join(f"{value:.1f}" for value in proposals.present_chi2_differences.values()),
+        "evidence_after": " ".join(f"{value:.1f}" for value in best.expected_chi2_differences.values()),
         "tells_apart": " ".join(best.distinguished_explanations),
     }
     return row | {f"after_{key}": value for key, value in words(second, case["name"], case["stations"]).items()}

@@ -150,7 +150,7 @@ def asked(network: Row, settings: Row) -> list[Row]:
         change = np.nan_to_num(made.readings - weighted.readings)
         change[:, 1:] = wrap_angle(change[:, 1:])
         signal = space.project(space.whiten(change[:, :, None])[:, 0])
-        noise = np.random.default_rng([settings["seed"], len(rows)]).standard_normal(space.n_rows)
+        noise = np.random.default_rng([settings["seed"], len(rows)]).standard_normal(space.n_equations)
         for name, observer in observers.items():
             residual = signal + (space.project(noise) if name == "simulated" else space.residuals)
             opinion = observer.opinion(residual)

@@ -192,9 +192,9 @@ class TestedNetwork:
         columns = np.concatenate([unknowns.target_columns[targets].ravel(), unknowns.effect_columns[is_corrected]])
         unit = np.zeros((unknowns.n_columns, len(columns)))
         unit[columns, np.arange(len(columns))] = 1.0
-        covariance = self.adjustment.factorised_normals.covariance_columns(unit)[columns]
+        covariance = self.adjustment.factorised_normals.multiply_by_covariance(unit)[columns]
         adjusted = self.uncertainty_factor**2 * np.einsum("ki,ij,kj->k", coefficients, covariance, coefficients)
-        prior = self.adjustment.problem.effect_sigma[is_nuisance]
+        prior = self.adjustment.problem.effect_prior_sigmas[is_nuisance]
         return np.asarray(adjusted + np.sum((length_changes[:, is_nuisance] * prior) ** 2, axis=1))
 
     def _two_face_variance(self, targets: list[int], rows_by_face: list[Ints], points: Floats) -> Floats:
@@ -211,7 +211,9 @@ class TestedNetwork:
         changes = [self._mean_point_changes(targets, rows) for rows in rows_by_face]
         extra_design = np.einsum("tci,tiq->tcq", directions, changes[0] - changes[1])
         corrected = extra_design[:, :, self._is_recording_error]
-        nuisance = extra_design[:, :, self._is_nuisance] * self.adjustment.problem.effect_sigma[self._is_nuisance]
+        nuisance = (
+            extra_design[:, :, self._is_nuisance] * self.adjustment.problem.effect_prior_sigmas[self._is_nuisance]
+        )
         factor = self.uncertainty_factor
         covariance = factor**2 * np.einsum("tci,ij,tdj->tcd", corrected, self._correction_covariance, corrected)
         covariance += np.einsum("tcq,tdq->tcd", nuisance, nuisance)
@@ -227,7 +229,7 @@ class TestedNetwork:
         columns = self.adjustment.problem.unknowns.effect_columns[self._is_recording_error]
         unit = np.zeros((self.adjustment.problem.unknowns.n_columns, len(columns)))
         unit[columns, np.arange(len(columns))] = 1.0
-        return np.asarray(self.adjustment.factorised_normals.covariance_columns(unit)[columns])
+        return np.asarray(self.adjustment.factorised_normals.multiply_by_covariance(unit)[columns])
 
     def _mean_point_changes(self, targets: list[int], row_indices: Ints) -> Floats:
         """Derivative (targets, 3, parameters) of mean points in the instrument's frame by effects and nuisances."""

@@ -17,9 +17,9 @@ from ltsim.adjustment.reference_tests import ReferenceTest, reference_tests_with
 from ltsim.adjustment.reliability import (
     detect_noisy_targets,
     iterative_snooping,
+    normalise_residuals,
     p_value_of_tau,
     redundancy_numbers,
-    standardised_residuals,
 )
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_DOF_FOR_ESTIMATED_NOISE
 from ltsim.adjustment.snooping import drop_undetermined_targets, pose_defect_sentence
@@ -46,12 +46,12 @@ suspected, each is tested without regard to the others."""
 class FlaggedReading:
     """Reading rejected by the w-test (Baarda 1968) or the tau-test (Pope 1976)."""
 
-    row: int
+    pointing_index: int
     """Index of the pointing in the recording, from 0."""
     observable_column: int
     """Index of the observable: 0 range, 1 azimuth, 2 elevation."""
     estimated_error: float
-    """Estimated gross error of the reading [m, rad]."""
+    """Estimated gross error of the reading: [m] for a range, [rad] for an angle."""
     normalised_residual: float
     """Normalised residual, the statistic of the w-test."""
     p_value: float
@@ -67,9 +67,9 @@ class Adjustment(Result):
     solution: Solution[NetworkState]
     """Solution of the problem, with its convergence status."""
     is_gross_pointing: Bools
-    """Flags (n,) of those of the n pointings that were rejected as gross errors before the adjustment."""
+    """Flags (n,), True for those of the n pointings that were rejected as gross errors before the adjustment."""
     variance_components: tuple[VarianceComponent, ...] = ()
-    """Estimated noise of groups of readings, which `problem.sigma` contains; empty if no estimate was requested."""
+    """Estimated noise of groups of readings, already part of `problem.sigma`; empty if no estimate was requested."""
     unconnected_targets: tuple[str, ...] = ()
     """Names of targets without start coordinates, which are not adjusted; their coordinates in `state` have no
     meaning."""
@@ -211,13 +211,13 @@ class Adjustment(Result):
 
     @cached_property
     def redundancy(self) -> Floats:
-        """Redundancy numbers (n, 3) of n pointings: derivatives of residuals by errors of readings; NaN if unused."""
+        """Redundancy numbers (n, 3) of n pointings: change of each residual per error of its reading; NaN if unused."""
         return redundancy_numbers(self.problem, self.factorised_normals)
 
     @cached_property
     def normalised_residuals(self) -> Floats:
         """Residuals (n, 3) of n pointings divided by their standard deviations, standard normal for a correct model."""
-        return standardised_residuals(self.problem, self.residuals, self.redundancy)
+        return normalise_residuals(self.problem, self.residuals, self.redundancy)
 
     @cached_property
     def noisy_targets_and_scatter(self) -> tuple[Ints, float, float]:
@@ -286,7 +286,7 @@ class Adjustment(Result):
         return [FlaggedReading(*place[k], float(error * unit[k]), w, p_value) for k, error, w, p_value in outliers]
 
     def _redundancy_block(self, pointing_indices: Ints, columns: Ints) -> Floats:
-        """Block (k, k) of the redundancy matrix for k readings in use, given by their rows and columns (k,).
+        """Block (k, k) of the redundancy matrix for k readings: pointings `pointing_indices`, observables `columns`.
 
         Element (i, j) is the change of residual i by an error of reading j, in standard deviations. For more than
         `MAX_SUCCESSIVELY_TESTED_READINGS` readings the block is diagonal.
@@ -296,43 +296,43 @@ class Adjustment(Result):
             return np.diag(self.redundancy[pointing_indices, columns])
         residual_rows = (np.cumsum(use) - 1).reshape(use.shape)[pointing_indices, columns]
         design = to_dense(self.solution.system.design[residual_rows])
-        response = self.factorised_normals.covariance_columns(np.ascontiguousarray(design.T))
+        response = self.factorised_normals.multiply_by_covariance(np.ascontiguousarray(design.T))
         return np.asarray(np.eye(len(residual_rows)) - design @ response)
 
-    def covariance_of(self, columns: Ints) -> Floats:
+    def covariances_of_sets(self, columns: Ints) -> Floats:
         """Covariances (c, k, k) of c sets of k unknowns each; `columns` (c, k) are their columns in the design matrix.
 
-        Columns of targets that the factorisation eliminates are not permitted.
+        Targets that are eliminated from the normal equations are not permitted.
         """
         covariance = self.factorised_normals.covariances_of_sets(columns)
         return covariance if self.datum is None else self.datum.transform_covariance(covariance, columns)
 
     @cached_property
-    def reduced_covariance(self) -> Floats:
-        """Covariance (K, K) of the K unknowns that the factorisation keeps: poses, some targets, parameters."""
-        covariance = self.factorised_normals.reduced_covariance()
+    def retained_covariance(self) -> Floats:
+        """Covariance (K, K) of the K unknowns that are not eliminated: poses, some targets, parameters."""
+        covariance = self.factorised_normals.retained_covariance()
         if self.datum is None:
             return covariance
         return self.datum.transform_covariance(covariance[None], np.arange(len(covariance))[None])[0]
 
     @property
-    def instrument_covariance(self) -> Floats:
+    def first_instrument_covariance(self) -> Floats:
         """Covariance (p, p) [SI] of the p parameters of the first instrument."""
         return self.instrument_covariance_of(0)
 
     def instrument_covariance_of(self, instrument: int) -> Floats:
-        """Covariance (p, p) of the p parameters of one instrument [SI]."""
-        return self.covariance_of(self.problem.unknowns.instrument_columns[[instrument]])[0]
+        """Covariance (p, p) [SI] of the p parameters of the instrument with the index `instrument`."""
+        return self.covariances_of_sets(self.problem.unknowns.instrument_columns[[instrument]])[0]
 
     @cached_property
-    def constants_covariance(self) -> Floats:
+    def covariance_of_all_instruments(self) -> Floats:
         """Covariance (I p, I p) [SI] of the p parameters of each of I instruments, instrument by instrument."""
-        return self.covariance_of(self.problem.unknowns.instrument_columns.reshape(1, -1))[0]
+        return self.covariances_of_sets(self.problem.unknowns.instrument_columns.reshape(1, -1))[0]
 
     @property
     def effect_covariance(self) -> Floats:
         """Covariance (q, q) of the q parameters of all additional effects [SI]."""
-        return self.covariance_of(self.problem.unknowns.effect_columns[None])[0]
+        return self.covariances_of_sets(self.problem.unknowns.effect_columns[None])[0]
 
     @property
     def pose_covariance(self) -> Floats:
@@ -340,7 +340,7 @@ class Adjustment(Result):
 
         They are NaN for components that the readings do not determine, and 0 for components that define the frame.
         """
-        covariance = self.covariance_of(self.problem.unknowns.pose_columns)
+        covariance = self.covariances_of_sets(self.problem.unknowns.pose_columns)
         anchors = self.problem.undetermined_unknowns.datum_stations
         if self.datum is None and len(anchors) == 1:  # without the variance of the numerical constraints of the datum
             directions = self.problem.datum_directions(self.state)
@@ -358,10 +358,10 @@ class Adjustment(Result):
         """Covariances (T, 3, 3) [m^2] of T targets; NaN for targets that the readings in use do not determine."""
         unknowns = self.problem.unknowns
         covariance = np.empty((len(unknowns.target_columns), 3, 3))
-        is_reduced = unknowns.target_columns[:, 0] < unknowns.n_reduced
-        covariance[is_reduced] = self.factorised_normals.covariances_of_sets(unknowns.target_columns[is_reduced])
+        is_retained = unknowns.target_columns[:, 0] < unknowns.n_retained
+        covariance[is_retained] = self.factorised_normals.covariances_of_sets(unknowns.target_columns[is_retained])
         blocks = self.factorised_normals.block_covariance()
-        covariance[~is_reduced] = blocks[(unknowns.target_columns[~is_reduced][:, 0] - unknowns.n_reduced) // 3]
+        covariance[~is_retained] = blocks[(unknowns.target_columns[~is_retained][:, 0] - unknowns.n_retained) // 3]
         if self.datum is not None:
             covariance = self.datum.transform_covariance(covariance, unknowns.target_columns)
             diagonal = np.arange(3)  # a coordinate fixed by the datum has variance 0, up to rounding
@@ -372,13 +372,13 @@ class Adjustment(Result):
 
     @cached_property
     def is_height_undetermined(self) -> Bools:
-        """Flags (T,) of those of the T targets whose height is undetermined."""
+        """Flags (T,), True for those of the T targets whose height is undetermined."""
         plan = [self.recording.target_setup(name).in_plan for name in self.recording.targets]
         return np.asarray(self.problem.undetermined_unknowns.is_height_undetermined_target | np.array(plan, dtype=bool))
 
     @single_threaded
     def with_effects(self, effects: Sequence[LinearEffect], start_state: NetworkState) -> Adjustment:
-        """Adjustment of the same readings with the same weights, but with `effects` as additional effects."""
+        """Adjustment of the same readings with the same weights, in which `effects` replace the additional effects."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
         use = old.is_used_reading
         new_problem = NetworkProblem.from_model(model, sigma=old.sigma, reading_mask=use, prior=old.prior)

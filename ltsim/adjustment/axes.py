@@ -32,7 +32,7 @@ MAX_RELATIVE_MISCLOSURE = 0.05
 Nominal coordinates of a drawing differ less from a network. Coordinates whose scale differs from 1 by more than the
 same number are rejected too.
 """
-NO_EXCLUDED_AXES: Mapping[str, Axes] = MappingProxyType({})
+NO_RESTRICTED_AXES: Mapping[str, Axes] = MappingProxyType({})
 """Empty mapping from target names to axes: every target defines the datum with all three coordinates."""
 
 
@@ -155,7 +155,7 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
             message = (
                 f"has no standard deviation of {quoted_text(name)}; add a column sigma_mm, or sigma_x_mm and so on"
             )
-            raise RecordError(f"{message}; give coordinates that only define the axes by --frame", file=path, row=line)
+            raise RecordError(f"{message}; use --frame for coordinates that only define the axes", file=path, row=line)
         update = {
             "known_mm": tuple((np.nan_to_num(place) / MILLIMETRE).tolist()),
             "known_axes": "".join(axis for axis, is_given_axis in zip("xyz", is_given, strict=True) if is_given_axis),
@@ -211,7 +211,7 @@ def _require_same_shape(network_points: Floats, declared_points: Floats, source:
 def _with_datum(
     recording: Recording,
     points_by_target: Mapping[str, Floats],
-    axes_by_target: Mapping[str, Axes] = NO_EXCLUDED_AXES,
+    axes_by_target: Mapping[str, Axes] = NO_RESTRICTED_AXES,
     source: str | None = None,
 ) -> Recording:
     """Recording whose datum is defined by the positions [m] of some targets.

@@ -75,7 +75,7 @@ def apply_corrections(recording: Recording, blunders: Sequence[BlunderWithCorrec
 
 
 def detect_blunders(adjustment: Adjustment) -> list[BlunderWithCorrection]:
-    """Blunders that explain pointings with gross errors, with corrections after which the pointings hit a target."""
+    """Blunders that explain gross errors, each with corrections after which its pointings agree with a target."""
     remaining, corrections = adjustment.is_gross_pointing.copy(), []
     for kind in (_swapped_targets, _wrong_heights, _unit_and_face_errors):
         for mend in kind(adjustment, remaining) if remaining.any() else ():

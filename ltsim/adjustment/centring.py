@@ -1,9 +1,9 @@
 """Centring errors of an instrument or target that was set up again over a mark, on another day, at a displaced point.
 
 All set-ups over a mark, and all targets on it, count as one point. An occupation is the use of a mark by an instrument
-or by a target on one day. The shift of one occupation after another is added to the model: each time that of the
-occupation with the largest reduction of chi-square, as long as this reduction is significant. Readings of noisy targets
-are weighted by their estimated noise.
+or by a target on one day. Shifts of occupations are added to the model one by one, always the shift that reduces
+chi-square most, as long as the reduction is significant. Readings of noisy targets are weighted by their estimated
+noise.
 """
 
 from dataclasses import dataclass, replace

@@ -32,7 +32,7 @@ def joint_covariance(adjustment: Adjustment) -> Floats:
     columns = adjustment.problem.unknowns.target_columns.ravel()
     unit = np.zeros((adjustment.problem.unknowns.n_columns, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
-    covariance = adjustment.factorised_normals.covariance_columns(unit)[columns]
+    covariance = adjustment.factorised_normals.multiply_by_covariance(unit)[columns]
     if adjustment.datum is not None:
         covariance = adjustment.datum.transform_covariance(covariance[None], columns[None])[0]
     is_undetermined = ~np.isfinite(np.einsum("tii->ti", adjustment.target_covariance)).ravel()
@@ -92,16 +92,16 @@ def _covariance_columns(adjustment: Adjustment, columns: Ints) -> Floats:
     """Covariances (u, k) of all u unknowns with the k unknowns in `columns` (k,), in the datum of the adjustment."""
     unit = np.zeros((adjustment.problem.unknowns.n_columns, len(columns)))
     unit[columns, np.arange(len(columns))] = 1.0
-    spread = adjustment.factorised_normals.covariance_columns(unit)
+    spread = adjustment.factorised_normals.multiply_by_covariance(unit)
     if adjustment.datum is not None:
-        spread = spread - adjustment.datum.transformation @ adjustment.datum.free_motions[columns].T
+        spread = spread - adjustment.datum.motion_cross_covariance @ adjustment.datum.free_motions[columns].T
     return np.asarray(spread)
 
 
 def relevant_air_uncertainty(
     adjustment: Adjustment, air_uncertainty: AirUncertainty | None = None
 ) -> AirUncertainty | None:
-    """Uncertainty of the air, by default that of the set-up; None if all ranges are too short for an effect."""
+    """Uncertainty of the air, by default as declared in the set-up; None if all ranges are too short to be affected."""
     declared_air = air_uncertainty or adjustment.recording.setup.air or AirUncertainty()
     is_used = adjustment.problem.is_used_reading.any(axis=1)
     return declared_air if declared_air.is_relevant(longest_range(adjustment)) and is_used.any() else None
@@ -133,7 +133,7 @@ def displacements_by_air_error(
 
 
 def _reading_shifts_by_shared_air_errors(adjustment: Adjustment, air: AirUncertainty) -> tuple[Floats, Ints]:
-    """Shifts (2, r) of the r readings in use by errors of temperature and gradient, and the station (r,) of each.
+    """Shifts (2, r) of the r readings in use by errors of air temperature and gradient, and their stations (r,).
 
     The errors have the size of one standard deviation. The shifts are in standard deviations of the readings.
     """
@@ -157,7 +157,7 @@ def shared_air_error_names(air: AirUncertainty) -> tuple[str, str]:
     scale = air.temperature_k * relative_index_decrease_per_kelvin() / PPM
     return (
         f"air {air.temperature_k:g} K warmer than measured at all stations (scale {scale:.2g} ppm)",
-        f"vertical gradient of {air.gradient_k_per_m:g} K/m at all stations",
+        f"vertical temperature gradient of {air.gradient_k_per_m:g} K/m at all stations",
     )
 
 
@@ -173,7 +173,7 @@ def displacements_by_shared_air_error(
     return dict(zip(shared_air_error_names(air), shifts @ displacement_per_observation[: shifts.shape[1]], strict=True))
 
 
-def air_covariance(adjustment: Adjustment, columns: Ints, air: AirUncertainty | None = None) -> Floats:
+def covariance_due_to_air(adjustment: Adjustment, columns: Ints, air: AirUncertainty | None = None) -> Floats:
     """Covariances (c, k, k) of c sets of k unknowns due to errors of the air; zero for short ranges.
 
     `columns` (c, k) are the columns of the unknowns in the design matrix A. With the covariance C of the unknowns and
@@ -218,7 +218,7 @@ def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[
 def joint_covariance_due_to_air(adjustment: Adjustment, air: AirUncertainty | None = None) -> Floats:
     """Joint covariance (3 T, 3 T) [m^2] of the coordinates of T targets due to air errors; zero for short ranges."""
     columns = adjustment.problem.unknowns.target_columns.reshape(1, -1)
-    return air_covariance(adjustment, columns, air)[0]
+    return covariance_due_to_air(adjustment, columns, air)[0]
 
 
 def rms_displacements_by_shared_air_error(
@@ -238,10 +238,10 @@ def rms_displacements_by_shared_air_error(
         _reading_shifts_by_shared_air_errors(adjustment, chosen),
     )
     normal_side = np.asarray(adjustment.solution.system.design[: shifts.shape[1]].T @ shifts.T)
-    displacements = adjustment.factorised_normals.covariance_columns(normal_side)
+    displacements = adjustment.factorised_normals.multiply_by_covariance(normal_side)
     if adjustment.datum is not None:
         displacements = displacements - adjustment.datum.free_motions @ (
-            adjustment.datum.transformation.T @ normal_side
+            adjustment.datum.motion_cross_covariance.T @ normal_side
         )
     motion = rigid_motion_design(adjustment.state.target_points[targets])
     size_by_target = {}

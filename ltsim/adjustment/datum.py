@@ -27,7 +27,7 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 class DatumPoints:
     """Points that define a datum, k in number."""
 
-    columns: Ints
+    coordinate_columns: Ints
     """Indices (k, 3) of the coordinates of the k points in the vector of unknowns."""
     points: Floats
     """Coordinates (k, 3) [m] of the k points."""
@@ -35,7 +35,7 @@ class DatumPoints:
     """Approximate coordinates (k, 3) [m] of the k points; NaN if not declared or if the axis is not part of the
     datum."""
     defines_datum: Bools
-    """Flags (k, 3) of those coordinates of the k points that define the datum."""
+    """Flags (k, 3), True for those coordinates of the k points that define the datum."""
 
     @classmethod
     def from_names(cls, problem: NetworkProblem, state: NetworkState, names: Sequence[str]) -> DatumPoints:
@@ -112,7 +112,7 @@ class InnerDatum:
 
     The columns of G are the free motions, B contains the rows of G of the datum points and zeros elsewhere. The
     covariance C becomes C' = S C S^T with S = I - G (B^T G)^-1 B^T. The equal sum C' = C - G U^T - U G^T + G M G^T is
-    computed from the matrices U (`transformation`) and M (`motion_covariance`).
+    computed from the matrices U (`motion_cross_covariance`) and M (`motion_covariance`).
 
     References
     ----------
@@ -122,12 +122,13 @@ class InnerDatum:
 
     free_motions: Floats
     """Matrix G, (u, f): changes of the u unknowns by the f rigid motions that no observation determines."""
-    transformation: Floats
-    """Matrix U = C B (G^T B)^-1, (u, f), from the covariance C (u, u) of the u unknowns, the matrix G (u, f) of the f
-    free motions, and the matrix B of its rows for the datum points, with zeros elsewhere."""
+    motion_cross_covariance: Floats
+    """Covariance U = C B (G^T B)^-1, (u, f), of the u unknowns with the amounts of the f free motions. C (u, u) is the
+    covariance of the unknowns, G (u, f) contains the free motions, B the rows of G of the datum points and zeros
+    elsewhere."""
     motion_covariance: Floats
-    """Covariance M = (B^T G)^-1 B^T C B (G^T B)^-1, (f, f), of the amounts of the f free motions; C, G and B are the
-    covariance, the free motions and their rows for the datum points, as for `transformation`."""
+    """Covariance M = (B^T G)^-1 B^T C B (G^T B)^-1, (f, f), of the amounts of the f free motions; C, G and B as for
+    `motion_cross_covariance`."""
     point_names: tuple[str, ...] = ()
     """Names of the datum points."""
 
@@ -172,13 +173,15 @@ class InnerDatum:
         ):
             motion[columns.ravel()] = np.hstack([rigid_motion_design(places, centre) @ free, grown(places - centre)])
         return replace(
-            cls.from_columns(motion, tied.columns[tied.defines_datum], normal_equations.covariance_columns),
+            cls.from_columns(
+                motion, tied.coordinate_columns[tied.defines_datum], normal_equations.multiply_by_covariance
+            ),
             point_names=tuple(names),
         )
 
     def transform_covariance(self, covariance: Floats, columns: Ints) -> Floats:
         """Covariances (c, k, k) of c sets of k unknowns (`columns` (c, k)), transformed to this datum."""
-        motion, carried = self.free_motions[columns], self.transformation[columns]
+        motion, carried = self.free_motions[columns], self.motion_cross_covariance[columns]
         cross_covariance = motion @ np.swapaxes(carried, 1, 2)
         transformed = np.asarray(covariance - cross_covariance)
         transformed -= np.swapaxes(cross_covariance, 1, 2)
@@ -198,7 +201,7 @@ def _scale_displacement_function(problem: NetworkProblem) -> Callable[[Floats], 
 
 
 def motions_about_centre(free_motions: Floats, centre: Floats) -> Floats:
-    """Orthonormal basis (6, f) of f rigid motions, as translations of the point `centre` and rotations about it."""
+    """Orthonormal basis (6, f) of `free_motions` (6, f): translations of the point `centre`, rotations about it."""
     about = free_motions.copy()
     about[:3] += np.cross(free_motions[3:].T, centre).T
     return np.linalg.qr(about)[0]

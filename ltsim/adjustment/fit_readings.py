@@ -24,8 +24,8 @@ class FitReadings:
 
     readings: Floats
     """Readings of k pointings converted to the front face, (k, 3) [m, rad, rad]; NaN if not measured."""
-    is_horizontal: Bools
-    """Flags (k,) of those of the k pointings whose distance is horizontal."""
+    has_horizontal_distance: Bools
+    """Flags (k,), True for those of the k pointings whose distance is horizontal."""
     sight_vector_offsets: Floats
     """Offsets (k, 3) [m] of the k sight vectors in the network frame: offset of the reflector from its point minus
     offset of the instrument from its point."""
@@ -56,7 +56,7 @@ class FitReadings:
         return replace(
             self,
             readings=self.readings[rows],
-            is_horizontal=self.is_horizontal[rows],
+            has_horizontal_distance=self.has_horizontal_distance[rows],
             sight_vector_offsets=self.sight_vector_offsets[rows],
         )
 
@@ -78,7 +78,7 @@ class FitReadings:
         polar = to_polar(local_points.reshape(-1, 3))
         point_derivatives = polar_jacobian(polar, np.ones(len(polar), dtype=np.int64))
         range_ = polar[:, 0].reshape(size, rows).copy()
-        reduce_to_horizontal(polar, (point_derivatives,), np.tile(self.is_horizontal, size))
+        reduce_to_horizontal(polar, (point_derivatives,), np.tile(self.has_horizontal_distance, size))
         point_derivatives, polar = point_derivatives.reshape(size, rows, 3, 3), polar.reshape(size, rows, 3)
         gap = self.readings - polar
         gap[:, :, 1:] = wrap_angle(gap[:, :, 1:])

@@ -1,4 +1,4 @@
-"""Approximate coordinates by fits: a pose or point from any readings, networks of ranges alone, plans of directions.
+"""Approximate coordinates by fits: a pose or point from any readings, networks of ranges alone, horizontal networks.
 
 These fits are used if a station or target has no closed-form solution, for example with bearings without ranges, ranges
 without bearings, a level, or a known mark. Each fit runs from many start values at once, and the best result is used.
@@ -20,7 +20,7 @@ from ltsim.geometry.rigid import cross_matrix, matrix_from_rotation_vector, rota
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MAX_SOLUTION_DISTANCE = 1e-3
-"""Largest difference of two solutions that count as the same: relative distance of positions plus that of rotations."""
+"""Largest difference of solutions that count as equal: relative distance plus norm of the difference of rotations."""
 MIN_SUM_OF_SQUARES_RATIO = 4.0
 """Smallest ratio of the second smallest to the smallest sum of squared residuals at which a solution is unique."""
 MAX_RMS_MISFIT_SIGMAS = 300.0
@@ -34,7 +34,7 @@ EIGHT_AZIMUTHS = np.arange(8) * np.pi / 4
 START_COORDINATE_GRIDS = np.geomspace(0.3, 300.0, 12), EIGHT_AZIMUTHS, np.array([-1.0, -0.3, 0.3, 1.0])
 """Grids of start values for the unmeasured polar coordinates of a point: range [m], azimuth [rad], elevation [rad]."""
 MIN_TARGETS_OF_RANGE_NETWORK = 10
-"""Smallest number of targets of a network of ranges only: nine differences to one target give nine coefficients."""
+"""Smallest number of targets of a network of ranges only: `multilaterate` needs nine differences to one target."""
 
 ResidualFunction = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Function that evaluates b trial solutions at once, from positions (b, 3) [m] and rotations (b, 3, 3). It returns the
@@ -60,7 +60,7 @@ def fit_pose(
     points = points[rows] + fit_readings.sight_vector_offsets
     azimuth, elevation = (bool(np.isfinite(fit_readings.readings[:, i]).any()) for i in (1, 2))
     is_tilted = not is_levelled and (azimuth or elevation)
-    slope = bool(np.isfinite(fit_readings.readings[~fit_readings.is_horizontal, 0]).any())
+    slope = bool(np.isfinite(fit_readings.readings[~fit_readings.has_horizontal_distance, 0]).any())
     height_free = position is None and (slope or elevation or not is_levelled)
     is_free = np.array([position is None] * 2 + [height_free] + [is_tilted] * 2 + [azimuth])
     if fit_readings.n_readings < is_free.sum():
@@ -187,7 +187,7 @@ def _candidate_rotations(is_levelled: bool) -> Floats:
 
 
 def _start_points(readings: Floats, position: Floats, rotation: Floats) -> Floats:
-    """Start points, one per row [m], along measured directions, and on spheres about stations with ranges only."""
+    """Start points (s, 3) [m] for k pointings from k poses, along beams, or on spheres about stations with ranges."""
     starts = []
     for reading, place, turn in zip(readings, position, rotation, strict=True):
         if np.isfinite(reading).any():
@@ -252,7 +252,7 @@ class HorizontalLengths:
     lengths: Floats
 
 
-def fit_plan(
+def fit_horizontal_network(
     setup_indices: Ints,
     start_indices: Ints,
     end_indices: Ints,
@@ -260,10 +260,10 @@ def fit_plan(
     control_coordinates: Floats,
     lengths: HorizontalLengths,
 ) -> tuple[Floats, Floats, bool] | None:
-    """Plan of P points from horizontal directions and lengths: coordinates (P, 2) [m], yaws (S,) [rad] of S set-ups.
+    """Coordinates (P, 2) [m] of P points, and yaws (S,) [rad] of S set-ups, from horizontal directions and lengths.
 
-    The points are those of set-ups and targets. The third element is True if the plan is aligned to two or more known
-    points; otherwise its x axis is azimuth zero of the first set-up. None if shape or scale are undetermined.
+    The points are set-ups and targets. The third element is True if the network is aligned to two or more known points;
+    otherwise its x axis is azimuth zero of the first set-up. None if shape or scale are undetermined.
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ def fit_plan(
     has_control = np.isfinite(control_coordinates[used]).all(axis=1)
     if has_control.sum() < 2 and not len(along):
         return None
-    shape = _plan_shape(first, second, bearing, along, length, len(used))
+    shape = _xy_shape(first, second, bearing, along, length, len(used))
     if shape is None:
         return None
     places, is_in_frame = np.full(control_coordinates.shape, np.nan), bool(has_control.sum() > 1)
@@ -299,7 +299,7 @@ def fit_plan(
 
 
 def _measured_lengths_of_directions(lines: HorizontalLengths, starts: Ints, ends: Ints) -> tuple[Ints, Floats]:
-    """Indices (k,) of the k directions along lines with a measured length, and these lengths (k,) [m]."""
+    """Indices (k,) of k directions, `starts` to `ends`, with measured length along `lines`; lengths (k,) [m]."""
     lengths: dict[tuple[int, int], float] = {}
     for start_place, end_place, length in zip(
         lines.start_indices.tolist(), lines.end_indices.tolist(), lines.lengths.tolist(), strict=True
@@ -314,17 +314,17 @@ def _measured_lengths_of_directions(lines: HorizontalLengths, starts: Ints, ends
 def lines_of_undetermined_length(
     setup: Ints, starts: Ints, end_indices: Ints, azimuths: Floats, lines: HorizontalLengths
 ) -> list[tuple[int, int]]:
-    """Lines (pairs of point indices) of undetermined length in a plan, although all its set-ups are oriented.
+    """Lines (pairs of point indices) of undetermined length in a horizontal network whose set-ups are all oriented.
 
-    The list is empty for a determined plan, and for a plan in which more than one length is free. The parameters are
-    those of `fit_plan`.
+    The list is empty if the network is determined, and if more than one length is free. The parameters are those of
+    `fit_horizontal_network`.
     """
     yaw = _setup_yaws(setup, starts, end_indices, azimuths)
     is_oriented = np.isfinite(yaw[setup])
     used, at = np.unique(np.concatenate([starts[is_oriented], end_indices[is_oriented]]), return_inverse=True)
     first, second = at.reshape(2, -1)
     along, _ = _measured_lengths_of_directions(lines, starts[is_oriented], end_indices[is_oriented])
-    _, size, right = np.linalg.svd(_plan_design(first, second, (yaw[setup] + azimuths)[is_oriented], along, len(used)))
+    _, size, right = np.linalg.svd(_xy_design(first, second, (yaw[setup] + azimuths)[is_oriented], along, len(used)))
     if (
         not len(along)
         or not is_oriented.all()
@@ -342,8 +342,8 @@ def lines_of_undetermined_length(
     return sorted(ends)
 
 
-def _plan_design(start_indices: Ints, end_indices: Ints, bearings: Floats, length_rows: Ints, n_points: int) -> Floats:
-    """Design matrix of the equations for x and y of `n_points` points in plan, without the first point.
+def _xy_design(start_indices: Ints, end_indices: Ints, bearings: Floats, length_rows: Ints, n_points: int) -> Floats:
+    """Design matrix of the equations for x and y of `n_points` points, without the first point.
 
     Each direction gives an equation perpendicular to its bearing, and a second one along its bearing if its length is
     measured (indices `length_rows`). Zero rows are added so that the matrix has at least as many rows as columns.
@@ -360,15 +360,15 @@ def _plan_design(start_indices: Ints, end_indices: Ints, bearings: Floats, lengt
     return np.concatenate([design[:, 1:].reshape(-1, n_coordinates), np.zeros((n_coordinates, n_coordinates))])
 
 
-def _plan_shape(
+def _xy_shape(
     start_indices: Ints, end_indices: Ints, bearings: Floats, length_rows: Ints, lengths: Floats, n_points: int
 ) -> np.ndarray[tuple[int], np.dtype[np.complex128]] | None:
-    """Coordinates of points in plan as complex numbers x + iy, the first at 0; None if the shape is undetermined.
+    """Horizontal coordinates of points as complex numbers x + iy, the first at 0; None if the shape is undetermined.
 
     `length_rows` are the indices of the directions along lines with a measured length, `lengths` these lengths [m].
     Without lengths the scale is arbitrary.
     """
-    design = _plan_design(start_indices, end_indices, bearings, length_rows, n_points)
+    design = _xy_design(start_indices, end_indices, bearings, length_rows, n_points)
     right_side = np.zeros(len(design))
     right_side[len(bearings) : len(bearings) + len(length_rows)] = lengths
     u, size, rows = np.linalg.svd(design, full_matrices=False)
@@ -381,7 +381,7 @@ def _plan_shape(
 
 
 def _setup_yaws(setup: Ints, starts: Ints, ends: Ints, azimuths: Floats) -> Floats:
-    """Yaws (S,) [rad] of S set-ups, if they are connected to the first set-up; NaN for other set-ups.
+    """Yaws (S,) [rad] of S set-ups relative to the first; NaN for set-ups that are not connected to the first.
 
     Two set-ups are connected if they measured the direction of the same line, from the same end or from both ends.
     """

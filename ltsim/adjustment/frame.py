@@ -20,7 +20,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Target
 
 MAX_FLOOR_PLAN_ERROR = 0.5
-"""Smallest distance [m] of an adjusted station from its position on a floor plan at which the plan is ignored."""
+"""Distance [m] of an adjusted station from its position on a floor plan, from which on the plan is ignored."""
 UNKNOWN_POINT = (np.nan, np.nan, np.nan)
 """Coordinates of a point without declared coordinates."""
 
@@ -33,23 +33,23 @@ class DeclaredFrame:
     """
 
     declared_points: Floats
-    """Coordinates (T, 3) [m] of T targets, if they define the frame: known ones, or approximate ones of the datum."""
+    """Coordinates (T, 3) [m] of T targets that define the frame: known, or approximate for targets of the datum."""
     declared_station_positions: Floats
-    """Positions (S, 3) [m] of the instruments of S stations, if over marks that are no targets, from declared
-    coordinates of the marks."""
+    """Positions (S, 3) [m] of S instruments, from the declared coordinates of their marks; not for marks that are
+    targets."""
     is_levelled: Bools
-    """Flags (S,) of those of the S stations that are levelled."""
+    """Flags (S,), True for those of the S stations that are levelled."""
     marks: StationMarks
     """Marks under the stations."""
-    plan_positions: Floats
+    floor_plan_positions: Floats
     """Approximate positions of S stations on a floor plan, (S, 3) [m]."""
-    plan_yaws: Floats
+    floor_plan_yaws: Floats
     """Direction of azimuth zero of each of S stations in the floor plan, (S,) [rad]."""
     has_declared_yaw: Bools
-    """Flags (S,) of those of the S stations whose yaw (direction of azimuth zero) is known and not only approximate."""
+    """Flags (S,), True for those of the S stations whose yaw (direction of azimuth zero) is known, not approximate."""
     approximate_points: Floats
     """Known or approximate coordinates of T targets, (T, 3) [m]."""
-    plan_points: Floats
+    xy_reference_points: Floats
     """Coordinates (T, 3) [m] of those of T targets whose x and y are known, with height 0."""
 
     @classmethod
@@ -59,7 +59,7 @@ class DeclaredFrame:
         setups = [recording.station_setup(name) for name in recording.stations]
         alone, by_name = (
             [name if marks.target_indices[i] < 0 else "" for i, name in enumerate(marks.mark_names)],
-            _coordinates_by_name(recording),
+            _mark_coordinates_by_name(recording),
         )
         return cls(
             _points_in_metres(
@@ -75,15 +75,15 @@ class DeclaredFrame:
             _points_in_metres(
                 [_declared_coordinates(recording, name, datum_targets_only=False) for name in recording.targets]
             ),
-            _points_in_metres([_declared_plan_coordinates(recording.target_setup(name)) for name in recording.targets]),
+            _points_in_metres([_xy_reference_coordinates(recording.target_setup(name)) for name in recording.targets]),
         )
 
     @property
-    def has_approximate_positions(self) -> bool:
+    def has_declared_positions(self) -> bool:
         """True if a target or station has declared coordinates that define the frame."""
         return any(
             bool(np.isfinite(places).any())
-            for places in (self.declared_points, self.declared_station_positions, self.plan_points)
+            for places in (self.declared_points, self.declared_station_positions, self.xy_reference_points)
         )
 
     def network_and_declared_points(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
@@ -112,8 +112,8 @@ class DeclaredFrame:
             return align_robustly(here, there)
         height = float(np.mean(there[:, 2] - (here @ levelling_rotation.T)[:, 2])) if len(here) else 0.0
         if len(here) < 2:
-            both = np.isfinite(points).all(axis=1) & np.isfinite(self.plan_points).all(axis=1)
-            here, there = points[both], self.plan_points[both]
+            both = np.isfinite(points).all(axis=1) & np.isfinite(self.xy_reference_points).all(axis=1)
+            here, there = points[both], self.xy_reference_points[both]
         if heading_rotation is not None and len(here) == 1:
             shift = there[0] - heading_rotation @ levelling_rotation @ here[0]
             return heading_rotation @ levelling_rotation, np.array([*shift[:2], height])
@@ -132,24 +132,20 @@ class DeclaredFrame:
         result is None without such positions, and if a station misses its position by `MAX_FLOOR_PLAN_ERROR` or more.
         """
         planned_indices = np.flatnonzero(
-            np.isfinite(self.plan_positions).all(axis=1) & np.isfinite(position).all(axis=1)
+            np.isfinite(self.floor_plan_positions).all(axis=1) & np.isfinite(position).all(axis=1)
         )
+        here, there = position[planned_indices], self.floor_plan_positions[planned_indices]
         if len(planned_indices) > 1:
             try:
-                motion = upright_alignment(position[planned_indices], self.plan_positions[planned_indices])
+                motion = upright_alignment(here, there)
             except NetworkError:
                 return None
-            return (
-                motion
-                if alignment_distances(position[planned_indices], self.plan_positions[planned_indices], motion).max()
-                < MAX_FLOOR_PLAN_ERROR
-                else None
-            )
-        if not len(planned_indices) or not np.isfinite(self.plan_yaws[planned_indices[0]]):
+            return motion if alignment_distances(here, there, motion).max() < MAX_FLOOR_PLAN_ERROR else None
+        if not len(planned_indices) or not np.isfinite(self.floor_plan_yaws[planned_indices[0]]):
             return None
         headings = rotation[planned_indices[0], :, 0]
-        turn = rotation_about_z(float(self.plan_yaws[planned_indices[0]] - np.arctan2(headings[1], headings[0])))
-        return turn, self.plan_positions[planned_indices[0]] - turn @ position[planned_indices[0]]
+        turn = rotation_about_z(float(self.floor_plan_yaws[planned_indices[0]] - np.arctan2(headings[1], headings[0])))
+        return turn, there[0] - turn @ here[0]
 
     def mirror_factors(self, network_points: Floats, declared_points: Floats) -> Floats | None:
         """Factors (3,) on the coordinates of a network of ranges alone: (1, 1, -1) mirrors it, (1, 1, 1) does not.
@@ -179,7 +175,7 @@ class DeclaredFrame:
         """
         return (
             self.mirror_factors(
-                np.concatenate([position, points]), np.concatenate([self.plan_positions, self.approximate_points])
+                np.concatenate([position, points]), np.concatenate([self.floor_plan_positions, self.approximate_points])
             )
             is not None
         )
@@ -195,7 +191,7 @@ class DeclaredFrame:
         """
         here, there = (
             np.concatenate([position, points]),
-            np.concatenate([self.plan_positions[stations], self.approximate_points[targets]]),
+            np.concatenate([self.floor_plan_positions[stations], self.approximate_points[targets]]),
         )
         factors = self.mirror_factors(here, there)
         if factors is not None:
@@ -220,9 +216,8 @@ class DeclaredFrame:
         if not mask.any():
             return None
         headings = rotation[mask, :, 0]
-        return rotation_about_z(
-            float(np.angle(np.sum(np.exp(1j * (self.plan_yaws[mask] - np.arctan2(headings[:, 1], headings[:, 0]))))))
-        )
+        turns = self.floor_plan_yaws[mask] - np.arctan2(headings[:, 1], headings[:, 0])
+        return rotation_about_z(float(np.angle(np.sum(np.exp(1j * turns)))))
 
     def levelling_rotation(self, rotation: Floats, is_joined_station: Bools) -> Floats:
         """Smallest rotation (3, 3) that brings the axes of levelled joined stations to their plumb lines."""
@@ -234,7 +229,7 @@ class DeclaredFrame:
         return smallest_rotation(axis / np.linalg.norm(axis), goal / np.linalg.norm(goal))
 
 
-def _coordinates_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
+def _mark_coordinates_by_name(recording: Recording) -> dict[str, tuple[float, ...]]:
     """Coordinates [mm] by name, of known marks and of marks that known differences connect to known marks."""
     targets = recording.setup.targets
     places: dict[str, tuple[float, ...]] = {
@@ -269,7 +264,7 @@ def _declared_coordinates(recording: Recording, name: str, *, datum_targets_only
     return (target.approximate_mm if target.datum or not datum_targets_only else None) or UNKNOWN_POINT
 
 
-def _declared_plan_coordinates(target: Target) -> tuple[float, ...]:
+def _xy_reference_coordinates(target: Target) -> tuple[float, ...]:
     """Coordinates [mm] of a target with known x and y, with height 0; NaN for other targets."""
     if target.known_mm is None or not target.known_axes.startswith("xy"):
         return UNKNOWN_POINT

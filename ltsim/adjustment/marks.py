@@ -36,7 +36,7 @@ class StationMarks:
         setups = [recording.station_setup(name) for name in recording.stations]
         names = tuple(s.over or "" for s in setups)
         target = np.array([places.get(name, -1) if name else -1 for name in names], dtype=np.int64)
-        _require_sights_above_marks(recording, target)
+        _require_height_above_sighted_marks(recording, target)
         first_on_mark: dict[str, int] = {}
         first = [first_on_mark.setdefault(name, i) if name and target[i] < 0 else i for i, name in enumerate(names)]
         vertical = plumb_directions(recording)
@@ -74,7 +74,7 @@ class StationMarks:
         return mark_positions
 
 
-def _require_sights_above_marks(recording: Recording, mark_targets: Ints) -> None:
+def _require_height_above_sighted_marks(recording: Recording, mark_targets: Ints) -> None:
     """Check that no set-up measures the target under it from the same height; raises NetworkError.
 
     `mark_targets` (S,) are the indices of the targets under the S set-ups, -1 for none.

@@ -29,10 +29,10 @@ class ParameterPrior:
     covariance: Floats
     """Prior covariance of the p parameters of each of I instruments, (I, p, p) [SI]."""
     is_fixed: Bools
-    """Flags (I, p) of those of the p parameters of each of I instruments that are fixed at their mean."""
+    """Flags (I, p), True for those of the p parameters of each of I instruments that are fixed at their mean."""
 
     @classmethod
-    def independent(cls, sigma: Floats) -> ParameterPrior:
+    def from_sigmas(cls, sigma: Floats) -> ParameterPrior:
         """Uncorrelated priors of p parameters of each of I instruments, with mean zero and standard deviations `sigma`.
 
         `sigma` (I, p) [SI] is infinite for parameters without a prior.
@@ -86,10 +86,10 @@ def prior_sigmas(recording: Recording, construction: GeometricErrorModel) -> Flo
 
 
 def expected_error_sigmas(recording: Recording, construction: GeometricErrorModel) -> Floats:
-    """Expected standard deviations (I, p) [SI] of those p errors of I instruments that are present in the readings.
+    """Expected standard deviations (I, p) [SI] of the p errors of each of I instruments that the readings contain.
 
-    They are equal to `prior_sigmas`. For a corrected instrument those of parameters without a declared prior are
-    multiplied by `CORRECTED_INSTRUMENT_SIGMA_FRACTION`.
+    They equal `prior_sigmas`, except for parameters of a corrected instrument without a declared prior: these standard
+    deviations are multiplied by `CORRECTED_INSTRUMENT_SIGMA_FRACTION`.
     """
     sigma, names = prior_sigmas(recording, construction), construction.parameter_names
     instruments = map(recording.setup.instrument_named, recording.instruments)

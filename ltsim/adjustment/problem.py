@@ -52,7 +52,7 @@ class NetworkProblem(NetworkRows):
     """Standard deviations of the readings of n pointings, (n, 3) [m, rad, rad]."""
     prior: ParameterPrior
     """Prior of the instrument parameters."""
-    effect_sigma: Floats
+    effect_prior_sigmas: Floats
     """Standard deviations (q,) [SI] of the weak priors of the q parameters of additional effects; infinite for none."""
     free_motions: Floats
     """Rigid motions that only the datum fixes, (6, f): translation [m] and rotation [rad] of each of f motions."""
@@ -89,8 +89,8 @@ class NetworkProblem(NetworkRows):
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
-            prior=prior or ParameterPrior.independent(prior_sigmas(recording, model.construction)),
-            effect_sigma=np.array(effect_sigmas, dtype=np.float64),
+            prior=prior or ParameterPrior.from_sigmas(prior_sigmas(recording, model.construction)),
+            effect_prior_sigmas=np.array(effect_sigmas, dtype=np.float64),
             free_motions=free_motions(control, mark_control, differences, levels, yaws),
             is_used_reading=is_used,
             gauge_rows=gauge,
@@ -111,7 +111,7 @@ class NetworkProblem(NetworkRows):
         differences = new_problem.difference_rows.subset(
             np.isin(new_problem.difference_rows.names, self.difference_rows.names)
         )
-        return replace(new_problem, effect_sigma=self.effect_sigma, difference_rows=differences)
+        return replace(new_problem, effect_prior_sigmas=self.effect_prior_sigmas, difference_rows=differences)
 
     def with_instrument_constants(
         self, state: NetworkState, *, requires_length: bool = True
@@ -129,7 +129,7 @@ class NetworkProblem(NetworkRows):
             construction = declared_construction(recording)
         except NetworkError:  # instruments of two designs have no common parameters
             return self, state
-        prior = ParameterPrior.independent(prior_sigmas(recording, construction))
+        prior = ParameterPrior.from_sigmas(prior_sigmas(recording, construction))
         parameters = np.zeros((len(recording.instruments), construction.n_parameters))
         problem = replace(self, prior=prior).with_model(replace(self.model, construction=construction))
         return problem, replace(state, instrument_parameters=parameters)
@@ -147,14 +147,14 @@ class NetworkProblem(NetworkRows):
         return moved
 
     def is_undetermined_difference(self, is_undetermined_target: Bools) -> Bools:
-        """Flags (k,) of those of the k known differences with an undetermined end, which give no information.
+        """Flags (k,), True for those of the k known differences with an undetermined end, which give no information.
 
         An end is undetermined if it is an undetermined target or a station without readings, or if its height is
         undetermined and part of the difference. `is_undetermined_target` (T,) has a flag for each of T targets.
         """
         structure, stations = self.undetermined_unknowns, len(self.unknowns.pose_columns)
         stands, heights = np.zeros((2, stations + 1), dtype=bool)
-        stands[structure.unread_stations], heights[structure.height_undetermined_stations] = True, True
+        stands[structure.stations_without_readings], heights[structure.height_undetermined_stations] = True, True
         is_undetermined = np.concatenate([is_undetermined_target, stands])[self.difference_rows.ends].any(axis=0)
         open_ = np.concatenate([structure.is_height_undetermined_target, heights])[self.difference_rows.ends].any(
             axis=0
@@ -178,18 +178,18 @@ class NetworkProblem(NetworkRows):
         """Whitened residuals (m,) of all m equations at a state, with predicted `readings` of n pointings (n, 3)."""
         pointings = (self.reading_residuals(readings) / self.sigma)[self.is_used_reading]
         gauge = self.gauge_rows.decorrelate(self.length_residuals(state))
-        control = self.control_rows.whitened_residuals(state.target_points[self.control_rows.place_indices])
+        control = self.control_rows.whitened_residuals(state.target_points[self.control_rows.point_indices])
         marks = self.control_rows_of_marks.whitened_residuals(
-            state.station_positions[self.control_rows_of_marks.place_indices]
+            state.station_positions[self.control_rows_of_marks.point_indices]
         )
         differences = self.difference_rows.whitened_residuals(
             self.difference_rows.predict(state.target_points, state.station_positions)
         )
         levels = -self.level_rows.axis_tilts(state.station_rotations) / self.level_rows.sigma[:, None]
         yaws = self.yaw_rows.yaw_residuals(state.station_rotations) / self.yaw_rows.sigma
-        fixed_residuals = np.zeros(self.undetermined_unknowns.n_fixed)
+        fixed_residuals = np.zeros(self.undetermined_unknowns.n_fixing_equations)
         prior = self.prior.whitened_residuals(state.instrument_parameters)
-        effect_residuals = -(state.extra_parameters / self.effect_sigma)[np.isfinite(self.effect_sigma)]
+        effect_residuals = -(state.extra_parameters / self.effect_prior_sigmas)[np.isfinite(self.effect_prior_sigmas)]
         datum = np.zeros(self.free_motions.shape[1])
         references = pointings, gauge, control, marks, differences, levels.ravel(), yaws
         return np.concatenate([*references, fixed_residuals, prior, effect_residuals, datum])
@@ -226,7 +226,7 @@ class NetworkProblem(NetworkRows):
         design = self._sparsity_pattern.fill(values)
         if self.gauge_rows.correlation_root is not None:
             design = self._decorrelate_lengths(design)
-        return BlockSystem(design, residual, self.unknowns.n_reduced)
+        return BlockSystem(design, residual, self.unknowns.n_retained)
 
     def _decorrelate_lengths(self, design: DesignMatrix) -> DesignMatrix:
         """Design matrix in which the rows of reference lengths with shared errors are decorrelated."""
@@ -243,7 +243,7 @@ class NetworkProblem(NetworkRows):
         return SparsityPattern(self._columns_by_row_kind(), self.unknowns.n_columns)
 
     def _columns_by_row_kind(self) -> list[Ints]:
-        """Column indices of the nonzero elements of the design matrix: one array (rows, elements) per kind of row."""
+        """Column indices of nonzero elements of the design: one array (equations, elements) per kind of equation."""
         recording, at, gauge = self.model.recording, self.unknowns, self.gauge_rows
         blocks = (
             at.pose_columns[recording.station],
@@ -261,12 +261,12 @@ class NetworkProblem(NetworkRows):
             pointings[np.nonzero(self.is_used_reading)[0]],
             np.concatenate(target_columns, axis=1),
             np.repeat(
-                at.target_columns[self.control_rows.place_indices],
+                at.target_columns[self.control_rows.point_indices],
                 self.control_rows.declared_components.sum(axis=1),
                 axis=0,
             ),
             np.repeat(
-                at.pose_columns[self.control_rows_of_marks.place_indices, :3],
+                at.pose_columns[self.control_rows_of_marks.point_indices, :3],
                 self.control_rows_of_marks.declared_components.sum(axis=1),
                 axis=0,
             ),
@@ -279,12 +279,12 @@ class NetworkProblem(NetworkRows):
             at.pose_columns[self.yaw_rows.station_indices, 3:],
             self.undetermined_unknowns.fixed_columns,
             self._prior_row_columns(),
-            at.effect_columns[np.isfinite(self.effect_sigma)][:, None],
+            at.effect_columns[np.isfinite(self.effect_prior_sigmas)][:, None],
             np.tile(anchors, (self.free_motions.shape[1], 1)),
         ]
 
     def _whitened_derivatives(self, state: NetworkState, prediction: Prediction) -> Iterator[Floats]:
-        """Nonzero elements of the whitened design matrix by kind of row, in the order of `_columns_by_row_kind`."""
+        """Nonzero elements of the whitened design by kind of equation, in the order of `_columns_by_row_kind`."""
         yield from self._reading_derivatives(prediction)
         direction = self.gauge_rows.unit_vectors(state.target_points)
         gauge = np.concatenate([direction, -direction, self._reference_length_design(state)], axis=1)
@@ -300,11 +300,11 @@ class NetworkProblem(NetworkRows):
             if self.prior.has_correlations
             else 1.0 / self.prior.sigma[np.isfinite(self.prior.sigma)]
         )
-        yield 1.0 / self.effect_sigma[np.isfinite(self.effect_sigma)]
+        yield 1.0 / self.effect_prior_sigmas[np.isfinite(self.effect_prior_sigmas)]
         yield self._datum_rows(state)
 
     def _reading_derivatives(self, prediction: Prediction) -> Iterator[Floats]:
-        """Nonzero elements of the design matrix for the readings in use, in batches of pointings (memory)."""
+        """Nonzero elements of the design matrix for the readings in use, in batches that limit the memory."""
         derivatives = [
             prediction.pose_derivatives,
             prediction.target_derivatives,
@@ -382,7 +382,7 @@ class NetworkProblem(NetworkRows):
         unknown = (
             self.unknowns.n_columns
             - n_free_motions
-            - self.undetermined_unknowns.n_fixed
+            - self.undetermined_unknowns.n_fixing_equations
             + self.undetermined_unknowns.n_coordinates_of_unmeasured_targets
         )
         return int(self.is_used_reading.sum()) + references - unknown

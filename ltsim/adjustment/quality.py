@@ -32,7 +32,7 @@ MAX_CONSISTENT_SIGMA0 = 100.0
 deviations are reported as not valid."""
 MIN_COS_MEDIAN_TILT = 0.9
 """Smallest cosine of the median tilt of the stations at which the network is compared with approximate positions."""
-MAX_CURVATURE = 0.3
+MAX_POSE_CURVATURE = 0.3
 """Largest curvature of a pose (Bates and Watts), in standard deviations of a reading, at which its linearised standard
 deviations are valid. For a larger curvature they are reported as too small.
 """
@@ -52,7 +52,7 @@ def require_usable(adjustment: Adjustment) -> None:
     _require_consistent_units(adjustment)
     adjustment.require_solution()
     _require_consistent_control(adjustment)
-    is_unused = _is_unused(adjustment)
+    is_unused = _is_unused_pointing(adjustment)
     is_mostly_unused = is_unused.sum() > MIN_FAULTY_FRACTION_OF_GROUP * len(is_unused)
     unit_text = (
         _consistent_unit_text(adjustment) if is_mostly_unused or adjustment.sigma0 > MAX_CONSISTENT_SIGMA0 else ""
@@ -87,16 +87,16 @@ def _require_consistent_control(adjustment: Adjustment) -> None:
         return
     if not (alone.solution.has_converged and MIN_MISFIT_RATIO * alone.sigma0 < adjustment.sigma0):
         return
-    gap = 1e3 * float(np.abs(adjustment.state.target_points[control.place_indices] - control.declared_points).max())
+    gap = 1e3 * float(np.abs(adjustment.state.target_points[control.point_indices] - control.declared_points).max())
     is_complete = control.declared_components.all(axis=1)
-    points = alone.state.target_points[control.place_indices[is_complete]]
+    points = alone.state.target_points[control.point_indices[is_complete]]
     raise NetworkError(
         f"the known points contradict the readings (sigma0 {adjustment.sigma0:.3g}, without them {alone.sigma0:.3g}; "
-        f"largest difference {gap:.3g} mm): {_control_difference_text(points, control.declared_points[is_complete])}"
+        f"largest difference {gap:.3g} mm): {_control_error_cause(points, control.declared_points[is_complete])}"
     )
 
 
-def _control_difference_text(network_points: Floats, control_points: Floats) -> str:
+def _control_error_cause(network_points: Floats, control_points: Floats) -> str:
     """Text on the usual cause of differences of k control points (k, 3) [m] from network points (k, 3) [m].
 
     The cause is another scale, a mirror image, equal coordinates, or single wrong points.
@@ -129,8 +129,8 @@ def _rigid_fit_misfit(points: Floats, goal_points: Floats) -> float:
         return float("inf")
 
 
-def _is_unused(adjustment: Adjustment) -> Bools:
-    """Flags (m,) of those of the m measured pointings of which no reading is in use."""
+def _is_unused_pointing(adjustment: Adjustment) -> Bools:
+    """Flags (m,), True for those of the m measured pointings of which no reading is in use."""
     measured, used = (
         np.asarray(adjustment.recording.is_measured.any(axis=1)),
         adjustment.problem.is_used_reading.any(axis=1),
@@ -151,7 +151,7 @@ def _consistent_unit_text(adjustment: Adjustment) -> str:
         if (
             adjusted.solution.has_converged
             and adjusted.sigma0 < most
-            and _is_unused(adjusted).mean() < MAX_SINGLE_ERROR_FRACTION
+            and _is_unused_pointing(adjusted).mean() < MAX_SINGLE_ERROR_FRACTION
         ):
             return f"{slip.wrong_content}, not {slip.right_content}"
     return ""
@@ -167,7 +167,7 @@ def adjustment_warnings(adjustment: Adjustment) -> tuple[str, ...]:
         _cause_sentences,
         _reference_sentences,
         _motion_sentences,
-        _plan_sentences,
+        _declared_position_sentences,
         *slips,
         _sparse_station_sentences,
         _unreliable_sigma_sentences,
@@ -178,7 +178,12 @@ def adjustment_warnings(adjustment: Adjustment) -> tuple[str, ...]:
 
 def network_warnings(adjustment: Adjustment) -> tuple[str, ...]:
     """Warnings on the network as a whole, without warnings on single reference values or blunders."""
-    kinds = _plan_sentences, _undecided_target_sentences, _sparse_station_sentences, _unreliable_sigma_sentences
+    kinds = (
+        _declared_position_sentences,
+        _undecided_target_sentences,
+        _sparse_station_sentences,
+        _unreliable_sigma_sentences,
+    )
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
@@ -203,15 +208,15 @@ def _motion_sentences(adjustment: Adjustment) -> Iterator[str]:
     yield from () if adjustment.cause_sentences else (sentence for _, sentence in motion_sentences(adjustment))
 
 
-def _plan_sentences(adjustment: Adjustment) -> Iterator[str]:
+def _declared_position_sentences(adjustment: Adjustment) -> Iterator[str]:
     """Sentences on declared positions of upright stations that do not fit the network, or fit its mirror image."""
     frame, state = DeclaredFrame.from_recording(adjustment.recording), adjustment.state
-    planned_indices = np.flatnonzero(np.isfinite(frame.plan_positions).all(axis=1))
+    planned_indices = np.flatnonzero(np.isfinite(frame.floor_plan_positions).all(axis=1))
     if len(planned_indices) < MIN_RIGID_POINTS or np.median(state.station_rotations[:, 2, 2]) < MIN_COS_MEDIAN_TILT:
         return
     here, there = (
         state.station_positions[planned_indices] * [1.0, 1.0, 0.0],
-        frame.plan_positions[planned_indices] * [1.0, 1.0, 0.0],
+        frame.floor_plan_positions[planned_indices] * [1.0, 1.0, 0.0],
     )
     extent = float(np.ptp(here, axis=0).max())
     if extent < MAX_FLOOR_PLAN_ERROR:  # set-ups over one mark
@@ -226,7 +231,8 @@ def _plan_sentences(adjustment: Adjustment) -> Iterator[str]:
     if mirrored < min(MAX_FLOOR_PLAN_ERROR, as_is / MIN_MISFIT_RATIO):
         yield (
             f"the declared positions of stations {names} fit the mirror image of this network within {mirrored:.2g} m, "
-            f"and the network itself within {as_is:.2g} m: the azimuths may be clockwise, and all coordinates mirrored"
+            f"and the network itself within {as_is:.2g} m: if the azimuths are clockwise, all coordinates are "
+            "mirrored; check the sense of the azimuths"
         )
     else:
         yield (
@@ -236,7 +242,7 @@ def _plan_sentences(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _undecided_target_sentences(adjustment: Adjustment) -> Iterator[str]:
-    """Sentences on targets of two stations whose positions differ, so that pointings of one or both were rejected."""
+    """Sentences on targets whose positions from two stations differ, so that pointings of one or both were rejected."""
     recording = adjustment.recording
     measured_pairs, used_pairs = np.zeros((2, len(recording.stations), len(recording.targets)), dtype=bool)
     for table, readings in ((measured_pairs, recording.is_measured), (used_pairs, adjustment.problem.is_used_reading)):
@@ -308,18 +314,18 @@ def _unreliable_sigma_sentences(adjustment: Adjustment) -> Iterator[str]:
             f"{listing(adjustment.undetermined_stations)}: the undetermined components have no standard deviation"
         )
     bend = np.nan_to_num(pose_curvatures(adjustment)) if adjustment.solution.has_converged else np.zeros(0)
-    curved_stations = [adjustment.recording.stations[s] for s in np.flatnonzero(bend > MAX_CURVATURE)]
+    curved_stations = [adjustment.recording.stations[s] for s in np.flatnonzero(bend > MAX_POSE_CURVATURE)]
     if curved_stations:
         yield (
             f"the targets of station {listing(curved_stations)} "
             "hardly determine its pose, so that its standard deviations (a linear approximation) are too small "
-            f"(curvature {bend.max():.2g}, trustworthy below {MAX_CURVATURE:g}): "
+            f"(curvature {bend.max():.2g}, trustworthy below {MAX_POSE_CURVATURE:g}): "
             "add targets far apart and not on one line"
         )
     if adjustment.sigma0 > MAX_CONSISTENT_SIGMA0:
         yield (
             f"sigma0 is {adjustment.sigma0:.3g}: readings, lengths and known points contradict each other, and the "
-            "standard deviations are not valid"
+            "standard deviations are not valid; find and correct the wrong values first"
         )
 
 
@@ -350,13 +356,13 @@ def pose_curvatures(adjustment: Adjustment) -> Floats:
     np.maximum.at(steepest, station[has_readings], (range_ / min_sigmas)[has_readings])
     bend = np.where(np.isnan(spread).any(axis=(1, 2)), np.nan, 0.0)
     turn = np.trace(np.nan_to_num(spread)[:, 3:, 3:], axis1=1, axis2=2)
-    for s in np.flatnonzero((0.5 * turn * steepest > MAX_CURVATURE) & ~np.isnan(bend)):
+    for s in np.flatnonzero((0.5 * turn * steepest > MAX_POSE_CURVATURE) & ~np.isnan(bend)):
         columns, size = problem.unknowns.pose_columns[s], np.sqrt(np.diag(spread[s]))
         size = np.where(size > 0, size, 1.0)  # components that define the frame do not vary
         worst = np.linalg.eigh(spread[s] / np.outer(size, size))[1][:, -1] / size
         direction = np.zeros((problem.unknowns.n_columns, 1))
         direction[columns, 0] = worst
-        carried = adjustment.factorised_normals.covariance_columns(direction)[:, 0]
+        carried = adjustment.factorised_normals.multiply_by_covariance(direction)[:, 0]
         step = carried / np.sqrt(carried[columns] @ worst)
         gaps = [problem.model.predict(problem.retract(state, sign * step)) for sign in (1.0, -1.0)]
         gaps = [gap - problem.model.predict(state) for gap in gaps]

@@ -31,8 +31,8 @@ from ltsim.adjustment.reliability import (
     neg_log_p_chi2,
     noise_factor,
     noise_factor_from_residuals,
+    normalise_residuals,
     redundancy_numbers,
-    standardised_residuals,
 )
 from ltsim.adjustment.significance import (
     FAMILY_WISE_LEVEL,
@@ -45,12 +45,12 @@ from ltsim.core.arrays import Bools
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.gauss_newton import Solution, solve
 
-MIN_TESTED_RESIDUAL = MIN_CLEAR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUNDANCY))
+MIN_TESTED_WHITENED_RESIDUAL = MIN_CLEAR_SIGMAS * float(np.sqrt(MIN_TESTED_REDUNDANCY))
 """Smallest whitened residual of a tested reference value. An error of `MIN_CLEAR_SIGMAS` standard deviations causes a
 larger residual."""
-MIN_VALUES_FOR_TYPICAL_ERROR = 3
-"""Smallest number of other reference values of the same kind with which a wrong reference value can be identified if a
-second reference value contradicts too."""
+MIN_OTHERS_TO_IDENTIFY_WRONG_VALUE = 3
+"""Smallest number of other reference values of the same kind at which one of several contradicting values is identified
+as wrong; with fewer values none is excluded."""
 MAX_CHI2_FRACTION_AFTER_EXCLUSION = 1e-6
 """Ratio of chi-square after to chi-square before the exclusion of reference values, below which the excluded values are
 certainly wrong."""
@@ -106,7 +106,9 @@ def snoop_references(
     ended = solve(reduced, solution.x)
     final = reference_tests(reduced, ended)
     others = {kind: [test for test in final if test.kind == kind] for kind in {t.kind for t in gone}}
-    weak = [test for test in gone if test.normalised_error < MIN_CLEAR_SIGMAS * _typical_error(others[test.kind])]
+    weak = [
+        test for test in gone if test.normalised_error < MIN_CLEAR_SIGMAS * _typical_normalised_error(others[test.kind])
+    ]
     if weak:
         contradictory = _contradicting_group(weak, [*weak, *(test for group in others.values() for test in group)])
         again = exempt_values | {(test.kind, test.name) for test in weak}
@@ -122,7 +124,7 @@ def _tests_with_final_errors(
     problem: NetworkProblem,
     final_problem_and_solution: tuple[NetworkProblem, Solution[NetworkState]],
 ) -> Iterator[ReferenceTest]:
-    """Tests of reference values of `problem`, with the errors and the noise of the final solution."""
+    """Tests of reference values of `problem`, with the errors and the noise of the solution after all exclusions."""
     state, factor = final_problem_and_solution[1].x, noise_factor(*final_problem_and_solution)
     names, marks = problem.model.recording.stations, problem.marks
     off = {
@@ -148,17 +150,17 @@ def _contradicting_group(
 ) -> tuple[ReferenceTest, ...]:
     """Tuple with the test of a value that contradicts others of its kind; empty if one value is clearly the wrong one.
 
-    The test names the other values among which the data do not identify the wrong value.
+    The test names the values that may be wrong instead.
     """
     for test in wrong_values:
         others = [other for other in all_tests if other.kind == test.kind and other.name != test.name]
         rivals = tuple(other.name for other in others if other.normalised_error > MIN_CLEAR_SIGMAS)
-        if rivals and len(others) < MIN_VALUES_FOR_TYPICAL_ERROR:
+        if rivals and len(others) < MIN_OTHERS_TO_IDENTIFY_WRONG_VALUE:
             return (replace(test, is_excluded=False, indistinguishable_from=rivals),)
     return ()
 
 
-def _typical_error(tests: Sequence[ReferenceTest]) -> float:
+def _typical_normalised_error(tests: Sequence[ReferenceTest]) -> float:
     """Root-mean-square normalised error of tested reference values of one kind, at least 1."""
     return float(np.sqrt(max(1.0, sum(t.chi2_drop for t in tests) / max(sum(t.rank for t in tests), 1))))
 
@@ -191,13 +193,13 @@ def _most_contradicting_observation(
     The mask (n, 3) contains all readings of n pointings. The result is None if no reference value contradicts
     significantly.
     """
-    tests = [test for test in reference_tests(problem, solution, MIN_TESTED_RESIDUAL) if test.rank]
+    tests = [test for test in reference_tests(problem, solution, MIN_TESTED_WHITENED_RESIDUAL) if test.rank]
     tests = [test for test in tests if test.kind in {*kinds, "scale"} and (test.kind, test.name) not in exempt_values]
     if not tests or problem.dof < 2:
         return None
     assert solution.factor is not None
     redundancy = redundancy_numbers(problem, solution.factor)
-    w = standardised_residuals(problem, problem.reading_residuals(problem.model.predict(solution.x)), redundancy)
+    w = normalise_residuals(problem, problem.reading_residuals(problem.model.predict(solution.x)), redundancy)
     shown = noise_factor_from_residuals(w, redundancy)
 
     def noise(test: ReferenceTest) -> float:

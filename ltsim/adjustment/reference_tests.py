@@ -40,7 +40,7 @@ ERROR_UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "sc
 """Unit of an error and its size in SI units, by kind of reference value; millimetres for all other kinds."""
 TESTED_REFERENCE_KINDS: tuple[ReferenceKind, ...] = ("point", "difference", "length", "level", "yaw", "mark", "scale")
 """Kinds of reference values that are tested."""
-SCALE_DEPENDENT_KINDS: tuple[ReferenceKind, ...] = TESTED_REFERENCE_KINDS[:-1]
+TESTED_KINDS_EXCEPT_SCALE: tuple[ReferenceKind, ...] = TESTED_REFERENCE_KINDS[:-1]
 """Kinds of reference values that may be excluded if reference lengths determine the scale of the network. A common
 scale error of the lengths is then only reported."""
 MIN_TESTED_REDUNDANCY = 1e-3
@@ -116,8 +116,8 @@ class ReferenceTest(ReferenceValue):
             return f"{size}, or all ranges are too {less}: {causes}{remark}"
         if self.indistinguishable_from:
             both = f"{', '.join((self.name, *self.indistinguishable_from))} are inconsistent"
-            return f"{both} ({what} by {self.error_text}); the data do not show which one is wrong"
-        note = "but its readings are not: excluded"
+            return f"{both} ({what} by {self.error_text}); the data do not show which one is wrong: check each"
+        note = "as the readings show: excluded from the adjustment"
         if self.kind == "axes":
             note = "as the other points show: excluded from the datum"
         if self.occupied_by and self.is_height_error:
@@ -144,7 +144,7 @@ class ReferenceTest(ReferenceValue):
 def reference_tests(
     problem: NetworkProblem, solution: Solution[NetworkState], min_residual: float = 0.0
 ) -> list[ReferenceTest]:
-    """Tests of the reference values of an adjustment whose whitened residuals are at least `min_residual`.
+    """Tests of those reference values of an adjustment that have whitened residuals of at least `min_residual`.
 
     With a positive `min_residual` the common scale of all reference lengths is tested too. With `min_residual` 0 exact
     reference values get a small standard deviation, so that a test of them is possible.
@@ -160,7 +160,7 @@ def reference_tests(
     values += common_scale_reference(problem, solution.x) if min_residual else []
     for batch in (values[part] for part in batches(len(values), 3 * solution.system.design.shape[1])):
         inside = np.hstack([to_dense(solution.system.design[value.rows]).T @ value.design_columns for value in batch])
-        response, first = solution.factor.covariance_columns(inside), 0
+        response, first = solution.factor.multiply_by_covariance(inside), 0
         for value in batch:
             columns = slice(first, first := first + value.design_columns.shape[1])
             gram = value.design_columns.T @ value.design_columns - inside[:, columns].T @ response[:, columns]

@@ -15,7 +15,7 @@ from ltsim.recordings.references import MIN_UNKNOWN_SCALE_PPM
 
 ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
 """Kind of reference value."""
-MIN_RELATIVE_SIGMA = 0.3
+MIN_SIGMA_RELATIVE_TO_READINGS = 0.3
 """Smallest standard deviation of a tested reference value, divided by the median standard deviation of the readings."""
 REMOVING_UPDATES_BY_KIND: dict[str, dict[str, object]] = {
     "level": {"levelled": False, "yaw_sigma_arcsec": None},
@@ -65,7 +65,7 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
         yield ReferenceValueRows("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
     first += len(gauge)
     points, marks, differences = problem.control_rows, problem.control_rows_of_marks, problem.difference_rows
-    at, on, names = points.place_indices, marks.place_indices, problem.marks.mark_names
+    at, on, names = points.point_indices, marks.point_indices, problem.marks.mark_names
     by_name: tuple[tuple[ReferenceKind, ControlRows, list[str], Sequence[str], Floats], ...] = (
         ("point", points, [recording.targets[t] for t in at], (), state.target_points[at]),
         ("point", marks, [names[s] for s in on], recording.stations, state.station_positions[on]),
@@ -78,7 +78,7 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
         ),
     )
     for kind, controls, called, under, here in by_name:
-        for i, place in enumerate(controls.place_indices.tolist()):
+        for i, place in enumerate(controls.point_indices.tolist()):
             axes = controls.declared_components[i]
             root = controls.whitening_matrices[i][np.ix_(axes, axes)]
             sigma = np.linalg.norm(np.linalg.inv(root), axis=1)
@@ -181,7 +181,7 @@ def with_nonzero_reference_sigmas(problem: NetworkProblem, state: NetworkState) 
         return problem
     range_ = problem.model.sightings_without_covariates(state).range_
     sigma_lengths = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
-    floor = MIN_RELATIVE_SIGMA * float(np.median(sigma_lengths[problem.is_used_reading]))
+    floor = MIN_SIGMA_RELATIVE_TO_READINGS * float(np.median(sigma_lengths[problem.is_used_reading]))
     if not floor > 0.0:  # angles alone, to a target at the position of the station
         return problem
     turn = floor / max(float(np.median(range_[problem.is_used_reading.any(axis=1)])), floor)

@@ -53,7 +53,7 @@ class LinearisedShapeConstant(LinearEffect):
 
     def design(self, sightings: Sightings) -> Floats:
         """Derivatives (n, 3, 1) of the readings of n pointings by the relative change of the shape constant."""
-        now, values = self.present_value, np.array(self.parameter_values)
+        now, values = self.present_shape_value, np.array(self.parameter_values)
         up, down = (
             self.effect.with_constants(**{self.shape_parameter.name: now * (1 + s)}).design(sightings) @ values
             for s in (SHAPE_CHANGE_TOLERANCE, -SHAPE_CHANGE_TOLERANCE)
@@ -62,13 +62,13 @@ class LinearisedShapeConstant(LinearEffect):
         return change
 
     @property
-    def present_value(self) -> float:
+    def present_shape_value(self) -> float:
         """Present value of the shape constant [SI]."""
         return float(getattr(self.effect, self.shape_parameter.name))
 
-    def changed_value(self, relative_change: float) -> float:
+    def changed_shape_value(self, relative_change: float) -> float:
         """Shape constant [SI] after a relative change, within its bounds and at most halved or doubled."""
-        new_value = self.present_value * (1 + np.clip(relative_change, -0.5, 1.0))
+        new_value = self.present_shape_value * (1 + np.clip(relative_change, -0.5, 1.0))
         return float(np.clip(new_value, self.shape_parameter.lower_bound, self.shape_parameter.upper_bound))
 
 
@@ -243,7 +243,9 @@ def _effects_with_changed_shapes(
 ) -> list[CandidateEffect]:
     """Effects whose shape constants are changed by the relative `changes`, in the order of `linearised_constants`."""
     change = iter(changes.tolist())
-    moves = [{d.shape_parameter.name: d.changed_value(next(change)) for d in group} for group in linearised_constants]
+    moves = [
+        {d.shape_parameter.name: d.changed_shape_value(next(change)) for d in group} for group in linearised_constants
+    ]
     return [effect.with_constants(**moved) if moved else effect for effect, moved in zip(effects, moves, strict=True)]
 
 

@@ -10,7 +10,7 @@ from ltsim.adjustment.significance import (
     FAMILY_WISE_LEVEL,
     MIN_CHECKED_REDUNDANCY,
     MIN_DOF_FOR_ESTIMATED_NOISE,
-    MIN_EQUIVALENT_CORRELATION,
+    MIN_EQUIVALENT_SQUARED_CORRELATION,
     SINGLE_TEST_LEVEL,
     TEST_POWER,
 )
@@ -38,7 +38,7 @@ def redundancy_numbers(problem: NetworkProblem, normal_equations: BlockFactor) -
     return share
 
 
-def standardised_residuals(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
+def normalise_residuals(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -> Floats:
     """Normalised residuals (n, 3) of n pointings: `residuals` (n, 3) divided by their standard deviations.
 
     The standard deviation of a residual is that of its reading times the square root of its redundancy number
@@ -71,7 +71,7 @@ def noise_factor(problem: NetworkProblem, solution: Solution[NetworkState]) -> f
         return 1.0
     redundancy = redundancy_numbers(problem, solution.factor)
     residuals = problem.reading_residuals(problem.model.predict(solution.x))
-    scale = noise_factor_from_residuals(standardised_residuals(problem, residuals, redundancy), redundancy)
+    scale = noise_factor_from_residuals(normalise_residuals(problem, residuals, redundancy), redundancy)
     return max(1.0, min(scale, float(np.sqrt(chi2 / dof))))
 
 
@@ -149,7 +149,7 @@ def iterative_snooping(
             break
         is_equivalent = (
             redundancy_matrix[k] ** 2
-            > MIN_EQUIVALENT_CORRELATION * redundancy_matrix[k, k] * np.diag(redundancy_matrix)
+            > MIN_EQUIVALENT_SQUARED_CORRELATION * redundancy_matrix[k, k] * np.diag(redundancy_matrix)
         ) & (redundancy > MAX_SOLUTION_ROUNDING_ERROR)
         equivalents = [i for i in np.flatnonzero(is_equivalent & (chance < alpha)).tolist() if i != k]
         outliers += [(i, float(residuals[i] / redundancy[i]), float(w[i]), float(chance[i])) for i in (k, *equivalents)]

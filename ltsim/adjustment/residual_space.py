@@ -63,7 +63,7 @@ class ResidualSpace:
         return self.adjustment.problem.sigma
 
     @property
-    def n_rows(self) -> int:
+    def n_equations(self) -> int:
         """Number m of equations: observations, priors and datum."""
         return len(self.residuals)
 
@@ -84,7 +84,7 @@ class ResidualSpace:
         `design` (n, 3, q) contains the changes of the readings of n pointings per unit of q parameters, `gauge_changes`
         (g, q) those of g reference lengths. Equations of other observations do not change.
         """
-        whitened_rows = np.zeros((self.n_rows, design.shape[2]))
+        whitened_rows = np.zeros((self.n_equations, design.shape[2]))
         place, weight = self._used_reading_weights
         readings = design.reshape(-1, design.shape[2])
         np.multiply(
@@ -117,9 +117,9 @@ class ResidualSpace:
         )
 
     def chi2_drop(self, design_columns: Floats) -> tuple[float, int]:
-        """Decrease of chi-square, and its rank, if parameters with whitened `design_columns` are estimated too.
+        """Decrease of chi-square and its degrees of freedom, if parameters with these `design_columns` are added.
 
-        The columns (m, q) are the changes of m equations per unit of q parameters.
+        The columns (m, q) are the whitened changes of m equations per unit of q parameters.
         """
         scores = self._projected_basis(design_columns).T @ self.residuals
         return float(scores @ scores), len(scores)
@@ -184,7 +184,7 @@ class ResidualSpace:
         """Shifts (T, 3) [m] of T adjusted targets by a whitened change `design_columns` (m,) of m observations."""
         adjustment = self.adjustment
         normal_side = (adjustment.solution.system.design.T @ design_columns)[:, None]
-        change: Floats = adjustment.factorised_normals.covariance_columns(normal_side)[:, 0][
+        change: Floats = adjustment.factorised_normals.multiply_by_covariance(normal_side)[:, 0][
             adjustment.problem.unknowns.target_columns
         ]
         return change

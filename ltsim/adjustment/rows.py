@@ -25,8 +25,8 @@ class GaugeRows(ReferenceLengths):
     """Observation equations of g reference lengths, converted to the temperature of the hall."""
 
     is_unweighted: Bools | bool = False
-    """Flags (g,) of those of the g lengths that have no weight, because an end is undetermined; their equations remain
-    in the system."""
+    """Flags (g,), True for those of the g lengths that have no weight, because an end is undetermined; their equations
+    remain in the system."""
 
     @cached_property
     def sigma(self) -> Floats:
@@ -49,12 +49,12 @@ class GaugeRows(ReferenceLengths):
         return np.diag(self.sigma) if self.correlation_root is None else self.sigma[:, None] * self.correlation_root
 
     def decorrelate(self, length_changes: Floats) -> Floats:
-        """Changes of g lengths (g,) [m], or per unit of q parameters (g, q), transformed to independent unit errors."""
+        """Changes of g lengths [m], (g,) or for q parameters (g, q), whitened: with independent unit errors."""
         scaled_values = length_changes / (self.sigma if length_changes.ndim == 1 else self.sigma[:, None])
         return self.decorrelate_scaled(scaled_values)
 
     def decorrelate_scaled(self, scaled_changes: Floats) -> Floats:
-        """Changes of g lengths (g,), or for q parameters (g, q), in their sigmas, transformed to independent errors."""
+        """Changes of g lengths in standard deviations, (g,) or for q parameters (g, q), without their correlations."""
         return (
             scaled_changes
             if self.correlation_root is None
@@ -82,12 +82,12 @@ class GaugeRows(ReferenceLengths):
 class ControlRows:
     """Observation equations of k known points: targets, or instruments over known marks that are no targets."""
 
-    place_indices: Ints
+    point_indices: Ints
     """Index of the target, or of the station, of each of k known points, (k,)."""
     declared_points: Floats
     """Known coordinates of k points, (k, 3) [m]; values of unknown coordinates have no meaning."""
     declared_components: Bools
-    """Flags (k, 3) of those coordinates of k points that are known."""
+    """Flags (k, 3), True for those coordinates of k points that are known."""
     whitening_matrices: Floats
     """Matrices R that whiten the misclosures of k points, (k, 3, 3) [1 / m]: R' R is the inverse covariance of the
     known coordinates. Rows and columns of unknown coordinates are 0.
@@ -96,7 +96,7 @@ class ControlRows:
     @classmethod
     def from_recording(cls, recording: Recording) -> ControlRows:
         """Equations of the targets with known coordinates in a recording."""
-        return cls._from_places(recording, list(enumerate(recording.targets)))
+        return cls._from_indexed_names(recording, list(enumerate(recording.targets)))
 
     @classmethod
     def from_stations(cls, recording: Recording, marks: StationMarks) -> ControlRows:
@@ -106,14 +106,14 @@ class ControlRows:
             for i, n in enumerate(marks.mark_names)
             if n and marks.target_indices[i] < 0 and marks.first_setup_on_mark[i] == i
         ]
-        control_rows = cls._from_places(recording, places)
+        control_rows = cls._from_indexed_names(recording, places)
         return replace(
             control_rows,
-            declared_points=control_rows.declared_points + marks.instrument_offsets[control_rows.place_indices],
+            declared_points=control_rows.declared_points + marks.instrument_offsets[control_rows.point_indices],
         )
 
     @classmethod
-    def _from_places(cls, recording: Recording, indices_and_names: list[tuple[int, str]]) -> ControlRows:
+    def _from_indexed_names(cls, recording: Recording, indices_and_names: list[tuple[int, str]]) -> ControlRows:
         """Equations of those points, given by index and name, whose coordinates are known."""
         setups = [(i, recording.target_setup(name)) for i, name in indices_and_names]
         control_setups = [(i, t) for i, t in setups if t.known_mm is not None]
@@ -123,7 +123,7 @@ class ControlRows:
         )
 
     def __len__(self) -> int:
-        return len(self.place_indices)
+        return len(self.point_indices)
 
     @property
     def n_coordinates(self) -> int:
@@ -181,7 +181,7 @@ class DifferenceRows(ControlRows):
 
     start_indices: Ints
     """Index (k,) of the start of each of k differences in the list of T targets, S instruments and the origin;
-    `place_indices` (k,) is the index of its end."""
+    `point_indices` (k,) is the index of its end."""
     origin_index: int
     """Index of the origin in the list of T targets, S instruments and the origin: T + S."""
     names: tuple[str, ...]
@@ -218,12 +218,12 @@ class DifferenceRows(ControlRows):
     @property
     def ends(self) -> Ints:
         """Indices (2, k) of start and end of each of k differences in the list of targets, instruments and origin."""
-        return np.stack([self.start_indices, self.place_indices])
+        return np.stack([self.start_indices, self.point_indices])
 
     def subset(self, mask: Bools) -> DifferenceRows:
         """Equations of those of the k differences that `mask` (k,) flags."""
         return DifferenceRows(
-            self.place_indices[mask],
+            self.point_indices[mask],
             self.declared_points[mask],
             self.declared_components[mask],
             self.whitening_matrices[mask],
@@ -235,7 +235,7 @@ class DifferenceRows(ControlRows):
     def predict(self, points: Floats, position: Floats) -> Floats:
         """Vectors (k, 3) [m] of k differences between T targets `points` (T, 3) and S instruments `position` (S, 3)."""
         places = np.concatenate([points, position, np.zeros((1, 3))])
-        return places[self.place_indices] - places[self.start_indices]
+        return places[self.point_indices] - places[self.start_indices]
 
     def derivatives(self) -> Floats:
         """Derivatives (c, 6) of c whitened components of differences by start and end point; 0 for the origin."""
@@ -243,10 +243,9 @@ class DifferenceRows(ControlRows):
         return np.concatenate([*(signs * self.whitening_matrices)], axis=2)[self.declared_components]
 
     def is_height_undetermined(self, is_undetermined: Bools) -> Bools:
-        """Flags of T targets, S instruments and the origin whose heights are undetermined also with the differences.
+        """Flags (T + S + 1,) of T targets, S instruments and the origin, True if the height remains undetermined.
 
-        The array has the length T + S + 1, as `is_undetermined`, which flags the heights that are undetermined without
-        the known differences.
+        `is_undetermined` (T + S + 1,) flags the heights that are undetermined without the known differences.
         """
         is_undetermined, ends = is_undetermined.copy(), self.ends[:, self.declared_components[:, 2]]
         while (half := is_undetermined[ends[0]] != is_undetermined[ends[1]]).any():

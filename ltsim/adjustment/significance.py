@@ -33,14 +33,14 @@ of 1.7 million normal variates exceeds it.
 """
 MIN_GROSS_SIGMAS = 30.0
 """Smallest residual of a reading with a gross error, in robust standard deviations. The residual must also exceed
-`MAX_TRACKER_ERROR` [m], a limit that in a large hall noise alone exceeds.
+`MAX_TRACKER_ERROR` [m], a limit that noise alone exceeds in a large hall.
 """
 MAX_TRACKER_ERROR = 1e-3
 """Largest displacement [m] of a measured point by errors of a tracker, for ranges up to `MAX_WORKSHOP_RANGE`. A
 pointing with a larger error has a gross error. """
 MAX_WORKSHOP_RANGE = 10.0
 """Range [m] above which the limit `MAX_TRACKER_ERROR` grows in proportion to the range."""
-MIN_RESIDUAL_BEYOND_NOISE = 50.0
+MIN_SIGMAS_BEYOND_NOISE = 50.0
 """Residual, in declared standard deviations, above which noise is no explanation, even if it is ten times as large as
 declared."""
 MIN_CHECKED_REDUNDANCY = 0.05
@@ -52,14 +52,14 @@ MIN_DOF_FOR_ESTIMATED_NOISE = 15
 standard deviation is then 1 / sqrt(2 * 15) = 18 %. """
 MIN_REPEATS_FOR_VARIANCE = 4
 """Smallest number of pointings to a target, of occupations of a target, or of targets in a group, for a test of their
-separate noise; of two or three a single outlier has the same effect.
+separate noise; with two or three, a single outlier has the same effect.
 """
 MIN_MEAN_REPEATS = 1.5
 """Smallest mean number of pointings per occupation, or of occupations per target, for a test of random displacements.
 Half of the occupations or targets are then repeated. Without repeats a displacement is not distinguishable from noise,
 or is part of the coordinates.
 """
-MIN_EQUIVALENT_CORRELATION = 0.9
+MIN_EQUIVALENT_SQUARED_CORRELATION = 0.9
 """Squared correlation of two residuals or design columns, above which errors of both are indistinguishable: one
 explains 9/10 of the chi-square of the other. """
 MIN_MISFIT_RATIO = 10.0

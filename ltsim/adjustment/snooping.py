@@ -12,8 +12,8 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import (
     critical_w,
     noise_factor_from_residuals,
+    normalise_residuals,
     redundancy_numbers,
-    standardised_residuals,
 )
 from ltsim.adjustment.significance import (
     MAX_TRACKER_ERROR,
@@ -61,7 +61,7 @@ def without_copied_rows(recording: Recording) -> tuple[Recording, int]:
 
 
 def _is_copied_row(recording: Recording) -> Bools:
-    """Flags (n,) of those of n rows that are exact copies of an earlier row with equal time, set-up, target and face.
+    """Flags (n,) of n rows, True for exact copies of an earlier row with equal time, set-up, target and face.
 
     Two pointings may be equal by chance. Without a clock, rows count as copies only if all repeated pointings are
     equal.
@@ -80,7 +80,7 @@ def _is_copied_row(recording: Recording) -> Bools:
 
 
 def _equals_earlier_row(array_rows: np.ndarray) -> Bools:
-    """Flags (n,) of those of the n rows of an array that equal an earlier row."""
+    """Flags (n,), True for those of the n rows of an array that equal an earlier row."""
     is_later = np.ones(len(array_rows), dtype=bool)
     is_later[np.unique(array_rows, axis=0, return_index=True)[1]] = False
     return is_later
@@ -116,7 +116,7 @@ def drop_undetermined_targets(problem: NetworkProblem, state: NetworkState) -> N
 
 
 def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bools:
-    """Flags (T,) of those of T targets whose position the observations do not determine, even for known stations."""
+    """Flags (T,) of T targets, True if the observations do not determine its position, even with known stations."""
     recording, count = problem.model.recording, len(problem.model.recording.targets)
     n_complete = np.bincount(recording.target, problem.is_used_reading.all(axis=1), count) > 0
     is_doubtful = ~n_complete & ~problem.undetermined_unknowns.is_unmeasured_target
@@ -133,7 +133,7 @@ def is_undetermined_target(problem: NetworkProblem, state: NetworkState) -> Bool
     along = gauge.unit_vectors(state.target_points) / gauge.sigma[:, None]
     for end in (gauge.first_targets, gauge.second_targets):
         np.add.at(normal, end, along[:, :, None] * along[:, None, :])
-    np.add.at(normal, control.place_indices, np.swapaxes(control.whitening_matrices, 1, 2) @ control.whitening_matrices)
+    np.add.at(normal, control.point_indices, np.swapaxes(control.whitening_matrices, 1, 2) @ control.whitening_matrices)
     for end in problem.difference_rows.ends:
         rows_at_end = problem.difference_rows.subset(end < count)
         np.add.at(
@@ -179,9 +179,9 @@ class ScreenedNetwork(NamedTuple):
     start_poses_and_points: tuple[Floats, Floats, Floats]
     """Positions (S, 3) [m] and rotations (S, 3, 3) of S stations, and positions (T, 3) [m] of T targets."""
     is_gross_pointing: Bools
-    """Flags (n,) of those of n pointings with gross errors, larger than any error of a tracker."""
+    """Flags (n,), True for those of n pointings with gross errors, larger than any error of a tracker."""
     is_unconnected_target: Bools
-    """Flags (T,) of those of the T targets that are not connected to the network."""
+    """Flags (T,), True for those of the T targets that are not connected to the network."""
 
 
 @raise_for_singular_network
@@ -200,7 +200,7 @@ def screen_gross_errors(recording: Recording) -> ScreenedNetwork:
     excess = _relative_misclosure(model, state)
     for _ in range(MAX_ITERATIONS if np.any(excess > 1.0) else 0):
         problem = drop_undetermined_targets(NetworkProblem.from_model(model), state)
-        state, length = _relaxed_step(problem, state, model.linearise(state), np.maximum(excess, 1.0)[:, None])
+        state, length = _weighted_step(problem, state, model.linearise(state), np.maximum(excess, 1.0)[:, None])
         before, excess = excess, _relative_misclosure(model, state)
         if not length or not np.any((excess > 1.0) & (excess < MAX_CONVERGENCE_RATIO * before)):
             break
@@ -225,7 +225,7 @@ def _relative_misclosure(model: MeasurementModel, state: NetworkState) -> Floats
     return miss / limit
 
 
-def _relaxed_step(
+def _weighted_step(
     problem: NetworkProblem, state: NetworkState, prediction: Prediction, sigma_factors: Floats
 ) -> tuple[NetworkState, float]:
     """State after one Gauss-Newton step, and the squared step length in standard deviations; 0 for a singular system.
@@ -313,7 +313,7 @@ def _is_newly_rejected(problem: NetworkProblem, state: NetworkState, limit: floa
 
 
 def _is_mostly_rejected_setup(is_rejected: Bools, problem: NetworkProblem) -> Bools:
-    """Flags (S,) of those of the S set-ups with more than half of their used readings rejected, as `is_rejected`."""
+    """Flags (S,) of S set-ups, True if more than half of its used readings are rejected (`is_rejected`)."""
     recording = problem.model.recording
     out, used = (
         np.bincount(recording.station, rows.sum(axis=1), len(recording.stations))
@@ -332,7 +332,7 @@ def _absolute_whitened_residuals(problem: NetworkProblem, readings: Floats) -> F
     return np.nan_to_num(np.abs(problem.reading_residuals(readings) / problem.sigma))
 
 
-def prediction_sigmas(
+def prediction_error_sigmas(
     problem: NetworkProblem, solution: Solution[NetworkState], is_omitted: Bools, prediction: Prediction | None = None
 ) -> Floats:
     """Standard deviations (k,) of k rejected readings minus their predictions, divided by the declared ones.
@@ -343,7 +343,7 @@ def prediction_sigmas(
     assert solution.factor is not None
     system = problem.linear_system(solution.x, prediction or problem.model.linearise(solution.x))
     omitted_rows = to_dense(system.design[np.flatnonzero(is_omitted[problem.is_used_reading])])
-    response = solution.factor.covariance_columns(np.ascontiguousarray(omitted_rows.T))
+    response = solution.factor.multiply_by_covariance(np.ascontiguousarray(omitted_rows.T))
     return np.asarray(np.sqrt(1.0 + np.maximum(np.sum(omitted_rows * response.T, axis=1), 0.0)))
 
 
@@ -355,7 +355,7 @@ def _test_readings(
     `readings` (n, 3) are the predicted readings, `normal_equations` the factorised normal equations at the same state.
     """
     redundancy = redundancy_numbers(reduced_problem, normal_equations)
-    w = standardised_residuals(reduced_problem, problem.reading_residuals(readings), redundancy)
+    w = normalise_residuals(reduced_problem, problem.reading_residuals(readings), redundancy)
     return np.nan_to_num(np.abs(w)), noise_factor_from_residuals(w, redundancy), redundancy
 
 
@@ -366,7 +366,7 @@ def _test_rejected_again(
     is_rejected: Bools,
     limit: float,
 ) -> Bools:
-    """Flags (n, 3) of rejected readings of n pointings, after a test of all rejected and used readings."""
+    """Flags (n, 3) of the rejected readings of n pointings, after all readings are tested again against `limit`."""
     assert solution.factor is not None
     out = is_rejected & problem.is_used_reading
     targets, stations = problem.model.recording.target, problem.model.recording.station
@@ -377,7 +377,7 @@ def _test_rejected_again(
     if new.any():
         new &= w > 0.5 * w.max()
     if prediction is not None:
-        spread = prediction_sigmas(problem, solution, out, prediction)
+        spread = prediction_error_sigmas(problem, solution, out, prediction)
         still, alone = (
             np.zeros_like(is_rejected),
             np.zeros(len(reduced_problem.undetermined_unknowns.is_unmeasured_target), dtype=bool),

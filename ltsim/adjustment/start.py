@@ -8,7 +8,7 @@ from ltsim.adjustment.fit_readings import FitReadings
 from ltsim.adjustment.fitting import (
     HorizontalLengths,
     beam_intersection,
-    fit_plan,
+    fit_horizontal_network,
     fit_point,
     fit_pose,
     lines_of_undetermined_length,
@@ -23,7 +23,7 @@ from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rigid import VERTICAL, align_robustly, rotation_about_z, smallest_rotation
 from ltsim.recordings.recording import Recording
 
-INITIALISATION_METHODS = ("frame", "cloud", "ranges", "places", "bearings")
+INITIALISATION_METHODS = ("frame", "cloud", "ranges", "positions", "bearings")
 """Methods for first coordinates: known points, points of one station, ranges alone, declared positions, directions."""
 
 
@@ -43,7 +43,7 @@ def initial_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
     pairs = StationTargetPairs.from_recording(recording, points_with_slope_distances(recording))
     frame = DeclaredFrame.from_recording(recording)
     grown = []
-    for beginning in INITIALISATION_METHODS if frame.has_approximate_positions else INITIALISATION_METHODS[1:]:
+    for beginning in INITIALISATION_METHODS if frame.has_declared_positions else INITIALISATION_METHODS[1:]:
         grown.append(NetworkInitialiser(recording, pairs, frame))
         grown[-1].run(beginning)
         if grown[-1].is_complete:
@@ -87,7 +87,7 @@ class NetworkInitialiser:
             self._locate_targets_and_marks,
             self._join_by_fit,
             self._to_declared_frame,
-            self._resect_in_plan,
+            self._resect_horizontally,
         )
         while not self.is_complete and any(step() for step in steps):
             pass
@@ -164,7 +164,7 @@ class NetworkInitialiser:
         for station in oriented_indices if self._is_in_frame else ():
             stand = self._position_from_mark(station)
             if stand is not None:
-                self._join_station(station, stand, rotation_about_z(float(self._frame.plan_yaws[station])))
+                self._join_station(station, stand, rotation_about_z(float(self._frame.floor_plan_yaws[station])))
                 return True
         return False
 
@@ -178,13 +178,13 @@ class NetworkInitialiser:
         recording, has_new = self._recording, False
         usable = self._is_joined[recording.station] & ~self._has_coordinates[recording.target]
         for target, rows in group_rows(recording.target, np.flatnonzero(usable)):
-            if self._is_worth_trying(-1 - target, len(rows)):
+            if self._is_fit_worth_trying(-1 - target, len(rows)):
                 point = self._locate_point(rows)
                 if point is not None:
                     self._located_targets[target], has_new = point, True
         return has_new
 
-    def _is_worth_trying(self, key: int, n_neighbours: int) -> bool:
+    def _is_fit_worth_trying(self, key: int, n_neighbours: int) -> bool:
         """True unless a fit failed with as many neighbours; `key` is a station index, or -1 minus the target index."""
         tried, self._failed_attempts[key] = self._failed_attempts.get(key), n_neighbours
         return tried != n_neighbours
@@ -194,7 +194,7 @@ class NetworkInitialiser:
         position, rotation = self._positions[station], self._rotations[station]
         sight = self._readings.select_rows(pointing_indices)
         front = sight.readings
-        no_heights = np.isnan(front[:, 2]) & (np.isnan(front[:, 0]) | sight.is_horizontal)
+        no_heights = np.isnan(front[:, 2]) & (np.isnan(front[:, 0]) | sight.has_horizontal_distance)
         if self._is_levelled and self._frame.is_levelled[station].all() and no_heights.all():
             front = np.where([False, False, True], 0.0, front)  # directions and horizontal distances intersect in plan
         beams = np.isfinite(front[:, 1:]).all(axis=1)
@@ -213,7 +213,7 @@ class NetworkInitialiser:
         groups = group_rows(recording.station, np.flatnonzero(usable))
         for station, rows in sorted(groups, key=lambda group: -np.isfinite(self._front_readings[group[1]]).sum()):
             stand = self._position_from_mark(station)
-            if not self._is_worth_trying(station, 2 * len(rows) + (stand is not None)):
+            if not self._is_fit_worth_trying(station, 2 * len(rows) + (stand is not None)):
                 continue
             level = self._is_levelled and bool(self._frame.is_levelled[station])
             sight = self._readings.select_rows(rows)
@@ -225,8 +225,8 @@ class NetworkInitialiser:
                 return True
         return False
 
-    def _resect_in_plan(self) -> bool:
-        """True if a levelled station was joined by directions in plan to and from other stations."""
+    def _resect_horizontally(self) -> bool:
+        """True if a levelled station was joined by horizontal directions to and from other stations."""
         recording, over = self._recording, self._frame.marks.target_indices
         places, ahead, turn = self._target_points(), self._rotations[:, :, 0], self._front_readings[:, 1]
         usable = self._is_joined[recording.station] & ~self._has_coordinates[recording.target]
@@ -259,7 +259,7 @@ class NetworkInitialiser:
 
     def _to_declared_frame(self) -> bool:
         """True if the network was transformed to the declared frame, which requires enough declared points."""
-        if self._is_in_frame or not self._frame.has_approximate_positions:
+        if self._is_in_frame or not self._frame.has_declared_positions:
             return False
         turn = self._frame.levelling_rotation(self._rotations, self._is_joined)
         heading = self._frame.rotation_to_declared_yaws(turn @ self._rotations, self._is_joined)
@@ -288,13 +288,13 @@ class NetworkInitialiser:
         if len(here):
             self._transform(np.eye(3), (there - here).mean(axis=0))
             return
-        has_places = self._frame.has_approximate_positions
+        has_places = self._frame.has_declared_positions
         motion = None if has_places else self._frame.motion_to_floor_plan(self._positions, self._rotations)
         if motion is not None:
             self._transform(*motion)
 
     def _level_stations(self) -> None:
-        """Assignment of upright rotations to stations without angles, with axes as other stations or the floor plan."""
+        """Assignment of rotations to stations without angles: upright like other stations, or as on the floor plan."""
         is_measured = np.isfinite(self._front_readings[:, 1:]).any(axis=1)
         reads_angles = np.bincount(self._recording.station, is_measured, len(self._is_joined)) > 0
         if reads_angles.any():
@@ -305,8 +305,9 @@ class NetworkInitialiser:
             return
         if np.linalg.norm(up) > 0.0:
             turn = smallest_rotation(VERTICAL, up / np.linalg.norm(up))
+            yaws = np.nan_to_num(self._frame.floor_plan_yaws)
             for station in np.flatnonzero(~reads_angles & self._is_joined):
-                self._rotations[station] = turn @ rotation_about_z(float(np.nan_to_num(self._frame.plan_yaws[station])))
+                self._rotations[station] = turn @ rotation_about_z(float(yaws[station]))
 
     # --- initialisation methods ------------------------------------------------------------------------------------
 
@@ -314,7 +315,7 @@ class NetworkInitialiser:
         """Start with the declared coordinates of targets and marks."""
         self._located_targets = self._frame.declared_points.copy()
         self._positions = self._frame.declared_station_positions.copy()
-        self._is_in_frame = self._is_levelled = self._frame.has_approximate_positions
+        self._is_in_frame = self._is_levelled = self._frame.has_declared_positions
 
     def _begin_with_cloud(self) -> None:
         """Start with one station and the targets that it measured completely."""
@@ -339,13 +340,13 @@ class NetworkInitialiser:
             placed = self._frame.place_range_network(stations, network[0], targets, network[1])
             self._located_targets[targets], self._is_from_plan = placed
 
-    def _begin_with_places(self) -> None:
+    def _begin_with_positions(self) -> None:
         """Start with all declared positions, known or approximate, and mean rotations from azimuths."""
         self._begin_with_frame()
         self._located_targets, marks = self._frame.approximate_points.copy(), self._frame.marks
         on_marks = self._located_targets[marks.target_indices] + marks.instrument_offsets
         declared = np.where((marks.target_indices >= 0)[:, None], on_marks, self._frame.declared_station_positions)
-        declared = np.where(np.isnan(declared), self._frame.plan_positions, declared)
+        declared = np.where(np.isnan(declared), self._frame.floor_plan_positions, declared)
         for station in np.flatnonzero(np.isfinite(declared).all(axis=1)).tolist():
             rows = np.flatnonzero(self._recording.station == station)
             x, y, _ = (self._located_targets[self._recording.target[rows]] - declared[station]).T
@@ -353,23 +354,22 @@ class NetworkInitialiser:
             self._join_station(station, declared[station], rotation_about_z(float(np.angle(np.nansum(turns)))))
 
     def _begin_with_bearings(self) -> None:
-        """Start with a plan from horizontal directions of upright stations and horizontal lengths."""
+        """Start with horizontal coordinates from directions of upright stations and horizontal lengths."""
         recording, frame, marks = self._recording, self._frame, self._frame.marks
         bearing_rows = np.flatnonzero(frame.is_levelled[recording.station] & np.isfinite(self._front_readings[:, 1]))
         if not len(bearing_rows) or np.isfinite(self._front_readings[:, 2]).any():
             return
         over, extra = marks.target_indices, len(self._located_targets) + marks.first_setup_on_mark
         stands = np.where(over >= 0, over, extra)
-        control = np.concatenate([frame.plan_points, frame.declared_station_positions])[:, :2]
+        control = np.concatenate([frame.xy_reference_points, frame.declared_station_positions])[:, :2]
         ranged_indices = np.flatnonzero(np.isfinite(self._front_readings[:, 0]))
         starts, ends = stands[recording.station[ranged_indices]], recording.target[ranged_indices]
         lines = HorizontalLengths(starts, ends, self._front_readings[ranged_indices, 0])
         station, end = recording.station[bearing_rows], recording.target[bearing_rows]
-        plan = fit_plan(station, stands[station], end, self._front_readings[bearing_rows, 1], control, lines)
+        azimuths = self._front_readings[bearing_rows, 1]
+        plan = fit_horizontal_network(station, stands[station], end, azimuths, control, lines)
         if plan is None:
-            self._open_lines = lines_of_undetermined_length(
-                station, stands[station], end, self._front_readings[bearing_rows, 1], lines
-            )
+            self._open_lines = lines_of_undetermined_length(station, stands[station], end, azimuths, lines)
             return
         places, yaw, in_frame = np.pad(plan[0], ((0, 0), (0, 1))), plan[1], plan[2]
         if in_frame:

@@ -16,11 +16,9 @@ def require_connected_stations(recording: Recording, is_joined: Bools, points: F
     ----------
     recording : Recording
     is_joined : array of bool (S,)
-        Flags of those of the S stations with coordinates.
-    points : array (k, 3)
-        Positions [m] of the k targets that one of the other stations, the best connected one, shares with the network.
-    undetermined_lines : str
-        Text on lines whose length no reading determines, for the end of the message; may be empty.
+        True for those of the S stations that have coordinates. points : array (k, 3) Positions [m] of the k targets
+        that one of the other stations, the best connected one, shares with the network. undetermined_lines : str Text
+        on lines whose length no reading determines, for the end of the message; may be empty.
     """
     if is_joined.all():
         return

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.significance import MIN_RESIDUAL_BEYOND_NOISE
+from ltsim.adjustment.significance import MIN_SIGMAS_BEYOND_NOISE
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import OBSERVABLES, Recording
@@ -25,7 +25,7 @@ CAUCHY_LIMIT = 2.385
 """Residual, in robust standard deviations, at which Cauchy's weights are one half. The statistical efficiency for
 normal residuals is 95 %."""
 MAX_FRACTION_BEYOND_NOISE = 0.02
-"""Largest fraction of residuals above `MIN_RESIDUAL_BEYOND_NOISE` declared standard deviations that single errors
+"""Largest fraction of residuals above `MIN_SIGMAS_BEYOND_NOISE` declared standard deviations that single errors
 explain. If the fraction is larger, Cauchy's weights are tried too.
 """
 MAX_ROBUST_STEPS = 25
@@ -37,7 +37,7 @@ NOISE_KEYS = {
     "elevation": ("elevation_arcsec",),
 }
 """Keys of the declared noise in `[instrument.noise]` of `setup.toml`, by observable."""
-ROBUST_TOLERANCE = 1e-2
+SQUARED_ROBUST_STEP_TOLERANCE = 1e-2
 """Squared length of a step, in standard deviations, below which the reweighting ends."""
 
 
@@ -50,7 +50,7 @@ def noise_declaration_texts(recording: Recording, observable: str, factor: float
     return [f"{key} to {factor * getattr(noise, key):.2g}" for key in NOISE_KEYS[observable] if getattr(noise, key)]
 
 
-def n_observation_rows(problem: NetworkProblem) -> int:
+def n_observation_equations(problem: NetworkProblem) -> int:
     """Number of equations that are observations: readings and reference values, without constraints and priors."""
     return problem.level_row_slice.stop + len(problem.yaw_rows)
 
@@ -60,7 +60,9 @@ def fit_robust_state(problem: NetworkProblem, state: NetworkState) -> tuple[Netw
 
     The method is that of `iterate_reweighted`; `state` is the start state.
     """
-    return iterate_reweighted(problem, state, n_observation_rows(problem), min_scale=1.0, max_steps=MAX_ROBUST_STEPS)
+    return iterate_reweighted(
+        problem, state, n_observation_equations(problem), min_scale=1.0, max_steps=MAX_ROBUST_STEPS
+    )
 
 
 def iterate_reweighted(
@@ -95,8 +97,8 @@ def iterate_reweighted(
 
 
 def has_many_residuals_beyond_noise(whitened_residuals: Floats) -> bool:
-    """True if too many residuals exceed `MIN_RESIDUAL_BEYOND_NOISE`: more than `MAX_FRACTION_BEYOND_NOISE`."""
-    n_beyond = np.count_nonzero(np.abs(whitened_residuals) > MIN_RESIDUAL_BEYOND_NOISE)
+    """True if more than the fraction `MAX_FRACTION_BEYOND_NOISE` of the residuals exceeds `MIN_SIGMAS_BEYOND_NOISE`."""
+    n_beyond = np.count_nonzero(np.abs(whitened_residuals) > MIN_SIGMAS_BEYOND_NOISE)
     return bool(n_beyond > MAX_FRACTION_BEYOND_NOISE * len(whitened_residuals))
 
 
@@ -140,19 +142,19 @@ def _iterate_weights(
         root[:n_observations] = np.sqrt(weight_function(np.abs(system.whitened_residuals[:n_observations]) / scale))
         design = weight_rows(system.design, root)
         try:
-            step = BlockFactor(BlockSystem(design, system.whitened_residuals * root, system.n_reduced)).step()
+            step = BlockFactor(BlockSystem(design, system.whitened_residuals * root, system.n_retained)).step()
         except SingularSystemError:
             break
         state, length = problem.retract(state, step), float(np.sum((design @ step) ** 2))
         del system, design  # free the memory before the next step
-        if length < ROBUST_TOLERANCE:
+        if length < SQUARED_ROBUST_STEP_TOLERANCE:
             break
     return state, problem.whitened_residuals(state)
 
 
 NoiseGrouping = Literal["observable", "instrument"]
 """Groups of readings with separate noise: by observable, or by observable and instrument."""
-VARIANCE_FACTOR_TOLERANCE = 2e-3
+GROUP_NOISE_FACTOR_TOLERANCE = 2e-3
 """Relative change of the noise factors below which their iteration ends: a tenth of the standard deviation of a factor
 that is estimated from 1,250 readings.
 """
@@ -168,10 +170,10 @@ class VarianceComponent:
     """Name of the observable, or ``level``."""
     instrument: str
     """Name of the instrument; '' if all instruments are one group."""
-    factor: float
+    noise_factor: float
     """Estimated factor on the declared standard deviations."""
-    factor_sigma: float
-    """Standard deviation of `factor`; infinite if it could not be estimated."""
+    noise_factor_sigma: float
+    """Standard deviation of `noise_factor`; infinite if it could not be estimated."""
     redundancy: float
     """Sum of the redundancy numbers of the group's readings."""
 
@@ -213,7 +215,7 @@ def estimate_variance_components(
             factor = factor * np.exp(last_step)
             problem = _scale_sigmas(declared, factor, group, problem.is_used_reading)
             solution = solve(problem, solution.x)
-            if np.max(np.abs(change - 1.0)) < VARIANCE_FACTOR_TOLERANCE:
+            if np.max(np.abs(change - 1.0)) < GROUP_NOISE_FACTOR_TOLERANCE:
                 break
         before = problem.is_used_reading
         problem, solution = reject_outliers(_scale_sigmas(declared, factor, group, available), solution.x)

@@ -36,7 +36,7 @@ class UnknownColumns:
     """Columns in the design matrix of the p parameters of each of I instruments, (I, p)."""
     effect_columns: Ints
     """Columns in the design matrix of the q parameters of additional effects, (q,)."""
-    n_reduced: int
+    n_retained: int
     """Number K of columns of the unknowns that are not eliminated from the normal equations."""
     n_columns: int
     """Number of columns of all unknowns."""
@@ -77,11 +77,11 @@ class UnknownColumns:
             next_columns(len(recording.instruments), model.construction.n_parameters),
             next_columns(1, model.n_extra_parameters)[0],
         )
-        n_reduced = size
+        n_retained = size
         target[~keep] = next_columns(int((~keep).sum()), 3)
         pose[over, :3] = target[marks.target_indices[over]]
         pose[:, :3] = np.where(pose[:, :3] < 0, pose[marks.first_setup_on_mark, :3], pose[:, :3])
-        return cls(pose, target, instrument, extra, n_reduced, size)
+        return cls(pose, target, instrument, extra, n_retained, size)
 
 
 MIN_COS_PLUMB_INCLINATION = 1.0 - 1e-8
@@ -97,7 +97,7 @@ class NetworkRows:
     model: MeasurementModel
     """Measurement model that predicts the readings."""
     is_used_reading: Bools
-    """Flags (n, 3) of those readings of n pointings that are in use."""
+    """Flags (n, 3), True for those readings of n pointings that are in use."""
     gauge_rows: GaugeRows
     """Equations of the reference lengths."""
     control_rows: ControlRows
@@ -149,14 +149,14 @@ class UndeterminedUnknowns:
     """Indices of stations without angles and level, whose tilts are undetermined."""
     height_undetermined_stations: Ints
     """Indices of stations with undetermined height: levelled stations with only azimuths and horizontal distances."""
-    unread_stations: Ints
+    stations_without_readings: Ints
     """Indices of stations without any reading."""
     is_unmeasured_target: Bools
-    """Flags (T,) of those of T targets without a used reading, without known coordinates and without a set-up on
+    """Flags (T,), True for those of T targets without a used reading, without known coordinates and without a set-up on
     them."""
     is_height_undetermined_target: Bools
-    """Flags (T,) of those of T targets with undetermined height: levelled set-ups measured only azimuths and horizontal
-    distances to them.
+    """Flags (T,), True for those of T targets with undetermined height: levelled set-ups measured only azimuths and
+    horizontal distances to them.
     """
     oriented_stations: Ints
     """Indices of stations with azimuths, whose yaw (direction of azimuth zero) is determined."""
@@ -187,10 +187,10 @@ class UndeterminedUnknowns:
             (marks.first_setup_on_mark == np.arange(n_stations)) & (marks.target_indices < 0),
         )
         level[levels.station_indices] = True
-        alone[network.control_rows_of_marks.place_indices] = False
+        alone[network.control_rows_of_marks.point_indices] = False
         height = alone & azimuth & ~feels & level
         is_read = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
-        is_read[network.control_rows.place_indices[network.control_rows.declared_components.all(axis=1)]] = True
+        is_read[network.control_rows.point_indices[network.control_rows.declared_components.all(axis=1)]] = True
         is_read[marks.target_indices[marks.target_indices >= 0]] = True
         upright = np.zeros(n_stations, dtype=bool)
         upright[levels.station_indices] = np.abs(levels.plumb_directions @ VERTICAL) > MIN_COS_PLUMB_INCLINATION
@@ -199,7 +199,7 @@ class UndeterminedUnknowns:
         n_rows[marks.target_indices[on & azimuth]] = True
         n_rows[recording.target[high | (use.any(axis=1) & ~upright[recording.station])]] = False
         n_rows[marks.target_indices[on & (feels | ~upright)]] = False
-        n_rows[network.control_rows.place_indices[network.control_rows.declared_components[:, 2]]] = False
+        n_rows[network.control_rows.point_indices[network.control_rows.declared_components[:, 2]]] = False
         n_rows[np.concatenate([network.gauge_rows.first_targets, network.gauge_rows.second_targets])] = False
         height_free = network.difference_rows.is_height_undetermined(np.concatenate([n_rows, height, [False]]))
         has_height = np.concatenate(
@@ -208,13 +208,13 @@ class UndeterminedUnknowns:
         stands = np.where(marks.target_indices >= 0, height_free[marks.target_indices], height_free[len(n_rows) : -1])
         return cls(
             n_coordinates_of_unmeasured_targets=int(
-                network.control_rows.declared_components[~is_read[network.control_rows.place_indices]].sum()
+                network.control_rows.declared_components[~is_read[network.control_rows.point_indices]].sum()
             ),
             unknowns=network.unknowns,
             yaw_undetermined_stations=np.flatnonzero(~azimuth),
             tilt_undetermined_stations=np.flatnonzero(~azimuth & ~elevation & ~level),
             height_undetermined_stations=np.flatnonzero(height_free[len(n_rows) : -1]),
-            unread_stations=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
+            stations_without_readings=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
             is_unmeasured_target=~is_read,
             is_height_undetermined_target=height_free[: len(n_rows)],
             oriented_stations=np.flatnonzero(azimuth),
@@ -226,7 +226,10 @@ class UndeterminedUnknowns:
     def fixed_columns(self) -> Ints:
         """Columns (h, 3) of the unknowns in each of the h equations that fix undetermined unknowns at their values."""
         unknowns = self.unknowns
-        single = [unknowns.target_columns[self.is_unmeasured_target], unknowns.pose_columns[self.unread_stations, :3]]
+        single = [
+            unknowns.target_columns[self.is_unmeasured_target],
+            unknowns.pose_columns[self.stations_without_readings, :3],
+        ]
         single += [
             unknowns.pose_columns[self.height_undetermined_stations, 2:3],
             unknowns.target_columns[self.is_height_undetermined_target, 2:3],
@@ -247,7 +250,7 @@ class UndeterminedUnknowns:
             - state.station_positions[self.oriented_stations[: len(self.scale_target)]]
         )
         directions = arm / np.linalg.norm(arm, axis=1, keepdims=True)
-        unit_vectors = np.zeros((self.n_fixed - len(yaw) - len(tilt) - len(directions), 3))
+        unit_vectors = np.zeros((self.n_fixing_equations - len(yaw) - len(tilt) - len(directions), 3))
         unit_vectors[:, 0] = 1.0
         return np.concatenate([yaw, tilt, directions, unit_vectors])
 
@@ -261,18 +264,18 @@ class UndeterminedUnknowns:
         is_fixed[self.yaw_undetermined_stations, 3:] = True
         is_fixed[self.tilt_undetermined_stations, 3:] = True
         is_fixed[self.height_undetermined_stations, 2] = True
-        is_fixed[self.unread_stations, :3] = True
+        is_fixed[self.stations_without_readings, :3] = True
         return is_fixed
 
     @property
-    def n_fixed(self) -> int:
+    def n_fixing_equations(self) -> int:
         """Number h of equations that fix undetermined unknowns."""
         n_tilts = (
             len(self.yaw_undetermined_stations)
             + 2 * len(self.tilt_undetermined_stations)
             + len(self.scale_target)
             + len(self.height_undetermined_stations)
-            + 3 * len(self.unread_stations)
+            + 3 * len(self.stations_without_readings)
         )
         return n_tilts + int(self.is_height_undetermined_target.sum()) + 3 * int(self.is_unmeasured_target.sum())
 

@@ -90,8 +90,8 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
         return Verdict(VerdictCase.HIDDEN_ERRORS, sentence, False)
     if sigma0 < low and dof < MIN_DOF_FOR_ESTIMATED_NOISE:
         sentence = (
-            f"Trust the {origin} noise. The readings scatter less: {phrase}. But so few degrees of freedom do not "
-            "determine another noise."
+            f"Trust the {origin} noise. The readings scatter less: {phrase}. With so few degrees of freedom no other "
+            "noise can be estimated."
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence, False)
     if sigma0 < low:
@@ -137,7 +137,7 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
 
 
 def _sigma0_limits(dof: int, alpha: float) -> tuple[float, float]:
-    """Lower and upper critical value of sigma0 at the two-sided significance level `alpha`."""
+    """Lower and upper critical value of sigma0 with `dof` degrees of freedom, at the two-sided level `alpha`."""
     low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [alpha / 2, 1 - alpha / 2]) / dof).tolist()
     return low, high
 
@@ -149,7 +149,7 @@ def _sigma0_with_constants_sentence(fit_with_constants: tuple[float, int] | None
     chi2, dof = fit_with_constants
     low, high = _sigma0_limits(dof, alpha)
     sigma0 = float(np.sqrt(chi2 / dof))
-    return f"With the instrument's constants estimated sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected). "
+    return f"If the instrument's constants are estimated, sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected). "
 
 
 def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants: tuple[float, int] | None) -> str:
@@ -163,7 +163,7 @@ def _rejection_reasons(adjustment: Adjustment, alpha: float, fit_with_constants:
         chi2, dof = fit_with_constants
         low, high = _sigma0_limits(dof, alpha)
         sigma0 = float(np.sqrt(chi2 / dof))
-        fit = f"With these constants estimated sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
+        fit = f"If these constants are estimated, sigma0 is {sigma0:.3f} ({low:.3f} to {high:.3f} expected)"
         if sigma0 <= high:
             smaller = "" if sigma0 >= low else f", so that the noise is smaller than {origin}"
             return f"The readings contain errors of the instrument's constants. {fit}{smaller}."

@@ -89,7 +89,7 @@ def calibrate_distance(
     added_pose = added_covariance[unknowns.pose_columns[:, :, None], unknowns.pose_columns[:, None, :]]
     pose = np.where(pose == 0.0, 0.0, pose + added_pose)  # components that define the frame stay exact
     scale = prior.ravel()
-    null_space = np.array([d.vector for d in estimate.undetermined_combinations]).reshape(-1, len(scale))
+    null_space = np.array([d.coefficient_vector for d in estimate.undetermined_combinations]).reshape(-1, len(scale))
     arrays = CalibrationArrays(
         construction=model,
         instruments=recording.instruments,
@@ -202,7 +202,7 @@ class ErrorPropagation:
     @cached_property
     def _unknowns_per_observation(self) -> Floats:
         """Matrix A (unknowns, observations) that maps whitened observations to the adjusted unknowns of the network."""
-        return self.adjustment.factorised_normals.covariance_columns(np.ascontiguousarray(self._whitened_design.T))
+        return self.adjustment.factorised_normals.multiply_by_covariance(np.ascontiguousarray(self._whitened_design.T))
 
     @cached_property
     def _parameter_design(self) -> Floats:

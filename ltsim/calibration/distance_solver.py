@@ -218,7 +218,7 @@ def _make_estimate(
     """
     unknowns, estimated, undetermined = solution
     covariance, noise = estimate_covariance(compared_distances, estimated, norm)
-    prior = np.array([d.vector for d in undetermined]).reshape(len(undetermined), len(unknowns))
+    prior = np.array([d.coefficient_vector for d in undetermined]).reshape(len(undetermined), len(unknowns))
     return DistanceEstimate(
         unknowns,
         covariance + prior.T @ prior,

@@ -12,7 +12,7 @@ from ltsim.adjustment.identification import CauseSelection, adjust_with_causes, 
 from ltsim.adjustment.identification.cause_tests import cause_sentence
 from ltsim.adjustment.prior import ParameterPrior, expected_error_sigmas, prior_sigmas
 from ltsim.adjustment.quality import require_usable
-from ltsim.adjustment.reference_tests import SCALE_DEPENDENT_KINDS, TESTED_REFERENCE_KINDS
+from ltsim.adjustment.reference_tests import TESTED_KINDS_EXCEPT_SCALE, TESTED_REFERENCE_KINDS
 from ltsim.adjustment.stochastic_model import NoiseGrouping
 from ltsim.calibration import result
 from ltsim.calibration.arrays import CalibrationArrays
@@ -248,7 +248,7 @@ def _adjust_with_options(
         require_usable(adjustment)
         return _require_available_datum(adjustment, datum)
     has_no_scale_parameter = prior is None or prior.is_fixed.all()
-    how["tested_reference_kinds"] = TESTED_REFERENCE_KINDS if has_no_scale_parameter else SCALE_DEPENDENT_KINDS
+    how["tested_reference_kinds"] = TESTED_REFERENCE_KINDS if has_no_scale_parameter else TESTED_KINDS_EXCEPT_SCALE
     if selection is not None:
         effects = (*effects, *selection.certain_station_motions, *selection.certain_target_motions)
     adjustment = adjusted_network(recording, construction, effects=effects, **how)
@@ -291,7 +291,7 @@ def _make_calibration(
     is_fixed = adjustment.problem.prior.is_fixed
     is_free = ~is_fixed.ravel()
     covariance = np.where(
-        is_free[:, None] & is_free, adjustment.reduced_covariance[columns_of_free[:, None], columns_of_free], 0.0
+        is_free[:, None] & is_free, adjustment.retained_covariance[columns_of_free[:, None], columns_of_free], 0.0
     )
     prior = adjustment.problem.prior.sigma
     values, directions = (

@@ -36,7 +36,7 @@ def sigma0_of_readings(adjustment: Adjustment) -> float:
 def informative_mask(adjustment: Adjustment) -> Bools:
     """Mask (parameters,) of the free parameters of all instruments on which the readings have information."""
     prior, columns = adjustment.problem.prior, adjustment.problem.unknowns.instrument_columns.ravel()
-    remaining = np.diag(adjustment.reduced_covariance)[columns] / prior.sigma.ravel() ** 2
+    remaining = np.diag(adjustment.retained_covariance)[columns] / prior.sigma.ravel() ** 2
     return np.asarray(~prior.is_fixed.ravel() & (remaining < 1.0 - MAX_UNINFORMATIVE_GAIN))
 
 
@@ -59,7 +59,9 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
     free, size = np.flatnonzero(~prior.is_fixed.ravel()), prior.mean.shape[1]
     unit, used_sigma = prior.sigma.ravel()[free], adjustment.problem.prior.sigma.ravel()[free]
     gap = (adjustment.state.instrument_parameters - prior.mean).ravel()[free]
-    likelihood = likelihood_information(gap, adjustment.constants_covariance[np.ix_(free, free)], used_sigma, unit)
+    likelihood = likelihood_information(
+        gap, adjustment.covariance_of_all_instruments[np.ix_(free, free)], used_sigma, unit
+    )
     common_changes = np.tile(np.eye(size), len(rejected))[~prior.is_fixed.any(axis=0) & (len(rejected) > 1)]
     directions = np.concatenate([np.eye(rejected.size)[free], common_changes])[:, free]
 

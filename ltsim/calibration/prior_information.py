@@ -154,7 +154,7 @@ class ParameterSelection:
     ) -> ParameterPrior:
         """Prior of a recording's instruments for this selection and given sigmas (instruments, parameters) [SI]."""
         check_prior_names(recording, construction)
-        nominal_prior = ParameterPrior.independent(sigma * (NO_PRIOR_SIGMA_FACTOR if self.has_no_prior else 1.0))
+        nominal_prior = ParameterPrior.from_sigmas(sigma * (NO_PRIOR_SIGMA_FACTOR if self.has_no_prior else 1.0))
         if self.earlier_calibrations is not None:
             nominal_prior = self.earlier_calibrations.replace_nominal_prior(
                 nominal_prior, construction, recording.instruments

@@ -10,8 +10,8 @@ from scipy.linalg import block_diag
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.coordinate_uncertainty import (
     MAX_TARGETS_IN_FILE,
-    air_covariance,
     coordinate_covariance_csv_text,
+    covariance_due_to_air,
     joint_covariance_due_to_air,
     longest_range,
     relevant_air_uncertainty,
@@ -56,8 +56,8 @@ def with_reported_uncertainty(calibration: Calibration) -> Calibration:
     if adjustment is None:
         return calibration
     unknowns = adjustment.problem.unknowns
-    covariance = factor**2 * calibration.target_covariance + air_covariance(adjustment, unknowns.target_columns)
-    stations = air_covariance(adjustment, unknowns.pose_columns)
+    covariance = factor**2 * calibration.target_covariance + covariance_due_to_air(adjustment, unknowns.target_columns)
+    stations = covariance_due_to_air(adjustment, unknowns.pose_columns)
     return calibration.with_changes(
         covariance=_scaled_parameter_covariance(calibration, factor),
         target_covariance=covariance,
@@ -106,12 +106,12 @@ def _scaled_parameter_covariance(calibration: Calibration, factor: float) -> Flo
     return new_covariance
 
 
-def _scaled_pose(pose: StationPose, factor: float, air_covariance: Floats) -> StationPose:
+def _scaled_pose(pose: StationPose, factor: float, covariance_due_to_air: Floats) -> StationPose:
     """Pose with standard deviations multiplied by a factor, plus the covariance (6, 6) from errors of the air.
 
     Components that define the frame keep the standard deviation 0.
     """
-    air = np.sqrt(np.diag(air_covariance))
+    air = np.sqrt(np.diag(covariance_due_to_air))
     sigma_by_field = {}
     for name, unit, part in (
         ("sigma_position_mm", MILLIMETRE, air[:3]),

@@ -123,7 +123,7 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     return (
         *outliers,
         *(
-            row(o.row, o.observable_column, o.estimated_error, o.normalised_residual, p_value=o.p_value)
+            row(o.pointing_index, o.observable_column, o.estimated_error, o.normalised_residual, p_value=o.p_value)
             for o in flagged_readings
         ),
     )
@@ -165,8 +165,8 @@ def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
                 NoiseRow(
                     observable=c.observable,
                     instrument=c.instrument,
-                    factor=c.factor,
-                    factor_sigma=c.factor_sigma,
+                    factor=c.noise_factor,
+                    factor_sigma=c.noise_factor_sigma,
                     redundancy=c.redundancy,
                     typical_sigma=typical,
                     unit=unit,
@@ -257,12 +257,12 @@ def frame_text(adjustment: Adjustment) -> str:
     problem, recording = adjustment.problem, adjustment.recording
     free = problem.free_motions.shape[1]
     first_station = recording.stations[0]
-    control_rows, flat = problem.control_rows, adjustment.is_height_undetermined[problem.control_rows.place_indices]
+    control_rows, flat = problem.control_rows, adjustment.is_height_undetermined[problem.control_rows.point_indices]
     control = [
         recording.targets[i]
-        for i in control_rows.place_indices[control_rows.declared_components[:, :2].any(axis=1) | ~flat]
+        for i in control_rows.point_indices[control_rows.declared_components[:, :2].any(axis=1) | ~flat]
     ]
-    control += [problem.marks.mark_names[i] for i in problem.control_rows_of_marks.place_indices]
+    control += [problem.marks.mark_names[i] for i in problem.control_rows_of_marks.point_indices]
     levelled = [recording.stations[i] for i in problem.level_rows.station_indices]
     turned = [recording.stations[i] for i in problem.yaw_rows.station_indices]
     zeros = [f"the azimuth zero of {listing(turned)}"] if turned else []

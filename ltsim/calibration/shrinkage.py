@@ -23,7 +23,7 @@ from scipy import special
 from scipy.linalg import block_diag
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.remedies.detectability import MAX_EXAMINED_PLACES
+from ltsim.adjustment.remedies.detectability import MAX_EXAMINED_VARIANTS
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, GLOBAL_TEST_LEVEL
 from ltsim.calibration.evidence import cosine_sine_pairs
 from ltsim.calibration.prior_conflict import MAX_SIGMA0_FOR_WIDENING, informative_mask, sigma0_of_readings
@@ -80,7 +80,7 @@ def recommend_correction(
     used_terms = np.setdiff1d(free_indices, dropped_terms)
     root = block_diag(*prior.whitening_matrices)[np.ix_(free_indices, free_indices)]
     columns_of_free = adjustment.problem.unknowns.instrument_columns.ravel()[free_indices]
-    precision = np.linalg.inv(root @ adjustment.reduced_covariance[np.ix_(columns_of_free, columns_of_free)] @ root.T)
+    precision = np.linalg.inv(root @ adjustment.retained_covariance[np.ix_(columns_of_free, columns_of_free)] @ root.T)
     vector = precision @ root @ (adjustment.state.instrument_parameters.ravel() - mean)[free_indices]
     used_positions, unit = np.searchsorted(free_indices, used_terms), prior_widening_factor or 1.0
     spread = np.linalg.inv(root)[np.ix_(used_positions, used_positions)] / unit
@@ -326,7 +326,7 @@ def parameters_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Int
     """
     none = np.zeros(0, dtype=np.int64)
     unknowns = adjustment.problem.unknowns
-    if unknowns.n_reduced > MAX_DENSE_UNKNOWNS:
+    if unknowns.n_retained > MAX_DENSE_UNKNOWNS:
         return none
     targets = held_out_targets(adjustment)
     if len(targets) < MIN_PREDICTED_TARGETS:
@@ -361,23 +361,23 @@ def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
     The declared coordinates of a target are held out with its readings and predicted too.
     """
     problem, unknowns = adjustment.problem, adjustment.problem.unknowns
-    system, n_reduced = adjustment.solution.system, adjustment.problem.unknowns.n_reduced
+    system, n_retained = adjustment.solution.system, adjustment.problem.unknowns.n_retained
     control_targets = np.repeat(
-        problem.control_rows.place_indices, problem.control_rows.declared_components.sum(axis=1)
+        problem.control_rows.point_indices, problem.control_rows.declared_components.sum(axis=1)
     )
     lengths = np.full(len(problem.gauge_rows), -1)
     row_target = np.concatenate(
         [adjustment.recording.target[np.nonzero(problem.is_used_reading)[0]], lengths, control_targets]
     )
-    target_indices = np.flatnonzero(unknowns.target_columns[:, 0] >= n_reduced)
-    target_indices = target_indices[:: max(1, -(-len(target_indices) // MAX_EXAMINED_PLACES))]
+    target_indices = np.flatnonzero(unknowns.target_columns[:, 0] >= n_retained)
+    target_indices = target_indices[:: max(1, -(-len(target_indices) // MAX_EXAMINED_VARIANTS))]
     held_out = []
     for target in target_indices.tolist():
         rows = np.flatnonzero(row_target == target)
         if len(rows) > 3:
             design = to_dense(system.design[rows])
             reduced = _eliminate_target(
-                design[:, unknowns.target_columns[target]], design[:, :n_reduced], system.whitened_residuals[rows]
+                design[:, unknowns.target_columns[target]], design[:, :n_retained], system.whitened_residuals[rows]
             )
             held_out.append(_hold_out_target(adjustment, *reduced))
     return held_out
@@ -391,7 +391,7 @@ def _eliminate_target(target_design: Floats, design: Floats, residual: Floats) -
 
 def _hold_out_target(adjustment: Adjustment, design: Floats, residual: Floats) -> HeldOutTarget:
     """Prediction of a target's observations, from design and residuals after elimination of its coordinates."""
-    covariance, at = adjustment.reduced_covariance, adjustment.problem.unknowns.instrument_columns.ravel()
+    covariance, at = adjustment.retained_covariance, adjustment.problem.unknowns.instrument_columns.ravel()
     spread = covariance @ design.T
     inverse = np.linalg.inv(np.eye(len(residual)) - design @ spread)
     by_parameter = inverse @ spread[at].T

@@ -87,9 +87,9 @@ class BatchDistance(BatchCalibrator):
     @cached_property
     def _estimated_combinations(self) -> Floats:
         """Estimated combinations of the parameters: orthonormal columns (unknowns, combinations) [prior sigma]."""
-        excluded_vectors = np.array([d.vector for d in self.nominal_estimate.undetermined_combinations]).reshape(
-            -1, self.distance_problem.prior_sigma.size
-        )
+        excluded_vectors = np.array(
+            [d.coefficient_vector for d in self.nominal_estimate.undetermined_combinations]
+        ).reshape(-1, self.distance_problem.prior_sigma.size)
         return np.linalg.svd(np.eye(excluded_vectors.shape[1]) - excluded_vectors.T @ excluded_vectors)[0][
             :, : excluded_vectors.shape[1] - len(excluded_vectors)
         ]

@@ -60,7 +60,7 @@ class NewPointErrors(Result):
     def _rows(self) -> Iterator[list[Any]]:
         for name, error in self.errors.items():
             sizes = (error.raw_rms, error.calibrated_rms, error.true_parameters_rms)
-            yield [name, *(size / MICROMETRE for size in sizes), error.share_removed]
+            yield [name, *(size / MICROMETRE for size in sizes), error.removed_error_fraction]
 
 
 def _may_be_same_recording(readings: Floats, other_readings: Floats) -> bool:

@@ -152,7 +152,7 @@ class TrueParameterDistribution:
         )
         is_free = np.concatenate([~calibration.is_fixed.ravel(), np.ones(len(reflector_values), dtype=bool)])
         units = np.concatenate([prior, np.ones(len(reflector_values))])
-        missed = adjustment.reduced_covariance[columns[:, None], columns] / np.outer(units, units)
+        missed = adjustment.retained_covariance[columns[:, None], columns] / np.outer(units, units)
         missed = np.where(is_free[:, None] & is_free, missed, 0.0)
         return cls(np.append(mean, reflector_values), np.append(drawn, 0.0 * reflector_values), missed, columns, units)
 
@@ -267,7 +267,7 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: TrueParame
     if not expected.is_drawn_from_prior:
         pick = np.zeros((len(size), len(expected.mean_truth)))
         pick[expected.network_columns, np.arange(len(expected.mean_truth))] = 1.0 / expected.prior_sigmas
-        missed = adjustment.factorised_normals.covariance_columns(pick)
+        missed = adjustment.factorised_normals.multiply_by_covariance(pick)
         bias, less = -missed @ expected.mean_truth, missed**2 @ expected.missing_variance_fraction
     points = (truth.target_points - origin) @ turn + held.station_positions[0]
     variance = np.einsum("tii->ti", calibration.target_covariance) - less[unknowns.target_columns]

@@ -239,7 +239,7 @@ class SerialCalibrator(TrialCalibrator):
         if self.method == "network":
             adjustment = adjust(recording, self.construction, effects=self.effects)
             adjustment.solution.require_success()
-            variance = np.diag(adjustment.reduced_covariance)[adjustment.problem.unknowns.instrument_columns]
+            variance = np.diag(adjustment.retained_covariance)[adjustment.problem.unknowns.instrument_columns]
             return adjustment, adjustment.state.instrument_parameters, np.sqrt(variance)
         calibration = calibrate_distance(recording, self.construction, method=self.method, advise=False)
         return calibration.adjustment, calibration.estimates, calibration.sigma

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.coordinate_uncertainty import air_covariance
+from ltsim.adjustment.coordinate_uncertainty import covariance_due_to_air
 from ltsim.adjustment.refit import Refit
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.diagnosis import AveragedTargets
@@ -82,7 +82,9 @@ def average_over_explanations(
     ) * shift_by_laws
     spread = np.concatenate([deviations, residual_shift[None]])
     adjustment = refit.adjustment
-    covariance = adjustment.target_covariance + air_covariance(adjustment, adjustment.problem.unknowns.target_columns)
+    covariance = adjustment.target_covariance + covariance_due_to_air(
+        adjustment, adjustment.problem.unknowns.target_columns
+    )
     covariance = covariance + np.einsum("kti,ktj->tij", spread, spread)
     return AveragedTargets(points - residual_shift, covariance, spread), space.unwhiten(change)
 
@@ -105,7 +107,7 @@ def _max_subtracted_fraction_of_target_shifts(
         np.nan_to_num(explanation_deviations).reshape(len(explanation_deviations), len(shift)) @ shift
     )
     spread = float(
-        shift_vector @ adjustment.factorised_normals.covariance_columns(shift_vector[:, None])[:, 0]
+        shift_vector @ adjustment.factorised_normals.multiply_by_covariance(shift_vector[:, None])[:, 0]
         + deviations_along_shift @ deviations_along_shift
     )
     noise = float(np.nansum(np.einsum("tii->t", adjustment.target_covariance)) + np.nansum(explanation_deviations**2))
@@ -202,7 +204,7 @@ def _hypotheses_at_probable_shapes(
 def first_order_reading_change(searcher: Searcher, model: Model) -> Floats:
     """Linear approximation of the change (m,) of m whitened readings by all effects in a refitted model."""
     if not model.hypotheses:
-        return np.zeros(searcher.space.n_rows)
+        return np.zeros(searcher.space.n_equations)
     coefficient_means = wide_prior_posterior(
         *model.gram_and_score, np.concatenate([h.plausible_sizes for h in model.hypotheses])
     )[0]

@@ -182,7 +182,7 @@ class CatalogueDesigns:
         dense_designs: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Singles]]] = {}
         used_indices = np.nonzero(space.is_used_reading)
         other = np.ones(
-            space.n_rows - len(used_indices[0]), dtype=np.int64
+            space.n_equations - len(used_indices[0]), dtype=np.int64
         )  # rows that are no readings count as one further pointing and kind
         pointing, kind = (
             np.append(of, n * other) for of, n in zip(used_indices, space.is_used_reading.shape, strict=True)
@@ -193,7 +193,7 @@ class CatalogueDesigns:
             if not len(row_indices):
                 continue
             touched = np.bincount(kind[row_indices], minlength=len(OBSERVABLES) + 1) > 0
-            is_sparse = len(row_indices) < MAX_NONZERO_ROW_FRACTION_OF_SPARSE_DESIGN * space.n_rows
+            is_sparse = len(row_indices) < MAX_NONZERO_ROW_FRACTION_OF_SPARSE_DESIGN * space.n_equations
             stored = row_indices if is_sparse else np.flatnonzero(touched[kind])
             design_columns = design_columns[stored]
             design_columns *= effect.plausible_sizes
@@ -211,7 +211,7 @@ class CatalogueDesigns:
                 made.append(transposed_designs)
             touching.append(effect)
         effect_groups = [
-            _sparse_group(n_parameters, sparse_designs.pop(n_parameters), space.n_rows)
+            _sparse_group(n_parameters, sparse_designs.pop(n_parameters), space.n_equations)
             for n_parameters in sorted(sparse_designs)
         ]
         effect_groups += [
@@ -228,7 +228,7 @@ class CatalogueDesigns:
 
         Poses and coordinates are not updated, because other weights move a network by far less than its lengths.
         """
-        ratio = np.ones(new_space.n_rows, dtype=np.float32)
+        ratio = np.ones(new_space.n_equations, dtype=np.float32)
         is_used = new_space.is_used_reading
         ratio[: int(is_used.sum())] = (self.reading_sigmas / new_space.sigma)[is_used]
         groups = [group.with_rows_scaled(ratio) for group in self.groups]

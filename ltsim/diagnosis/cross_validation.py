@@ -113,7 +113,7 @@ def _reading_shift_by_selected_model(space: ResidualSpace, searcher: Searcher) -
     """Change (m,) of m whitened rows by the model that the search selects; 0 for rows that are no readings."""
     model = searcher.select_effects(requires_effect=True)
     if not model.hypotheses:
-        return np.zeros(space.n_rows)
+        return np.zeros(space.n_equations)
     coefficient_means = wide_prior_posterior(
         *model.gram_and_score, np.concatenate([h.plausible_sizes for h in model.hypotheses])
     )[0]

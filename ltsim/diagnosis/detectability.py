@@ -63,7 +63,7 @@ def _detectability_of_effects(space: ResidualSpace, effects: Sequence[Effect]) -
     visible_effects: list[tuple[Effect, Floats, float, int, Floats]] = []
     for size, same in groupby(subsample_evenly(effects), key=lambda effect: len(effect.parameters)):
         sample = list(same)
-        for batch in (sample[part] for part in batches(len(sample), space.n_rows * size)):
+        for batch in (sample[part] for part in batches(len(sample), space.n_equations * size)):
             designs = np.hstack([space.whitened_design(effect) for effect in batch])
             edges = np.arange(0, designs.shape[1] + 1, size)
             grams = np.stack(space.projector.gram_matrices(designs, edges, slice(None)))

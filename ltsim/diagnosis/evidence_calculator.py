@@ -114,7 +114,7 @@ class EvidenceCalculator:
     def whitened_design(self, effect: CandidateEffect) -> Floats:
         """Whitened design matrix (m, k) of an effect with k parameters, for all m rows of the residual space."""
         affected_rows = self._affected_rows(effect)
-        design_columns = np.zeros((self.space.n_rows, len(effect.parameters)))
+        design_columns = np.zeros((self.space.n_equations, len(effect.parameters)))
         design_columns[affected_rows.row_indices] = self._stacked_designs([effect], affected_rows)[0]
         return design_columns
 

@@ -43,9 +43,9 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
         RESIDUALS_TABLE.file: diagnosis.table("residuals").csv_text(),
         RESIDUALS_BEFORE_TABLE.file: diagnosis.table("residuals_before").csv_text(),
     }
-    air_covariance = joint_covariance_due_to_air(diagnosis.final_adjustment)
+    covariance_due_to_air = joint_covariance_due_to_air(diagnosis.final_adjustment)
     covariance = coordinate_covariance_csv_text(
-        diagnosis.final_adjustment, diagnosis.targets.explanation_deviations, added_covariance=air_covariance
+        diagnosis.final_adjustment, diagnosis.targets.explanation_deviations, added_covariance=covariance_due_to_air
     )
     texts |= {} if covariance is None else {COVARIANCE_FILE_NAME: covariance}
     if recording is not None:

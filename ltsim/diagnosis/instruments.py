@@ -172,9 +172,8 @@ def constants_contradicting_expectation(
     """
     prior = adjustment.problem.prior.sigma
     unit = prior_sigmas(adjustment.recording, adjustment.construction)
-    likelihood = likelihood_information(
-        adjustment.state.instrument_parameters.ravel(), adjustment.constants_covariance, prior.ravel(), unit.ravel()
-    )
+    estimates, estimate_covariance = adjustment.state.instrument_parameters, adjustment.covariance_of_all_instruments
+    likelihood = likelihood_information(estimates.ravel(), estimate_covariance, prior.ravel(), unit.ravel())
     score_vector, log_prior = (
         likelihood.information_vector - likelihood.information @ expectation.mean,
         log_prior_of_each_explanation("constant", len(expectation.possible_changes)),
@@ -327,7 +326,7 @@ class HistoryExpectation:
                 f"the earlier calibrations are those of one instrument, but the recording has {', '.join(names)}; give "
                 "earlier calibrations of all these instruments"
             )
-        nominal_prior = ParameterPrior.independent(prior_sigmas(recording, construction))
+        nominal_prior = ParameterPrior.from_sigmas(prior_sigmas(recording, construction))
         return cls(
             calibrations, calibrations.replace_nominal_prior(nominal_prior, construction, names), nominal_prior.sigma
         )

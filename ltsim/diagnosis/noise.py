@@ -104,7 +104,7 @@ class NoiseHypothesisSet:
         """Noise hypotheses on a residual space; the noise level may be below the declared one if `allows_quieter`."""
         repeat_patterns = [normalised_sum_matrix_of_repeats(space, faces) for faces in REPETITION_KINDS]
         averaging_matrix = sp.csr_array(sp.vstack(repeat_patterns))
-        pattern_counts = space.n_rows - int(space.is_used_reading.sum()), *(m.shape[0] for m in repeat_patterns)
+        pattern_counts = space.n_equations - int(space.is_used_reading.sum()), *(m.shape[0] for m in repeat_patterns)
         other_groups = [np.full(size, len(OBSERVABLES) + i) for i, size in enumerate(pattern_counts)]
         variance_factors = VarianceFactors.from_patterns(
             _noise_patterns(space, hypotheses, repeat_patterns),
@@ -342,5 +342,5 @@ def _noise_patterns(
                     added_variance_of_means(m, added if kind == faces else np.zeros(0))
                     for kind, m in zip(REPETITION_KINDS, averaging_matrices, strict=True)
                 )
-                added = np.concatenate([np.zeros(space.n_rows), *grown])
+                added = np.concatenate([np.zeros(space.n_equations), *grown])
             yield added, tuple(size for (size,) in sizes) if linear else (1.0,)

@@ -40,7 +40,9 @@ def centring_hypotheses_with_evidence(space: ResidualSpace) -> list[tuple[float,
         occupation = np.where(used, target_occupations(recording, effect.uncertainty(MILLIMETRE)), -1)
         if _determines_centring(recording, occupation, requires_repeats_in_face=kind == "station"):
             estimate = best_centring_sigma(space, occupation)
-            hypotheses.append((estimate.gain, NoiseHypothesis("unknown:noise:centring", effect, (estimate.sigma,))))
+            hypotheses.append(
+                (estimate.log_evidence_gain, NoiseHypothesis("unknown:noise:centring", effect, (estimate.sigma,)))
+            )
     return hypotheses
 
 

@@ -124,7 +124,7 @@ class RecordingNoiseLevel(GroupNoiseChange):
         """Noise level in a residual space; it may be below the declared level only if `allows_quieter`."""
         level, kind = NoiseLevel(), np.nonzero(space.is_used_reading)[1]
         group_indicators = sp.csr_array(
-            (np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.n_rows)
+            (np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.n_equations)
         )
         return cls(
             level,
@@ -192,7 +192,7 @@ class GroupNoiseMixture(GroupNoiseChange):
                 continue
             key = of[:, None] * kinds + np.arange(kinds) if per_observable else np.repeat(of[:, None], kinds, axis=1)
             rows = key[space.is_used_reading]
-            shape = len(names) * (kinds if per_observable else 1), space.n_rows
+            shape = len(names) * (kinds if per_observable else 1), space.n_equations
             group_indicators = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape)
             banks.append(
                 cls(
@@ -201,7 +201,7 @@ class GroupNoiseMixture(GroupNoiseChange):
                     COARSE_GROUP_VARIANCE_FACTORS,
                 )
             )
-        if MIN_READINGS_FOR_HEAVY_TAIL <= space.n_rows <= MAX_READINGS_FOR_HEAVY_TAIL:
+        if MIN_READINGS_FOR_HEAVY_TAIL <= space.n_equations <= MAX_READINGS_FOR_HEAVY_TAIL:
             banks += [cls._heavy_tail(space, acts) for acts in NOISY_OBSERVABLE_SETS]
         return tuple(banks)
 
@@ -214,7 +214,8 @@ class GroupNoiseMixture(GroupNoiseChange):
         reading_indices = pointing[places] * len(observables) + column[places]
         names, _ = noise_groups(space.sightings, "reading")
         group_indicators = sp.csr_array(
-            (np.ones(len(reading_indices)), (reading_indices, places)), (len(names) * len(observables), space.n_rows)
+            (np.ones(len(reading_indices)), (reading_indices, places)),
+            (len(names) * len(observables), space.n_equations),
         )
         effect = VarianceFunction(observables, group_kind="reading", group_names=names, per_observable=True)
         return cls(effect, group_indicators, HEAVY_TAIL_VARIANCE_FACTORS)

@@ -60,7 +60,7 @@ class NoiseWindows(GroupNoiseChange):
         """Hypothesis of larger noise in time windows; empty for few readings, and for a recording without times."""
         time, (pointing, kind) = space.sightings.time, np.nonzero(space.is_used_reading)
         distinct = np.unique(time)
-        if space.n_rows < MIN_READINGS_FOR_HEAVY_TAIL or len(distinct) < 2:
+        if space.n_equations < MIN_READINGS_FOR_HEAVY_TAIL or len(distinct) < 2:
             return ()
         steps = min(len(distinct), MAX_CHAIN_STEPS)
         starts = distinct[np.linspace(0, len(distinct), steps, endpoint=False).round().astype(int)]
@@ -70,7 +70,7 @@ class NoiseWindows(GroupNoiseChange):
         reading_indices = step * len(OBSERVABLES) + kind
         group_indicators = sp.csr_array(
             (np.ones(len(reading_indices)), (reading_indices, np.arange(len(reading_indices)))),
-            (steps * len(OBSERVABLES), space.n_rows),
+            (steps * len(OBSERVABLES), space.n_equations),
         )
         return (
             cls(

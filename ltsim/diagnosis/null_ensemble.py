@@ -60,14 +60,14 @@ class NullEnsemble:
         """Ensemble of a residual space for the empty model, with `n_trials` recordings simulated from `seed`."""
         basis = parameter_basis_of_small_network(space)
         n_basis_vectors = N_MONTE_CARLO_GRAM_VECTORS if basis is None else basis.shape[1]
-        vectors = np.empty((space.n_rows, 1 + n_trials + n_basis_vectors), dtype=np.float32)
+        vectors = np.empty((space.n_equations, 1 + n_trials + n_basis_vectors), dtype=np.float32)
         vectors[:, 0] = space.residuals
         _simulate_residuals(space, random_stream(seed, "diagnose", "null"), vectors[:, 1 : 1 + n_trials])
         if basis is None:
             _simulate_residuals(space, random_stream(seed, "diagnose", "gauges"), vectors[:, 1 + n_trials :])
         else:
             vectors[:, 1 + n_trials :] = basis
-        empty_basis = np.zeros((space.n_rows, 0))
+        empty_basis = np.zeros((space.n_equations, 0))
         return cls(
             space, vectors, n_trials, empty_basis, computes_gram_matrices=True, uses_monte_carlo_gram=basis is None
         )

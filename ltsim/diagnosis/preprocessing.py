@@ -76,7 +76,7 @@ def single_error_mask(fit: NetworkFit) -> Bools:
     They are gross errors, and large errors that are single. If several readings of an observable are wrong at one
     station or at one target, an effect may be the cause.
     """
-    error = np.where(fit.is_outlier, np.abs(fit.whitened_residuals), 0.0) / fit.outlier_prediction_sigmas
+    error = np.where(fit.is_outlier, np.abs(fit.whitened_residuals), 0.0) / fit.outlier_prediction_error_sigmas
     isolated, gross = error > MIN_FAR_OUTLIER_SIGMAS, fit.is_gross_reading & (error > MIN_GROSS_SIGMAS)
     for place in (fit.recording.station, fit.recording.target):
         count = np.stack([np.bincount(place, fit.is_outlier[:, k], place.max() + 1) for k in range(3)], axis=1)

@@ -22,7 +22,7 @@ def normalised_sum_matrix_of_repeats(space: ResidualSpace, repetition_kind: str 
     keep = count[group] > 1
     _, number = np.unique(group[keep], return_inverse=True)
     places = np.flatnonzero(keep)
-    shape = (int(number.max(initial=-1)) + 1, space.n_rows)
+    shape = (int(number.max(initial=-1)) + 1, space.n_equations)
     return sp.csr_array((1.0 / np.sqrt(count[group[keep]]), (number, places)), shape)
 
 

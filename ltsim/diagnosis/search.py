@@ -133,7 +133,7 @@ class Searcher:
         largest evidence of each kind are not evaluated, because that would take most of the time and hardly change
         predictions. The screening still uses the Gram matrices of all rows.
         """
-        unit = np.zeros((self.space.n_rows, len(rows)))
+        unit = np.zeros((self.space.n_equations, len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
         reduced = copy(self)
         reduced.space, reduced.uses_fewer_evaluations = self.space.with_design_columns(unit), True

@@ -88,7 +88,7 @@ class SelectionState:
         same. Only the first search of a recording has a p-value.
         """
         earlier = self.earlier_designs
-        is_reusable = earlier is not None and earlier.n_rows == self.space.n_rows
+        is_reusable = earlier is not None and earlier.n_equations == self.space.n_equations
         return Searcher(
             self.space,
             self.seed,

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.coordinate_uncertainty import air_covariance, displacement_per_observation
+from ltsim.adjustment.coordinate_uncertainty import covariance_due_to_air, displacement_per_observation
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option_text, unknown_name_error
 from ltsim.core.notation import listing
@@ -217,7 +217,7 @@ class _Epoch:
             *(shifts_by_source[name] for name in common_sources if name in shifts_by_source),
         ]
         names = [adjustment.recording.targets[i] for i in target_indices]
-        covariance = reach.T @ reach + air_covariance(adjustment, columns)[0]
+        covariance = reach.T @ reach + covariance_due_to_air(adjustment, columns)[0]
         return cls(
             names,
             adjustment.state.target_points[target_indices],

@@ -180,7 +180,7 @@ def observation_uncertainty_sources(adjustment: Adjustment, point_derivatives: F
         ("known differences", problem.difference_rows.n_coordinates),
         ("levels", 2 * len(problem.level_rows)),
         ("orientations", len(problem.yaw_rows)),
-        ("", problem.undetermined_unknowns.n_fixed),
+        ("", problem.undetermined_unknowns.n_fixing_equations),
         (PRIOR_SOURCE, int(np.isfinite(problem.prior.sigma).sum())),
     ):
         groups.append((name, np.arange(at, at + count)))
@@ -207,7 +207,7 @@ def _nuisance_sources(adjustment: Adjustment, point_derivatives: Floats) -> list
     prior values of these errors; the errors of additional effects come first.
     """
     model = adjustment.problem.model
-    finite = np.isfinite(adjustment.problem.effect_sigma[: model.n_effect_parameters])
+    finite = np.isfinite(adjustment.problem.effect_prior_sigmas[: model.n_effect_parameters])
     at, reached = int(finite.sum()), dict[str, list[Floats]]()
     for error in model.nuisance_errors:
         count = len(error.parameters)

@@ -19,7 +19,7 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.coordinate_uncertainty import air_covariance
+from ltsim.adjustment.coordinate_uncertainty import covariance_due_to_air
 from ltsim.adjustment.remedies.undetermined import (
     MeasurementForCombination,
     ParameterCombination,
@@ -76,7 +76,7 @@ class LayoutInformation:
     @property
     def instrument_covariance(self) -> Floats:
         """Expected covariance matrix (p, p) of the p instrument parameters [SI], from readings and priors."""
-        return self.adjustment.instrument_covariance
+        return self.adjustment.first_instrument_covariance
 
     @property
     def scaled_covariance(self) -> Floats:
@@ -114,7 +114,7 @@ class LayoutInformation:
 
         The datum is the mean of all targets (inner constraints).
         """
-        return self._inner_datum_adjustment.pose_covariance + air_covariance(
+        return self._inner_datum_adjustment.pose_covariance + covariance_due_to_air(
             self._inner_datum_adjustment, self._inner_datum_adjustment.problem.unknowns.pose_columns
         )
 
@@ -124,7 +124,7 @@ class LayoutInformation:
 
         The datum is the mean of all targets (inner constraints).
         """
-        return self._inner_datum_adjustment.target_covariance + air_covariance(
+        return self._inner_datum_adjustment.target_covariance + covariance_due_to_air(
             self._inner_datum_adjustment, self._inner_datum_adjustment.problem.unknowns.target_columns
         )
 
@@ -314,7 +314,7 @@ def _unit_error_displacements(
     parameters = -np.einsum("rn,nij->rij", averaging_matrix, by_value).reshape(3 * len(averaging_matrix), -1)
     places = np.concatenate([problem.unknowns.instrument_columns[0], problem.unknowns.effect_columns])
     columns = np.eye(problem.unknowns.n_columns)[:, places]
-    answer = adjustment.factorised_normals.covariance_columns(columns).T @ design.T
+    answer = adjustment.factorised_normals.multiply_by_covariance(columns).T @ design.T
     by_extra = (noise / problem.sigma.ravel()) @ problem.model.extra_design(sightings).reshape(noise.shape[1], n_extra)
     errors = np.zeros((design.shape[0], 0))
     if unmodelled_effects:
@@ -328,7 +328,7 @@ def _unit_error_displacements(
     first_response[:, :count] = noise[:, is_used]
     by_parameter = np.hstack([parameters, by_extra])
     first_response[:, count + lengths : len(columns_used)] = -by_parameter * np.append(
-        layout_information.prior_sigma, problem.effect_sigma
+        layout_information.prior_sigma, problem.effect_prior_sigmas
     )
     first_response[:, len(columns_used) :] = noise[:, is_used] @ errors[:count]
     second_response = first_response.copy()

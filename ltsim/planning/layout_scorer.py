@@ -92,8 +92,8 @@ class LayoutScorer:
         self.parameter_scales = np.concatenate(
             [np.ones(self._n_nuisances), self.prior_sigma, np.array(effect_sigmas, dtype=np.float64)]
         )
-        self._gauge_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] < problem.unknowns.n_reduced)
-        self.mesh_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] >= problem.unknowns.n_reduced)
+        self._gauge_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] < problem.unknowns.n_retained)
+        self.mesh_targets = np.flatnonzero(problem.unknowns.target_columns[:, 0] >= problem.unknowns.n_retained)
         other_rows = problem.linearise(state).design[int(problem.is_used_reading.sum()) :]
         other = to_dense(other_rows[: other_rows.shape[0] - self._n_free_motions])
         unknowns = problem.unknowns

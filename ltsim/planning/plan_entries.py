@@ -363,7 +363,7 @@ class DetectableSize(Entry):
             best=row.best_size / factor,
             typical=row.median_size / factor,
             worst=row.worst_size / factor,
-            worst_at=row.worst_place,
+            worst_at=row.worst_variant,
             plausible=row.plausible_size / factor,
             visible_fraction=row.visible_fraction,
         )

@@ -22,13 +22,13 @@ class MeasurementProposalEntry(Entry):
     """Kind of measurement: pointings, return, station, survey, length or reflectors."""
     minutes: Finite
     """Duration of the measurement [min]."""
-    sigma_ratio: Finite
+    remaining_sigma_fraction: Finite
     """Ratio of the geometric mean of the instrument parameters' standard deviations after the measurement to that
     before; below 1 is better.
     """
     most_improved_parameter: str = ""
     """Instrument parameter whose standard deviation the measurement reduces most."""
-    most_improved_ratio: Finite = 1.0
+    most_improved_sigma_fraction: Finite = 1.0
     """Ratio of the standard deviation of `most_improved_parameter` after the measurement to that before; below 1 is
     better."""
     evidence: dict[str, Finite] = Field(default_factory=dict)
@@ -46,15 +46,15 @@ class MeasurementProposalEntry(Entry):
     @classmethod
     def from_proposal(cls, proposal: MeasurementProposal) -> Self:
         """Entry of the result file for a proposal."""
-        p, there = proposal, proposal.candidate.added_setup_on_plan
+        p, there = proposal, proposal.candidate.added_setup_on_floor_plan
         return cls(
             action=p.candidate.instruction,
             kind=p.candidate.kind,
             minutes=round(p.candidate.duration / 60, 2),
-            sigma_ratio=p.sigma_ratio,
+            remaining_sigma_fraction=p.remaining_sigma_fraction,
             most_improved_parameter=p.most_improved_parameter,
-            most_improved_ratio=p.most_improved_ratio,
-            evidence=p.expected_chi2,
+            most_improved_sigma_fraction=p.most_improved_sigma_fraction,
+            evidence=p.expected_chi2_differences,
             distinguishes=p.distinguished_explanations,
             distinguishes_all=p.distinguishes_all,
             position_mm=to_millimetres(there[0]) if there else None,
@@ -67,11 +67,12 @@ PROPOSALS_TABLE = Table(
     "proposals of further measurements in the order of benefit",
     columns_of(
         MeasurementProposalEntry,
-        "kind minutes sigma_ratio most_improved_parameter most_improved_ratio distinguishes distinguishes_all action",
+        "kind minutes remaining_sigma_fraction most_improved_parameter most_improved_sigma_fraction "
+        "distinguishes distinguishes_all action",
         minutes={"title": "time", "unit": "min", "display_format": ".0f"},
-        sigma_ratio={"title": "factor on sigmas", "display_format": ".2f"},
+        remaining_sigma_fraction={"title": "factor on sigmas", "display_format": ".2f"},
         most_improved_parameter={"title": "most for"},
-        most_improved_ratio={"title": "factor for it", "display_format": ".2f"},
+        most_improved_sigma_fraction={"title": "factor for it", "display_format": ".2f"},
         distinguishes={"kind": "text"},
         distinguishes_all={"kind": "text"},
         action={"title": "measurement"},
@@ -115,7 +116,7 @@ class NextMeasurement(ResultFile):
         return cls(
             recording=source,
             between=ranking.compared_explanations,
-            evidence_now=ranking.present_chi2,
+            evidence_now=ranking.present_chi2_differences,
             advice=ranking.advice_sentence,
             site=site,
             proposals=_best_yaw_per_position(

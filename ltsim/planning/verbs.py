@@ -130,7 +130,7 @@ def next_measurement(
     >>> import ltsim as lt
     >>> recording, _ = lt.simulate("paper-workshop", seed=7)
     >>> proposals = lt.next_measurement(recording)
-    >>> proposals.proposals[0].sigma_ratio < 1
+    >>> proposals.proposals[0].remaining_sigma_fraction < 1
     True
     """
     measured = load_recording(recording)

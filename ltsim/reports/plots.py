@@ -114,7 +114,7 @@ def _(result: Plan) -> Figure:
 def _(result: BenchFile) -> Figure:
     """Figure of a bench test: the reflector's range error with two sigmas, and the measured lengths."""
     lines = {
-        "as read": [(row.as_read_um,) * 3 for row in result.range_errors],
+        "as read": [(row.uncorrected_length_um,) * 3 for row in result.range_errors],
         "range error, ± 2 sigma": [
             (row.error_um, row.error_um - 2 * row.sigma_um, row.error_um + 2 * row.sigma_um)
             for row in result.range_errors
@@ -153,7 +153,7 @@ def _(result: Recovery) -> Figure:
 
 @figure_of.register
 def _(result: NextMeasurement) -> Figure:
-    shares = {p.action: (100 * (1 - p.sigma_ratio),) * 3 for p in result.proposals[:MAX_DRAWN_PROPOSALS]}
+    shares = {p.action: (100 * (1 - p.remaining_sigma_fraction),) * 3 for p in result.proposals[:MAX_DRAWN_PROPOSALS]}
     return values_figure(shares, "sigmas of the instrument's parameters fall by [%]")
 
 

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from ltsim.core.arrays import Floats, Ints
 
-MAX_SINGLE_BLOCK = 240
+MAX_SINGLE_BLOCK_COLUMNS = 240
 """Largest number of columns of a matrix that is treated as one block, because an ordering would cost more than it
 saves."""
 MIN_BORDER_COLUMN_DENSITY = 0.6
@@ -35,11 +35,11 @@ def arrange_as_chain(matrix: sp.csr_array) -> tuple[Ints, Ints]:
     """
     n_unknowns = matrix.shape[0]
     single_block = np.arange(n_unknowns), np.array([0, n_unknowns, n_unknowns])
-    if n_unknowns <= MAX_SINGLE_BLOCK:
+    if n_unknowns <= MAX_SINGLE_BLOCK_COLUMNS:
         return single_block
     shared = np.diff(matrix.indptr) > MIN_BORDER_COLUMN_DENSITY * n_unknowns
     inner_indices = np.flatnonzero(~shared)
-    if len(inner_indices) <= MAX_SINGLE_BLOCK:
+    if len(inner_indices) <= MAX_SINGLE_BLOCK_COLUMNS:
         return single_block
     part = sp.csr_array(matrix[inner_indices][:, inner_indices])
     order = reverse_cuthill_mckee(part, symmetric_mode=True)
@@ -121,7 +121,7 @@ class BlockChainFactor:
         )
 
     def solve(self, right_hand_sides: Floats) -> Floats:
-        """Solutions (K, c) of the linear systems of the factorised matrix (K, K) with c right-hand sides (K, c)."""
+        """Solutions (K, c) of the linear systems of the factorised matrix of K columns, for c right-hand sides."""
         x = right_hand_sides[self._column_order]
         border = self._block_limits[-2]
         for i, (root, after) in enumerate(zip(self._diagonal_factors, self._off_diagonal_factors, strict=True)):

@@ -135,7 +135,7 @@ eigenvector is undetermined. Rounding errors of the eigenvalues are about 1e-15.
 
 POINT_RANK_TOLERANCE = 1e-10
 """Ratio of the smallest to the largest eigenvalue of a point's normal matrix below which the position of the point is
-undetermined in one direction: the standard deviation in it is 100,000 times the smallest one."""
+undetermined in one direction: the standard deviation in this direction is 100,000 times the smallest one."""
 
 
 def scale_to_unit_diagonal(symmetric_matrices: Floats, diagonals: Floats) -> tuple[Floats, Floats]:

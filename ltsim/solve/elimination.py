@@ -1,6 +1,6 @@
 """Linear least-squares step in which most unknowns are eliminated block by block.
 
-Unknowns are either *eliminated* (E blocks of three columns, such as the coordinates of a target) or *reduced* (the K
+Unknowns are either *eliminated* (E blocks of three columns, such as the coordinates of a target) or *retained* (the K
 other columns). No row of the design has entries in two blocks. The part of the normal equations for the eliminated
 unknowns is therefore block diagonal and inverted block by block. A system of size K remains, the Schur complement. The
 cost is linear in the number of blocks.
@@ -41,12 +41,12 @@ from ltsim.solve.threads import single_threaded
 class DenseElimination:
     """Elimination with dense matrices, for a design of m rows (m, K + 3 E).
 
-    The first K columns are reduced, the others are E eliminated blocks of three. `damping` is added to the diagonal of
+    The first K columns are retained, the others are E eliminated blocks of three. `damping` is added to the diagonal of
     the normal matrix; raises LinAlgError if it is not positive definite.
     """
 
-    def __init__(self, design: Floats, n_reduced: int, damping: float) -> None:
-        self._design, self._n_reduced = design, n_reduced
+    def __init__(self, design: Floats, n_retained: int, damping: float) -> None:
+        self._design, self._n_retained = design, n_retained
         normal = design.T @ design
         normal, self.column_scales = scale_to_unit_diagonal(normal, np.diag(normal))
         normal.flat[:: len(normal) + 1] += damping
@@ -60,7 +60,7 @@ class DenseElimination:
         return float(np.diag(self._cholesky_factor).min(initial=1.0) ** 2)
 
     def solve(self, right_hand_sides: Floats) -> Floats:
-        """Solutions of the normal equations of K + 3 E unknowns (K reduced) for c right-hand sides (K + 3 E, c)."""
+        """Solutions of the normal equations of K + 3 E unknowns (K retained) for c right-hand sides (K + 3 E, c)."""
         return scipy.linalg.lapack.dpotrs(self._cholesky_factor, right_hand_sides, lower=1)[0]
 
     @cached_property
@@ -68,18 +68,18 @@ class DenseElimination:
         return inverse_from_cholesky(self._cholesky_factor)
 
     @property
-    def reduced_inverse(self) -> Floats:
-        """Part (K, K) of the inverse normal matrix for the K reduced unknowns."""
-        return self._inverse[: self._n_reduced, : self._n_reduced]
+    def retained_inverse(self) -> Floats:
+        """Part (K, K) of the inverse normal matrix for the K retained unknowns."""
+        return self._inverse[: self._n_retained, : self._n_retained]
 
     def inverses_of_sets(self, columns: Ints) -> Floats:
-        """Parts (c, k, k) of the inverse normal matrix for c sets of k reduced unknowns, indices `columns` (c, k)."""
+        """Parts (c, k, k) of the inverse normal matrix for c sets of k retained unknowns, indices `columns` (c, k)."""
         return self._inverse[columns[:, :, None], columns[:, None, :]]
 
     @cached_property
     def inverse_blocks_and_leverage(self) -> tuple[Floats, Floats]:
         """Parts (E, 3, 3) of the inverse normal matrix for E eliminated blocks, and leverages (m,) of m rows."""
-        block_indices = np.arange(self._n_reduced, len(self._cholesky_factor)).reshape(-1, 3)
+        block_indices = np.arange(self._n_retained, len(self._cholesky_factor)).reshape(-1, 3)
         scaled_rows = (self._design * self.column_scales).T
         whitened = scipy.linalg.solve_triangular(self._cholesky_factor, scaled_rows, lower=True, check_finite=False)
         return self.inverses_of_sets(block_indices), np.einsum("um,um->m", whitened, whitened)
@@ -101,18 +101,18 @@ class SparseElimination:
     The Schur complement is arranged as a chain of blocks (`solve.chain`) if its structure permits.
     """
 
-    def __init__(self, design: sp.csr_array, n_reduced: int, damping: float) -> None:
+    def __init__(self, design: sp.csr_array, n_retained: int, damping: float) -> None:
         self.column_scales = inverse_column_norms(design)
-        self._design, self._n_reduced = design, n_reduced
+        self._design, self._n_retained = design, n_retained
         normal = gram_matrix(iterate_row_batches(design, self.column_scales), design.shape[1])
-        n_blocks = (normal.shape[0] - n_reduced) // 3
-        blocks = _diagonal_blocks(normal[n_reduced:, n_reduced:], n_blocks) + damping * np.eye(3)
+        n_blocks = (normal.shape[0] - n_retained) // 3
+        blocks = _diagonal_blocks(normal[n_retained:, n_retained:], n_blocks) + damping * np.eye(3)
         self._block_inverses, self._smallest_block_pivot = block_inverse(blocks)
-        across = normal[:n_reduced, n_reduced:]
+        across = normal[:n_retained, n_retained:]
         self._elimination_coefficients = sp.csc_array(across @ _block_diagonal(self._block_inverses))
-        schur = normal[:n_reduced, :n_reduced] - self._elimination_coefficients @ across.T
+        schur = normal[:n_retained, :n_retained] - self._elimination_coefficients @ across.T
         if damping:
-            schur = schur + damping * sp.eye_array(n_reduced)
+            schur = schur + damping * sp.eye_array(n_retained)
         self._schur_factor = BlockChainFactor(sp.csr_array(schur))
 
     @property
@@ -121,8 +121,8 @@ class SparseElimination:
         return min(self._smallest_block_pivot, self._schur_factor.smallest_pivot)
 
     def solve(self, right_hand_sides: Floats) -> Floats:
-        """Solutions of the normal equations of K + 3 E unknowns (K reduced) for c right-hand sides (K + 3 E, c)."""
-        front, back = right_hand_sides[: self._n_reduced], right_hand_sides[self._n_reduced :]
+        """Solutions of the normal equations of K + 3 E unknowns (K retained) for c right-hand sides (K + 3 E, c)."""
+        front, back = right_hand_sides[: self._n_retained], right_hand_sides[self._n_retained :]
         reduced = self._schur_factor.solve(front - self._elimination_coefficients @ back)
         blocks = back.reshape(len(back) // 3, 3, right_hand_sides.shape[1])  # of no columns too
         return np.concatenate(
@@ -130,12 +130,12 @@ class SparseElimination:
         )
 
     @cached_property
-    def reduced_inverse(self) -> Floats:
-        """Part (K, K) of the inverse normal matrix for the K reduced unknowns."""
+    def retained_inverse(self) -> Floats:
+        """Part (K, K) of the inverse normal matrix for the K retained unknowns."""
         return self._schur_factor.inverse()
 
     def inverses_of_sets(self, columns: Ints) -> Floats:
-        """Parts (c, k, k) of the inverse normal matrix for c sets of k reduced unknowns, indices `columns` (c, k)."""
+        """Parts (c, k, k) of the inverse normal matrix for c sets of k retained unknowns, indices `columns` (c, k)."""
         inverses = np.full((*columns.shape, columns.shape[1]), np.nan)
         lowest = self._first_chain_block(columns, axis=1)
         for i in np.unique(lowest):
@@ -144,11 +144,11 @@ class SparseElimination:
             inverses[mine] = window.inverse[places[:, :, None], places[:, None, :]]
             inverses[mine[np.any(places < 0, axis=1)]] = np.nan
         if np.isnan(inverses).any():
-            return self.reduced_inverse[columns[:, :, None], columns[:, None, :]]
+            return self.retained_inverse[columns[:, :, None], columns[:, None, :]]
         return inverses
 
     def _first_chain_block(self, columns: Ints, axis: int) -> Ints:
-        """Index of the first block of the chain to which any column of each set belongs; `axis` is that of the set."""
+        """Index of the first block of the chain to which any column of each set belongs; sets are along `axis`."""
         return np.asarray(
             self._schur_factor.block_of_column[columns].min(axis=axis, initial=self._schur_factor.n_blocks - 1)
         )
@@ -161,12 +161,12 @@ class SparseElimination:
         couples are in one `InverseSubmatrix`. Rows without entries in eliminated blocks are processed singly.
         """
         blocks, leverage = self._block_inverses.copy(), np.zeros(self._design.shape[0])
-        order, edges, back = _rows_sorted_by_block(self._design, self._n_reduced, len(blocks))
+        order, edges, back = _rows_sorted_by_block(self._design, self._n_retained, len(blocks))
         scale, carries = (
-            self.column_scales[self._n_reduced :].reshape(-1, 3),
+            self.column_scales[self._n_retained :].reshape(-1, 3),
             sp.csr_array(self._elimination_coefficients.T),
         )
-        front = scale_columns(sp.csr_array(self._design[order][:, : self._n_reduced]), self.column_scales)
+        front = scale_columns(sp.csr_array(self._design[order][:, : self._n_retained]), self.column_scales)
         for g, (low, high) in enumerate(pairwise(edges.tolist())):
             mine = order[low:high]
             if g < len(blocks):
@@ -187,12 +187,12 @@ class SparseElimination:
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
         """Covariances R N^-1 R' of linear functions, as `DenseElimination.covariances_of_functions`."""
         function_rows = scale_columns(function_rows, self.column_scales)
-        back = sp.csr_array(function_rows[:, self._n_reduced :])
-        reduced = sp.csr_array(function_rows[:, : self._n_reduced] - back @ self._elimination_coefficients.T)
+        back = sp.csr_array(function_rows[:, self._n_retained :])
+        reduced = sp.csr_array(function_rows[:, : self._n_retained] - back @ self._elimination_coefficients.T)
         reduced_rows = sp.csr_array(back @ _block_diagonal(self._block_inverses))
         if not len(group_boundaries) > 1:
             return
-        inverse = self.reduced_inverse
+        inverse = self.retained_inverse
         for low, high in pairwise(group_boundaries.tolist()):
             front, columns = dense_rows(reduced, low, high)
             form = front @ inverse[columns[:, None], columns] @ front.T
@@ -201,18 +201,18 @@ class SparseElimination:
             yield form
 
 
-def _rows_sorted_by_block(design: sp.csr_array, n_reduced: int, n_blocks: int) -> tuple[Ints, Ints, Floats]:
+def _rows_sorted_by_block(design: sp.csr_array, n_retained: int, n_blocks: int) -> tuple[Ints, Ints, Floats]:
     """Row indices (m,) of m rows sorted by eliminated block, limits of the groups of rows, and entries (m, 3).
 
     A group has the rows of one block, in the sorted order. The entries are those of each row in the three columns of
     its block. Rows without entries in an eliminated block are last, each as a group.
     """
-    rows, behind = np.repeat(np.arange(design.shape[0]), np.diff(design.indptr)), design.indices >= n_reduced
+    rows, behind = np.repeat(np.arange(design.shape[0]), np.diff(design.indptr)), design.indices >= n_retained
     block, back = np.full(design.shape[0], -1), np.zeros((design.shape[0], 3))
-    block[rows[behind]] = (design.indices[behind] - n_reduced) // 3
+    block[rows[behind]] = (design.indices[behind] - n_retained) // 3
     alone = np.flatnonzero(block < 0)
     block[alone] = n_blocks + np.arange(len(alone))
-    np.add.at(back, (rows[behind], (design.indices[behind] - n_reduced) % 3), design.data[behind])
+    np.add.at(back, (rows[behind], (design.indices[behind] - n_retained) % 3), design.data[behind])
     order = np.argsort(block, kind="stable")
     return order, np.searchsorted(block[order], np.arange(n_blocks + len(alone) + 1)), back
 
@@ -282,11 +282,11 @@ class BlockSystem:
     """Whitened linear least-squares problem with m observations: minimise |design @ step - whitened_residuals|^2."""
 
     design: DesignMatrix
-    """Whitened design matrix of m rows (m, K + 3 E): K columns of reduced unknowns, then E blocks of three columns of
+    """Whitened design matrix of m rows (m, K + 3 E): K columns of retained unknowns, then E blocks of three columns of
     eliminated unknowns."""
     whitened_residuals: Floats
     """Observed minus predicted values of m observations, divided by their standard deviations, (m,)."""
-    n_reduced: int
+    n_retained: int
     """Number K of unknowns that are not eliminated, the size of the Schur complement."""
 
     @property
@@ -317,9 +317,9 @@ class BlockFactor:
         self._elimination: DenseElimination | SparseElimination
         try:
             if isinstance(design, np.ndarray):
-                self._elimination = DenseElimination(design, block_system.n_reduced, damping)
+                self._elimination = DenseElimination(design, block_system.n_retained, damping)
             else:
-                self._elimination = SparseElimination(design, block_system.n_reduced, damping)
+                self._elimination = SparseElimination(design, block_system.n_retained, damping)
         except np.linalg.LinAlgError as error:
             raise SingularSystemError(UNDETERMINED_MESSAGE) from error
         self._column_scales = self._elimination.column_scales
@@ -345,21 +345,21 @@ class BlockFactor:
         return float(image @ image)
 
     def step(self, residual: Floats | None = None) -> Floats:
-        """Damped step of K reduced and 3 E eliminated unknowns (K + 3 E,), by default for the system's residuals."""
+        """Damped step of K retained and 3 E eliminated unknowns (K + 3 E,), by default for the system's residuals."""
         right_side = self._system.design.T @ (self._system.whitened_residuals if residual is None else residual)
-        return self.covariance_columns(right_side[:, None])[:, 0]
+        return self.multiply_by_covariance(right_side[:, None])[:, 0]
 
     @single_threaded
-    def reduced_covariance(self) -> Floats:
-        """Covariance matrix (K, K) of the K reduced unknowns."""
-        scale = self._column_scales[: self._system.n_reduced]
+    def retained_covariance(self) -> Floats:
+        """Covariance matrix (K, K) of the K retained unknowns."""
+        scale = self._column_scales[: self._system.n_retained]
         covariance: Floats = np.outer(scale, scale)
-        covariance *= self._elimination.reduced_inverse
+        covariance *= self._elimination.retained_inverse
         return covariance
 
     @single_threaded
     def covariances_of_sets(self, columns: Ints) -> Floats:
-        """Covariances (c, k, k) of c sets of k reduced unknowns, given by their columns (c, k).
+        """Covariances (c, k, k) of c sets of k retained unknowns, given by their columns (c, k).
 
         The computation is efficient if the unknowns of each set occur together in a row of the design.
         """
@@ -369,12 +369,12 @@ class BlockFactor:
     @single_threaded
     def block_covariance(self) -> Floats:
         """Covariance matrices (E, 3, 3) of the three unknowns of each of E eliminated blocks."""
-        scale = self._column_scales[self._system.n_reduced :].reshape(-1, 3)
+        scale = self._column_scales[self._system.n_retained :].reshape(-1, 3)
         return self._elimination.inverse_blocks_and_leverage[0] * scale[:, :, None] * scale[:, None, :]
 
     @single_threaded
-    def covariance_columns(self, vectors: Floats) -> Floats:
-        """Product of the covariance matrix of all unknowns (K reduced, 3 E eliminated) and c `vectors` (K + 3 E, c)."""
+    def multiply_by_covariance(self, vectors: Floats) -> Floats:
+        """Product of the covariance matrix of K retained and 3 E eliminated unknowns and c `vectors` (K + 3 E, c)."""
         return self._column_scales[:, None] * self._elimination.solve(self._column_scales[:, None] * vectors)
 
     @property
@@ -385,7 +385,7 @@ class BlockFactor:
     def covariances_of_functions(self, function_rows: sp.csr_array, group_boundaries: Ints) -> Iterator[Floats]:
         """Covariance matrices R N^-1 R' of groups R of linear functions of the unknowns.
 
-        `function_rows` (q, K + 3 E) are the coefficients of q functions of K reduced and 3 E eliminated unknowns, N is
+        `function_rows` (q, K + 3 E) are the coefficients of q functions of K retained and 3 E eliminated unknowns, N is
         the normal matrix. Group i has the rows from entry i of `group_boundaries` to before entry i + 1.
         """
         return self._elimination.covariances_of_functions(function_rows, group_boundaries)

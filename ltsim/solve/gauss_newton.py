@@ -76,19 +76,19 @@ class Solution(Generic[PointT]):
     x: PointT
     """Last point of the iteration: the values of the unknowns."""
     sum_of_squares: float
-    """Sum of squared whitened residuals at x."""
+    """Sum of squared whitened residuals at the last point."""
     n_iterations: int
     """Number of iterations; 0 for planned observations."""
     status: TerminationStatus
     """Reason why the iteration ended."""
     factor: BlockFactor | None
-    """Factorised undamped normal equations at x; None if they are singular."""
+    """Factorised undamped normal equations at the last point; None if they are singular."""
     system: BlockSystem
-    """Whitened linear system at x."""
+    """Whitened linear system at the last point."""
 
     @property
     def has_converged(self) -> bool:
-        """True if the iteration converged to an optimum x, or if x is the point for which observations are planned."""
+        """True if the iteration converged to an optimum, or if the observations are only planned."""
         return self.status in (TerminationStatus.CONVERGED, TerminationStatus.PLANNED)
 
     def require_success(self) -> Solution[PointT]:
@@ -187,7 +187,7 @@ def _step_with_previous_design(
 
 def _system_after_step(block_system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
     """Linear system with the same design matrix after a `step`; its residuals are `residual` minus design @ step."""
-    return BlockSystem(block_system.design, residual - block_system.design @ step, block_system.n_reduced)
+    return BlockSystem(block_system.design, residual - block_system.design @ step, block_system.n_retained)
 
 
 def _damped_factor(block_system: BlockSystem, damping: float) -> tuple[BlockFactor | None, float]:

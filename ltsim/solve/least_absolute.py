@@ -15,10 +15,10 @@ from ltsim.core.errors import NetworkError
 N_REWEIGHTING_PASSES = 12
 """Number of passes of reweighted least squares that compute the start point. The lower bound on residuals decreases
 from pass to pass, from the median absolute residual to a hundredth of it."""
-CANDIDATE_ROWS_RATIO = 8
+CANDIDATE_ROWS_PER_UNKNOWN = 8
 """Number of rows of the design from which the first vertex is selected, divided by the number of unknowns. The rows
 with the smallest residuals are used."""
-DATA_PERTURBATION = 1e-6
+RELATIVE_DATA_PERTURBATION = 1e-6
 """Size of the perturbation of the observations, divided by the median absolute residual. The perturbation ensures that
 at no vertex more residuals are zero than there are unknowns, where the descent could cycle."""
 MAX_DESCENT_EDGES = 2000
@@ -56,7 +56,7 @@ def solve_least_absolute(design: Floats, observations: Floats, *, start_solution
             x = np.asarray(np.linalg.solve(weighted.T @ design, weighted.T @ observations), dtype=np.float64)
     # The perturbation grows with the square of the row index. A linear one would cancel in differences of observations.
     perturbation = (0.6180339887498949 * np.arange(len(observations), dtype=np.float64) ** 2) % 1.0 - 0.5
-    vertex_rows = _optimal_vertex(design, observations + DATA_PERTURBATION * median_residual * perturbation, x)
+    vertex_rows = _optimal_vertex(design, observations + RELATIVE_DATA_PERTURBATION * median_residual * perturbation, x)
     return np.asarray(np.linalg.solve(design[vertex_rows], observations[vertex_rows]), dtype=np.float64)
 
 
@@ -86,7 +86,7 @@ def _optimal_vertex(design: Floats, observations: Floats, start_solution: Floats
 def _first_vertex(design: Floats, observations: Floats, start_solution: Floats) -> Ints:
     """Indices (k,) of k linearly independent rows with the smallest residuals at the point `start_solution` (k,)."""
     residual, count = np.abs(observations - design @ start_solution), design.shape[1]
-    order = np.argsort(residual)[: CANDIDATE_ROWS_RATIO * count]
+    order = np.argsort(residual)[: CANDIDATE_ROWS_PER_UNKNOWN * count]
     scaled_design = design[order] / np.maximum(residual[order], residual[order].max() * 1e-6)[:, None]
     pivots = scipy.linalg.qr(scaled_design.T, mode="r", pivoting=True)[1]
     return order[pivots[:count]]

@@ -83,7 +83,7 @@ class BasisResidualProjector:
             yield _spectrum_from_root(part) if len(rows) > part.shape[1] else np.linalg.eigh(part @ part.T)
 
     def with_removed_columns(self, columns: Floats) -> BasisResidualProjector:
-        """Projector that also removes components along e orthonormal vectors (m, e) of the residual space."""
+        """Projector that also removes components along e orthonormal vectors `columns` (m, e) of m observations."""
         return BasisResidualProjector(np.hstack([self.basis, columns]))
 
 
@@ -147,21 +147,21 @@ class FactorResidualProjector:
         return block
 
     def _residual_part(self, columns: Floats, rows: Ints | slice) -> Floats:
-        """Components (m, q) in the residual space of q vectors with entries `columns` (r, q) on r `rows`, 0 elsewhere.
+        """Components (m, q) in the residual space of q vectors of m entries: `columns` (r, q) on r `rows`, else 0.
 
         If rounding errors of the projection exceed `MAX_UNPROJECTED_OVERLAP`, the result is projected a second time.
         """
         design_products = (
             self._transposed_design if len(columns) == len(self.removed_columns) else self.design[rows].T
         ) @ columns
-        residual: Floats = self.design @ -self.factor.covariance_columns(design_products)
+        residual: Floats = self.design @ -self.factor.multiply_by_covariance(design_products)
         residual[rows] += columns
         again = self._transposed_design @ residual
         if np.any(
             np.abs(again) * self._inverse_column_norms[:, None]
             > MAX_UNPROJECTED_OVERLAP * np.linalg.norm(columns, axis=0)
         ):
-            residual -= self.design @ self.factor.covariance_columns(again)
+            residual -= self.design @ self.factor.multiply_by_covariance(again)
         if self.removed_columns.shape[1]:
             residual -= self.removed_columns @ (self.removed_columns.T @ residual)
         return residual

@@ -76,7 +76,7 @@ def test_an_outlier_is_found_with_its_size():
     readings[33, 0] += 2e-4
     found = adjust(recording.with_readings(readings), misalignment_construction())
     first = found.flagged_readings()[0]
-    assert (first.row, first.observable_column) == (33, 0)
+    assert (first.pointing_index, first.observable_column) == (33, 0)
     assert first.estimated_error == pytest.approx(2e-4, abs=3e-5)
     assert not adjust(recording, misalignment_construction()).flagged_readings()
 
@@ -152,7 +152,7 @@ def test_predicted_covariance_is_the_spread_of_repeated_adjustments():
             / 3
         )
         error = found.state.instrument_parameters[0] - values
-        squares["parameters"].append(error @ np.linalg.solve(found.instrument_covariance, error) / 16)
+        squares["parameters"].append(error @ np.linalg.solve(found.first_instrument_covariance, error) / 16)
     for kind, normalised in squares.items():
         spread = np.std(normalised) / np.sqrt(len(normalised))
         assert np.mean(normalised) == pytest.approx(1.0, abs=4 * spread), kind

@@ -8,7 +8,7 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust, adjust_from_state
 from ltsim.adjustment.identification.selection import identify_causes
-from ltsim.adjustment.quality import MAX_CURVATURE, adjustment_warnings, pose_curvatures
+from ltsim.adjustment.quality import MAX_POSE_CURVATURE, adjustment_warnings, pose_curvatures
 from ltsim.adjustment.verdict import VerdictCase, verdict_on
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.core.randomness import random_stream
@@ -209,7 +209,7 @@ def test_a_pose_whose_linear_covariance_fails_is_told(off: float, bent: bool) ->
         found = adjust_from_state(recording.with_readings(recording.readings + noise), start_state=where)
         gap = found.state.station_positions[4] - where.station_positions[4]
         inside += gap @ np.linalg.solve(found.pose_covariance[4, :3, :3], gap) < 7.81
-    assert (pose_curvatures(found)[4] > MAX_CURVATURE) == bent
+    assert (pose_curvatures(found)[4] > MAX_POSE_CURVATURE) == bent
     assert (inside < 0.8 * trials) == bent
     assert (
         any("targets of station S5 hardly determine its pose" in doubt for doubt in adjustment_warnings(found)) == bent

@@ -447,7 +447,7 @@ def test_the_datum_of_chosen_points_has_the_least_trace_and_keeps_their_mean():
     assert np.trace(whole.target_covariance[at].sum(axis=0)) > trace[1]
     np.testing.assert_allclose(tied.residuals, plain.residuals, atol=1e-12)
     np.testing.assert_allclose(
-        tied.reduced_covariance[np.ix_(*2 * [tied.problem.unknowns.pose_columns[2]])],
+        tied.retained_covariance[np.ix_(*2 * [tied.problem.unknowns.pose_columns[2]])],
         tied.pose_covariance[2],
         rtol=1e-8,
     )

@@ -173,7 +173,7 @@ def test_the_budget_names_what_lengths_share_and_adds_up(tmp_path: Path) -> None
     at = adjusted.problem.unknowns.target_columns[names].ravel()
     pick = np.zeros((adjusted.problem.unknowns.n_columns, 6))
     pick[at, np.arange(6)] = 1.0
-    whole = unit @ adjusted.factorised_normals.covariance_columns(pick)[at] @ unit
+    whole = unit @ adjusted.factorised_normals.multiply_by_covariance(pick)[at] @ unit
     assert total == pytest.approx(whole, rel=1e-6)
 
 

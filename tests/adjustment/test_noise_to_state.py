@@ -54,7 +54,7 @@ def test_variance_components_end_at_their_limit(monkeypatch: pytest.MonkeyPatch)
     assert _secant_step(steps, 0.0 * steps, 0.0 * steps) == pytest.approx(steps)
     recording = loud(4.0)
     found = adjust(recording, noise_grouping="instrument").variance_components
-    monkeypatch.setattr("ltsim.adjustment.stochastic_model.VARIANCE_FACTOR_TOLERANCE", 1e-9)
+    monkeypatch.setattr("ltsim.adjustment.stochastic_model.GROUP_NOISE_FACTOR_TOLERANCE", 1e-9)
     exact = adjust(recording, noise_grouping="instrument").variance_components
-    assert [c.factor for c in found] == pytest.approx([c.factor for c in exact], rel=2e-3)
-    assert all(0.2 < c.factor < 0.3 for c in exact[:3])
+    assert [c.noise_factor for c in found] == pytest.approx([c.noise_factor for c in exact], rel=2e-3)
+    assert all(0.2 < c.noise_factor < 0.3 for c in exact[:3])

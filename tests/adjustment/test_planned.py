@@ -22,7 +22,7 @@ def test_a_planned_adjustment_has_the_precision_of_the_solved_one() -> None:
     )
     assert planned.solution.status is TerminationStatus.PLANNED
     assert planned.solution.has_converged
-    for name in ("instrument_covariance", "pose_covariance", "target_covariance", "redundancy"):
+    for name in ("first_instrument_covariance", "pose_covariance", "target_covariance", "redundancy"):
         ours, theirs = getattr(planned, name), getattr(solved, name)
         assert ours == pytest.approx(theirs, rel=1e-6, abs=1e-9 * np.abs(theirs).max())
 
@@ -61,6 +61,6 @@ def test_other_readings_in_use_are_counted_anew() -> None:
     fewer = replace(problem, is_used_reading=use)
     assert np.flatnonzero(fewer.undetermined_unknowns.is_unmeasured_target).tolist() == [5]
     assert fewer.undetermined_unknowns.yaw_undetermined_stations.tolist() == [2]
-    assert fewer.undetermined_unknowns.n_fixed == len(fewer.undetermined_unknowns.fixed_columns) == 4
+    assert fewer.undetermined_unknowns.n_fixing_equations == len(fewer.undetermined_unknowns.fixed_columns) == 4
     assert fewer.unknowns is problem.unknowns
     assert problem.dof - fewer.dof == (~use).sum() - 4

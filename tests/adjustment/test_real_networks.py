@@ -115,7 +115,7 @@ def test_two_faces_of_a_total_station_on_marks():
     found = adjust(read(DATA / "geoeasy-total-station-22st" / "network.GSI"), noise_grouping="observable")
     assert found.solution.has_converged
     assert found.sigma0 == pytest.approx(1.0, abs=0.005)
-    factors = {c.observable: c.factor for c in found.variance_components}
+    factors = {c.observable: c.noise_factor for c in found.variance_components}
     assert factors["distance"] == pytest.approx(0.48, abs=0.03)
     assert factors["level"] > 5
 

@@ -58,9 +58,9 @@ def test_each_restless_target_is_judged_by_its_own_noise():
     scatter[2 * times + 5, 1] = 8.0 * 6.0  # six of its own standard deviations, one and a half of the loudest
     found = adjust(recording.with_readings(place + scatter * recording.sigma()))
     assert found.noisy_targets_and_scatter[0].tolist() == [3, 2]
-    assert [(one.row, one.observable_column) for one in found.flagged_readings(uses_estimated_noise=True)] == [
-        (2 * times + 5, 1)
-    ]
+    assert [
+        (one.pointing_index, one.observable_column) for one in found.flagged_readings(uses_estimated_noise=True)
+    ] == [(2 * times + 5, 1)]
     assert found.flagged_readings(uses_estimated_noise=True)[0].p_value < 1e-3
 
 
@@ -68,9 +68,9 @@ def test_a_large_error_blames_none_of_the_readings_that_it_bends():
     clean = noisy(3)
     found = adjust(spoiled(clean, [(20, 0)], [80.0]), TRACKER)
     assert np.sum(np.abs(found.normalised_residuals) > critical_w(int(found.problem.is_used_reading.sum()))) > 1
-    assert [(one.row, one.observable_column) for one in found.flagged_readings()] == [(20, 0)]
+    assert [(one.pointing_index, one.observable_column) for one in found.flagged_readings()] == [(20, 0)]
     two = adjust(spoiled(clean, [(20, 0), (47, 2)], [80.0, 9.0]), TRACKER)
-    assert [(one.row, one.observable_column) for one in two.flagged_readings()] == [(20, 0), (47, 2)]
+    assert [(one.pointing_index, one.observable_column) for one in two.flagged_readings()] == [(20, 0), (47, 2)]
     assert two.flagged_readings()[1].estimated_error / two.problem.sigma[47, 2] == pytest.approx(9.0, abs=4.0)
 
 
@@ -150,9 +150,9 @@ def test_noise_of_each_observable_is_found():
     found = adjust(noisy(4, truth, faces=2), TRACKER, noise_grouping="observable")
     assert [c.observable for c in found.variance_components] == ["distance", "azimuth", "elevation"]
     for component, true in zip(found.variance_components, truth, strict=True):
-        assert component.factor == pytest.approx(true, abs=4 * component.factor_sigma)
-        assert component.factor_sigma < 0.1 * true
-        assert abs(component.factor - 1.0) > 3.0 * component.factor_sigma
+        assert component.noise_factor == pytest.approx(true, abs=4 * component.noise_factor_sigma)
+        assert component.noise_factor_sigma < 0.1 * true
+        assert abs(component.noise_factor - 1.0) > 3.0 * component.noise_factor_sigma
     assert found.sigma0 == pytest.approx(1.0, abs=0.02)
 
 
@@ -171,8 +171,8 @@ def test_noise_of_each_instrument_is_found_with_blunders_about():
     assert set(where) <= {tuple(map(int, at)) for at in np.argwhere(found.is_rejected)}
     assert found.is_rejected.sum() < 8
     for component in found.variance_components:
-        assert component.factor == pytest.approx(
-            {"A": 1.0, "B": 3.0}[component.instrument], abs=4 * component.factor_sigma
+        assert component.noise_factor == pytest.approx(
+            {"A": 1.0, "B": 3.0}[component.instrument], abs=4 * component.noise_factor_sigma
         )
 
 
@@ -181,8 +181,8 @@ def test_a_group_without_redundancy_keeps_its_noise():
     readings = recording.readings.copy()
     readings[1:, 0] = np.where(np.arange(len(readings) - 1) < 2, readings[1:, 0], np.nan)
     gauge = adjust(recording.with_readings(readings), TRACKER, noise_grouping="observable")
-    assert gauge.variance_components[0].factor == 1.0
-    assert gauge.variance_components[0].factor_sigma == np.inf
+    assert gauge.variance_components[0].noise_factor == 1.0
+    assert gauge.variance_components[0].noise_factor_sigma == np.inf
 
 
 # --- verdict ------------------------------------------------------------------------------------------------------

@@ -69,7 +69,7 @@ def test_hypothetical_network_starts_from_the_real_covariance(make, drawn) -> No
     construction = misalignment_construction()
     adjustment = adjust(make(drawn(construction, 1, 3)), construction)
     covariance, prior = PlannedNetwork.from_adjustment(adjustment).parameter_covariance_and_prior_sigma()
-    assert np.allclose(covariance[0], adjustment.instrument_covariance, rtol=1e-6, atol=0)
+    assert np.allclose(covariance[0], adjustment.first_instrument_covariance, rtol=1e-6, atol=0)
     assert np.array_equal(prior, adjustment.problem.prior.sigma)
 
 
@@ -111,7 +111,7 @@ def test_simple_rotation_undoes_a_mixture() -> None:
 def joint_covariance(adjustment, names=None) -> np.ndarray:
     """(3 T, 3 T) of all targets by inner constraints over some of them."""
     at = adjustment.problem.unknowns.target_columns.ravel()
-    whole = adjustment.factorised_normals.covariance_columns(np.eye(adjustment.problem.unknowns.n_columns))[
+    whole = adjustment.factorised_normals.multiply_by_covariance(np.eye(adjustment.problem.unknowns.n_columns))[
         np.ix_(at, at)
     ]
     return adjustment.with_inner_datum(names).datum.transform_covariance(whole[None], at[None])[0]

@@ -99,7 +99,7 @@ def test_a_rejected_fit_has_larger_standard_deviations_everywhere(plain: lt.Reco
     np.testing.assert_allclose(
         found.stations[1].sigma_position, found.fit.sigma0 * np.sqrt(np.diag(adjustment.pose_covariance[1])[:3])
     )
-    before, after = np.sqrt(np.diag(adjustment.constants_covariance)), found.sigma.ravel()
+    before, after = np.sqrt(np.diag(adjustment.covariance_of_all_instruments)), found.sigma.ravel()
     assert np.all(after > before)
     assert np.all(
         after <= np.minimum(found.fit.sigma0 * before, found.arrays.effective_prior_sigma.ravel()) * (1 + 1e-9)

@@ -141,7 +141,7 @@ def test_a_target_held_out_is_predicted_as_an_adjustment_without_it_predicts(kno
     held = held_out_targets(found.adjustment)[0]
     target = int(
         np.flatnonzero(
-            found.adjustment.problem.unknowns.target_columns[:, 0] >= found.adjustment.problem.unknowns.n_reduced
+            found.adjustment.problem.unknowns.target_columns[:, 0] >= found.adjustment.problem.unknowns.n_retained
         )[0]
     )
     others = recording.select(recording.target != target)

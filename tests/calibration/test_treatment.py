@@ -132,7 +132,7 @@ def test_datum_by_inner_constraints_is_the_s_transformation(make) -> None:
     names = ("T03", "T09", "T14", "T22")
     plain, found = adjust(recording), lt.adjust(recording, datum=names)
     unknowns, points = plain.problem.unknowns, plain.state.target_points
-    whole = plain.factorised_normals.covariance_columns(np.eye(unknowns.n_columns))
+    whole = plain.factorised_normals.multiply_by_covariance(np.eye(unknowns.n_columns))
     chosen = [recording.targets.index(name) for name in names]
     motion = np.zeros((unknowns.n_columns, 6))
     motion[unknowns.target_columns.ravel(), :3] = np.tile(np.eye(3), (len(points), 1))

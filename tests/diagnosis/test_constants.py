@@ -48,7 +48,7 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
     adjustment = adjust(trackers(2, "beam-offset-lateral", 60e-6, 1), misalignment_construction())
     unit = prior_sigmas(adjustment.recording, adjustment.construction).ravel()
     said = likelihood_information(
-        adjustment.state.instrument_parameters.ravel(), adjustment.constants_covariance, unit, unit
+        adjustment.state.instrument_parameters.ravel(), adjustment.covariance_of_all_instruments, unit, unit
     )
     expected = 0.04 * np.eye(32)
     changes = tuple(ConstantChange((1,), k, "nothing") for k in range(16))

@@ -136,7 +136,7 @@ def test_a_weak_effect_leaves_its_cause_in_doubt_and_a_strong_one_ends_it():
     rows = int(space.is_used_reading.sum())
     redundancy = space.redundancy
     rng = random_stream(8, "likeness")
-    law = rng.standard_normal(space.n_rows)
+    law = rng.standard_normal(space.n_equations)
     law[rows:] = 0.0
     law /= np.linalg.norm(law)
     weak, strong = (
@@ -144,7 +144,7 @@ def test_a_weak_effect_leaves_its_cause_in_doubt_and_a_strong_one_ends_it():
     )
     assert -1.0 < weak < 1.0  # as likely as the law itself
     assert strong < -4.0
-    wrong = space.residuals + np.append(1.5 * rng.standard_normal(rows), np.zeros(space.n_rows - rows))
+    wrong = space.residuals + np.append(1.5 * rng.standard_normal(rows), np.zeros(space.n_equations - rows))
     assert log_bayes_factor_of_discrepancy(space, 40.0 * law, wrong, redundancy) > 20.0  # something else is left behind
 
 

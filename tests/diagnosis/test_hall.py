@@ -34,7 +34,7 @@ def changed(clean: tuple[Recording, Adjustment], change: Floats, strength: float
     """First finding with a change (n, 3) of the readings at a noncentrality, and the factor on the change."""
     recording, adjustment = clean
     space = ResidualSpace.from_adjustment(adjustment)
-    design_columns = np.zeros((space.n_rows, 1))
+    design_columns = np.zeros((space.n_equations, 1))
     design_columns[: int(space.is_used_reading.sum()), 0] = (change / recording.sigma())[space.is_used_reading]
     factor = np.sqrt(strength) / np.linalg.norm(space.project(design_columns))
     diagnosis = diagnose(recording.with_readings(recording.readings + factor * change))
@@ -106,11 +106,11 @@ def test_the_weight_of_a_reading_in_a_heavy_tail_is_its_expected_weight(clean) -
     rng = random_stream(5, "tail")
     ranges = np.flatnonzero(np.nonzero(space.is_used_reading)[1] == 0)
     worse = rng.choice(ranges, len(ranges) // 10, replace=False)
-    noise = np.zeros((space.n_rows, 1))
+    noise = np.zeros((space.n_equations, 1))
     noise[worse, 0] = 5.0 * rng.standard_normal(len(worse))
     heavy = space.residuals + space.project(noise)[:, 0]
     bank = NoiseHypothesisSet.from_space(space, noise_hypotheses(space.sightings))
-    best = bank.ranked_noise_changes(heavy, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
+    best = bank.ranked_noise_changes(heavy, space.redundancy, np.zeros((space.n_equations, 0)))[0][1]
     assert getattr(best.effect, "group_kind", "") == "reading" and best.effect.observables == ("distance",)
     fitted = with_estimated_sizes(replace(space, residuals=heavy), space.sigma, best)
     added = np.array(fitted.sizes)[np.nonzero(space.is_used_reading)[0][ranges]]

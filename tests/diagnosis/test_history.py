@@ -78,11 +78,11 @@ def against(
 ) -> tuple[ConstantContradiction, ...]:
     """Contradictions of an adjustment that had found other values (p,)."""
     state = SimpleNamespace(instrument_parameters=values[None])
-    covariance, recording = adjustment.constants_covariance, adjustment.recording
+    covariance, recording = adjustment.covariance_of_all_instruments, adjustment.recording
     other: Any = SimpleNamespace(
         construction=BUILT,
         state=state,
-        constants_covariance=covariance,
+        covariance_of_all_instruments=covariance,
         recording=recording,
         problem=adjustment.problem,
     )

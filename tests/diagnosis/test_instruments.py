@@ -71,7 +71,7 @@ def test_combinations_are_known_where_single_constants_are_not():
     weights = np.zeros(len(adjustment.construction.parameter_names))
     for name, weight in known[0].combination.items():
         weights[adjustment.construction.parameter_names.index(name)] = weight
-    direct = float(np.sqrt(weights @ adjustment.instrument_covariance @ weights)) / 1e-6
+    direct = float(np.sqrt(weights @ adjustment.first_instrument_covariance @ weights)) / 1e-6
     assert direct == pytest.approx(known[0].sigma, rel=0.5)
 
 

@@ -41,7 +41,7 @@ def scattered(space, pair, *, shared):
     rng = random_stream(1, "scatter")
     count = int(space.is_used_reading.sum())
     own, common = rng.standard_normal((len(pair), 3)), rng.standard_normal((pair.max() + 1, 3))[pair]
-    more = np.zeros((space.n_rows, 1))
+    more = np.zeros((space.n_equations, 1))
     more[:count, 0] = 1.5 * (common if shared else own)[space.is_used_reading]
     return space.residuals + space.project(more)[:, 0]
 
@@ -76,7 +76,7 @@ def test_noise_in_a_band_of_a_covariate_is_found_in_that_band(repeated, covariat
     x = space.sightings.covariate_values[covariate]
     band = (-np.pi, -0.75 * np.pi) if covariate == "bearing" else tuple(np.quantile(x, (0.0, 0.25)).tolist())
     inside = (x >= band[0]) & (x <= band[1])
-    change = np.zeros((space.n_rows, 1))
+    change = np.zeros((space.n_equations, 1))
     more = (
         2.0
         * random_stream(9, "band").standard_normal(space.is_used_reading.shape)
@@ -85,7 +85,7 @@ def test_noise_in_a_band_of_a_covariate_is_found_in_that_band(repeated, covariat
     )
     change[: int(space.is_used_reading.sum()), 0] = more[space.is_used_reading]
     residual = space.residuals + space.project(change)[:, 0]
-    best = bank.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1].effect
+    best = bank.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_equations, 0)))[0][1].effect
     at = best.variance(space.sightings, space.sigma, best.plausible_sizes) > space.sigma**2
     assert np.mean(at[:, 2] == inside) > 0.8 and best.observables == ("azimuth", "elevation")
 
@@ -99,10 +99,10 @@ def test_shaken_targets_scatter_in_both_angles_as_one_change(repeated):
         * shaken[:, None]
         * np.array([0.0, 1.0, 1.0])
     )
-    change = np.zeros((space.n_rows, 1))
+    change = np.zeros((space.n_equations, 1))
     change[: int(space.is_used_reading.sum()), 0] = more[space.is_used_reading]
     residual = space.residuals + space.project(change)[:, 0]
-    first = bank.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1].effect
+    first = bank.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_equations, 0)))[0][1].effect
     assert first.observables == ("azimuth", "elevation")
     assert {space.sightings.target_names.index(name) for name in first.targets} <= set(range(7))
 
@@ -111,16 +111,18 @@ def test_evidence_is_the_restricted_likelihood_of_correlated_residuals(repeated)
     """Against determinants of the whole covariance in coordinates of the residual space."""
     space, pair, bank = repeated
     basis = bank.parameter_basis
-    free = np.linalg.svd(np.eye(space.n_rows) - basis @ basis.T)[0][:, : space.n_rows - basis.shape[1]]
+    free = np.linalg.svd(np.eye(space.n_equations) - basis @ basis.T)[0][
+        :, : space.n_equations - basis.shape[1]
+    ]
     residual = scattered(space, pair, shared=False)
-    nothing = np.zeros((space.n_rows, 0))
+    nothing = np.zeros((space.n_equations, 0))
     sums = bank.averaging_matrix.toarray()
     for i in (0, 20, len(bank.hypotheses) // 2, bank.families.index("unknown:noise:repeating")):
         i = int(np.flatnonzero(bank.family_indices == i)[-1]) if i < len(bank.families) else i
-        grown = np.ones(space.n_rows + len(sums))
+        grown = np.ones(space.n_equations + len(sums))
         places, logs = bank.variance_factors.affected_rows_and_log_factors(i)
         grown[places] = np.exp(logs)
-        covariance = np.diag(grown[: space.n_rows]) + sums.T @ np.diag(grown[space.n_rows :] - 1.0) @ sums
+        covariance = np.diag(grown[: space.n_equations]) + sums.T @ np.diag(grown[space.n_equations :] - 1.0) @ sums
         inner, y = free.T @ covariance @ free, free.T @ residual
         dense = 0.5 * (y @ y - y @ np.linalg.solve(inner, y) - np.linalg.slogdet(inner)[1])
         assert bank.log_restricted_likelihood_ratio(i, residual, nothing) == pytest.approx(dense, rel=1e-3, abs=1e-3)
@@ -151,7 +153,7 @@ def test_sizes_between_those_of_the_grid_count_as_much(repeated):
     rough = replace(bank, basis=None)  # in its diagonal form
     found = {
         h.family: value
-        for value, h in rough.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_rows, 0)))
+        for value, h in rough.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_equations, 0)))
     }
     assert found["turbulence"] - bank.log_prior_of_family("turbulence") == pytest.approx(whole, abs=0.1)
     coarse = evidence_of(bank, residual, space.redundancy)["turbulence"]
@@ -205,7 +207,9 @@ def test_quiet_residuals_are_no_law(repeated):
 def test_residuals_that_a_flexible_law_has_fitted_are_not_quiet(repeated):
     """Many columns take their share of the noise: what they leave of redundancy is what quietness is judged by."""
     space, _, bank = repeated
-    beside = space.with_design_columns(random_stream(3, "columns").standard_normal((space.n_rows, space.n_rows // 4)))
+    beside = space.with_design_columns(
+        random_stream(3, "columns").standard_normal((space.n_equations, space.n_equations // 4))
+    )
     assert evidence_of(bank, beside.residuals, space.redundancy)["noise-level"] > 5.0
     assert evidence_of(bank, beside.residuals, beside.redundancy)["noise-level"] < 0.0
 
@@ -213,7 +217,7 @@ def test_residuals_that_a_flexible_law_has_fitted_are_not_quiet(repeated):
 def test_nothing_is_found_where_there_is_nothing(repeated):
     """Each family's evidence is at most its prior, on average over recordings without any change."""
     space, _, bank = repeated
-    white = space.project(random_stream(2, "white").standard_normal((space.n_rows, 200)))
+    white = space.project(random_stream(2, "white").standard_normal((space.n_equations, 200)))
     mean = np.log(np.exp(bank.log_evidence_by_family(white, space.redundancy)).mean(axis=1).sum())
     assert mean < np.log(CAUSE_PRIOR["noise"] + CAUSE_PRIOR["scatter"]) + 1.0
 
@@ -249,7 +253,9 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
         left = (
             space.residuals
             + space.project(
-                np.append(change[space.is_used_reading], np.zeros(space.n_rows - space.is_used_reading.sum()))[:, None]
+                np.append(change[space.is_used_reading], np.zeros(space.n_equations - space.is_used_reading.sum()))[
+                    :, None
+                ]
             )[:, 0]
         )
         evidence = evidence_of(bank, left, space.redundancy)
@@ -277,7 +283,7 @@ def test_a_target_that_no_other_reading_checks_does_not_widen_the_sizes_without_
     """Their redundancy is a rounding error; where it is negative the likelihood rises with the noise without end."""
     space, _, bank = repeated
     (mixture, *_) = (g for g in bank.group_noise_changes if getattr(g.effect, "group_kind", "") == "target")
-    is_first = np.zeros(space.n_rows, dtype=bool)
+    is_first = np.zeros(space.n_equations, dtype=bool)
     is_first[: int(space.is_used_reading.sum())] = (space.sightings.target == 0)[np.nonzero(space.is_used_reading)[0]]
     projector = SimpleNamespace(leverage=lambda: np.where(is_first, 1.0 + 1e-15, 1.0 - space.redundancy))
     unchecked = replace(space, projector=projector, residuals=np.where(is_first, 0.0, space.residuals))
@@ -291,7 +297,7 @@ def test_the_likelihood_times_the_occam_factor_of_separate_noise_is_its_evidence
     space, _, bank = repeated
     (mixture, *_) = (g for g in bank.group_noise_changes if getattr(g.effect, "group_kind", "") == group_kind)
     pointing = np.nonzero(space.is_used_reading)[0]
-    factors = np.ones(space.n_rows)
+    factors = np.ones(space.n_equations)
     factors[: len(pointing)] = np.where(space.sightings.target[pointing] == 2, 4.0, 1.0)
     occam_factors = []
     for residual in (factors * space.residuals, space.residuals):

@@ -32,7 +32,7 @@ def with_angular_noise(space: ResidualSpace, noisy: np.ndarray, size: float, rng
     """Residuals with noise of a size [declared sigmas] added to the angles of some pointings."""
     pointing, kind = np.nonzero(space.is_used_reading)
     rows = np.flatnonzero(noisy[pointing] & (kind > 0))
-    added = np.zeros((space.n_rows, 1))
+    added = np.zeros((space.n_equations, 1))
     added[rows, 0] = size * rng.standard_normal(len(rows))
     return space.residuals + space.project(added)[:, 0]
 
@@ -40,7 +40,7 @@ def with_angular_noise(space: ResidualSpace, noisy: np.ndarray, size: float, rng
 def most_probable(space: ResidualSpace, residual: np.ndarray) -> NoiseHypothesis:
     """Most probable change of the noise for some residuals."""
     bank = NoiseHypothesisSet.from_space(space, noise_hypotheses(space.sightings))
-    return bank.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_rows, 0)))[0][1]
+    return bank.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_equations, 0)))[0][1]
 
 
 def test_the_evidence_is_the_sum_over_all_sequences(space: ResidualSpace, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,7 @@ DRAWS, SEEDS = 300, 3
 
 def clean(searcher: Searcher, seed: int) -> np.ndarray:
     """The statistic (DRAWS,) of clean recordings that have no part in how the search judges."""
-    white = random_stream(seed, "clean").standard_normal((searcher.space.n_rows, DRAWS))
+    white = random_stream(seed, "clean").standard_normal((searcher.space.n_equations, DRAWS))
     others = searcher.space.project(white)
     rest = Searcher(searcher.space, seed, 1, catalogue_designs=searcher.catalogue_designs)
     rest.null_ensemble = with_trials(searcher.null_ensemble, others)

@@ -65,7 +65,7 @@ def test_held_out_error_is_that_of_refits_without_the_fold(space):
         system = rest.problem.__class__.from_model(rest.problem.model).linearise(rest.state)
         held = np.flatnonzero(np.repeat(out, 3))
         design, gap = system.design[held] @ np.eye(system.design.shape[1]), system.whitened_residuals[held]
-        spread = design @ rest.factorised_normals.covariance_columns(design.T)
+        spread = design @ rest.factorised_normals.multiply_by_covariance(design.T)
         square += float(gap @ np.linalg.solve(np.eye(len(gap)) + spread, gap))
         count += len(gap)
     assert cross_validated_errors(space, 0).rms_without_model == pytest.approx(np.sqrt(square / count), rel=1e-3)

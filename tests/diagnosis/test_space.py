@@ -126,7 +126,7 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
 
 def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
     _, found, scored = made
-    nothing = np.zeros((space.n_rows, 0))
+    nothing = np.zeros((space.n_equations, 0))
     for (hits, _, _), panel in zip(scored, found, strict=True):
         for hit in (hits[0], hits[-1]):
             scales = range(len(hit.regressor.coefficient_sigmas))
@@ -146,7 +146,7 @@ def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
     left /= np.linalg.norm(left)
     residual = space.residuals + 20.0 * left[:, 0]
     gains = []
-    for extension in (np.zeros((space.n_rows, 0)), left):
+    for extension in (np.zeros((space.n_equations, 0)), left):
         beside = probe.with_model(residual - extension @ (extension.T @ residual), extension)
         hits = [
             h

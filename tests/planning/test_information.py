@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.remedies.detectability import detectability_at_places
+from ltsim.adjustment.remedies.detectability import detectability_of_variants
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.errors import NetworkError, SetupError
 from ltsim.core.randomness import random_stream
@@ -37,7 +37,7 @@ def test_information_is_that_of_the_solved_recording() -> None:
     recording = made.noise_free_recording(misalignment_construction())
     noise = random_stream(1, "noise").normal(size=recording.readings.shape) * recording.sigma()
     solved = adjust(recording.with_readings(recording.readings + noise), misalignment_construction())
-    sigma = np.sqrt(np.diag(solved.instrument_covariance))
+    sigma = np.sqrt(np.diag(solved.first_instrument_covariance))
     assert information.instrument_sigmas == pytest.approx(sigma, rel=1e-3)
     trace = np.einsum("tii->t", solved.with_inner_datum().target_covariance)
     assert information.target_sigmas == pytest.approx(np.sqrt(trace), rel=1e-3)
@@ -47,7 +47,7 @@ def test_undetermined_combinations_have_the_gain_they_state() -> None:
     information = LayoutInformation.from_survey(survey((1,)))
     assert information.undetermined_combinations, "one face leaves the vertical group undetermined"
     for direction in information.undetermined_combinations:
-        left = direction.vector @ information.scaled_covariance @ direction.vector
+        left = direction.coefficient_vector @ information.scaled_covariance @ direction.coefficient_vector
         assert 1.0 - left == pytest.approx(direction.gain, abs=1e-12)
         assert direction.gain < 0.5
     first = information.undetermined_combinations[0].coefficients(information.construction.parameter_names)
@@ -219,7 +219,7 @@ def test_an_effect_that_knows_the_clock_is_the_same_in_the_batch(face_by_face: b
     for blocks in (whole, alone):
         information = reducer.evaluate_layouts(blocks, np.arange(5)[None]).information
         for k, effect in enumerate(effects):
-            visible = detectability_at_places(space, [effect])
+            visible = detectability_of_variants(space, [effect])
             assert visible is not None
             only = np.delete(
                 np.delete(information, [16 + j for j in range(3) if j != k], 1), [16 + j for j in range(3) if j != k], 2

@@ -102,8 +102,8 @@ CONTENTS: dict[str, dict[str, Any]] = {
     "next.json": {
         "format": "ltsim-next/1", "between": ["vertical-index", "transit-tilt"], "advice": "measure",
         "evidence_now": {"transit-tilt": 1.0},
-        "proposals": [{"action": "two faces", "minutes": 9.0, "sigma_ratio": 0.7,
-                       "most_improved_parameter": "beam-tilt", "most_improved_ratio": 0.6,
+        "proposals": [{"action": "two faces", "minutes": 9.0, "remaining_sigma_fraction": 0.7,
+                       "most_improved_parameter": "beam-tilt", "most_improved_sigma_fraction": 0.6,
                        "evidence": {"transit-tilt": 9.0}, "distinguishes_all": True}],
     },
 }  # fmt: skip

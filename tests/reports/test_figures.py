@@ -59,7 +59,7 @@ def residuals() -> tuple[Residuals, Residuals]:
 
 def parameters() -> list[ParameterEntry]:
     adjusted = samples.after()
-    sigma = np.sqrt(np.diag(adjusted.instrument_covariance))
+    sigma = np.sqrt(np.diag(adjusted.first_instrument_covariance))
     return [
         ParameterEntry(
             name=p.name,
@@ -75,7 +75,7 @@ def parameters() -> list[ParameterEntry]:
 
 
 def correlation_figure() -> Figure:
-    return estimates.correlation_figure(parameters(), samples.after().instrument_covariance)
+    return estimates.correlation_figure(parameters(), samples.after().first_instrument_covariance)
 
 
 def cell_rows_figure() -> Figure:

@@ -306,7 +306,7 @@ def test_next_measurement_stands_first(tmp_path: Path) -> None:
     assert content.summary.startswith(f"Measure next: {proposals[0]['action']} (")
     table = next(block for block in content.sections[0].blocks if block.kind == "table")
     assert [row[0] for row in table.rows] == [p["action"] for p in proposals]
-    assert all(f"{p['sigma_ratio']:.2f}" == row[2] for p, row in zip(proposals, table.rows, strict=True))
+    assert all(f"{p['remaining_sigma_fraction']:.2f}" == row[2] for p, row in zip(proposals, table.rows, strict=True))
 
 
 def test_next_measurement_says_what_it_decides(tmp_path: Path) -> None:

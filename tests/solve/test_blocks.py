@@ -31,15 +31,15 @@ def test_step_covariance_and_leverage_equal_dense_ones(seed, kind):
     scale = 1 / np.linalg.norm(dense, axis=0)
     inverse = np.linalg.inv((dense * scale).T @ (dense * scale)) * np.outer(scale, scale)
     np.testing.assert_allclose(factor.step(), inverse @ dense.T @ system.whitened_residuals, rtol=1e-8)
-    np.testing.assert_allclose(factor.reduced_covariance(), inverse[:7, :7], rtol=1e-8)
+    np.testing.assert_allclose(factor.retained_covariance(), inverse[:7, :7], rtol=1e-8)
     for e, block in enumerate(factor.block_covariance()):
         at = slice(7 + 3 * e, 10 + 3 * e)
         np.testing.assert_allclose(block, inverse[at, at], rtol=1e-8)
     hat = np.einsum("mi,ij,mj->m", dense, inverse, dense)
     np.testing.assert_allclose(factor.leverage(), hat, rtol=1e-8)
     directions = np.eye(len(inverse))[:, [0, 9]]
-    np.testing.assert_allclose(factor.covariance_columns(directions), inverse[:, [0, 9]], rtol=1e-8)
-    assert factor.covariance_columns(directions[:, :0]).shape == (len(directions), 0)
+    np.testing.assert_allclose(factor.multiply_by_covariance(directions), inverse[:, [0, 9]], rtol=1e-8)
+    assert factor.multiply_by_covariance(directions[:, :0]).shape == (len(directions), 0)
 
 
 @pytest.mark.parametrize("kind", [np.array, sp.csr_array])

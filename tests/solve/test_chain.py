@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from ltsim.core.randomness import random_stream
-from ltsim.solve.chain import MAX_SINGLE_BLOCK, BlockChainFactor, arrange_as_chain
+from ltsim.solve.chain import MAX_SINGLE_BLOCK_COLUMNS, BlockChainFactor, arrange_as_chain
 from ltsim.solve.elimination import DenseElimination, SparseElimination
 
 
@@ -43,7 +43,7 @@ def test_a_ring_becomes_a_chain_and_gives_what_dense_algebra_gives(shared, close
     assert sparse._schur_factor.n_blocks > 2
     right = random_stream(1, "right").standard_normal((design.shape[1], 2))
     np.testing.assert_allclose(sparse.solve(right), dense.solve(right), rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(sparse.reduced_inverse, dense.reduced_inverse, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(sparse.retained_inverse, dense.retained_inverse, rtol=1e-7, atol=1e-9)
     for ours, theirs in zip(sparse.inverse_blocks_and_leverage, dense.inverse_blocks_and_leverage, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-9)
     columns = np.array([[0, 1], [5, 5]]) if not shared else np.array([[kept - 1, kept - 2], [3, kept - 1]])
@@ -68,7 +68,7 @@ def test_damping_is_that_of_the_unit_diagonal():
 
 def test_a_matrix_without_a_narrow_order_is_one_block():
     rng = random_stream(2, "matrix")
-    size = MAX_SINGLE_BLOCK + 60
+    size = MAX_SINGLE_BLOCK_COLUMNS + 60
     root = rng.standard_normal((size, size)) + size * np.eye(size)
     matrix = root @ root.T
     chain = BlockChainFactor(sp.csr_array(matrix))

@@ -92,9 +92,9 @@ def test_spectra_give_back_the_blocks_of_the_hat_matrix(projection, root, groups
 def test_a_small_system_or_one_without_factor_gets_a_basis(monkeypatch):
     assert isinstance(make_residual_projector(SYSTEM, None), BasisResidualProjector)
     monkeypatch.setattr("ltsim.solve.projection.MAX_BASIS_ENTRIES", int(np.prod(SYSTEM.design.shape)))
-    small = BlockSystem(SYSTEM.design, SYSTEM.whitened_residuals, SYSTEM.n_reduced)
+    small = BlockSystem(SYSTEM.design, SYSTEM.whitened_residuals, SYSTEM.n_retained)
     assert isinstance(make_residual_projector(small, BlockFactor(small)), BasisResidualProjector)
     tall = BlockSystem(
-        sp.csr_array(sp.vstack([SYSTEM.design] * 3)), np.tile(SYSTEM.whitened_residuals, 3), SYSTEM.n_reduced
+        sp.csr_array(sp.vstack([SYSTEM.design] * 3)), np.tile(SYSTEM.whitened_residuals, 3), SYSTEM.n_retained
     )
     assert isinstance(make_residual_projector(tall, BlockFactor(tall)), FactorResidualProjector)

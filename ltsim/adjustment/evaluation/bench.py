@@ -60,8 +60,9 @@ class BenchRow(Entry):
 
     angle_deg: Finite
     """Angle of the roundness table, equal to the angle of incidence."""
-    as_read_um: Finite
-    """Length measured by the interferometer, before the effect of the eccentricity of the sphere is removed."""
+    uncorrected_length_um: Finite
+    """Measured length minus that at the angle nearest 0 deg, before the effect of the eccentricity of the sphere is
+    removed."""
     error_um: Finite
     """Range error of the reflector: measured minus true range."""
     sigma_um: Finite
@@ -74,7 +75,7 @@ ANGLES_TABLE = Table(
     columns_of(
         BenchRow,
         angle_deg={"title": "incidence", "display_format": "+.1f"},
-        as_read_um={"display_format": ".2f"},
+        uncorrected_length_um={"display_format": ".2f"},
         error_um={"title": "range error", "sigma_column": "sigma_um"},
     ),
 )
@@ -100,7 +101,7 @@ class BenchFile(ResultFile):
     vertex_side: EstimateEntry
     """Offset of the mirrors' vertex from the sphere's centre that would explain the range errors, component to the
     side."""
-    remainder_um: Finite
+    unexplained_rms_um: Finite
     """Rms range error that no offset of the vertex explains, caused by the optics."""
 
     def _lines(self) -> list[str]:
@@ -113,7 +114,7 @@ class BenchFile(ResultFile):
             f"eccentricity of the sphere on the table: {phrase}; run-out {self.run_out_um:.1f} um",
             f"offset of the mirrors' vertex from the sphere's centre (smr-centring): {self.vertex_axial} axial, "
             f"{self.vertex_side} to the side",
-            f"remaining error, which no offset explains (smr-incidence): {self.remainder_um:.2f} um rms",
+            f"remaining error, which no offset explains (smr-incidence): {self.unexplained_rms_um:.2f} um rms",
         ]
         if [round(r.angle_deg, 3) for r in self.range_errors] == [round(float(a) / DEGREE, 3) for a in TABLE_ANGLES]:
             values = ", ".join(f"{r.error_um:.2f}" for r in self.range_errors)
@@ -139,8 +140,8 @@ class ReflectorBenchReadings:
     """Angle of the roundness table for each probe reading [rad]."""
     probe_direction: float
     """Angle [rad] from the interferometer to the probe, seen from the axis of the roundness table."""
-    displacements: Floats
-    """Displacement of the sphere's surface at the probe, outward [m]."""
+    probe_displacements: Floats
+    """Displacement [m] of the sphere's surface at the probe, positive outward, for each probe reading."""
     length_sigma: float
     """Standard deviation of a length [m]."""
 
@@ -175,7 +176,7 @@ class VertexOffset(NamedTuple):
     """Standard deviation of `axial_offset` [m]."""
     side_sigma: float
     """Standard deviation of `side_offset` [m]."""
-    remaining_rms: float
+    unexplained_rms: float
     """Rms range error [m] that no offset of the vertex explains, caused by the optics."""
 
 
@@ -207,7 +208,7 @@ def read_reflector_bench(path: Path, *, probe_direction: float, length_sigma: fl
         lengths=length[measured] * MICROMETRE,
         table_angles_of_probe=angle[probed] * DEGREE,
         probe_direction=probe_direction,
-        displacements=probe[probed] * MICROMETRE,
+        probe_displacements=probe[probed] * MICROMETRE,
         length_sigma=length_sigma,
     )
 
@@ -220,8 +221,8 @@ def evaluate_reflector_bench(readings: ReflectorBenchReadings) -> ReflectorBench
     """
     angles = readings.table_angles_of_probe - readings.probe_direction
     design = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
-    estimate = np.linalg.lstsq(design, readings.displacements, rcond=None)[0]
-    residual = readings.displacements - design @ estimate
+    estimate = np.linalg.lstsq(design, readings.probe_displacements, rcond=None)[0]
+    residual = readings.probe_displacements - design @ estimate
     variance = float(residual @ residual) / max(len(angles) - 3, 1)
     covariance = variance * np.linalg.inv(design.T @ design)[1:, 1:]
     middle_index = int(np.argmin(np.abs(readings.table_angles_of_lengths)))
@@ -234,7 +235,7 @@ def evaluate_reflector_bench(readings: ReflectorBenchReadings) -> ReflectorBench
     return ReflectorBenchEstimates(
         eccentricity=estimate[1:],
         eccentricity_covariance=covariance,
-        run_out=float(np.ptp(readings.displacements)),
+        run_out=float(np.ptp(readings.probe_displacements)),
         uncorrected_lengths=range_changes,
         range_errors=range_changes - change @ estimate[1:],
         range_error_sigmas=np.sqrt(length_variance + np.einsum("ai,ij,aj->a", change, covariance, change)),
@@ -254,7 +255,7 @@ def fit_vertex_offset(angles: Floats, range_errors: Floats, sigma: float) -> Ver
 
 
 def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: float = 0.1) -> BenchFile:
-    """Range error of a reflector over incidence, from its test on a roundness table.
+    """Range error of a reflector as a function of the incidence angle, from its test on a roundness table.
 
     Parameters
     ----------
@@ -303,10 +304,10 @@ def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: fl
         eccentricity_side=entry(result.eccentricity[1], eccentricity_sigmas[1]),
         run_out_um=result.run_out / MICROMETRE,
         table=tuple(
-            BenchRow(angle_deg=angle, as_read_um=read, error_um=error, sigma_um=sigma)
+            BenchRow(angle_deg=angle, uncorrected_length_um=read, error_um=error, sigma_um=sigma)
             for angle, (read, error, sigma) in zip(record.table_angles_of_lengths / DEGREE, columns, strict=True)
         ),
         vertex_axial=entry(vertex.axial_offset, vertex.axial_sigma),
         vertex_side=entry(vertex.side_offset, vertex.side_sigma),
-        remainder_um=vertex.remaining_rms / MICROMETRE,
+        unexplained_rms_um=vertex.unexplained_rms / MICROMETRE,
     )

@@ -108,8 +108,8 @@ class CalibrationErrors:
     """Rms error [m] of the points corrected with the true parameters."""
 
     @property
-    def share_removed(self) -> float:
-        """Fraction of the correctable mean square error that the calibration removed."""
+    def removed_error_fraction(self) -> float:
+        """Removed fraction (R - C) / (R - P) of mean squared errors: R raw, C calibrated, P with true parameters."""
         return removed_error_fraction(self.raw_rms, self.calibrated_rms, self.true_parameters_rms)
 
 

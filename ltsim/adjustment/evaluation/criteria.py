@@ -1,9 +1,9 @@
 """Criteria of Sensors 2021, 21, 7479: disagreement of stations, and deviations from nominal points.
 
 Stations disagree in the distances between targets and in the coordinates of targets (sections 2.3.4 and 3.2.1). Eq. 11
-compares distances with those of station 1 (the absolute value, which it omits, is taken), whereas section 3.2.1
-compares them with their mean over the stations. Both are computed: `distance` compares with the mean, as the paper's
-Table 3, and `distance_to_first` with station 1.
+compares distances with the distances from station 1 (its missing absolute value is added here); section 3.2.1 and
+Table 3 compare them with their mean over the stations. Both are computed: `distance_to_first` with station 1,
+`distance` with the mean.
 
 The verification compares a calibrated tracker with nominal points from a coordinate measuring machine. Eq. 13 compares
 the distance between two targets, measured from one station, with the distance of the nominal points. Eq. 14 compares
@@ -41,18 +41,18 @@ from ltsim.recordings.result_file import Entry, OptionalFloat, ResultFile, Sourc
 class StationDisagreement(ValueEquality):
     """Disagreement of the stations [m]: for distances one value per pair of targets, for coordinates one per target."""
 
-    values: Floats
+    disagreements: Floats
     """Disagreement of each pair of targets or each target [m]."""
 
     @property
     def mean(self) -> float:
         """Mean disagreement [m]."""
-        return float(self.values.mean())
+        return float(self.disagreements.mean())
 
     @property
     def maximum(self) -> float:
         """Largest disagreement [m]."""
-        return float(self.values.max())
+        return float(self.disagreements.max())
 
 
 CRITERIA_TABLE = Table(
@@ -122,15 +122,16 @@ class CriteriaEntry(Entry):
     distance: CriterionEntry
     """Deviations of distances from their mean over the stations."""
     coordinate: CriterionEntry
-    """Deviations of coordinates after a rigid fit of the stations (eq. 12)."""
+    """Deviations of coordinates between the stations after their rigid fit (Sensors 2021, 21, 7479, eq. 12)."""
     distance_to_first: CriterionEntry | None = None
-    """Deviations of distances from those of the first station (eq. 11); null in a verification."""
+    """Deviations of distances from the distances measured by station 1 (Sensors 2021, 21, 7479, eq. 11); null in a
+    verification."""
 
     def criteria_table(self) -> Table:
         """Data table with the disagreement by each criterion in one row."""
         criterion_by_name = {
             "distance": self.distance,
-            "distance, to the first station (eq. 11)": self.distance_to_first,
+            "distance, compared with station 1": self.distance_to_first,
         }
         table_rows = []
         for name, criterion in {**criterion_by_name, "coordinate": self.coordinate}.items():
@@ -162,11 +163,11 @@ class Criteria(ResultFile, CriteriaEntry):
 
 
 def iterate_distances_by_target(clouds: Floats, min_observers: int = 1) -> Iterator[tuple[Ints, Floats]]:
-    """Iterator over targets: indices of the stations that measured the target, and its distances [m] to the next ones.
+    """Iterator over targets: indices of the stations that measured it, and its distances [m] to the following targets.
 
-    `clouds` (stations, targets, 3) [m] are the points of each station, NaN if not measured. The distances to
-    the following targets have the shape (stations that measured the target, following targets). Pairs measured from
-    fewer than `min_observers` stations are left out, so that the memory depends only on measured pairs.
+    `clouds` (stations, targets, 3) [m] are the points of each station, NaN if not measured. The distances have the
+    shape (stations that measured the target, following targets). Pairs measured from fewer than `min_observers`
+    stations are left out, so that the memory depends only on measured pairs.
     """
     is_measured = np.isfinite(clouds[:, :, 0])
     for point in range(clouds.shape[1]):
@@ -176,10 +177,11 @@ def iterate_distances_by_target(clouds: Floats, min_observers: int = 1) -> Itera
 
 
 def distance_differences(clouds: Floats) -> StationDisagreement:
-    """Mean absolute deviation of each distance between two targets from its mean over the stations (section 3.2.1).
+    """Mean absolute deviation of each distance between two targets from its mean over the stations.
 
     `clouds` (stations, targets, 3) [m] are the points of each station in its instrument frame, NaN if not measured.
     Pairs of targets measured from only one station are left out.
+    Source: Sensors 2021, 21, 7479, section 3.2.1.
     """
     lengths = (length for _, length in iterate_distances_by_target(clouds, 2))
     means = [np.nanmean(np.abs(length - np.nanmean(length, axis=0)), axis=0) for length in lengths if length.size]
@@ -187,9 +189,10 @@ def distance_differences(clouds: Floats) -> StationDisagreement:
 
 
 def distance_differences_to_first(clouds: Floats) -> StationDisagreement:
-    """Mean absolute difference of each distance between two targets from the distance measured by station 1 (eq. 11).
+    """Mean absolute difference of each distance between two targets from the distance measured by station 1.
 
     `clouds` (stations, targets, 3) [m] are the points of each station in its instrument frame, NaN if not measured.
+    Source: Sensors 2021, 21, 7479, eq. 11.
     """
     lengths = (length for _, length in iterate_distances_by_target(clouds[:, np.isfinite(clouds[0, :, 0])], 2))
     means = [np.nanmean(np.abs(length[1:] - length[0]), axis=0) for length in lengths if length.size]
@@ -197,9 +200,10 @@ def distance_differences_to_first(clouds: Floats) -> StationDisagreement:
 
 
 def coordinate_differences(aligned_clouds: Floats) -> StationDisagreement:
-    """Distance between two stations' positions of the same target, mean over all pairs of stations (eq. 12).
+    """Distance between two stations' positions of the same target, mean over all pairs of stations.
 
     `aligned_clouds` (stations, targets, 3) [m] are the points of all stations in one frame, NaN if not measured.
+    Source: Sensors 2021, 21, 7479, eq. 12.
     """
     total, count = np.zeros(aligned_clouds.shape[1]), np.zeros(aligned_clouds.shape[1])
     for targets, gap in iterate_distances_by_target(np.swapaxes(aligned_clouds, 0, 1)):
@@ -248,7 +252,7 @@ def evaluate_criteria(
             return criterion_function(align_to_first_station(clouds, recording.stations) if is_aligned else clouds)
 
         raw_disagreement = disagreement_of(raw_clouds)
-        if not len(raw_disagreement.values):
+        if not len(raw_disagreement.disagreements):
             raise NetworkError("the criteria need targets and pairs of targets that two stations measured")
         return CriterionEntry.from_differences(
             raw_disagreement, None if corrected_clouds is None else disagreement_of(corrected_clouds)
@@ -267,12 +271,12 @@ def _subtract_change(recording: Recording, reading_changes: Floats | None) -> Re
 
 
 def _distance_to_first_criterion(uncalibrated: Floats, calibrated: Floats | None) -> dict[str, CriterionEntry]:
-    """Criterion of eq. 11 by its field of `CriteriaEntry`; empty if no station shares two targets with the first.
+    """Comparison of distances with station 1, by its field of `CriteriaEntry`; empty if no distance is comparable.
 
     `uncalibrated` and `calibrated` (stations, targets, 3) [m] are the points of each station.
     """
     differences = distance_differences_to_first(uncalibrated)
-    if not len(differences.values):
+    if not len(differences.disagreements):
         return {}
     corrected = None if calibrated is None else distance_differences_to_first(calibrated)
     return {"distance_to_first": CriterionEntry.from_differences(differences, corrected)}
@@ -295,19 +299,21 @@ def read_nominal(path: Path) -> dict[str, Floats]:
 
 
 def distance_errors(clouds: Floats, nominal_points: Floats) -> StationDisagreement:
-    """Mean absolute error of each distance between two targets relative to the nominal distance (eq. 13).
+    """Mean absolute error of each distance between two targets relative to the nominal distance.
 
     `clouds` (stations, targets, 3) [m] are the points of each station, NaN if not measured, `nominal_points` (targets,
     3) [m] those of the measuring machine.
+    Source: Sensors 2021, 21, 7479, eq. 13.
     """
     return distance_differences_to_first(np.concatenate([nominal_points[None], clouds]))
 
 
 def coordinate_errors(clouds: Floats, nominal_points: Floats) -> StationDisagreement:
-    """Distance of each target from its nominal point after a rigid fit of each station, mean over stations (eq. 14).
+    """Distance of each target from its nominal point after a rigid fit of each station, mean over stations.
 
     `clouds` (stations, targets, 3) [m] are the points of each station, NaN if not measured, `nominal_points` (targets,
     3) [m] those of the measuring machine.
+    Source: Sensors 2021, 21, 7479, eq. 14.
     """
     gap = np.linalg.norm([align_to_points(cloud, nominal_points) - nominal_points for cloud in clouds], axis=2)
     return StationDisagreement(np.nanmean(gap[:, np.isfinite(gap).any(axis=0)], axis=0))

@@ -171,7 +171,8 @@ def _test_setup(
 
     The three recordings contain the same pointings with different corrections. The two-face differences are those of
     `paired_recording`, which contains outliers; the other tests use `setup_recording`; `recording_with_declared_noise`
-    has no estimated noise.
+    has no estimated noise. `mpe` is the maximum permissible two-face difference: constant part [um] and part per range
+    [um/m].
     """
     indices = np.flatnonzero(setup_recording.station == station)
     recording, row_numbers, name = setup_recording.select(indices), indices + 1, setup_recording.stations[station]
@@ -320,7 +321,10 @@ def _neg_log_p(fit: ColumnsFit) -> float:
 def _gross_item(
     occupation: StationOccupation, p_values: Mapping[int, float], row_numbers: Ints, test_family: BonferroniFamily
 ) -> CheckItem:
-    """Result of the test for gross errors, from the p-values of the rejected pointings by index."""
+    """Result of the test for gross errors, from the p-values of the rejected pointings by index.
+
+    `row_numbers` (n,) are the rows of the n pointings in the recording, from 1.
+    """
     recording, name = occupation.recording, occupation.recording.stations[0]
     targets = tuple(dict.fromkeys(recording.targets[recording.target[i]] for i in p_values))
     sentence, numbers = (
@@ -334,10 +338,13 @@ def _gross_item(
 def _bump_item(
     occupation: StationOccupation, bump: StationBump | None, row_numbers: Ints, test_family: BonferroniFamily
 ) -> CheckItem:
-    """Result of the test for a sudden motion of the station; passed if `bump` is None."""
+    """Result of the test for a sudden motion of the station; passed if `bump` is None.
+
+    `row_numbers` (n,) are the rows of the n pointings in the recording, from 1.
+    """
     recording, name = occupation.recording, occupation.recording.stations[0]
     if bump is None:
-        return CheckItem.from_test(name, "bump", True, f"{name}: no sudden motion")
+        return CheckItem.from_test(name, "bump", True, f"{name}: no sudden motion of the station detected")
     fit = occupation.fit_columns(bump.design(occupation.sightings))
     order = np.argsort(recording.time, kind="stable")
     index = int(np.searchsorted(recording.time[order], bump.time))
@@ -347,7 +354,9 @@ def _bump_item(
     chance = test_family.corrected_p_value(occupation.p_value(fit), len(order) - 1)
     motion_interval_text = interval_text(recording, int(pair[0]), int(pair[1]), row_numbers.tolist())
     sentence = bump_sentence(recording, motion_interval_text, fit)
-    return CheckItem.from_test(name, "bump", False, sentence, chance, rows=rows_around_motion, between_s=time_interval)
+    return CheckItem.from_test(
+        name, "bump", False, sentence, chance, rows=rows_around_motion, motion_interval_s=time_interval
+    )
 
 
 def _zero_drift_design(occupation: StationOccupation) -> Floats:

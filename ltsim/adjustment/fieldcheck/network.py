@@ -177,7 +177,7 @@ def network_items(
         ):  # larger noise: only outliers relative to it are reported
             is_explained |= ~np.isin(
                 np.arange(len(is_explained)),
-                [motion.row for motion in adjustment_or_error.flagged_readings(uses_estimated_noise=True)],
+                [reading.pointing_index for reading in adjustment_or_error.flagged_readings(uses_estimated_noise=True)],
             )
         check_items += [
             *_target_agreement_items(adjustment, is_explained, test_family, noise_text),
@@ -265,6 +265,8 @@ def _length_items(fitted: Adjustment, test_family: BonferroniFamily) -> list[Che
     for test in scales:
         p = test_family.corrected_p_value(float(special.chdtrc(test.rank, test.chi2_drop)))
         passed = p >= test_family.false_alarm_rate
-        agreement = f"{test.name}: agreement with the distances within noise and specification ({test.error_text})"
+        agreement = (
+            f"{test.name}: agreement with the measured distances within noise and specification ({test.error_text})"
+        )
         check_items.append(CheckItem.from_test("", "network", passed, agreement if passed else test.sentence, p))
     return check_items

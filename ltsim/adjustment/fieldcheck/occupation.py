@@ -66,14 +66,14 @@ class ColumnsFit:
 
 @dataclass(frozen=True)
 class StationOccupation:
-    """Set-up with its whitened residuals, from which target coordinates and instrument errors are projected out."""
+    """Set-up with repeated pointings: whitened residuals after a fit of target coordinates and instrument errors."""
 
     recording: Recording
     """Recording of this station."""
     sightings: Sightings
     """Sightings of the pointings, in the instrument frame."""
     row_mask: Bools
-    """Flags (n,) of those of the n pointings that are in use."""
+    """Flags (n,), True for those of the n pointings that are in use."""
     whitened_residuals: Floats
     """Residuals of the readings of n pointings divided by their standard deviations, (n, 3); 0 for unused readings."""
     target_basis: Floats
@@ -201,7 +201,7 @@ class StationOccupation:
         ]
         return np.asarray(sums[0], dtype=np.float64), np.asarray(sums[1], dtype=np.float64)
 
-    def distance_from_mean(self, row: int) -> float:
+    def distance_from_mean_of_others(self, row: int) -> float:
         """Distance [m] of the point measured in `row` from the mean of the target's other points; NaN without any."""
         points = from_polar(self.recording.readings)
         is_complete = np.isfinite(points).all(axis=1)
@@ -274,8 +274,8 @@ class TwoFaceDifferences:
     half_difference_sigmas: Floats
     """Standard deviations (m, 3) [m, rad, rad] of the half differences of m pairs, from the declared noise."""
     exceeds_limit: Bools
-    """Flags (m, 3) of the half differences of m pairs that exceed their limits, after the correction for motions."""
-    max_half_differences: Floats
+    """Flags (m, 3) of m pairs, True for half differences that exceed their limits after the correction for motions."""
+    half_difference_limits: Floats
     """Largest permitted half differences of m pairs, (m, 3) [m, rad, rad]."""
 
     @classmethod
@@ -338,7 +338,7 @@ class TwoFacePairs:
         return np.sqrt(np.mean(self.half_differences**2, axis=0))
 
     @property
-    def median(self) -> Floats:
+    def median_absolute(self) -> Floats:
         """Median (3,) [m, rad, rad] of the absolute half differences, insensitive to a few gross errors."""
         return np.median(np.abs(self.half_differences), axis=0)
 

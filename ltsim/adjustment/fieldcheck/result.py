@@ -46,7 +46,7 @@ class CheckItem(Entry):
     """Names of the targets with the detected error."""
     rows: tuple[int, ...] = ()
     """Row numbers, from 1, of the pointings with the detected error."""
-    between_s: tuple[Finite, Finite] | None = None
+    motion_interval_s: tuple[Finite, Finite] | None = None
     """Times [s] between which a sudden motion happened; null for other tests."""
 
     @classmethod
@@ -61,7 +61,7 @@ class CheckItem(Entry):
     ) -> CheckItem:
         """Item with the result of a test of `station`; `station` is empty for a test of all stations.
 
-        `details` are the fields `targets`, `rows` and `between_s`.
+        `details` are the fields `targets`, `rows` and `motion_interval_s`.
         """
         return cls(station=station, kind=kind, passed=passed, sentence=sentence, p_value=p_value, **details)
 
@@ -163,7 +163,10 @@ class Check(ResultFile):
     def from_items(
         cls, arrays: CheckArrays, network_items: Sequence[CheckItem], alpha: float, tests: Sequence[CauseTest]
     ) -> Self:
-        """Result with the items in this order: identified causes, blunders, set-ups, network."""
+        """Result with the items in this order: identified causes, blunders, set-ups, network.
+
+        `alpha` is the false-alarm probability of the whole check.
+        """
         causes = tuple(map(item_from_cause, tests))
         mistakes = (item for item in network_items if item.kind == "mistake")
         other_network_items = (item for item in network_items if item.kind != "mistake")
@@ -198,7 +201,7 @@ class Check(ResultFile):
         for setup in self.arrays.setups:
             if (faces := setup.two_face_differences) is None:
                 continue
-            sizes = np.concatenate([faces.uncorrected_pairs.half_differences, faces.max_half_differences], axis=1) / (
+            sizes = np.concatenate([faces.uncorrected_pairs.half_differences, faces.half_difference_limits], axis=1) / (
                 2 * [MICROMETRE, ARCSECOND, ARCSECOND]
             )
             for at, size, over in zip(

@@ -12,12 +12,12 @@ from ltsim.core.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.specification import noise_origin
 
-ZERO_NAMES_AND_MAX_SIGMAS = (
+ZERO_DRIFT_UNITS_AND_MAX_SIGMAS = (
     ("range", "um", MICROMETRE, 100 * MICROMETRE),
     ("vertical index", "arcsec", ARCSECOND, 100 * ARCSECOND),
 )
-"""Zeros of an instrument: name, unit, size of the unit [SI], and the largest standard deviation [SI] of a reported
-drift over the occupation. """
+"""Zeros of an instrument that may drift: name, unit, size of the unit [SI], and the largest standard deviation [SI] at
+which a sentence states the drift over the occupation. """
 TRANSLATION_COMPONENTS = slice(0, 3)
 """Slice with the translation [m] among the six components of a station's motion."""
 TILT_COMPONENTS = slice(3, 5)
@@ -64,7 +64,7 @@ def two_face_sentence(
         )
         return sentence, (), np.zeros(0, dtype=np.int64)
     targets = [recording.targets[t] for t in recording.target[pairs.rows[:, 0]]]
-    ratio = np.abs(pairs.half_differences) / differences.max_half_differences
+    ratio = np.abs(pairs.half_differences) / differences.half_difference_limits
     k, column = (int(i) for i in np.unravel_index(int(ratio.argmax()), ratio.shape))
     unit, factor = ("um", MICROMETRE) if column == 0 else ("arcsec", ARCSECOND)
     beyond = np.flatnonzero(differences.exceeds_limit.any(axis=1))
@@ -73,7 +73,7 @@ def two_face_sentence(
         f"{name}: the two faces differ beyond {limit_text} at {len(beyond)} of {len(pairs)} pairs, "
         f"most at {targets[k]}: half the difference in {observable} is "
         f"{number_text(pairs.half_differences[k, column] / factor)} {unit}, "
-        f"the limit {number_text(differences.max_half_differences[k, column] / factor)} {unit}"
+        f"the limit {number_text(differences.half_difference_limits[k, column] / factor)} {unit}"
     )
     return sentence, tuple(dict.fromkeys(targets[i] for i in beyond)), pairs.rows[k]
 
@@ -97,7 +97,7 @@ def gross_pointing_sentence(occupation: StationOccupation, outlier_indices: Sequ
         if other_rows
         else ""
     )
-    distance = occupation.distance_from_mean(outlier_indices[0])
+    distance = occupation.distance_from_mean_of_others(outlier_indices[0])
     row_text = f"{name} to {first_target}: row {row_numbers[outlier_indices[0]]}"
     if not np.isfinite(distance):
         return f"{row_text} does not fit the other readings and is an outlier{others_text}: measure again"
@@ -137,7 +137,7 @@ def zero_drift_sentence(recording: Recording, fit: ColumnsFit, passed: bool) -> 
     change_texts = [
         f"{zero_name} by {with_sigma(value * duration / unit, sigma * duration / unit, unit_name)}"
         for value, sigma, (zero_name, unit_name, unit, max_sigma) in zip(
-            fit.estimates, drift_sigmas, ZERO_NAMES_AND_MAX_SIGMAS, strict=True
+            fit.estimates, drift_sigmas, ZERO_DRIFT_UNITS_AND_MAX_SIGMAS, strict=True
         )
         if duration > 0.0 and sigma * duration < max_sigma
     ]

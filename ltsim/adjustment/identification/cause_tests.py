@@ -48,7 +48,7 @@ class AlternativeCause(Entry):
     """Hypothesis that was fitted in place of an accepted hypothesis, for comparison."""
 
     kind: str
-    """Kind of the hypothesis, as `kind` of a test."""
+    """Kind of the alternative error, with the same values as `CauseTest.kind`."""
     where: CausePlace
     """Stations or targets at which the alternative error acts."""
     probability: Finite
@@ -113,7 +113,7 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
     if isinstance(h.model_change, ReadingShiftChange):
         values, covariance = fit.estimate_and_covariance(h)
         drop, rank = fit.estimate_length_in_sigmas(h) ** 2, len(values)
-        size_entries = _size_entry(h, values, covariance)
+        size_entries = _estimate_sigma_and_unit(h, values, covariance)
     elif isinstance(h.model_change, ReferenceOmission):
         rank = len(h.model_change.reference_value.sigma)
         miss, unit, factor = _misclosure_and_unit(fit, h)
@@ -122,8 +122,8 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
         size_entries = {"estimate": estimated_noise_factor(fit, h)}
     elif isinstance(h.model_change, CentringChange):
         rank = len(fit.estimate_and_covariance(h)[0])
-        size_entries = {"estimate": h.model_change.centring.sigma_mm, "unit": "mm"}
-        if (common := fit.common_displacement(h)) is not None:
+        size_entries = {"estimate": h.model_change.centring_uncertainty.sigma_mm, "unit": "mm"}
+        if (common := fit.common_displacement_length(h)) is not None:
             size_entries |= {"estimate": common.length / MILLIMETRE, "sigma": common.sigma / MILLIMETRE}
     p = (
         float(special.chdtrc(rank, drop))
@@ -155,13 +155,13 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
 
 def reported_kind(fit: NetworkFit, hypothesis: CauseHypothesis) -> CauseKind:
     """Kind under which a hypothesis is reported; displacements of equal length are reported as another SMR radius."""
-    if fit.common_displacement(hypothesis) is not None:
+    if fit.common_displacement_length(hypothesis) is not None:
         return "reflector-radius"
     return hypothesis.kind
 
 
-def _size_entry(hypothesis: CauseHypothesis, shift_components: Floats, covariance: Floats) -> dict[str, Any]:
-    """Entries `estimate`, `sigma` and `unit` of a shift: length of its p components, `shift_components` (p,) [SI]."""
+def _estimate_sigma_and_unit(hypothesis: CauseHypothesis, shift_components: Floats, covariance: Floats) -> dict[str, Any]:
+    """Entries `estimate`, `sigma`, `unit` for the length of p `shift_components` (p,), `covariance` (p, p) [SI]."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     unit, factor = ("mm", MILLIMETRE)
     if isinstance(hypothesis.model_change.effect, ReadingShift):
@@ -215,7 +215,7 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> st
         return f"{phrase} {verb} off by {_number_text(miss / factor)} {unit}: check {them}."
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     values, covariance = fit.estimate_and_covariance(hypothesis)
-    estimate = _size_entry(hypothesis, values, covariance)
+    estimate = _estimate_sigma_and_unit(hypothesis, values, covariance)
     if isinstance(hypothesis.model_change.effect, ReadingShift) and hypothesis.kind != "orientation":
         return _observable_sentence(fit, hypothesis, estimate)
     size_text = f"{with_sigma(abs(estimate['estimate']), estimate['sigma'], estimate['unit'])}"
@@ -289,7 +289,7 @@ def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate:
 def _centring_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
     """Sentence on centring errors at a set-up, on a target, or at all set-ups, with the size of the displacements."""
     assert isinstance(hypothesis.model_change, CentringChange)
-    sigma = f"{_number_text(float(f'{hypothesis.model_change.centring.sigma_mm:.2g}'))} mm"
+    sigma = f"{_number_text(float(f'{hypothesis.model_change.centring_uncertainty.sigma_mm:.2g}'))} mm"
     size_text = f"{sigma} (standard deviation)"
     if hypothesis.targets:
         what = f"The reflector on target {hypothesis.targets[0]} was displaced at random at each set-up"
@@ -297,7 +297,7 @@ def _centring_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> str:
     if not hypothesis.stations:
         return shared_errors_sentence(sigma)
     station = hypothesis.stations[0]
-    common = fit.common_displacement(hypothesis)
+    common = fit.common_displacement_length(hypothesis)
     if common is None:
         return (
             f"The reflectors seen from {station} are displaced from their targets at random, "
@@ -343,13 +343,16 @@ def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
     for i, k in indices.tolist():
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         unit, factor = ("mm", MILLIMETRE) if k == 0 else ("arcsec", ARCSECOND)
-        value, sigma = float(fit.residuals[i, k]), float(fit.problem.sigma[i, k] * fit.outlier_prediction_sigmas[i, k])
+        value, sigma = (
+            float(fit.residuals[i, k]),
+            float(fit.problem.sigma[i, k] * fit.outlier_prediction_error_sigmas[i, k]),
+        )
         drop = (value / sigma) ** 2
         sentence = (
             f"The {OBSERVABLES[k]} from {station} to {target} (row {i + 1}) is off by "
             f"{with_sigma(abs(value) / factor, sigma / factor, unit)}: measure it again."
         )
-        moved = _p_target_moved(fit, i, drop)
+        moved = _probability_of_moved_target(fit, i, drop)
         tests.append(
             CauseTest(
                 kind="outlier",
@@ -374,7 +377,7 @@ def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
     return tests
 
 
-def _p_target_moved(fit: NetworkFit, row: int, chi2_drop: float) -> float:
+def _probability_of_moved_target(fit: NetworkFit, row: int, chi2_drop: float) -> float:
     """Posterior probability that an outlier (pointing index `row`) is a motion of its target.
 
     `chi2_drop` is the decrease of chi-square by the rejection of the outlier. The probability is 0 unless the outlier

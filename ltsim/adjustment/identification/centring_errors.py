@@ -39,7 +39,7 @@ from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
-MIN_OUTLIER_FRACTION = 0.25
+MIN_OUTLIER_FRACTION_FOR_LOCAL_FIT = 0.25
 """Fraction of outliers among the pointings of a set-up or target, above which displacements are also fitted to these
 pointings with the rest of the network unchanged."""
 CENTRING_SIGMA_GRID = np.geomspace(1e-6, 1.0, 241)
@@ -51,7 +51,7 @@ steps are not necessary: an estimate from a hundred components has a relative st
 class _CentringPlace:
     """Place at which centring errors are tested: a set-up, a target, or all set-ups."""
 
-    centring: CentringUncertainty
+    centring_uncertainty: CentringUncertainty
     """Stations and targets with centring errors."""
     occupation: Ints
     """Index (n,) of the occupation to which each of n pointings belongs; -1 for other pointings."""
@@ -65,16 +65,18 @@ def centring_hypotheses(fit: NetworkFit, residual_space: ResidualSpace) -> list[
     largest_first = sorted(places, key=lambda place: -float(squares[place.occupation >= 0].mean()))
     offers, entries = list[tuple[float, CauseHypothesis]](), 0
     for place in largest_first:
-        entries += 3 * (int(place.occupation.max()) + 1) * residual_space.n_rows
+        entries += 3 * (int(place.occupation.max()) + 1) * residual_space.n_equations
         if entries > MAX_SCREENED_ENTRIES:
             break
         offers.append(
-            _gain_and_hypothesis(place, *best_centring_sigma(residual_space, place.occupation)[:2], len(places))
+            _log_evidence_gain_and_hypothesis(
+                place, *best_centring_sigma(residual_space, place.occupation)[:2], len(places)
+            )
         )
     return offers
 
 
-def _gain_and_hypothesis(
+def _log_evidence_gain_and_hypothesis(
     place: _CentringPlace, log_likelihood_ratio: float, sigma: float, n_places: int
 ) -> tuple[float, CauseHypothesis]:
     """Gain of log evidence by centring errors at a place, including their prior probability, and the hypothesis.
@@ -82,7 +84,7 @@ def _gain_and_hypothesis(
     `log_likelihood_ratio` is the gain without the prior probability, `sigma` [m] the standard deviation of the
     displacements, and `n_places` the number of places that share the prior probability.
     """
-    centring, prior = place.centring, log_prior_of_kind("centring", n_places) + LOG_ODDS_OF_CENTRING
+    centring, prior = place.centring_uncertainty, log_prior_of_kind("centring", n_places) + LOG_ODDS_OF_CENTRING
     change = CentringChange(centring.model_copy(update={"sigma_mm": sigma / MILLIMETRE}))
     targets = () if len(centring.targets) > 1 else centring.targets
     return log_likelihood_ratio + prior, CauseHypothesis(
@@ -101,12 +103,16 @@ def local_centring_hypotheses(fit: NetworkFit) -> list[tuple[float, CauseHypothe
     offers = []
     for place in places:
         rows = np.flatnonzero(place.occupation >= 0)
-        if fit.is_outlier[rows].any(axis=1).mean() > MIN_OUTLIER_FRACTION:
-            offers.append(_gain_and_hypothesis(place, *_local_gain_and_sigma(fit, place, rows), len(places)))
+        if fit.is_outlier[rows].any(axis=1).mean() > MIN_OUTLIER_FRACTION_FOR_LOCAL_FIT:
+            offers.append(
+                _log_evidence_gain_and_hypothesis(
+                    place, *_local_log_evidence_gain_and_sigma(fit, place, rows), len(places)
+                )
+            )
     return offers
 
 
-def _local_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[float, float]:
+def _local_log_evidence_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, rows: Ints) -> tuple[float, float]:
     """Gain of log evidence by displacements of the reflectors at a place, and their standard deviation [m].
 
     `rows` are the pointings at the place. A displacement for each occupation is fitted to these pointings by
@@ -133,7 +139,7 @@ def _local_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, rows: Ints) ->
         if np.abs(step).max() < MAX_ROUNDING_ERROR:
             break
     motion = np.zeros((3 * len(first), 0))
-    if place.centring.stations:
+    if place.centring_uncertainty.stations:
         arm = sightings.sight_vectors[rows[first]]
         motion = np.concatenate([np.tile(np.eye(3), (len(first), 1, 1)), -cross_matrix(arm)], axis=2).reshape(-1, 6)
     free = displacement.ravel() - motion @ np.linalg.lstsq(motion, displacement.ravel())[0]
@@ -184,7 +190,7 @@ def _centring_places(recording: Recording, is_used_reading: Bools) -> list[_Cent
 class CentringEstimate(NamedTuple):
     """Maximum likelihood estimate of the standard deviation of centring errors."""
 
-    gain: float
+    log_evidence_gain: float
     """Gain of log evidence by the centring errors, without the prior probability of the hypothesis."""
     sigma: float
     """Standard deviation [m] of each component of a displacement."""

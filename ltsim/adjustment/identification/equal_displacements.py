@@ -20,17 +20,17 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 MAX_RELATIVE_LENGTH_SCATTER = 0.1
 """Largest scatter of the lengths of displacements, divided by the rms length, at which the lengths count as equal."""
-MAX_LENGTH_RATIO = 3.0
-"""Smallest ratio of the estimated common length to the rms length of the displacements at which the estimate is
-rejected, because any small displacements lie nearly on the surface of a much larger sphere.
+MAX_COMMON_TO_RMS_LENGTH_RATIO = 3.0
+"""Ratio of the estimated common length to the rms length of the displacements, from which on the estimate is rejected,
+because any small displacements lie nearly on the surface of a much larger sphere.
 """
-MIN_TARGETS_FOR_LENGTH = 10
+MIN_TARGETS_FOR_COMMON_LENGTH = 10
 """Smallest number of targets for the estimate of a common length, with seven unknowns: the pose of the set-up and the
 length.
 """
 
 
-class CommonDisplacement(NamedTuple):
+class CommonDisplacementLength(NamedTuple):
     """Common length of the displacements of all reflectors at a set-up, along the unknown normals of their nests."""
 
     length: float
@@ -41,14 +41,14 @@ class CommonDisplacement(NamedTuple):
     """Gain of log evidence against random displacements, at least 0."""
 
 
-def common_displacement(displacements: Floats, sight_vectors: Floats) -> CommonDisplacement | None:
+def common_displacement_length(displacements: Floats, sight_vectors: Floats) -> CommonDisplacementLength | None:
     """Common length of displacements (k, 3) [m] of k reflectors at a set-up; None if the lengths differ.
 
     The readings determine the displacements except for a rigid motion, which the pose of the set-up absorbs. This
     motion is estimated together with the length. The start values neglect the rotation of the motion: displacements of
     equal length then lie on a sphere, which is fitted. `sight_vectors` (k, 3) [m] point from the set-up to the targets.
     """
-    if len(displacements) < MIN_TARGETS_FOR_LENGTH:
+    if len(displacements) < MIN_TARGETS_FOR_COMMON_LENGTH:
         return None
     linear = np.hstack([2.0 * displacements, np.ones((len(displacements), 1))])
     centre = np.linalg.lstsq(linear, np.sum(displacements**2, axis=1))[0]
@@ -67,10 +67,10 @@ def common_displacement(displacements: Floats, sight_vectors: Floats) -> CommonD
     n_redundant = len(displacements) - design.shape[1]
     scatter = float(np.sqrt(np.sum((residual - design @ step) ** 2) / n_redundant))
     rms = float(np.sqrt(np.mean(np.sum(displacements**2, axis=1))))
-    if not 0.0 < length < MAX_LENGTH_RATIO * rms or scatter > MAX_RELATIVE_LENGTH_SCATTER * rms:
+    if not 0.0 < length < MAX_COMMON_TO_RMS_LENGTH_RATIO * rms or scatter > MAX_RELATIVE_LENGTH_SCATTER * rms:
         return None
     is_away_from_nests = float(np.sum(corrected * sight_vectors)) < 0.0
     sigma = scatter * float(np.sqrt(np.linalg.pinv(design.T @ design)[6, 6]))
     gain = n_redundant * (1.0 + float(np.log(length / (6.0 * np.sqrt(3.0) * max(scatter, 1e-300)))))
     gain += float(log_occam_factor_of_variance(n_redundant))
-    return CommonDisplacement(length if is_away_from_nests else -length, sigma, max(gain, 0.0))
+    return CommonDisplacementLength(length if is_away_from_nests else -length, sigma, max(gain, 0.0))

@@ -23,7 +23,7 @@ from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
 SHIFT_SIZE_DECADES = 6.0
 """Width, in decades, of the prior distribution of the size of a shift: sizes from 10 um to 10 m are possible."""
-LOG_SIZE_PRIOR_WIDTH = float(np.log(SHIFT_SIZE_DECADES * np.log(10.0)))
+LOG_OF_LOG_SIZE_PRIOR_WIDTH = float(np.log(SHIFT_SIZE_DECADES * np.log(10.0)))
 """Term log R of the evidence of a shift, where R is the natural logarithm of the ratio of largest to smallest size."""
 
 
@@ -34,17 +34,19 @@ def log_occam_factor_of_shift(normalised_size: Floats | float, rank: int) -> Flo
     """
     size = np.maximum(np.asarray(normalised_size, dtype=np.float64), np.sqrt(rank))
     log_surface = np.log(2.0) + 0.5 * rank * np.log(np.pi) - special.gammaln(0.5 * rank)
-    return np.minimum(0.5 * rank * np.log(2.0 * np.pi) - log_surface - LOG_SIZE_PRIOR_WIDTH - rank * np.log(size), 0.0)
+    return np.minimum(
+        0.5 * rank * np.log(2.0 * np.pi) - log_surface - LOG_OF_LOG_SIZE_PRIOR_WIDTH - rank * np.log(size), 0.0
+    )
 
 
-NOISE_FACTOR_DECADES = 2.0
+NOISE_FACTOR_HALF_WIDTH_DECADES = 2.0
 """Half-width, in decades, of the prior distribution of a factor on the declared noise: 0.01 to 100 are possible."""
 
 
 def log_occam_factor_of_variance(redundancy: Floats | float) -> Floats:
     """Logarithm (at most 0) of the Occam factor of a variance factor estimated with the given redundancy."""
     width = np.sqrt(np.pi / np.maximum(np.asarray(redundancy, dtype=np.float64), 1.0))
-    return np.minimum(np.log(width / (2.0 * NOISE_FACTOR_DECADES * np.log(10.0))), 0.0)
+    return np.minimum(np.log(width / (2.0 * NOISE_FACTOR_HALF_WIDTH_DECADES * np.log(10.0))), 0.0)
 
 
 def estimate_sigma_factors(sum_of_squares: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
@@ -55,7 +57,9 @@ def estimate_sigma_factors(sum_of_squares: Floats, redundancy: Floats) -> tuple[
     """
     is_sufficient = np.asarray(redundancy) > 1.0
     ratio = np.where(is_sufficient, sum_of_squares / np.where(is_sufficient, redundancy, 1.0), 1.0)
-    ratio = np.maximum(ratio, 10.0 ** (-2.0 * NOISE_FACTOR_DECADES))  # the noise of exact readings cannot be estimated
+    ratio = np.maximum(
+        ratio, 10.0 ** (-2.0 * NOISE_FACTOR_HALF_WIDTH_DECADES)
+    )  # the noise of exact readings cannot be estimated
     gain = 0.5 * (sum_of_squares - redundancy) - 0.5 * redundancy * np.log(ratio)
     return np.sqrt(ratio), np.where(is_sufficient, gain, 0.0)
 

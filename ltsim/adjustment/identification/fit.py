@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.identification.equal_displacements import CommonDisplacement, common_displacement
+from ltsim.adjustment.identification.equal_displacements import CommonDisplacementLength, common_displacement_length
 from ltsim.adjustment.identification.evidence import (
     estimate_noise_factors,
     log_occam_factor_of_centring,
@@ -41,8 +41,8 @@ from ltsim.adjustment.reference_values import (
     reference_values,
     with_nonzero_reference_sigmas,
 )
-from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS, MAX_TRACKER_ERROR, MIN_RESIDUAL_BEYOND_NOISE
-from ltsim.adjustment.snooping import drop_undetermined_targets, prediction_sigmas, snoop_readings
+from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS, MAX_TRACKER_ERROR, MIN_SIGMAS_BEYOND_NOISE
+from ltsim.adjustment.snooping import drop_undetermined_targets, prediction_error_sigmas, snoop_readings
 from ltsim.adjustment.start import initial_network
 from ltsim.adjustment.stochastic_model import fit_robust_state
 from ltsim.core.arrays import Bools, Floats
@@ -57,11 +57,11 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import robust_sigma
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS, Solution, solve
 
-MAX_NOISE_ESTIMATES = 3
+MAX_NOISE_ITERATIONS = 3
 """Largest number of iterations for the noise factors, or for the standard deviations of centring errors, in a fit."""
-NOISE_TOLERANCE = 0.05
+NOISE_FACTOR_TOLERANCE = 0.05
 """Largest relative change of noise factors at which their iteration ends. Such a change alters log evidence by 0.1."""
-MIN_NOISE_CHANGE_FOR_OUTLIERS = 0.2
+MIN_NOISE_CHANGE_FOR_OUTLIER_SEARCH = 0.2
 """Relative change of the noise factors above which outliers are searched again."""
 WEAK_SHIFT_PRIOR_FACTOR = 1e6
 """Standard deviation of the prior of a shift, divided by the plausible size of its effect: practically no prior."""
@@ -77,8 +77,8 @@ class FitInput:
     """Geometric error model whose parameters are estimated."""
     prior: ParameterPrior | None = None
     """Prior of the instrument's parameters; None for the prior that the set-up declares."""
-    is_usable: Bools | None = None
-    """Flags (n, 3) of those readings of n pointings that a fit may use; None for all."""
+    is_usable_reading: Bools | None = None
+    """Flags (n, 3), True for those readings of n pointings that a fit may use; None for all."""
 
 
 @dataclass(frozen=True)
@@ -102,13 +102,13 @@ class NetworkFit:
     ) -> tuple[list[ReferenceValueRows], int, NetworkState]:
         """Reference values with large residuals in a robust fit, number of all reference values, and state of the fit.
 
-        Large residuals exceed `MIN_RESIDUAL_BEYOND_NOISE` robust standard deviations. An adjustment with such a
+        Large residuals exceed `MIN_SIGMAS_BEYOND_NOISE` robust standard deviations. An adjustment with such a
         reference value would distort the whole network.
         """
         problem, start = cls._make_problem(network, hypotheses)
         relaxed_problem = with_nonzero_reference_sigmas(problem, start)
         state, residual = fit_robust_state(relaxed_problem, resect_contradicted_setups(relaxed_problem, start))
-        limit = MIN_RESIDUAL_BEYOND_NOISE * max(robust_sigma(residual[: int(problem.is_used_reading.sum())]), 1.0)
+        limit = MIN_SIGMAS_BEYOND_NOISE * max(robust_sigma(residual[: int(problem.is_used_reading.sum())]), 1.0)
         references = [v for v in reference_values(problem, state) if v.kind != "mark"]
         return [v for v in references if float(np.abs(residual[v.rows]).max()) > limit], len(references), state
 
@@ -127,7 +127,7 @@ class NetworkFit:
         it is None. With `approximate_sightings` the start values of the shifts are first subtracted from the readings.
         """
         fit = cls._with_hypotheses(network, tuple(hypotheses), start_state, approximate_sightings, robust_state)
-        for _ in range(MAX_NOISE_ESTIMATES):
+        for _ in range(MAX_NOISE_ITERATIONS):
             revised = tuple(with_centring_sigma(h, fit.estimate_and_covariance) for h in fit.hypotheses)
             if revised == fit.hypotheses or not fit.solution.has_converged:
                 break
@@ -176,15 +176,15 @@ class NetworkFit:
         at = next(at for h, at in slices if h is hypothesis)
         return self.state.extra_parameters[at], self.adjustment.effect_covariance[at, at]
 
-    def common_displacement(self, hypothesis: CauseHypothesis) -> CommonDisplacement | None:
+    def common_displacement_length(self, hypothesis: CauseHypothesis) -> CommonDisplacementLength | None:
         """Common length of the displacements by centring errors at a set-up; None if the lengths differ."""
         change = hypothesis.model_change
         if not isinstance(change, CentringChange) or len(hypothesis.stations) != 1:
             return None
         displacements = self.estimate_and_covariance(hypothesis)[0].reshape(-1, 3)
-        first_rows = np.unique(target_occupations(self.recording, change.centring), return_index=True)[1]
+        first_rows = np.unique(target_occupations(self.recording, change.centring_uncertainty), return_index=True)[1]
         sight_vectors = self.adjustment.sightings.sight_vectors[first_rows[-len(displacements) :]]
-        return common_displacement(displacements, sight_vectors)
+        return common_displacement_length(displacements, sight_vectors)
 
     def estimate_length_in_sigmas(self, hypothesis: CauseHypothesis) -> float:
         """Length of the estimate of a shift or of centring errors, in standard deviations (Mahalanobis)."""
@@ -218,7 +218,7 @@ class NetworkFit:
                 start_state,
                 extra_parameters=start_parameter_values(hypotheses, model.n_extra_parameters, approximate_sightings),
             )
-        usable = np.ones((len(recording), 3), dtype=bool) if network.is_usable is None else network.is_usable
+        usable = np.ones((len(recording), 3), dtype=bool) if (mask := network.is_usable_reading) is None else mask
         sigma = recording.sigma()
         for h in hypotheses:
             if isinstance(h.model_change, NoiseFactor):
@@ -236,14 +236,14 @@ class NetworkFit:
     def _with_estimated_noise(self) -> NetworkFit:
         """Fit whose noise factors are estimated from the residuals (restricted maximum likelihood)."""
         fit = self
-        for _ in range(MAX_NOISE_ESTIMATES):
+        for _ in range(MAX_NOISE_ITERATIONS):
             sigma = fit._estimated_sigmas()
             changed = float(np.nanmax(np.abs(np.log(sigma / fit.problem_with_all_readings.sigma))))
-            if not changed > NOISE_TOLERANCE:
+            if not changed > NOISE_FACTOR_TOLERANCE:
                 break
             whole, problem = replace(fit.problem_with_all_readings, sigma=sigma), replace(fit.problem, sigma=sigma)
             solution = solve(problem, fit.state)
-            if solution.factor is None or changed > MIN_NOISE_CHANGE_FOR_OUTLIERS:
+            if solution.factor is None or changed > MIN_NOISE_CHANGE_FOR_OUTLIER_SEARCH:
                 problem, solution = snoop_readings(whole, fit.state, MAX_ALTERNATIONS)
             fit = replace(fit, problem_with_all_readings=whole, problem=problem, solution=solution)
         return fit
@@ -325,18 +325,18 @@ class NetworkFit:
 
     @cached_property
     def is_outlier(self) -> Bools:
-        """Flags (n, 3) of those usable readings of n pointings that are rejected."""
+        """Flags (n, 3), True for those usable readings of n pointings that are rejected."""
         return self.problem_with_all_readings.is_used_reading & ~self.problem.is_used_reading
 
     @cached_property
-    def outlier_prediction_sigmas(self) -> Floats:
-        """Standard deviations of outliers minus predictions, divided by the declared ones, (n, 3); 1 if no outlier.
+    def outlier_prediction_error_sigmas(self) -> Floats:
+        """Standard deviations (n, 3) of rejected readings minus their predictions; 1 for other readings of n pointings.
 
-        The array has the shape of the readings of n pointings.
+        The unit is the declared standard deviation of the reading.
         """
-        spread = np.ones(self.is_outlier.shape)
-        if self.is_outlier.any():
-            spread[self.is_outlier] = prediction_sigmas(self.problem_with_all_readings, self.solution, self.is_outlier)
+        is_outlier, spread = self.is_outlier, np.ones(self.is_outlier.shape)
+        if is_outlier.any():
+            spread[is_outlier] = prediction_error_sigmas(self.problem_with_all_readings, self.solution, is_outlier)
         return spread
 
     def misclosure_of(self, value: ReferenceValue) -> Floats:
@@ -388,9 +388,9 @@ class NetworkFit:
             redundancy = np.nan_to_num(self.redundancy[chosen])
             return float(log_occam_factor_of_variance(redundancy.sum()) - np.sum(redundancy * np.log(ratio)))
         if isinstance(change, CentringChange):
-            common = self.common_displacement(hypothesis)
+            common = self.common_displacement_length(hypothesis)
             occam_factor = log_occam_factor_of_centring(
-                self.estimate_and_covariance(hypothesis)[1], change.centring.sigma_mm * MILLIMETRE
+                self.estimate_and_covariance(hypothesis)[1], change.centring_uncertainty.sigma_mm * MILLIMETRE
             )
             return occam_factor + (common.log_evidence_gain if common is not None else 0.0)
         if isinstance(change, ReferenceOmission):

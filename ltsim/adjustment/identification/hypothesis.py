@@ -86,7 +86,7 @@ class CoordinateExchange:
 class CentringChange:
     """Centring errors: a random displacement of the reflector at each occupation of some targets."""
 
-    centring: CentringUncertainty
+    centring_uncertainty: CentringUncertainty
     """Stations and targets with centring errors, and the standard deviation of the displacements."""
 
 

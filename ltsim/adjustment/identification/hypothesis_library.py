@@ -84,7 +84,7 @@ class ShiftFamily:
     """Smallest number of pointings of a place before and after the onset of the shift; 0 for a shift that acts from the
     first pointing on."""
 
-    def candidate_onsets(self, sightings: Sightings, rows: Ints) -> list[float]:
+    def candidate_onset_times(self, sightings: Sightings, rows: Ints) -> list[float]:
         """Times [s] at which a shift may begin at a place; `rows` are its pointings in the order of measurement."""
         if not self.min_pointings_around_onset:
             return [-np.inf]
@@ -228,7 +228,7 @@ def shift_candidates(sightings: Sightings) -> list[ShiftCandidate]:
     for family in shift_families(sightings):
         for place in places[family.place_kind]:
             rows = place.rows
-            for since in family.candidate_onsets(sightings, rows):
+            for since in family.candidate_onset_times(sightings, rows):
                 late = sightings.time[rows] >= since
                 shifts.append((family, place, since, rows[late], rows[~late]))
     n_by_kind: dict[CauseKind, int] = {}

@@ -31,9 +31,9 @@ class LocalShift:
     residuals: Floats
     """Whitened residuals (m,) of the m readings in the network without the shift."""
     is_outlier: Bools
-    """Flags (m,) of those of the m readings that the fit of the network without the shift rejected as outliers."""
+    """Flags (m,), True for those of the m readings that are outliers of the network fit without the shift."""
     is_acting_parameter: Bools
-    """Flags (q,) of those r of the q parameters of the shift that change any of the m readings."""
+    """Flags (q,), True for those r of the q parameters of the shift that change any of the m readings."""
 
     @classmethod
     def from_design(cls, design: Floats, residuals: Floats, is_outlier: Bools) -> LocalShift:
@@ -134,7 +134,7 @@ def _reading_changes(unit_columns: Floats, parameters: Floats) -> Floats:
 
 
 def _row_medians(row_values: Floats, mask: Bools) -> Floats:
-    """Median, for each of the h rows of `row_values` (h, m), of the values that `mask` (h, m) selects, at least one."""
+    """Medians (h,) of h rows of m values, `row_values` (h, m), over the values that `mask` (h, m) selects."""
     ordered, count = np.sort(np.where(mask, row_values, np.inf), axis=1), mask.sum(axis=1)
     row_indices = np.arange(len(row_values))
     return np.asarray(0.5 * (ordered[row_indices, (count - 1) // 2] + ordered[row_indices, count // 2]))

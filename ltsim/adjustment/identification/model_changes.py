@@ -19,7 +19,7 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 
-CENTRING_TOLERANCE = 0.15
+CENTRING_SIGMA_TOLERANCE = 0.15
 """Smallest relative change of the standard deviation of centring errors at which a fit is repeated. The relative
 standard deviation of an estimate from a hundred displacement components is 7 %.
 """
@@ -77,7 +77,7 @@ def apply_corrections_and_omissions(recording: Recording, hypotheses: Sequence[C
         elif isinstance(h.model_change, CoordinateExchange):
             recording = exchange_coordinates(recording, *h.model_change.target_names)
         elif isinstance(h.model_change, CentringChange):
-            centring = (*recording.setup.centring, h.model_change.centring)
+            centring = (*recording.setup.centring, h.model_change.centring_uncertainty)
             recording = recording.replace(setup=recording.setup.model_copy(update={"centring": centring}))
     return recording
 
@@ -89,18 +89,20 @@ def with_centring_sigma(
 
     `estimate_function` returns the q components u (q,) [m] of the displacements of a hypothesis, and their covariance C
     (q, q). The step of restricted maximum likelihood is s^2 = u'u / (q - tr(C) / s^2). A hypothesis is returned
-    unchanged if it is not about centring errors, or if s changes by less than `CENTRING_TOLERANCE`.
+    unchanged if it is not about centring errors, or if s changes by less than `CENTRING_SIGMA_TOLERANCE`.
     """
     change = hypothesis.model_change
     if not isinstance(change, CentringChange):
         return hypothesis
     displacement, covariance = estimate_function(hypothesis)
-    sigma = change.centring.sigma_mm * MILLIMETRE
+    sigma = change.centring_uncertainty.sigma_mm * MILLIMETRE
     determined = len(displacement) - float(np.trace(covariance)) / sigma**2
     if determined < 1.0:
         return hypothesis
     factor = float(np.sqrt(displacement @ displacement / determined)) / sigma
-    if abs(np.log(max(factor, 1e-3))) < CENTRING_TOLERANCE:
+    if abs(np.log(max(factor, 1e-3))) < CENTRING_SIGMA_TOLERANCE:
         return hypothesis
-    centring = change.centring.model_copy(update={"sigma_mm": max(factor, 1e-3) * change.centring.sigma_mm})
+    centring = change.centring_uncertainty.model_copy(
+        update={"sigma_mm": max(factor, 1e-3) * change.centring_uncertainty.sigma_mm}
+    )
     return replace(hypothesis, model_change=CentringChange(centring))

@@ -28,7 +28,7 @@ def offset_cause_text(value: float, sigma: float) -> str:
         size: f"the radii of a {small} and a {large} SMR differ by this amount"
         for size, (small, large) in SMR_RADIUS_DIFFERENCES.items()
     }
-    return _nearest_nominal({**text_by_difference, **PRISM_CONSTANTS}, value, sigma) or ""
+    return _entry_of_nearest_nominal_size({**text_by_difference, **PRISM_CONSTANTS}, value, sigma) or ""
 
 
 def smr_exchange_text(value: float, sigma: float) -> str:
@@ -37,14 +37,16 @@ def smr_exchange_text(value: float, sigma: float) -> str:
     `value` [m] is the estimated displacement of the SMR centre, positive away from the nest, `sigma` [m] its standard
     deviation.
     """
-    pair = _nearest_nominal(SMR_RADIUS_DIFFERENCES, value, sigma)
+    pair = _entry_of_nearest_nominal_size(SMR_RADIUS_DIFFERENCES, value, sigma)
     if pair is None:
         return ""
     used, assumed = reversed(pair) if value > 0 else pair
     return f"a {used} SMR in place of a {assumed} one"
 
 
-def _nearest_nominal(nominal_sizes: Mapping[float, NominalEntryT], value: float, sigma: float) -> NominalEntryT | None:
+def _entry_of_nearest_nominal_size(
+    nominal_sizes: Mapping[float, NominalEntryT], value: float, sigma: float
+) -> NominalEntryT | None:
     """Entry of the nominal size [m] that is nearer than `MAX_NOMINAL_DIFFERENCE` to the absolute value of an offset.
 
     The result is None if no nominal size is as near, or if the standard deviation `sigma` is not below this limit.

@@ -13,7 +13,7 @@ import numpy as np
 from ltsim.adjustment.fit_readings import FitReadings
 from ltsim.adjustment.fitting import fit_pose
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.significance import MIN_FAULTY_FRACTION_OF_GROUP, MIN_RESIDUAL_BEYOND_NOISE
+from ltsim.adjustment.significance import MIN_FAULTY_FRACTION_OF_GROUP, MIN_SIGMAS_BEYOND_NOISE
 from ltsim.adjustment.snooping import absolute_whitened_residuals
 from ltsim.core.arrays import Bools, group_rows
 from ltsim.physics.model.measurement import NetworkState
@@ -25,7 +25,7 @@ def resect_contradicted_setups(problem: NetworkProblem, state: NetworkState) -> 
     """State in which set-ups with mostly large residuals have a new pose, resected from two of their three observables.
 
     A pose is replaced only if this reduces the number of readings of the set-up with large residuals, above
-    `MIN_RESIDUAL_BEYOND_NOISE` robust standard deviations.
+    `MIN_SIGMAS_BEYOND_NOISE` robust standard deviations.
     """
     recording, far = problem.model.recording, _large_residual_mask(problem, state)
     if not far.any() or far[problem.is_used_reading].mean() > MIN_FAULTY_FRACTION_OF_GROUP:
@@ -52,7 +52,7 @@ def resect_contradicted_setups(problem: NetworkProblem, state: NetworkState) -> 
 
 
 def _large_residual_mask(problem: NetworkProblem, state: NetworkState) -> Bools:
-    """Flags (n, 3) of used readings of n pointings with large residuals (`MIN_RESIDUAL_BEYOND_NOISE` robust sigmas)."""
+    """Flags (n, 3) of used readings of n pointings with large residuals (`MIN_SIGMAS_BEYOND_NOISE` robust sigmas)."""
     whitened_residual = absolute_whitened_residuals(problem, state)
     scale = max(robust_sigma(whitened_residual[problem.is_used_reading]), 1.0)
-    return np.asarray(problem.is_used_reading & (whitened_residual > MIN_RESIDUAL_BEYOND_NOISE * scale))
+    return np.asarray(problem.is_used_reading & (whitened_residual > MIN_SIGMAS_BEYOND_NOISE * scale))

@@ -129,7 +129,7 @@ def _exact_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequenc
     """Gains (h,) of log evidence by each of h candidate shifts, from their design projected onto a residual space."""
     gains = np.full(len(candidates), -np.inf)
     indices = np.arange(len(candidates))
-    n_entries = np.array([residual_space.n_rows * c.family.design.shape[2] for c in candidates], dtype=np.int64)
+    n_entries = np.array([residual_space.n_equations * c.family.design.shape[2] for c in candidates], dtype=np.int64)
     if n_entries.sum() > MAX_SCREENED_ENTRIES:
         indices = np.argsort(-_approximate_log_evidence_gains(residual_space, candidates))
         indices = indices[np.cumsum(n_entries[indices]) <= MAX_SCREENED_ENTRIES]
@@ -137,9 +137,9 @@ def _exact_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequenc
     for i in indices.tolist():
         by_rank.setdefault(candidates[i].family.design.shape[2], []).append(i)
     for rank, group in by_rank.items():
-        for batch in (group[part] for part in batches(len(group), residual_space.n_rows * rank)):
+        for batch in (group[part] for part in batches(len(group), residual_space.n_equations * rank)):
             rows = np.hstack([_whitened_design(residual_space, candidates[i]) for i in batch])
-            projected = residual_space.project(rows).reshape(residual_space.n_rows, len(batch), rank)
+            projected = residual_space.project(rows).reshape(residual_space.n_equations, len(batch), rank)
             size = residual_space.norms_without_centring(rows).reshape(len(batch), rank)
             unit = projected / np.where(size > 0, size, 1.0)
             gram = np.einsum("mhi,mhj->hij", unit, unit)
@@ -149,12 +149,12 @@ def _exact_log_evidence_gains(residual_space: ResidualSpace, candidates: Sequenc
             visible = strength > MAX_SOLUTION_ROUNDING_ERROR
             drop = np.sum(np.where(visible, along**2 / np.where(visible, strength, 1.0), 0.0), axis=1)
             shown = visible.sum(axis=1)
-            value = np.array([_log_evidence(d, r) for d, r in zip(drop.tolist(), shown.tolist(), strict=True)])
+            value = np.array([_log_evidence_gain(d, r) for d, r in zip(drop.tolist(), shown.tolist(), strict=True)])
             gains[batch] = value + [candidates[i].log_prior for i in batch]
     return gains
 
 
-def _log_evidence(chi2_drop: float, rank: int) -> float:
+def _log_evidence_gain(chi2_drop: float, rank: int) -> float:
     """Gain of log evidence, without prior, by `rank` components that decrease chi-square by `chi2_drop`."""
     return 0.5 * chi2_drop + float(log_occam_factor_of_shift(np.sqrt(chi2_drop), rank)) if rank else -np.inf
 
@@ -186,7 +186,7 @@ def _approximate_log_evidence_gains(residual_space: ResidualSpace, candidates: S
         strength, turn = np.linalg.eigh(gram / np.outer(scale, scale))
         visible = strength > 1e-3
         along = turn[:, visible].T @ (score / scale)
-        gains[i] = _log_evidence(float(np.sum(along**2 / strength[visible])), int(visible.sum())) + c.log_prior
+        gains[i] = _log_evidence_gain(float(np.sum(along**2 / strength[visible])), int(visible.sum())) + c.log_prior
     return gains
 
 
@@ -360,7 +360,7 @@ def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[Scree
     for h in reference_omissions(fit):
         test = tests.get((h.acts_on, h.name))
         if test is not None and test.rank:
-            offers.append((_log_evidence(test.chi2_drop, test.rank) + h.log_prior, h))
+            offers.append((_log_evidence_gain(test.chi2_drop, test.rank) + h.log_prior, h))
     return offers
 
 
@@ -372,7 +372,7 @@ def _length_scale_hypothesis(fit: NetworkFit, residual_space: ResidualSpace) -> 
     drop, rank = residual_space.chi2_drop(residual_space.whitened_design(scale))
     prior = log_prior_of_kind("reference-scale", 1)
     scale_hypothesis = CauseHypothesis("reference-scale", "length", (), (), prior, ReadingShiftChange(scale))
-    return [(_log_evidence(drop, rank) + prior, scale_hypothesis)] if rank else []
+    return [(_log_evidence_gain(drop, rank) + prior, scale_hypothesis)] if rank else []
 
 
 def _noise_hypotheses(fit: NetworkFit) -> list[ScreenedHypothesis]:

@@ -32,9 +32,9 @@ A flag is True if the target is in sight from the position; no target is in sigh
 """
 CandidateKind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
 """Kind of a further measurement."""
-KINDS_BY_EFFORT: tuple[CandidateKind, ...] = get_args(CandidateKind)
+CANDIDATE_KINDS_BY_EFFORT: tuple[CandidateKind, ...] = get_args(CandidateKind)
 """Kinds of further measurements, in the order of increasing effort."""
-SETUP_KINDS = ("return", "station")
+CANDIDATE_KINDS_WITH_SETUP = ("return", "station")
 """Kinds of further measurements that need another set-up."""
 
 N_ADDITIONAL_ROUNDS = 4
@@ -50,8 +50,7 @@ N_CANDIDATE_YAWS = 4
 BASE_ROTATION = math.tau / N_CANDIDATE_YAWS
 """Rotation [rad] of the tracker's base if it is set up again at a previous position."""
 MAX_SETUPS_FOR_ADDITION = 30
-"""Smallest number of set-ups of a recording for which no additional station is evaluated, to limit the computing
-time."""
+"""Number of set-ups of a recording from which on no additional station is evaluated, to limit the computing time."""
 MIN_PROPOSED_DISTANCE = 0.8
 """Smallest distance [m] of a proposed station or target from all other stations and targets."""
 REFERENCE_BAR_LENGTH = 2.0
@@ -75,7 +74,7 @@ ADVICE_SENTENCES = {
     "to and fro": "measure all targets of {station} {count} more times, forward and backward",
     "unmeasured": "measure from {station} the targets it has not measured ({targets})",
     # additional set-ups
-    "turned": "set up once more at {station}, the base turned by {turn:.0f} degrees, and measure all targets",
+    "turned": "set up once more at {station}, with the base turned by {turn:.0f} degrees, and measure all targets",
     "new station": "add station {station} at ({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f}) m, "
     "yaw {yaw:.0f} deg ({frame}), and measure {targets}",
     # the whole survey by another procedure
@@ -92,9 +91,9 @@ ADVICE_SENTENCES = {
     "undecided": "no tested measurement separates {first} from {others} (expected chi-square difference {then}, "
     "{needed:.0f} needed); an independent measurement of the cause would separate them",
     "cause": "an independent measurement of its cause",
-    "determined": "{do} (information on it rises from {now:.0f} % to {then:.0f} %)",
+    "determined": "{do} (information on this combination rises from {now:.0f} % to {then:.0f} %)",
     "network method": "use the network method: it determines this combination from the same recording",
-    "determined already": "{do} (information on it is {then:.0f} %)",
+    "determined already": "{do} (information on this combination is {then:.0f} %)",
     "not determined": "no tested measurement determines it; reference points or a tighter specification may do so",
 }
 """Templates of sentences of advice by key: instructions for a measurement, and sentences on its expected benefit."""
@@ -134,12 +133,12 @@ class CandidateMeasurement:
             return None
 
     @property
-    def added_setup_on_plan(self) -> tuple[Floats, float] | None:
+    def added_setup_on_floor_plan(self) -> tuple[Floats, float] | None:
         """Position (3,) [m] and yaw [rad] of the additional set-up on the floor plan; None without such a set-up."""
         state, plan = self.network.state, FloorPlan.from_recording(self.network.recording, self.network.state)
         return (
             (plan.positions_on_plan(state.station_positions[-1]), plan.yaw_on_plan(state.station_rotations[-1]))
-            if self.kind in SETUP_KINDS
+            if self.kind in CANDIDATE_KINDS_WITH_SETUP
             else None
         )
 
@@ -151,9 +150,9 @@ class FloorPlan:
     Positions on a plan are approximate, but levels are accurate: the plan determines no tilts of the network.
     """
 
-    rotation: Floats
+    rotation_to_plan: Floats
     """Rotation matrix (3, 3) from the frame of the network to the floor plan."""
-    translation: Floats
+    translation_to_plan: Floats
     """Translation (3,) [m] from the frame of the network to the floor plan."""
     has_plan: bool
     """True if the set-up declares positions of stations on a floor plan."""
@@ -183,11 +182,11 @@ class FloorPlan:
 
     def positions_on_plan(self, position: Floats) -> Floats:
         """Positions (..., 3) [m] on the floor plan of positions (..., 3) [m] in the frame of the network."""
-        return position @ self.rotation.T + self.translation
+        return position @ self.rotation_to_plan.T + self.translation_to_plan
 
     def yaw_on_plan(self, rotation: Floats) -> float:
         """Yaw [rad] on the floor plan of an instrument with the rotation matrix `rotation` (3, 3) in the network."""
-        plan_rotation = self.rotation @ rotation
+        plan_rotation = self.rotation_to_plan @ rotation
         return float(np.arctan2(plan_rotation[1, 0], plan_rotation[0, 0]))
 
 

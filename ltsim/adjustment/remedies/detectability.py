@@ -22,28 +22,28 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.reliability import noncentrality
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal_columns
-from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MIN_EQUIVALENT_CORRELATION
+from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MIN_EQUIVALENT_SQUARED_CORRELATION
 from ltsim.core.arrays import Floats, Ints, batches
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
 from ltsim.physics.effects.effect import Effect, NoiseEffect, Parameter
 
-PlaceT = TypeVar("PlaceT")
+VariantT = TypeVar("VariantT")
 """Type of one variant of an effect, an element of a sequence of variants."""
-MAX_EXAMINED_PLACES = 150
+MAX_EXAMINED_VARIANTS = 150
 """Largest number of variants of one effect (places and shape constants) that are examined. Of more variants, an evenly
 spaced selection is examined."""
 
 
 @cache
-def search_noncentrality(dof: int, n_places: int) -> float:
-    """Smallest noncentrality at which a search detects an effect with `dof` parameters, tested in `n_places` variants.
+def search_noncentrality(dof: int, n_variants: int) -> float:
+    """Smallest noncentrality at which a search detects an effect with `dof` parameters among `n_variants` variants.
 
     A variant is a place (stations, targets) and a set of shape constants. The false-alarm rate is divided among all
     variants of the effect, and among all effects of the catalogue. An unknown cause counts as one more effect.
     """
     return noncentrality(
-        dof, alpha=GLOBAL_TEST_LEVEL, n_tests=n_places * (len(CATALOGUE) - len(MISALIGNMENT_EFFECTS) + 1)
+        dof, alpha=GLOBAL_TEST_LEVEL, n_tests=n_variants * (len(CATALOGUE) - len(MISALIGNMENT_EFFECTS) + 1)
     )
 
 
@@ -58,24 +58,26 @@ class MinimalSize:
     unit: str
     """Display unit of the parameter."""
     best_size: float
-    """Smallest detectable size [SI] over all places and shape constants of the effect."""
+    """Smallest detectable size [SI] over all variants (places and shape constants) of the effect."""
     median_size: float
-    """Median of the detectable sizes [SI] over all places and shape constants."""
+    """Median of the detectable sizes [SI] over all variants."""
     worst_size: float
-    """Largest detectable size [SI] over all places and shape constants; infinite if unknowns absorb the effect."""
+    """Largest detectable size [SI] over all variants; infinite if unknowns absorb the effect."""
     plausible_size: float
     """Plausible size of the parameter [SI]."""
     visible_fraction: float
-    """Fraction of the change of the readings (sum of squares) that remains in the residuals; median over places."""
-    worst_place: str
-    """Station, target or shape constants for which the detectable size is largest."""
+    """Fraction of the change of the readings (sum of squares) that remains in the residuals; median over variants."""
+    worst_variant: str
+    """Stations, targets and shape constants of the variant with the largest detectable size."""
 
 
-def subsample_evenly(places: Sequence[PlaceT]) -> list[PlaceT]:
-    """Evenly spaced selection of at most `MAX_EXAMINED_PLACES` elements of `places`."""
-    if len(places) <= MAX_EXAMINED_PLACES:
-        return list(places)
-    return [places[i] for i in np.unique(np.linspace(0, len(places) - 1, MAX_EXAMINED_PLACES).round().astype(int))]
+def subsample_evenly(variants: Sequence[VariantT]) -> list[VariantT]:
+    """Evenly spaced selection of at most `MAX_EXAMINED_VARIANTS` elements of `variants`."""
+    if len(variants) <= MAX_EXAMINED_VARIANTS:
+        return list(variants)
+    return [
+        variants[i] for i in np.unique(np.linspace(0, len(variants) - 1, MAX_EXAMINED_VARIANTS).round().astype(int))
+    ]
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class EffectDetectability:
     """Name of the effect."""
     parameters: tuple[tuple[Parameter, ...], ...]
     """Parameters of the effect in each variant (place and shape constants)."""
-    places: tuple[str, ...]
+    variant_texts: tuple[str, ...]
     """Text of the stations, targets and shape constants of each variant."""
     minimal_sizes: tuple[Floats, ...]
     """Minimal detectable size [SI] of each parameter in each variant; infinite if unknowns absorb the effect."""
@@ -106,20 +108,20 @@ class EffectDetectability:
             for j, p in enumerate(law):
                 size = np.array([self.minimal_sizes[k][j] for k in at])
                 typical = float(np.quantile(size, 0.5, method="higher"))
-                worst = self.places[at[int(np.argmax(size))]]
+                worst = self.variant_texts[at[int(np.argmax(size))]]
                 row = (self.name, p.name, p.unit, float(size.min()), typical, float(size.max()), p.prior_sigma)
                 table_rows.append(MinimalSize(*row, visible, worst))
         return table_rows
 
 
-def _noise_effect_information(residual_space: ResidualSpace, places: Sequence[NoiseEffect]) -> list[Floats]:
+def _noise_effect_information(residual_space: ResidualSpace, variants: Sequence[NoiseEffect]) -> list[Floats]:
     """Information matrix of the parameters of each noise effect; element (i, j) is half the trace of P D_i P D_j.
 
     P is the projector onto the residuals. D_i is the derivative of the whitened variances with respect to parameter i,
     by differences over a tenth of its plausible size.
     """
     problem, changes = residual_space.adjustment.problem, []
-    for effect in places:
+    for effect in variants:
         steps = np.diag([0.1 * p.prior_sigma for p in effect.parameters])
         for step in steps:
             upper = effect.variance(residual_space.sightings, problem.sigma, step)
@@ -127,24 +129,24 @@ def _noise_effect_information(residual_space: ResidualSpace, places: Sequence[No
     stack = np.array(changes)
     n_parameters = stack.shape[1]
     spread = np.empty_like(stack)
-    for part in batches(n_parameters, residual_space.n_rows):
-        units = np.eye(residual_space.n_rows, part.stop - part.start, -part.start)
+    for part in batches(n_parameters, residual_space.n_equations):
+        units = np.eye(residual_space.n_equations, part.stop - part.start, -part.start)
         spread[:, part] = stack @ residual_space.project(units)[:n_parameters] ** 2
-    edges = np.cumsum([0, *(len(effect.parameters) for effect in places)])
+    edges = np.cumsum([0, *(len(effect.parameters) for effect in variants)])
     return [0.5 * stack[a:b] @ spread[a:b].T for a, b in pairwise(edges)]
 
 
-def detectability_at_places(residual_space: ResidualSpace, places: Sequence[Effect]) -> EffectDetectability | None:
-    """Detectability of one effect in all variants `places` that a search tests; None if none changes residuals."""
-    selected_places = subsample_evenly(places)
-    noises = [effect for effect in selected_places if isinstance(effect, NoiseEffect)]
+def detectability_of_variants(residual_space: ResidualSpace, variants: Sequence[Effect]) -> EffectDetectability | None:
+    """Detectability of one effect in all `variants` that a search tests; None if no variant changes residuals."""
+    selected_variants = subsample_evenly(variants)
+    noises = [effect for effect in selected_variants if isinstance(effect, NoiseEffect)]
     visible_effects: list[tuple[Effect, Floats, float, int, Floats]] = []
     informations = _noise_effect_information(residual_space, noises) if noises else []
     visible_effects += [
         (effect, information, 1.0, len(information), np.zeros((0, 0)))
         for effect, information in zip(noises, informations, strict=True)
     ]
-    for effect in () if noises else selected_places:
+    for effect in () if noises else selected_variants:
         whole = residual_space.whitened_design(effect)
         if np.isfinite(whole).all() and whole.any():
             norm = np.linalg.norm(whole, axis=0)
@@ -152,22 +154,22 @@ def detectability_at_places(residual_space: ResidualSpace, places: Sequence[Effe
             basis = orthonormal_columns(scaled, np.ones(len(norm)))
             information, share, rank = visible_information(scaled.T @ scaled, norm, MAX_SOLUTION_ROUNDING_ERROR)
             visible_effects.append((effect, information, float(share), int(rank), basis))
-    return effect_detectability(visible_effects, len(places)) if visible_effects else None
+    return effect_detectability(visible_effects, len(variants)) if visible_effects else None
 
 
 def effect_detectability(
-    visible_effects: Sequence[tuple[Effect, Floats, float, int, Floats]], n_places: int
+    visible_effects: Sequence[tuple[Effect, Floats, float, int, Floats]], n_variants: int
 ) -> EffectDetectability:
     """Detectability of one effect from the part of its changes of readings that remains in the residuals.
 
     Each element of `visible_effects` contains a variant of the effect, the information matrix of its parameters, the
     visible fraction (that remains in the residuals), the rank, and an orthonormal basis of the change of the residuals.
-    `n_places` is the number of variants that a search tests.
+    `n_variants` is the number of variants that a search tests.
     """
     effects, information, visible, spent, columns = zip(*visible_effects, strict=True)
-    noncentralities = [search_noncentrality(max(dof, 1), n_places) for dof in spent]
+    noncentralities = [search_noncentrality(max(dof, 1), n_variants) for dof in spent]
     minimal_sizes = tuple(map(_minimal_sizes, information, noncentralities))
-    names, laws = tuple(map(_place_text, effects)), tuple(effect.parameters for effect in effects)
+    names, laws = tuple(map(_variant_text, effects)), tuple(effect.parameters for effect in effects)
     return EffectDetectability(effects[0].name, laws, names, minimal_sizes, visible, columns)
 
 
@@ -195,7 +197,7 @@ def _minimal_sizes(information: Floats, noncentrality: float) -> Floats:
     return minimal_sizes
 
 
-def _place_text(effect: Effect) -> str:
+def _variant_text(effect: Effect) -> str:
     """Text of the stations, targets and shape constants of an effect."""
     names = [*effect.stations, *effect.targets]
     for shape in type(effect).shape_parameters:
@@ -213,7 +215,7 @@ def calibrated_effect_detectability(adjustment: Adjustment, effect: Effect) -> E
     """
     indices = [adjustment.construction.index(p.name) for p in effect.parameters]
     block, prior = (
-        adjustment.instrument_covariance[np.ix_(indices, indices)],
+        adjustment.first_instrument_covariance[np.ix_(indices, indices)],
         adjustment.problem.prior.sigma[0][indices],
     )
     information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
@@ -264,7 +266,8 @@ class CatalogueDetectability:
         The pair with the largest fraction is first.
         """
         first, second = np.nonzero(
-            (self.explained_fractions > MIN_EQUIVALENT_CORRELATION) & ~np.eye(len(self.detectable_effects), dtype=bool)
+            (self.explained_fractions > MIN_EQUIVALENT_SQUARED_CORRELATION)
+            & ~np.eye(len(self.detectable_effects), dtype=bool)
         )
         effect_pairs = [
             (self.detectable_effects[i], self.detectable_effects[j], float(self.explained_fractions[i, j]))
@@ -289,7 +292,7 @@ def catalogue_detectability(
         if kind.parameters and {p.name for p in kind.parameters} <= estimated_names:
             reports.append(calibrated_effect_detectability(adjustment, kind()))
             continue
-        effect_report = detectability_at_places(space, kind.candidates(adjustment.sightings))
+        effect_report = detectability_of_variants(space, kind.candidates(adjustment.sightings))
         if effect_report is None or not any(np.isfinite(size).any() for size in effect_report.minimal_sizes):
             silent.append(kind.name)
         if effect_report is not None:

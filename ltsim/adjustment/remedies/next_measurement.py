@@ -16,7 +16,7 @@ import numpy as np
 from ltsim.adjustment import adjust
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.remedies.candidates import (
-    KINDS_BY_EFFORT,
+    CANDIDATE_KINDS_BY_EFFORT,
     CandidateMeasurement,
     VisibilityFunction,
     advice_sentence,
@@ -67,7 +67,7 @@ class Explanation:
 
 
 def residual_space_of(adjustment: Adjustment, extra_effects: Sequence[LinearEffect] = ()) -> ResidualSpace:
-    """Space of the residuals of an adjustment in which the parameters of `extra_effects` are estimated too."""
+    """Residual space of an adjustment in which the parameters of `extra_effects` are estimated too."""
     return ResidualSpace.from_adjustment(adjustment).with_effects(extra_effects)
 
 
@@ -82,7 +82,7 @@ def best_explanation(residual_space: ResidualSpace, name: str) -> Explanation:
     best_so_far: Explanation | None = None
     least = float(residual_space.residuals @ residual_space.residuals)
     for effect in kind.candidates(residual_space.sightings):
-        values, sum_of_squares = _best_fitting_size(residual_space, effect, residual_space.residuals)
+        values, sum_of_squares = _best_fitting_parameters(residual_space, effect, residual_space.residuals)
         if sum_of_squares < least:
             least, best_so_far = sum_of_squares, Explanation(effect, values)
     if best_so_far is None:
@@ -92,7 +92,7 @@ def best_explanation(residual_space: ResidualSpace, name: str) -> Explanation:
     return best_so_far
 
 
-def _best_fitting_size(residual_space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
+def _best_fitting_parameters(residual_space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
     """Parameters (p,) [SI] of an effect that fit m whitened residuals (m,) best, and remaining sum of squares.
 
     The effect has p parameters.
@@ -108,9 +108,9 @@ def _best_fitting_size(residual_space: ResidualSpace, effect: Effect, residual: 
 class RivalExplanations:
     """Two possible causes of a misfit, with the variants (place, shape constants) in which one imitates the other."""
 
-    first: Explanation
+    first_explanation: Explanation
     """First possible cause."""
-    second: Explanation
+    second_explanation: Explanation
     """Second possible cause."""
     rival_variants: tuple[list[tuple[float, Effect]], list[tuple[float, Effect]]]
     """Variants of the second cause, each preceded by the chi-square of the first cause that it does not explain.
@@ -144,7 +144,9 @@ class RivalExplanations:
         The difference is the smaller of two values: first cause true, or second cause true.
         """
         least = []
-        for truth, rival_variants in zip((self.first, self.second), self.rival_variants, strict=True):
+        for truth, rival_variants in zip(
+            (self.first_explanation, self.second_explanation), self.rival_variants, strict=True
+        ):
             residual_change = residual_space.project(
                 residual_space.whitened_design(truth.effect) @ truth.parameter_values
             )
@@ -152,7 +154,7 @@ class RivalExplanations:
             for before, effect in rival_variants:
                 if before >= smallest:
                     break
-                smallest = min(smallest, _best_fitting_size(residual_space, effect, residual_change)[1])
+                smallest = min(smallest, _best_fitting_parameters(residual_space, effect, residual_change)[1])
             least.append(smallest)
         return min(least)
 
@@ -169,7 +171,7 @@ def _variants_with_unexplained_part(
     )
     instances = [rival, *subsample_evenly(type(rival).candidates(residual_space.sightings))]
     return sorted(
-        ((_best_fitting_size(residual_space, effect, residual_change)[1], effect) for effect in instances),
+        ((_best_fitting_parameters(residual_space, effect, residual_change)[1], effect) for effect in instances),
         key=lambda pair: pair[0],
     )
 
@@ -180,14 +182,14 @@ class MeasurementProposal(ValueEquality):
 
     candidate: CandidateMeasurement
     """Proposed measurement."""
-    sigma_ratio: float
+    remaining_sigma_fraction: float
     """Standard deviation of an instrument parameter with the measurement, divided by the standard deviation without it;
     geometric mean over the principal axes of the covariance."""
     most_improved_parameter: str
     """Name of the instrument parameter whose standard deviation decreases most."""
-    most_improved_ratio: float
+    most_improved_sigma_fraction: float
     """Standard deviation of `most_improved_parameter` with the measurement, divided by that without it."""
-    expected_chi2: dict[str, float] = field(default_factory=dict)
+    expected_chi2_differences: dict[str, float] = field(default_factory=dict)
     """Expected difference of chi-square between the first possible cause and each other cause, by name of the other
     cause."""
 
@@ -197,16 +199,16 @@ class MeasurementProposal(ValueEquality):
         candidate: CandidateMeasurement,
         present_adjustment: Adjustment,
         adjustment: Adjustment,
-        expected_chi2: dict[str, float] | None = None,
+        expected_chi2_differences: dict[str, float] | None = None,
     ) -> MeasurementProposal:
         """Proposal for a measurement, from the present adjustment and the adjustment with the measurement.
 
-        `expected_chi2` contains the expected differences of chi-square between the first possible cause and each other
-        cause. For an instrument without parameters the ratios of standard deviations are 1.
+        `expected_chi2_differences` contains the expected difference of chi-square between the first possible cause and
+        each other cause. For an instrument without parameters the ratios of standard deviations are 1.
         """
         if not adjustment.construction.n_parameters:
-            return cls(candidate, 1.0, "", 1.0, expected_chi2 or {})
-        before, after = present_adjustment.instrument_covariance, adjustment.instrument_covariance
+            return cls(candidate, 1.0, "", 1.0, expected_chi2_differences or {})
+        before, after = present_adjustment.first_instrument_covariance, adjustment.first_instrument_covariance
         sigma_gain = np.exp(0.5 / len(before) * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]))
         ratio = np.sqrt(np.diag(after) / np.diag(before))
         best_index = int(np.argmin(ratio))
@@ -215,28 +217,30 @@ class MeasurementProposal(ValueEquality):
             float(sigma_gain),
             adjustment.construction.parameter_names[best_index],
             float(ratio[best_index]),
-            expected_chi2 or {},
+            expected_chi2_differences or {},
         )
 
     @property
     def distinguished_explanations(self) -> tuple[str, ...]:
         """Names of the possible causes that the measurement would distinguish from the first cause."""
-        return tuple(name for name, value in self.expected_chi2.items() if value >= MIN_DECISIVE_CHI2)
+        return tuple(name for name, value in self.expected_chi2_differences.items() if value >= MIN_DECISIVE_CHI2)
 
     @property
     def distinguishes_all(self) -> bool:
         """True if the measurement would distinguish all other possible causes from the first cause."""
-        return bool(self.expected_chi2) and len(self.distinguished_explanations) == len(self.expected_chi2)
+        return bool(self.expected_chi2_differences) and len(self.distinguished_explanations) == len(
+            self.expected_chi2_differences
+        )
 
     @property
     def sort_key(self) -> tuple[int, int, float, float]:
         """Sort key, smaller for better proposals: number of distinguished causes, then effort, then evidence."""
-        decisive_chi2 = sum(min(value, MIN_DECISIVE_CHI2) for value in self.expected_chi2.values())
+        decisive_chi2 = sum(min(value, MIN_DECISIVE_CHI2) for value in self.expected_chi2_differences.values())
         if not self.distinguished_explanations:
             return 0, 0, 0.0, -decisive_chi2
         return (
             -len(self.distinguished_explanations),
-            KINDS_BY_EFFORT.index(self.candidate.kind),
+            CANDIDATE_KINDS_BY_EFFORT.index(self.candidate.kind),
             self.candidate.duration,
             -decisive_chi2,
         )
@@ -250,7 +254,7 @@ class RankedProposals(ValueEquality):
     """Proposals, ordered by evidence between possible causes, or by information on the instrument."""
     compared_explanations: tuple[str, ...] = ()
     """Names of the possible causes to distinguish; empty for a ranking by information on the instrument."""
-    present_chi2: dict[str, float] = field(default_factory=dict)
+    present_chi2_differences: dict[str, float] = field(default_factory=dict)
     """Difference of chi-square between the first and each other cause in the present recording, by name of the other
     cause."""
 
@@ -263,7 +267,7 @@ class RankedProposals(ValueEquality):
         distinguished = best_proposal.distinguished_explanations or self.compared_explanations[1:]
         now, then = (
             list_text([f"{template_values[name]:.0f}" for name in distinguished])
-            for template_values in (self.present_chi2, best_proposal.expected_chi2)
+            for template_values in (self.present_chi2_differences, best_proposal.expected_chi2_differences)
         )
         titles = {name: effect_title(name) for name in self.compared_explanations}
         other_titles = list_text([titles[name] for name in distinguished])
@@ -315,7 +319,7 @@ def rank_next_measurements(
     for done, proposal in enumerate(_proposals_for(candidates, network.make_adjustment()), 1):
         proposals.append(proposal)
         progress("trying further measurements", done / len(candidates))
-    return RankedProposals(tuple(sorted(proposals, key=lambda p: p.sigma_ratio)))
+    return RankedProposals(tuple(sorted(proposals, key=lambda p: p.remaining_sigma_fraction)))
 
 
 def rank_deciding_measurements(
@@ -379,7 +383,7 @@ def _proposals_for(
 
 def _effort_rank(candidate: CandidateMeasurement) -> tuple[int, float]:
     """Effort of a measurement: rank of its kind, then its duration [s]."""
-    return KINDS_BY_EFFORT.index(candidate.kind), candidate.duration
+    return CANDIDATE_KINDS_BY_EFFORT.index(candidate.kind), candidate.duration
 
 
 def _most_informative_stations(
@@ -388,5 +392,5 @@ def _most_informative_stations(
     """Candidate stations that give most information on the instrument, the station with the shortest duration first."""
     remedies = station_candidates(network, seconds_per_move, visibility_function)
     proposals = _proposals_for(remedies, network.make_adjustment())
-    best_proposals = sorted(proposals, key=lambda p: p.sigma_ratio)[:N_EVALUATED_STATIONS]
+    best_proposals = sorted(proposals, key=lambda p: p.remaining_sigma_fraction)[:N_EVALUATED_STATIONS]
     yield from sorted((p.candidate for p in best_proposals), key=_effort_rank)

@@ -42,17 +42,21 @@ MIN_WORTHWHILE_GAIN_INCREASE = 0.25
 class ParameterCombination:
     """Linear combination of parameters in units of their prior standard deviations, and its gain."""
 
-    vector: Floats
+    coefficient_vector: Floats
     """Coefficients of the p parameters, a unit vector (p,)."""
     gain: float
     """Fraction of the prior variance that the readings removed."""
 
     def coefficients(self, names: Sequence[str]) -> dict[str, float]:
         """Coefficients with absolute values above 0.1, by parameter name; the largest is first and positive."""
-        abs_coefficients = np.abs(self.vector)
+        abs_coefficients = np.abs(self.coefficient_vector)
         order = np.argsort(-np.round(abs_coefficients / MAX_SOLUTION_ROUNDING_ERROR), kind="stable")
-        sign = np.sign(self.vector[_index_of_first_largest(abs_coefficients)])
-        return {names[i]: float(sign * self.vector[i]) for i in order if abs_coefficients[i] > MIN_REPORTED_COEFFICIENT}
+        sign = np.sign(self.coefficient_vector[_index_of_first_largest(abs_coefficients)])
+        return {
+            names[i]: float(sign * self.coefficient_vector[i])
+            for i in order
+            if abs_coefficients[i] > MIN_REPORTED_COEFFICIENT
+        }
 
 
 def gains_and_combinations(covariance: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
@@ -79,7 +83,9 @@ def undetermined_combinations(covariance: Floats, prior_sigma: Floats) -> list[P
     gain = 1.0 - np.einsum("ij,ik,kj->j", vectors, scaled_covariance, vectors)
     gain = np.where(gain < MAX_ROUNDING_ERROR, 0.0, gain)
     weak = [ParameterCombination(vectors[:, i], float(gain[i])) for i in np.flatnonzero(gain < MIN_DETERMINED_GAIN)]
-    return sorted(weak, key=lambda d: (round(d.gain / MAX_ROUNDING_ERROR), _index_of_first_largest(np.abs(d.vector))))
+    return sorted(
+        weak, key=lambda d: (round(d.gain / MAX_ROUNDING_ERROR), _index_of_first_largest(np.abs(d.coefficient_vector)))
+    )
 
 
 def _index_of_first_largest(sizes: Floats) -> int:
@@ -184,7 +190,7 @@ def _gains_of_combinations(
     except NetworkError:
         return [[0.0 for _ in weak] for weak in directions]
     return [
-        [float(1.0 - (d.vector / sigma) @ block @ (d.vector / sigma)) for d in weak]
+        [float(1.0 - (d.coefficient_vector / sigma) @ block @ (d.coefficient_vector / sigma)) for d in weak]
         for block, sigma, weak in zip(covariance, prior, directions, strict=True)
     ]
 

@@ -151,7 +151,7 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
             continue
         ratios = (
             setup.two_face_differences.uncorrected_pairs.half_differences
-            / setup.two_face_differences.max_half_differences
+            / setup.two_face_differences.half_difference_limits
         )
         places = n_drawn + np.arange(len(ratios))
         for column, (component, colour, marker) in enumerate(OBSERVABLE_MARKERS):
@@ -201,16 +201,19 @@ def _draw_misfit_over_time(ax: Axes, check: Check) -> None:
         )
     has_label = False
     for item in check.items:
-        if item.between_s is not None:
+        if item.motion_interval_s is not None:
             ax.axvspan(
-                item.between_s[0] / seconds_per_unit,
-                item.between_s[1] / seconds_per_unit,
+                item.motion_interval_s[0] / seconds_per_unit,
+                item.motion_interval_s[1] / seconds_per_unit,
                 color=style.RED,
                 alpha=0.35,
                 lw=0,
             )
             ax.axvline(
-                item.between_s[0] / seconds_per_unit, color=style.RED, lw=1.0, label=None if has_label else "moved"
+                item.motion_interval_s[0] / seconds_per_unit,
+                color=style.RED,
+                lw=1.0,
+                label=None if has_label else "moved",
             )
             has_label = True
     style.set_grid(ax)

@@ -288,22 +288,21 @@ def next_measurement_section(content: NextMeasurement, _: SectionContext) -> Sec
     """Section of proposed further measurements."""
     best_proposal = content.proposals[0]
     assessment = assessment_of(best_proposal.distinguishes_all) if content.between else "plain"
-    reductions = [100 * (1 - factor) for factor in (best_proposal.sigma_ratio, best_proposal.most_improved_ratio)]
+    fractions = best_proposal.remaining_sigma_fraction, best_proposal.most_improved_sigma_fraction
+    reductions = [100 * (1 - fraction) for fraction in fractions]
     answer = f"Measure next: {best_proposal.action} ({duration_text(60 * best_proposal.minutes)}); "
     answer += (
         f"the standard deviations of the instrument's parameters fall by {reductions[0]:.0f} % on average, "
         f"of the {parameter_text(best_proposal.most_improved_parameter)} by {reductions[1]:.0f} %."
     )
     answer = capitalised_sentence(content.advice) if content.between and content.advice else answer
-    note = (
-        "Factors: standard deviation of a parameter after the measurement, divided by that before; mean and smallest."
-    )
+    note = "Factors: standard deviation of a parameter after divided by before the measurement; mean and smallest."
     in_words = [
         entry.with_values(most_improved_parameter=parameter_text(entry.most_improved_parameter))
         for entry in content.proposals
     ]
     proposals = PROPOSALS_TABLE.with_rows(in_words).with_columns(
-        "action minutes sigma_ratio most_improved_parameter most_improved_ratio"
+        "action minutes remaining_sigma_fraction most_improved_parameter most_improved_sigma_fraction"
     )
     note = f"{note} {_site_sentence(content)}".rstrip()
     blocks: list[Block] = [*table_blocks("Further measurements, the best first", proposals, note=note)]

@@ -73,10 +73,10 @@ def test_criteria_term_by_term() -> None:
     for i, j in combinations(range(6), 2):
         lengths = [np.linalg.norm(cloud[i] - cloud[j]) for cloud in clouds]
         slow.append(np.mean([abs(d - np.mean(lengths)) for d in lengths]))
-    assert np.allclose(distance_differences(clouds).values, slow)
+    assert np.allclose(distance_differences(clouds).disagreements, slow)
     pairs = list(combinations(range(3), 2))
     gaps = [[np.linalg.norm(clouds[m, i] - clouds[n, i]) for m, n in pairs] for i in range(6)]
-    assert np.allclose(coordinate_differences(clouds).values, np.mean(gaps, axis=1))
+    assert np.allclose(coordinate_differences(clouds).disagreements, np.mean(gaps, axis=1))
 
 
 def test_a_perfect_tracker_has_no_differences_and_poses_do_not_matter() -> None:
@@ -155,10 +155,12 @@ def test_share_of_the_correctable_error() -> None:
     recording, construction = network(values, noise=1e-6, faces=(1,)), misalignment_construction()
     none = share_removed(recording, TARGETS, construction, calibrated=0 * values, true_parameters=values)
     full = share_removed(recording, TARGETS, construction, calibrated=values, true_parameters=values)
-    assert none.share_removed == pytest.approx(0.0, abs=1e-6)
-    assert full.share_removed == pytest.approx(1.0)
+    assert none.removed_error_fraction == pytest.approx(0.0, abs=1e-6)
+    assert full.removed_error_fraction == pytest.approx(1.0)
     half = share_removed(recording, TARGETS, construction, calibrated=values / 2, true_parameters=values)
-    assert 0.7 < half.share_removed < 0.8  # three quarters of the mean square; a8a5717 said a half, of its root
+    assert (
+        0.7 < half.removed_error_fraction < 0.8
+    )  # three quarters of the mean square; a8a5717 said a half, of its root
     assert half.raw_rms > half.calibrated_rms > half.true_parameters_rms > 0
 
 
@@ -173,6 +175,6 @@ def test_memory_follows_what_is_seen_and_not_all_pairs() -> None:
     pairs, places = distance_differences(clouds), coordinate_differences(clouds)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert len(pairs.values) == 99 * 25 * 24 / 2
-    assert len(places.values) == 99 * 25
+    assert len(pairs.disagreements) == 99 * 25 * 24 / 2
+    assert len(places.disagreements) == 99 * 25
     assert most < 60e6

@@ -34,7 +34,7 @@ def test_the_probe_sees_the_same_point_from_its_own_side() -> None:
     point = np.array([30e-6, -20e-6])
     record = measure_bench(quiet(table=np.zeros(9), eccentricity=point), 1)
     angles = np.arctan2(point[1], point[0]) + FULL_TURN
-    np.testing.assert_allclose(record.displacements, np.hypot(*point) * np.sin(angles), atol=1e-15)
+    np.testing.assert_allclose(record.probe_displacements, np.hypot(*point) * np.sin(angles), atol=1e-15)
 
 
 def test_without_noise_everything_comes_back() -> None:
@@ -70,8 +70,8 @@ def test_a_vertex_off_centre_is_named() -> None:
     found = fit_vertex_offset(TABLE_ANGLES, vertex_table(-97e-6, 26e-6), 0.14e-6)
     assert found.axial_offset == pytest.approx(-97e-6, abs=1e-12)
     assert found.side_offset == pytest.approx(26e-6, abs=1e-12)
-    assert found.remaining_rms < 1e-12
-    assert fit_vertex_offset(TABLE_ANGLES, np.array(PAPER_RANGE_ERRORS), 0.14e-6).remaining_rms > 0.2 * MICROMETRE
+    assert found.unexplained_rms < 1e-12
+    assert fit_vertex_offset(TABLE_ANGLES, np.array(PAPER_RANGE_ERRORS), 0.14e-6).unexplained_rms > 0.2 * MICROMETRE
 
 
 def test_impossible_benches_are_refused_in_a_sentence() -> None:

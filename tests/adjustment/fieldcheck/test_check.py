@@ -82,7 +82,7 @@ def test_a_bump_is_dated_within_its_gap() -> None:
     found = check(moved(clean.replace(setup=start), 0, 305.0, [40e-6, -30e-6, 10e-6, 0.0, 12e-6, 20e-6]))
     assert kinds(found) == {("S1", "bump")}
     item = next(item for item in found.items if item.kind == "bump")
-    assert item.between_s == (300.0, 310.0)
+    assert item.motion_interval_s == (300.0, 310.0)
     assert item.rows == (31, 32)
     assert item.p_value is not None
     assert item.p_value < 1e-6

@@ -14,7 +14,7 @@ import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.identification import CauseSelection, FitInput, cause_tests, screening, select_causes
 from ltsim.adjustment.identification.evidence import (
-    LOG_SIZE_PRIOR_WIDTH,
+    LOG_OF_LOG_SIZE_PRIOR_WIDTH,
     estimate_noise_factors,
     estimate_sigma_factors,
     log_occam_factor_of_shift,
@@ -363,7 +363,7 @@ def test_alignment_survives_one_point_of_four_that_is_off_by_any_amount() -> Non
 def test_the_occam_factor_is_the_integral_over_all_sizes() -> None:
     w, sizes = 9.0, np.geomspace(1e-3, 1e3, 400_001)
     likelihood = np.exp(-0.5 * (w - sizes) ** 2) + np.exp(-0.5 * (w + sizes) ** 2)
-    integral = np.trapezoid(0.5 * likelihood, np.log(sizes)) / np.exp(LOG_SIZE_PRIOR_WIDTH)
+    integral = np.trapezoid(0.5 * likelihood, np.log(sizes)) / np.exp(LOG_OF_LOG_SIZE_PRIOR_WIDTH)
     assert float(log_occam_factor_of_shift(w, 1)) == pytest.approx(np.log(integral), abs=0.02)
 
 

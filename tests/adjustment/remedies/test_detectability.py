@@ -9,7 +9,7 @@ from scipy import stats
 from ltsim.adjustment.reliability import level_of_single_test, noncentrality
 from ltsim.adjustment.remedies.detectability import (
     catalogue_detectability,
-    detectability_at_places,
+    detectability_of_variants,
     explained_fraction,
     search_noncentrality,
 )
@@ -43,7 +43,7 @@ def test_noncentrality_of_one_parameter_is_the_classical_one() -> None:
 
 @pytest.mark.parametrize("effect", [StationWeather(stations=("S2",)), RangeStep(stations=("S4",))])
 def test_an_effect_of_the_minimal_size_is_found_with_the_stated_power(effect) -> None:  # type: ignore[no-untyped-def]
-    seen = detectability_at_places(SPACE, [effect])
+    seen = detectability_of_variants(SPACE, [effect])
     assert seen is not None
     rows = SPACE.whitened_design(effect)
     trials = np.random.default_rng(7).normal(size=(len(rows), 4000)) + rows @ seen.minimal_sizes[0][:, None]
@@ -55,13 +55,13 @@ def test_an_effect_of_the_minimal_size_is_found_with_the_stated_power(effect) ->
 def test_a_noise_change_of_the_minimal_size_is_found_with_the_stated_power() -> None:
     """Score test of a variance factor, simulated: its statistic is normal only nearly, hence the wide band."""
     effect = NoiseLevel.candidates(INFORMATION.adjustment.sightings)[0]
-    seen = detectability_at_places(SPACE, [effect])
+    seen = detectability_of_variants(SPACE, [effect])
     assert seen is not None
     problem = INFORMATION.adjustment.problem
     size = np.zeros(len(effect.parameters))
     size[0] = seen.minimal_sizes[0][0]
     variance = effect.variance(INFORMATION.adjustment.sightings, problem.sigma, size)
-    factor = np.ones(SPACE.n_rows)
+    factor = np.ones(SPACE.n_equations)
     factor[: int(problem.is_used_reading.sum())] = (variance / problem.sigma**2)[problem.is_used_reading]
     rng = np.random.default_rng(2)
     score = []
@@ -90,14 +90,14 @@ def test_sizes_agree_with_the_reference_table_of_the_catalogue() -> None:
 
 def test_head_sag_hides_behind_the_eccentricity_of_upright_stations() -> None:
     """Sag and the cosine of the elevation circle are one for upright stations."""
-    sag = detectability_at_places(SPACE, [HeadSag()])
+    sag = detectability_of_variants(SPACE, [HeadSag()])
     assert sag is not None
     assert sag.visible_fractions[0] < 1e-3
     others = misalignment_construction(e for e in MISALIGNMENT_EFFECTS if not isinstance(e, ElevationEccentricity))
     space = ResidualSpace.from_adjustment(LayoutInformation.from_survey(survey(), others).adjustment)
     first, second = (
-        detectability_at_places(space, [HeadSag()]),
-        detectability_at_places(space, [ElevationEccentricity()]),
+        detectability_of_variants(space, [HeadSag()]),
+        detectability_of_variants(space, [ElevationEccentricity()]),
     )
     assert first is not None
     assert second is not None
@@ -106,8 +106,8 @@ def test_head_sag_hides_behind_the_eccentricity_of_upright_stations() -> None:
 
 def test_likeness_is_whole_for_itself_and_small_for_strangers() -> None:
     sightings = INFORMATION.adjustment.sightings
-    weather = detectability_at_places(SPACE, StationWeather.candidates(sightings))
-    step = detectability_at_places(SPACE, [RangeStep(stations=("S1",))])
+    weather = detectability_of_variants(SPACE, StationWeather.candidates(sightings))
+    step = detectability_of_variants(SPACE, [RangeStep(stations=("S1",))])
     assert weather is not None
     assert step is not None
     assert explained_fraction(weather, weather) == pytest.approx(1.0, abs=1e-9)

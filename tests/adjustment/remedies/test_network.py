@@ -38,20 +38,20 @@ def test_a_planned_network_knows_what_a_measured_one_knows(measured: PlannedNetw
     recording = measured.recording
     twice = measured.with_pointings(recording.station, recording.target, recording.face)
     assert len(twice.recording) == 2 * len(recording)
-    again = adjust(twice.recording, misalignment_construction()).instrument_covariance
-    assert twice.make_adjustment().instrument_covariance == pytest.approx(again, rel=1e-3)
+    again = adjust(twice.recording, misalignment_construction()).first_instrument_covariance
+    assert twice.make_adjustment().first_instrument_covariance == pytest.approx(again, rel=1e-3)
     assert twice.recording.time[len(recording) :].min() > recording.time.max()
 
 
 def test_a_longer_network_never_knows_less(measured: PlannedNetwork) -> None:
-    before = measured.make_adjustment().instrument_covariance
+    before = measured.make_adjustment().first_instrument_covariance
     for candidate in [
         *procedure_candidates(measured),
         *calibrated_length_candidates(measured),
         *repeated_setup_candidates(measured, 1200.0),
         *near_reflector_candidates(measured)
     ]:  # fmt: skip
-        after = candidate.network.make_adjustment().instrument_covariance
+        after = candidate.network.make_adjustment().first_instrument_covariance
         scale = np.sqrt(np.outer(np.diag(before), np.diag(before)))
         assert np.linalg.eigvalsh((before - after) / scale).min() > -1e-6, candidate.instruction
 

@@ -51,7 +51,7 @@ def drifting() -> tuple[Recording, Truth]:
 
 def test_proposals_are_ranked_by_what_they_tell_about_the_instrument(drifting: tuple[Recording, Truth]) -> None:
     made = rank_next_measurements(drifting[0])
-    sharper = [p.sigma_ratio for p in made.proposals]
+    sharper = [p.remaining_sigma_fraction for p in made.proposals]
     assert sharper == sorted(sharper)
     assert max(sharper) <= 1.0 + 1e-9
     assert "other face" in made.proposals[0].candidate.instruction
@@ -64,10 +64,10 @@ def test_a_tracker_without_parameters_is_told_nothing_and_explanations_are_still
     adjusted = adjust(drifting[0], ideal_construction())
     asked = [best_explanation(residual_space_of(adjusted, ()), name) for name in ("index-drift", "station-settling")]
     made = rank_deciding_measurements(adjusted, asked, stops_at_first=True)
-    assert made.proposals[0].expected_chi2
-    assert {(p.sigma_ratio, p.most_improved_parameter, p.most_improved_ratio) for p in made.proposals} == {
-        (1.0, "", 1.0)
-    }
+    assert made.proposals[0].expected_chi2_differences
+    assert {
+        (p.remaining_sigma_fraction, p.most_improved_parameter, p.most_improved_sigma_fraction) for p in made.proposals
+    } == {(1.0, "", 1.0)}
 
 
 def test_a_proposal_keeps_its_promise_when_it_is_measured(drifting: tuple[Recording, Truth]) -> None:
@@ -80,8 +80,8 @@ def test_a_proposal_keeps_its_promise_when_it_is_measured(drifting: tuple[Record
     readings = best.recording.readings + noise * added[:, None]
     before, after = adjust(recording, construction), adjust(best.recording.with_readings(readings), construction)
     scale = before.problem.prior.sigma[0]
-    ratio = [float(d_criterion(a.instrument_covariance / np.outer(scale, scale))) for a in (before, after)]
-    assert ratio[1] / ratio[0] == pytest.approx(made.proposals[0].sigma_ratio, rel=0.01)
+    ratio = [float(d_criterion(a.first_instrument_covariance / np.outer(scale, scale))) for a in (before, after)]
+    assert ratio[1] / ratio[0] == pytest.approx(made.proposals[0].remaining_sigma_fraction, rel=0.01)
 
 
 def test_what_is_added_is_in_sight_and_timed_after_the_rest(drifting: tuple[Recording, Truth]) -> None:
@@ -119,7 +119,7 @@ def test_evidence_between_two_explanations_is_what_simulation_gives(drifting: tu
     first, second = best_explanation(space, "index-drift"), best_explanation(space, "station-settling")
     expected = RivalExplanations.from_explanations(space, first, second).present_chi2_difference
     design_columns = space.project(space.whitened_design(first.effect) @ first.parameter_values)[:, None]
-    noise = space.project(np.random.default_rng(1).normal(size=(space.n_rows, 400)))
+    noise = space.project(np.random.default_rng(1).normal(size=(space.n_equations, 400)))
 
     def left(effect, y):  # type: ignore[no-untyped-def]
         columns = space.project(space.whitened_design(effect))
@@ -133,8 +133,8 @@ def test_evidence_between_two_explanations_is_what_simulation_gives(drifting: tu
 
 def test_the_other_face_decides_between_an_index_drift_and_settling(drifting: tuple[Recording, Truth]) -> None:
     made = rank_next_measurements(drifting[0], explanations=("index-drift", "station-settling"))
-    now = made.present_chi2["station-settling"]
-    gained = [p.expected_chi2["station-settling"] for p in made.proposals]
+    now = made.present_chi2_differences["station-settling"]
+    gained = [p.expected_chi2_differences["station-settling"] for p in made.proposals]
     assert all(value >= now - 0.5 for value in gained)
     assert [p.sort_key for p in made.proposals] == sorted(p.sort_key for p in made.proposals)
 
@@ -168,7 +168,7 @@ def test_a_suspicious_reflector_is_looked_at_again() -> None:
     made = load_scenario("paper-workshop").model_copy(update={"effects": (entry,)})
     found = rank_next_measurements(simulate(made, 2)[0], explanations=("nest-lift", "outlier", "target-moved"))
     best = found.proposals[0]
-    assert max(found.present_chi2.values()) < 5
+    assert max(found.present_chi2_differences.values()) < 5
     assert best.distinguished_explanations == ("outlier",), (
         "it moved before the last visit, or in it: no pointing of that visit tells"
     )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.remedies.detectability import detectability_at_places, subsample_evenly
+from ltsim.adjustment.remedies.detectability import detectability_of_variants, subsample_evenly
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL
 from ltsim.calibration.evidence import log_sum_exp
@@ -50,7 +50,7 @@ class Search:
 
         The same holds for an effect on data that the network lacks.
         """
-        seen = detectability_at_places(self.space, places)
+        seen = detectability_of_variants(self.space, places)
         if seen is None:
             return None
         row = min(seen.table(), key=lambda r: r.median_size / r.plausible_size)
@@ -66,7 +66,7 @@ class Search:
 
     def share_found(self, shift: Floats, trials: int) -> float:
         """Share of recordings with it whose search is above the threshold."""
-        white = random_stream(11, "power").standard_normal((self.space.n_rows, trials))
+        white = random_stream(11, "power").standard_normal((self.space.n_equations, trials))
         residual = self.space.project(white) + shift[:, None]
         usual = NullEnsemble.from_space
         with pytest.MonkeyPatch.context() as patch:  # The search scores these recordings in place of clean ones.
@@ -103,7 +103,7 @@ def test_an_effect_of_the_minimal_detectable_size_is_found_by_the_search_as_ofte
 
 
 def test_nothing_is_found_where_there_is_nothing(search: Search) -> None:
-    assert search.share_found(np.zeros(search.space.n_rows), 300) == pytest.approx(GLOBAL_TEST_LEVEL, abs=0.04)
+    assert search.share_found(np.zeros(search.space.n_equations), 300) == pytest.approx(GLOBAL_TEST_LEVEL, abs=0.04)
 
 
 @pytest.mark.long

@@ -40,7 +40,7 @@ def test_what_an_adjustment_leaves_of_a_signature_holds_its_size() -> None:
     space = ResidualSpace.from_adjustment(adjust(recording, truth.construction))
     whole = space.whitened_design(Ripple())
     left = space.project(whole)
-    assert whole.shape == (space.n_rows, 1)
+    assert whole.shape == (space.n_equations, 1)
     assert 0.5 < float(left[:, 0] @ left[:, 0]) / float(whole[:, 0] @ whole[:, 0]) < 1.0
 
 
