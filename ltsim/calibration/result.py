@@ -33,7 +33,7 @@ from ltsim.calibration.schema import (
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing, with_sigma
-from ltsim.core.probability import AGREEMENT_LEVEL
+from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE, PPM
 from ltsim.geometry.rigid import quaternion_from_matrix, rigid_motion_design
 from ltsim.physics.effects.motions import exact_change_by_displacement
@@ -141,8 +141,8 @@ def _has_estimated_error(adjustment: Adjustment, whitened_residuals: Floats) -> 
 
 
 def verdict_entry(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:
-    """Verdict on which test to trust, at the level `AGREEMENT_LEVEL`; `fit` estimates the instrument constants too."""
-    return verdict_on(adjustment, AGREEMENT_LEVEL, None if fit is None else (fit.chi2, fit.dof))
+    """Verdict on which test to trust (`TWO_SIDED_GLOBAL_TEST_LEVEL`); `fit` also estimates instrument constants."""
+    return verdict_on(adjustment, TWO_SIDED_GLOBAL_TEST_LEVEL, None if fit is None else (fit.chi2, fit.dof))
 
 
 def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:

@@ -54,16 +54,16 @@ class ChainProgram(NamedTuple):
         """Chain of an error model, linearised at `readings` (pointings, 3), without motions that are always zero."""
         slots = [term.slot for term in construction.terms]
         motions_by_slot = {
-            m.error_slot: [k for k, slot in enumerate(slots) if slot == m.error_slot]
+            m.error_key: [k for k, slot in enumerate(slots) if slot == m.error_key]
             for m in construction.kinematic_chain
-            if m.error_slot
+            if m.error_key
         }
         motions = [
             m
             for m in construction.kinematic_chain
-            if m.nominal_function is not None or motions_by_slot.get(m.error_slot)
+            if m.nominal_function is not None or motions_by_slot.get(m.error_key)
         ]
-        feeds = [motions_by_slot.get(m.error_slot, []) for m in motions]
+        feeds = [motions_by_slot.get(m.error_key, []) for m in motions]
         slope = _basis_derivatives(construction, readings)
         return cls(
             is_rotation=np.array([isinstance(m, RotationStep) for m in motions], dtype=np.int64),

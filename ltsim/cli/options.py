@@ -20,7 +20,7 @@ from ltsim.cli.terminal import Terminal, is_output_closed
 from ltsim.core.arguments import (
     ARGUMENT_BOUNDS,
     MAPPING_SYNTAX,
-    MAX_MAPPING_NUMBER,
+    MAX_MAPPING_VALUE_MAGNITUDE,
     bounded_parser,
     bounds_text,
     check_choice,
@@ -228,7 +228,7 @@ METAVARIABLES = {"prior": "FILE|none", "with_effects": "EFFECT[:WHERE,...]", "ca
 
 def _parse_number(text: str) -> float:
     value = float(text)
-    if not abs(value) <= MAX_MAPPING_NUMBER:
+    if not abs(value) <= MAX_MAPPING_VALUE_MAGNITUDE:
         raise ValueError
     return value
 

@@ -94,8 +94,8 @@ class ConvergenceError(LtsimError):
 
 MAX_QUOTED_NAME_LENGTH = 60
 """Largest number of characters of a name that a message quotes in full; longer names are shortened."""
-_OPTION_SPELLING = {"flags": False}
-"""Spelling of options in messages: as command-line flags if true, as Python arguments if false."""
+_OPTION_SPELLING_SWITCH = {"flags": False}
+"""Switch of the spelling of options in messages: command-line flags if true, Python arguments if false."""
 FLAG_SPELLINGS = {
     "with_effects": "--with", "scaled": "--scale", "hints": "--hint", "changes": "--set",
     "calibrate=False": "--no-calibrate",
@@ -106,16 +106,16 @@ FLAG_SPELLINGS = {
 @contextmanager
 def options_are_flags() -> Iterator[None]:
     """Context in which `option_text` spells names as flags of the command line."""
-    before, _OPTION_SPELLING["flags"] = _OPTION_SPELLING["flags"], True
+    before, _OPTION_SPELLING_SWITCH["flags"] = _OPTION_SPELLING_SWITCH["flags"], True
     try:
         yield
     finally:
-        _OPTION_SPELLING["flags"] = before
+        _OPTION_SPELLING_SWITCH["flags"] = before
 
 
 def option_text(argument_name: str) -> str:
     """Name of an option as the user writes it: `resume=True` in Python, `--resume` on the command line."""
-    if not _OPTION_SPELLING["flags"]:
+    if not _OPTION_SPELLING_SWITCH["flags"]:
         return argument_name
     return FLAG_SPELLINGS.get(argument_name) or "--" + argument_name.removesuffix("=True").replace("_", "-")
 

@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 
 FORMULA_STARTS = ("=", "+", "-", "@", "'")
 """First characters of a text that is written to CSV with an apostrophe, so that it is no spreadsheet formula."""
-MAX_MAGNITUDE = 1e40
+MAX_RESULT_MAGNITUDE = 1e40
 """Largest absolute value of a number in a result file; a product of seven such numbers does not overflow."""
 MAX_NOTEBOOK_ROWS = 12
 """Largest number of rows of a table that a notebook shows."""
-ColumnKind = Literal["text", "number", "flag", "chance"]
-"""Kind of the values of a column: text, number, true or false, or p-value (`chance`)."""
+ColumnKind = Literal["text", "number", "flag", "p_value"]
+"""Kind of the values of a column: text, number, true or false, or p-value."""
 ColumnValues = Mapping[str, Sequence[Any]]
 """Values of columns of equal length, by the names of the columns."""
 
@@ -56,7 +56,7 @@ class Column:
     meaning : str
         Definition of the column.
     kind : str
-        `text`, `number`, `flag` (true or false) or `chance` (a p-value).
+        `text`, `number`, `flag` (true or false) or `p_value`.
     csv_format : str
         Number format in CSV, in the syntax of Python's `format`; `r` for full precision.
     display_format : str
@@ -100,7 +100,7 @@ class Column:
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return ""
         if self.kind == "text":
-            return guard_formula(str(value))
+            return escape_formula(str(value))
         if self.csv_format:
             return repr(float(value)) if self.csv_format == "r" else format(value, self.csv_format)
         return f"{value:.6g}" if isinstance(value, float) and abs(value) < 1e4 else value
@@ -113,7 +113,7 @@ class Column:
             return "yes" if value else ""
         if isinstance(value, str) or self.kind == "text":
             return str(value)
-        if self.kind == "chance":
+        if self.kind == "p_value":
             return p_text(value)
         if self.sigma_column:
             return with_sigma(float(value), precision_value)
@@ -237,7 +237,7 @@ class Table(ValueEquality):
         """Content of the table's CSV file."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow([guard_formula(name) for name in self.header])
+        writer.writerow([escape_formula(name) for name in self.header])
         for row in self.rows:
             writer.writerow([column.csv_cell(value) for column, value in zip(self.columns, row, strict=True)])
         return stream.getvalue()
@@ -371,13 +371,13 @@ class Result(ValueEquality):
         return figure
 
 
-def guard_formula(text: str) -> str:
+def escape_formula(text: str) -> str:
     """Text with an apostrophe before it if a spreadsheet would interpret the text as a formula."""
     return f"'{text}" if text.startswith(FORMULA_STARTS) else text
 
 
-def unguard_formula(text: str) -> str:
-    """Text of a CSV cell without the apostrophe that `guard_formula` adds."""
+def unescape_formula(text: str) -> str:
+    """Text of a CSV cell without the apostrophe that `escape_formula` adds."""
     return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA_STARTS) else text
 
 
@@ -388,13 +388,13 @@ def _column_kind(column: Sequence[Any]) -> ColumnKind:
 
 def _parse_value(column: Column, cell: str, file: object, row: int) -> Any:
     if column.kind == "text":
-        return unguard_formula(cell)
+        return unescape_formula(cell)
     if column.kind == "flag":
         return cell == "True"
     try:
         value = float(cell or "nan")
     except ValueError:
         value = math.inf
-    if abs(value) > MAX_MAGNITUDE:
+    if abs(value) > MAX_RESULT_MAGNITUDE:
         raise RecordError(f"'{printable(cell[:40])}' is not a number", file=file, row=row, column=column.name)
     return value

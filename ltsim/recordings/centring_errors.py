@@ -7,7 +7,7 @@ from typing import Literal
 
 from ltsim.recordings.keys import Positive, TomlSection
 
-Occupation = Literal["station", "instrument_setup", "target_setup", "day"]
+OccupationGrouping = Literal["station", "instrument_setup", "target_setup", "day"]
 """Group of pointings to a target during which its reflector is not moved: all pointings from one station, all with the
 same entry in the column `instrument_setup` or `target_setup`, or all of one day."""
 
@@ -20,7 +20,7 @@ class CentringUncertainty(TomlSection):
 
     sigma_mm: Positive
     """Standard deviation of the displacement along each axis."""
-    occupation: Occupation = "station"
+    occupation: OccupationGrouping = "station"
     """Group of pointings to a target during which its reflector is not moved: all pointings from one `station`, all
     with the same entry in the column `instrument_setup` or `target_setup`, or all of one `day`.
     """

@@ -22,7 +22,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import require_small_joint_covariance
-from ltsim.core.results import guard_formula, unguard_formula
+from ltsim.core.results import escape_formula, unescape_formula
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.files import SourceLocation, decode_head, quoted_text
 from ltsim.recordings.tables import cells
@@ -219,7 +219,7 @@ class _PointRowReader:
             if text and (number is None or abs(number) >= 10**11):
                 raise where.error(f"found '{quoted_text(text)}', expected a number", quoted_text(column.title or role))
             coordinates.append(np.nan if number is None else float(number))
-        return where.name(unguard_formula(row.cell(self.name.position)), "point"), coordinates
+        return where.name(unescape_formula(row.cell(self.name.position)), "point"), coordinates
 
     def _unit_factors(self, table: Floats) -> tuple[Floats, list[str]]:
         """Factors (k,) from the k columns of `table` (n points, k) to m or m^2, and notes on the assumed unit."""
@@ -374,7 +374,7 @@ def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
     """Content of ``NAME.covariance.csv`` [mm^2] from a covariance [m^2] of coordinates with names like ``TARGET.x``."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    names = list(map(guard_formula, coordinates))
+    names = list(map(escape_formula, coordinates))
     writer.writerow(["", *names])
     for name, row in zip(names, covariance / MILLIMETRE**2, strict=True):
         writer.writerow([name, *(f"{entry:.12g}" for entry in row.tolist())])
@@ -385,9 +385,9 @@ def _read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floa
     """Covariance matrix [mm^2] of `coordinate_names`, from a file that may have them in another order."""
     sheet = read_sheets(path)[0]
     (first, *body) = [row for row in sheet.rows if not row.is_comment]
-    names = list(map(unguard_formula, first.fields[1:]))
+    names = list(map(unescape_formula, first.fields[1:]))
     missing = [name for name in coordinate_names if name not in names]
-    if missing or [unguard_formula(row.fields[0]) for row in body] != names:
+    if missing or [unescape_formula(row.fields[0]) for row in body] != names:
         what = f"the coordinate {quoted_text(missing[0])}" if missing else "rows in the order of its columns"
         raise RecordError(f"lacks {what}", file=path)
     if any(len(row.fields) != len(first.fields) for row in body):

@@ -151,7 +151,7 @@ class SourceLocation:
             raise self.error(f"found '{quoted_text(text)}', {wanted}{hint}", column)
         value = float(text)
         if not abs(value) <= limit:
-            raise self.error(f"found {quoted_text(text)}, expected a number of at most {limit:g} in size", column)
+            raise self.error(f"found {quoted_text(text)}, expected a number of at most {limit:g} in magnitude", column)
         return value
 
     def name(self, name: str, kind: str, column: str | None = None) -> str:

@@ -28,7 +28,7 @@ HeightRange = tuple[Positive, Positive]
 """Lowest and highest height [mm] above the floor."""
 MIN_HEAD_ROOM = 0.3
 """Free height [m] that is required above the centre of an instrument's head."""
-N_DEFAULT_PLACES = 250
+N_DEFAULT_TRIPOD_POSITIONS = 250
 """Number of grid positions for tripods on the floor if no grid spacing is given. The positions of stations are refined
 without the grid afterwards."""
 EDGE_TOLERANCE = 1e-9
@@ -260,12 +260,12 @@ def invalid_outline_reason(outline: Floats) -> str:
 def grid_step(standing_areas: Sequence[StandingArea], requested_step_mm: float | None) -> float:
     """Spacing [m] of the grid of positions for tripods: `requested_step_mm` [mm], or by default a suitable spacing.
 
-    By default about `N_DEFAULT_PLACES` positions cover the areas, at least half a metre from each other.
+    By default about `N_DEFAULT_TRIPOD_POSITIONS` positions cover the areas, at least half a metre from each other.
     """
     if requested_step_mm is not None:
         return requested_step_mm * MILLIMETRE
     total_area = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in standing_areas)
-    return max(round(float(np.sqrt(total_area / N_DEFAULT_PLACES)), 1), 0.5)
+    return max(round(float(np.sqrt(total_area / N_DEFAULT_TRIPOD_POSITIONS)), 1), 0.5)
 
 
 def is_allowed_position(

@@ -38,7 +38,7 @@ the spacing of the coarsest grid. A finer grid detects disturbances much narrowe
 several times as wide as the disturbance has only a tenth of the evidence."""
 MIN_PASSING_LINES = 6
 """Smallest number of lines of sight through a candidate region: fewer lines indicate an error of single readings."""
-MAX_PASSING_FRACTION = 0.8
+MAX_PASSING_LINE_FRACTION = 0.8
 """Largest fraction of the lines of sight through a candidate region: if almost all lines pass it, the error belongs to
 the whole recording."""
 MIN_TARGETS_BEHIND_REGION = 2
@@ -284,7 +284,7 @@ def is_passed_by_enough_sights(is_crossed: Bools, sightings: Sightings) -> Bools
     `is_crossed` (r, n) flags the lines of sight of n pointings that pass through each of r regions.
     """
     n_crossed = is_crossed.sum(axis=1)
-    is_sufficient = (n_crossed >= MIN_PASSING_LINES) & (n_crossed <= MAX_PASSING_FRACTION * len(sightings))
+    is_sufficient = (n_crossed >= MIN_PASSING_LINES) & (n_crossed <= MAX_PASSING_LINE_FRACTION * len(sightings))
     of_target = (sightings.target[:, None] == np.arange(len(sightings.target_points))).astype(np.float32)
     by_target = is_crossed[is_sufficient].astype(np.float32) @ of_target
     is_sufficient[is_sufficient] = (by_target > 0.0).sum(axis=1) >= MIN_TARGETS_BEHIND_REGION

@@ -158,29 +158,29 @@ class Sightings:
         return beam, across, upward_part
 
     @cached_property
-    def reading_change_by_error_slot(self) -> dict[str, Floats]:
+    def reading_change_by_error_key(self) -> dict[str, Floats]:
         """Change (n, 3) of the readings of n pointings per unit of each instrument error, by the key of the error.
 
         The keys are those of `MISALIGNMENT_CHAIN`. Instrument errors are corrections, which are added to a reading. For
         a fixed point a reading is therefore smaller by its correction, hence the minus sign.
         """
-        slots = {motion.error_slot for motion in MISALIGNMENT_CHAIN}
+        slots = {motion.error_key for motion in MISALIGNMENT_CHAIN}
         _, by_slot = points_and_error_derivatives(MISALIGNMENT_CHAIN, self.raw_readings, {}, slots)
         return {slot: -np.einsum("nij,nj->ni", self.local_derivatives, moved) for slot, moved in by_slot.items()}
 
     @cached_property
-    def station_time(self) -> Floats:
+    def time_since_station_start(self) -> Floats:
         """Time of each of n pointings since the first pointing of the same station, (n,) [s]."""
         first_times = np.full(len(self.station_names), np.inf)
         np.minimum.at(first_times, self.station, self.time)
         return self.time - first_times[self.station]
 
     @cached_property
-    def elapsed_visit_fraction(self) -> Floats:
+    def elapsed_occupation_fraction(self) -> Floats:
         """Elapsed fraction (n,) of the occupation of the station at n pointings: 0 at its first one, 1 at its last."""
         duration = np.full(len(self.station_names), 1e-9)
-        np.maximum.at(duration, self.station, self.station_time)
-        return self.station_time / duration[self.station]
+        np.maximum.at(duration, self.station, self.time_since_station_start)
+        return self.time_since_station_start / duration[self.station]
 
     @cached_property
     def measurement_order(self) -> Ints:
@@ -271,7 +271,7 @@ class Sightings:
             "y": place[:, 1],
             "z": place[:, 2],
             "time": self.time,
-            "station-time": self.station_time,
+            "station-time": self.time_since_station_start,
             "incidence": self.incidence_angle,
             "nest-direction": self.incidence_direction,
             "face": self.face_sign,

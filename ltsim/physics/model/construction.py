@@ -86,8 +86,8 @@ class GeometricErrorModel:
         for column in range(3):
             unit_reading = np.eye(3)[[column]]
             place = [f is not None and f(unit_reading)[0] != f(zero_reading)[0] for f in functions].index(True)
-            slots.append(chain[place].error_slot or f"reading-{column}")
-            chain[place] = replace(chain[place], error_slot=slots[-1])
+            slots.append(chain[place].error_key or f"reading-{column}")
+            chain[place] = replace(chain[place], error_key=slots[-1])
         return tuple(chain), tuple(slots)
 
     def basis_values(self, readings: Floats) -> Floats:
