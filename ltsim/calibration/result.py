@@ -236,7 +236,7 @@ def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
     if fitted is None:
         return ()
     within = max(float(np.linalg.norm(test.residual)) for test in accepted_tests) / MILLIMETRE
-    source = adjustment.recording.setup.axes
+    source = adjustment.recording.setup.datum_source
     out = [f"{test.name} ({test.error_text})" for test in adjustment.axes_point_tests if test.is_excluded]
     place, turn = (
         " ".join(f"{v:.2g}" for v in values) for values in (fitted.sigma_position_mm, fitted.sigma_rotation_arcsec)
@@ -287,7 +287,7 @@ def _datum_text(adjustment: Adjustment, station: str) -> str:
     """Text on how the free motions of the network are fixed."""
     state, frame = adjustment.state, DeclaredFrame.from_recording(adjustment.recording)
     if adjustment.datum is not None and _has_declared_datum_points(adjustment):
-        source = adjustment.recording.setup.axes
+        source = adjustment.recording.setup.datum_source
         axes = "the axes and the scale" if len(adjustment.problem.undetermined_unknowns.scale_target) else "the axes"
         return f"{axes} of {source}" if source else f"{axes} of the declared coordinates of the datum's targets"
     if adjustment.datum is None and frame.agrees_with_floor_plan(state.station_positions, state.station_rotations):

@@ -388,7 +388,7 @@ def with_axes_of_frame(recording: Recording, frame: Path) -> Recording:
 
     if frame.exists() and str(frame) not in builtin_names():
         if frame.suffix.lower() != ".toml":
-            coordinates = read_points(frame, requires_all_axes=False).coordinates_by_name
+            coordinates = read_points(frame, refuses_contradictions=False).coordinates_by_name
             return with_axes_from_points(recording, coordinates, str(frame))
         frame_table = read_toml(frame, "frame")
         if {*(keys := ("origin", "x_axis", "xy_plane"))} <= frame_table.keys():

@@ -77,7 +77,7 @@ Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False), AfterValid
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
-Distinct = Annotated[tuple[ListedValue, ...], AfterValidator(_without_repetitions)]
+DistinctValues = Annotated[tuple[ListedValue, ...], AfterValidator(_without_repetitions)]
 """Values of a list, each once: a file of 1 MB could repeat a name 100,000 times."""
 SingleLine = Annotated[str, Field(max_length=200), AfterValidator(_require_single_line)]
 Date = Annotated[str, AfterValidator(_require_calendar_date)]

@@ -40,7 +40,7 @@ from ltsim.recordings.references import ReferenceLengths, check_differences
 from ltsim.recordings.reflectors import excess_radii, smr_names
 from ltsim.recordings.settings import read_setup, setup_to_toml, validate_setup
 from ltsim.recordings.setup import Setup
-from ltsim.recordings.specification import deviating_keys
+from ltsim.recordings.specification import keys_deviating_from_data_sheet
 from ltsim.recordings.tables.sheets import SheetRow, is_table_folder
 from ltsim.recordings.transcription_errors import require_degrees_and_millimetres
 
@@ -301,7 +301,7 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
     for name in setup.stations:
         if name not in stations:
             similar = _similar_names(name, recording.stations, len(notes))
-            notes.append(f"stations.{name} was never measured: it has no effect{similar}")
+            notes.append(f"no pointing is from station {name}: the table stations.{name} has no effect{similar}")
     joined = {name for entry in setup.differences for name in (entry.from_, entry.to)}
     for name, target in setup.targets.items():
         if target.known_mm and name not in targets and name not in marks and name not in joined:
@@ -313,10 +313,10 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
                 f"measured{_similar_names(name, recording.targets, len(notes))}"
             )
     for place, entry in {"instrument": setup.instrument, **setup.instruments}.items():
-        if keys := deviating_keys(entry):
+        if keys := keys_deviating_from_data_sheet(entry):
             notes.append(f"{place}: {', '.join(keys)} replace the values of the data sheet {entry.sheet}")
-    if setup.heads_sigma_mm is not None and not recording.labels.keys() & {*OCCUPATION_COLUMNS}:
-        notes.append(f"heads_sigma_mm has no effect: the table has no column {' or '.join(OCCUPATION_COLUMNS)}")
+    if setup.height_above_mark_sigma_mm is not None and not recording.labels.keys() & {*OCCUPATION_COLUMNS}:
+        notes.append(f"height_above_mark_sigma_mm has no effect: no column {' or '.join(OCCUPATION_COLUMNS)} is given")
     if setup.reference_radius_mm is not None and not setup.reflectors:
         notes.append("reference_radius_mm has no effect: no table [reflectors.NAME] gives an SMR its radius")
     return tuple(notes)

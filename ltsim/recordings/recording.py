@@ -24,17 +24,17 @@ SIGMA_COLUMNS = ("sigma_distance_mm", "sigma_azimuth_arcsec", "sigma_elevation_a
 """Columns with the standard deviation of each range, azimuth and elevation; for an empty cell the declared noise of the
 instrument is used."""
 SIGMA_UNITS = (MILLIMETRE, ARCSECOND, ARCSECOND)
-"""Unit [m, rad, rad] of each of `SIGMA_COLUMNS`."""
-UNIT_SUFFIXES = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
-"""Ends of the names of columns for each observable, with the unit, such as `distance_mm`."""
+"""Unit of each of `SIGMA_COLUMNS`, in SI units [m, rad, rad]: millimetre, arc second, arc second."""
+OBSERVABLE_NAMES_WITH_UNIT = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
+"""Names of the observables with the units of their standard deviations in columns, such as `azimuth_arcsec`."""
 HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
 """Columns with the heights of instrument and reflector in each pointing; for an empty cell the height in the set-up is
 used."""
-SHARED_ERROR_COLUMN_PATTERN = re.compile(f"shared_(.+)_({'|'.join(UNIT_SUFFIXES)})")
+SHARED_ERROR_COLUMN_PATTERN = re.compile(f"shared_(.+)_({'|'.join(OBSERVABLE_NAMES_WITH_UNIT)})")
 """Pattern of the name of a column with the change of each reading by one standard deviation of an error that readings
 share: name of the error, then observable and unit."""
-BOOKKEEPING_COLUMNS = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
-"""Covariates with standard deviations and heights, which a diagnosis does not use as regressors."""
+NON_REGRESSOR_COLUMNS = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
+"""Names of the columns of standard deviations and heights, which a diagnosis does not use as regressors."""
 DISTANCE_KIND_COLUMN = "distance_kind"
 """Text column with the kind of a distance: ``slope`` (or empty) or ``horizontal``."""
 DISTANCE_METER_COLUMN = "distance_mode"
@@ -254,7 +254,7 @@ class Recording(Result):
         These are all covariates except standard deviations, heights and shared errors. If both distance meters
         measured, `distance_mode` is one of the covariates: 1 for the IFM, 0 otherwise.
         """
-        columns = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING_COLUMNS}
+        columns = {name: column for name, column in self.covariates.items() if name not in NON_REGRESSOR_COLUMNS}
         regressors = {
             name: column for name, column in columns.items() if not SHARED_ERROR_COLUMN_PATTERN.fullmatch(name)
         }

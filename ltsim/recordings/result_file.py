@@ -35,11 +35,11 @@ from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.files import quoted_text, read_bytes, read_text, write_texts
 from ltsim.recordings.recording import Recording
 
-DIGEST_STEP = 1e-6
+DIGEST_ROUNDING_STEP = 1e-6
 """Step [m, rad] to which a digest rounds readings, so that writing and reading a recording does not change it."""
-DIGEST_OFFSET = 1.0 / np.pi
-"""Offset, in steps of `DIGEST_STEP`, that is added before rounding, so that no decimal reading lies halfway between two
-steps."""
+DIGEST_ROUNDING_OFFSET = 1.0 / np.pi
+"""Offset, in steps of `DIGEST_ROUNDING_STEP`, that is added before rounding, so that no decimal reading lies halfway
+between two steps."""
 
 
 def finite_or_none(value: Any) -> Any:
@@ -180,7 +180,7 @@ def _digest(content: bytes) -> str:
 def recording_digest(recording: Recording) -> str:
     """Digest (SHA-256) of stations, targets, faces, and readings rounded to a micrometre and a microradian."""
     readings = recording.readings
-    floored_steps = np.floor(np.nan_to_num(readings) / DIGEST_STEP + DIGEST_OFFSET).astype("<i8")
+    floored_steps = np.floor(np.nan_to_num(readings) / DIGEST_ROUNDING_STEP + DIGEST_ROUNDING_OFFSET).astype("<i8")
     rounded_steps = np.where(np.isfinite(readings), floored_steps, np.iinfo(np.int64).min).astype("<i8")
     names = [
         f"{recording.stations[s]}\t{recording.targets[t]}\t{face}"

@@ -233,7 +233,7 @@ class Target(TomlSection):
     """Covariance xx, xy, xz, yy, yz, zz of the known coordinates; it replaces `known_sigma_mm`."""
     known_axes: Axes = "xyz"
     """Axes along which the coordinates are known."""
-    in_plan: bool = False
+    plan_only: bool = False
     """True for a target that is adjusted in plan only; its height has no meaning and is not reported."""
     approximate_mm: Vector | None = None
     """Start value of the coordinates, without weight."""
@@ -325,11 +325,11 @@ class Setup(TomlSection):
     """Title of the recording, free text."""
     started: str = ""
     """Start of the recording (time 0): date and time in ISO format, or the time alone."""
-    axes: SingleLine | None = None
-    """Source of the coordinates of the datum's targets. With this key each of these targets is tested against the other
-    ones; a target that contradicts them is removed from the datum and reported.
+    datum_source: SingleLine | None = None
+    """Source of the coordinates of the targets that define the datum, such as a name of a file. With this key each of
+    these targets is tested against the others; a target that contradicts them is removed from the datum and reported.
     """
-    heads_sigma_mm: Sigma | None = None
+    height_above_mark_sigma_mm: Sigma | None = None
     """Standard deviation of the height of a tracker head, or a reflector, above its survey mark. With it the adjustment
     estimates a correction of the height in each occupation, named by `instrument_setup` and `target_setup`.
     """

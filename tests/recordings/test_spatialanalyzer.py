@@ -116,7 +116,7 @@ def test_one_name_in_two_places(tmp_path: Path) -> None:
         (";T3;", ";T3;x", "expected a number"),
         ("(mm);2200", "(mm);abc", "expected a number"),
         ("(mm);2200", "(miles);2200", "the unit 'miles' of the pose"),
-        ('"Observations', '"Observ"ations', "not a table"),
+        ('"Observations', '"Observ"ations', "the table cannot be read"),
     ],
 )
 def test_wrong_reports(tmp_path: Path, old: str, new: str, says: str) -> None:

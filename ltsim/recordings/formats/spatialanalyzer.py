@@ -36,9 +36,9 @@ MAX_SAME_POINT_DISTANCE = 2e-3
 """Distance [m] below which points with the same name in two groups count as the same target."""
 SPATIALANALYZER_COLUMN_MAP = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
 """Roles of the columns in the table of a set-up, in the notation of the option --columns."""
-PERMITTED_UNITS = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
+PERMITTED_UNITS_BY_COLUMN = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
 """Permitted units of each column that the table of a set-up must have; None for a column without unit."""
-RETAINED_COLUMNS = (*PERMITTED_UNITS, "datetime", "offset1", "offset2")
+RETAINED_COLUMNS = (*PERMITTED_UNITS_BY_COLUMN, "datetime", "offset1", "offset2")
 """Columns in the table of a set-up that are read; others are ignored."""
 _HEADING_PATTERN = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.MULTILINE)
 """Pattern of the heading of a table of observations."""
@@ -136,7 +136,9 @@ def _read_cells(path: Path) -> Iterator[SheetRow]:
             if any(f.strip() for f in fields):
                 yield SheetRow(reader.line_num, tuple(f.strip() for f in fields))
     except csv.Error as problem:
-        raise SourceLocation(path, reader.line_num).error(f"is not a table here ({problem})") from None
+        raise SourceLocation(path, reader.line_num).error(
+            f"the table cannot be read on from this line ({problem})"
+        ) from None
 
 
 def _read_blocks(path: Path) -> list[_Block]:
@@ -193,7 +195,7 @@ def _read_pose(block: _Block, fields: Sequence[str], location: SourceLocation) -
 def _check_heading(fields: Sequence[str], location: SourceLocation) -> None:
     """Check that the heading of a table has each required column once, in a permitted unit; raises RecordError."""
     titles_and_units = [title_words_and_unit(field) for field in fields]
-    for required_title, permitted in PERMITTED_UNITS.items():
+    for required_title, permitted in PERMITTED_UNITS_BY_COLUMN.items():
         units = [unit for word, unit in titles_and_units if word == required_title]
         if len(units) != 1:
             message = f"the heading has {len(units)} columns called {required_title.capitalize()}, expected one"

@@ -100,7 +100,7 @@ _DATE_PATTERN = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})")
 """Pattern of a date of three numbers with equal separators."""
 
 
-def python_number(text: str) -> str:
+def python_number_text(text: str) -> str:
     """Text of a number in Python's notation, from text with a decimal comma or point and possibly a degree sign."""
     text = text.strip().removesuffix("°").replace("\u2212", "-").replace("\u00a0", "").strip()
     comma, point = text.rfind(","), text.rfind(".")
@@ -140,7 +140,7 @@ def is_value(text: str) -> bool:
     """True if a cell is a number or an angle in degrees, minutes and seconds."""
     return len(text) <= MAX_VALUE_LENGTH and (
         is_number(text)
-        or is_number(python_number(text))
+        or is_number(python_number_text(text))
         or _parse_sexagesimal(text) is not None
         or split_unit_symbol(text) is not None
     )
@@ -174,7 +174,7 @@ def split_common_unit(texts: Sequence[str]) -> tuple[Sequence[str], str]:
 
 def is_sexagesimal(text: str) -> bool:
     """True if a cell is an angle in degrees, minutes and seconds, not a plain number."""
-    return not is_number(python_number(text)) and _parse_sexagesimal(text) is not None
+    return not is_number(python_number_text(text)) and _parse_sexagesimal(text) is not None
 
 
 def parse_number(text: str, group_separator: str = "") -> Decimal | None:
@@ -185,7 +185,7 @@ def parse_number(text: str, group_separator: str = "") -> Decimal | None:
     text = text.strip()
     if len(text) > MAX_VALUE_LENGTH:
         return None
-    digits = python_number(
+    digits = python_number_text(
         text.replace(group_separator, "")
         if group_separator and _GROUPED_PATTERN[group_separator].fullmatch(text)
         else text

@@ -17,7 +17,7 @@ from ltsim.recordings.tables.header import (
     unknown_unit_sentence,
 )
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
-from ltsim.recordings.transcription_errors import MAX_CIRCLE_RADIANS, MIN_DISTANCE_MM
+from ltsim.recordings.transcription_errors import MAX_CIRCLE_RADIANS, MIN_LONGEST_DISTANCE_MM
 
 MAX_SAMPLE_ROWS = 400
 """Largest number of rows from which roles of columns are suggested."""
@@ -25,7 +25,7 @@ MAX_TRIED_ASSIGNMENTS = 20
 """Largest number of suggested values of ``--columns`` that are tested on the whole sheet, the most likely first."""
 MAX_SAMPLE_CELLS = 100_000
 """Largest number of cells, in the first rows of a table, from which roles of columns are suggested."""
-MAX_LENGTH_IN_METRES = MIN_DISTANCE_MM
+MAX_LENGTH_IN_METRES = MIN_LONGEST_DISTANCE_MM
 """Number below which the largest distance or coordinate suggests metres as its unit, and otherwise millimetres."""
 CellsByColumn = Sequence[tuple[str, ...]]
 """Cells of a table, column by column."""

@@ -14,8 +14,8 @@ from ltsim.recordings.tables.title_words import (
     EAST_ASIAN_LETTERS,
     FOREIGN_TITLE_WORDS,
     NUMBER_TITLE_ENDINGS,
-    STATION_TITLE_PLACES,
-    STATION_TITLE_PREFIXES,
+    STATION_TITLE_FIRST_WORDS,
+    STATION_TITLE_LAST_WORDS,
     TITLE_WORDS,
 )
 
@@ -40,7 +40,7 @@ SIGMA_ROLES = {
 """Role of the column with the standard deviation of a reading or coordinate, by the role of the column of the reading
 or coordinate."""
 ROLE_BY_TITLE = {
-    **{instrument + place: "station" for instrument in STATION_TITLE_PREFIXES for place in STATION_TITLE_PLACES},
+    **{instrument + place: "station" for instrument in STATION_TITLE_FIRST_WORDS for place in STATION_TITLE_LAST_WORDS},
     **{
         word: role
         for words in (TITLE_WORDS, *FOREIGN_TITLE_WORDS.values())
@@ -102,9 +102,9 @@ _ANGLE_PART_PATTERNS = tuple(
     )
 )
 """Patterns of titles of columns with degrees, minutes and seconds of an angle."""
-_VALUE_PATTERN = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
+_VALUE_ENDING_PATTERN = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
 """Pattern of a title that ends with a word for a measured value."""
-_NUMBER_PATTERN = re.compile(rf"([a-z0-9]+?)(?:{'|'.join(NUMBER_TITLE_ENDINGS)})")
+_NUMBER_ENDING_PATTERN = re.compile(rf"([a-z0-9]+?)(?:{'|'.join(NUMBER_TITLE_ENDINGS)})")
 """Pattern of a title that ends with a word for a number or a name."""
 NUMBERED_ROLES = ("station", "round")
 """Roles of columns whose titles may end with a word for number or name, as in "station no". Titles of targets and
@@ -336,14 +336,14 @@ def title_words_and_unit(title: str) -> tuple[str, str]:
 
 
 def title_role(name: str) -> str:
-    """Role of a title without unit; '' if it has none. `haerror` has that of standard deviations of directions."""
+    """Role of a title without unit, such as `sigma_azimuth_arcsec` for `haerror`; '' if the title has no role."""
     name = normalised_title(name)
     if name in ROLE_BY_TITLE:
         return ROLE_BY_TITLE[name]
-    value_match = _VALUE_PATTERN.fullmatch(name)
+    value_match = _VALUE_ENDING_PATTERN.fullmatch(name)
     if value_match is not None and value_match[1] in ROLE_BY_TITLE:
         return ROLE_BY_TITLE[value_match[1]]
-    number_match = _NUMBER_PATTERN.fullmatch(name)
+    number_match = _NUMBER_ENDING_PATTERN.fullmatch(name)
     if number_match is not None and ROLE_BY_TITLE.get(number_match[1]) in NUMBERED_ROLES:
         return ROLE_BY_TITLE[number_match[1]]
     stems = [match[1] for form in _SIGMA_TITLE_PATTERN if (match := form.fullmatch(name))]

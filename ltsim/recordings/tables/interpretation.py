@@ -53,7 +53,7 @@ from ltsim.recordings.tables.header import (
 )
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, apply_exactly, to_floats
 from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
-from ltsim.recordings.transcription_errors import MIN_DISTANCE_MM
+from ltsim.recordings.transcription_errors import MIN_LONGEST_DISTANCE_MM
 
 FULL_CIRCLE_DEG = 360
 """Full circle [deg]."""
@@ -226,7 +226,7 @@ def _length_convention(
     if declared_unit or not np.isfinite(polar.distance).any():
         return declared_unit or hints.length or "mm", []
     longest = float(np.nanmax(polar.distance))
-    if hints.length is not None or not MIN_DISTANCE_MM <= longest < MAX_AMBIGUOUS_DISTANCE_MM:
+    if hints.length is not None or not MIN_LONGEST_DISTANCE_MM <= longest < MAX_AMBIGUOUS_DISTANCE_MM:
         return length_unit_from_size(polar.distance, hints)
     if table.column(("flat",)) is not None:
         return "m", ["distances are interpreted as m (horizontal distances are written in metres)"]

@@ -192,7 +192,9 @@ class _SheetReader:
         self._convert_rows()
         self.table.notes += _duplicate_role_warnings(self.columns)
         if self.n_unnamed:
-            self.table.notes.append(f"{self.n_unnamed} rows without a station belong to the station of the row above")
+            self.table.notes.append(
+                f"{self.n_unnamed} rows without a station are assigned to the station of the row above"
+            )
         self.table.pointings = join_pointings(self.parts) if self.parts else UnconvertedPointings()
         return self.table
 

@@ -15,9 +15,9 @@ MAX_SPREADS_WITHIN_SETUP = (0.1, 0.02)
 """Median differences of the ranges [m] and of the elevations [rad] to one target, above which a table without station
 names has several set-ups. Reflectors, faces and drifts change readings by less, and set-ups at different positions by
 more (0.02 rad is 0.1 m at 5 m)."""
-MAX_SPREAD_RATIO = 0.01
+MAX_SPREAD_RATIO_OF_STATION_COLUMN = 0.01
 """Largest ratio at which a column counts as the column of set-up names: median difference of readings to one target
-among rows with the same text in the column, divided by the median difference among all rows."""
+among rows with the same text in the column, divided by that among all rows."""
 MIN_ROWS_PER_SETUP = 3
 """Smallest mean number of rows per distinct text of a column at which it can count as the column of set-up names."""
 
@@ -46,7 +46,7 @@ def require_station_names(table: PointingTable, readings: Floats, file: object) 
             groups = indices_by_value(zip(of_value.tolist(), targets.tolist(), strict=True))[1]
             if (
                 1 < len(distinct) <= len(texts) / MIN_ROWS_PER_SETUP
-                and _median_spread(values, groups) < MAX_SPREAD_RATIO * spread
+                and _median_spread(values, groups) < MAX_SPREAD_RATIO_OF_STATION_COLUMN * spread
             ):
                 names.append((len(distinct), bool(title_words_and_unit(title)[1]), title))
         quantity = "distances" if unit == "m" else "elevations"
