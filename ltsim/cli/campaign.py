@@ -17,7 +17,7 @@ from ltsim.cli.output_checks import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOp
 from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, write_line
 from ltsim.core.arguments import bounded_parser, bounds_text, path_of_file_or_built_in
-from ltsim.core.errors import SetupError, StoppedError
+from ltsim.core.errors import SetupError, UserInterruptError
 from ltsim.core.storage import with_digest_comment
 from ltsim.recordings.files import write_text
 
@@ -90,7 +90,7 @@ def campaign(
             outcome = run_campaign(path, folder, progress=advance, workers=workers, force=force, **options)
     except KeyboardInterrupt:
         n_finished_files = len(CampaignFolder(folder).shard_paths())
-        raise StoppedError(
+        raise UserInterruptError(
             f"{n_finished_files} files with results of finished trials remain in {folder}; continue with --resume"
         ) from None
     results = CampaignResults(folder)

@@ -72,7 +72,7 @@ class WorkerError(LtsimError):
     """Error for a worker process that ended before its result was complete."""
 
 
-class StoppedError(LtsimError):
+class UserInterruptError(LtsimError):
     """Error for work that the user interrupted; the message states which results are complete and how to continue."""
 
 
@@ -104,7 +104,7 @@ FLAG_SPELLINGS = {
 
 
 @contextmanager
-def options_are_flags() -> Iterator[None]:
+def spell_options_as_flags() -> Iterator[None]:
     """Context in which `option_text` spells names as flags of the command line."""
     before, _OPTION_SPELLING_SWITCH["flags"] = _OPTION_SPELLING_SWITCH["flags"], True
     try:

@@ -128,7 +128,7 @@ MAX_COVARIANCE_VALUES = 1_000_000
 """Largest number of values of a covariance matrix in an XML file: the upper triangle of 1,400 coordinates. A value
 takes 120 bytes while it is read.
 """
-MAX_JOINT_COORDINATES = 4_000
+MAX_JOINT_COVARIANCE_COORDINATES = 4_000
 """Largest number of coordinates with a joint covariance matrix, for example of compared epochs; the matrix takes 130
 MB."""
 
@@ -172,7 +172,7 @@ MAX_OBSTACLE_TRIANGLES = 200_000
 is read, and 1,500 in a hall where it may hide targets."""
 
 
-def max_pointings(default_limit: int) -> int:
+def overridable_limit(default_limit: int) -> int:
     """Limit of the number of pointings, set-ups or targets: the larger of `default_limit` and the environment variable.
 
     ModelError is raised if the variable is not a whole number.
@@ -188,8 +188,8 @@ def max_pointings(default_limit: int) -> int:
 def require_small_joint_covariance(n_coordinates: int, file: object) -> None:
     """Check that a joint covariance matrix of `n_coordinates` coordinates fits in memory.
 
-    RecordError, which names `file`, is raised for more than `MAX_JOINT_COORDINATES` coordinates.
+    RecordError, which names `file`, is raised for more than `MAX_JOINT_COVARIANCE_COORDINATES` coordinates.
     """
-    if n_coordinates > MAX_JOINT_COORDINATES:
-        expected = f"expected at most {MAX_JOINT_COORDINATES}; leave out points"
+    if n_coordinates > MAX_JOINT_COVARIANCE_COORDINATES:
+        expected = f"expected at most {MAX_JOINT_COVARIANCE_COORDINATES}; leave out points"
         raise RecordError(f"{n_coordinates} coordinates with a joint covariance matrix, {expected}", file=file)

@@ -25,13 +25,13 @@ elementary motion, (n,)."""
 
 @dataclass(frozen=True)
 class RotationStep:
-    """Rotation by the angle ``sign * (nominal_function(raw_readings) + errors[error_key])`` [rad] about an axis."""
+    """Rotation by the angle ``sign * (nominal_amount(raw_readings) + errors[error_key])`` [rad] about an axis."""
 
     axis: int
     """Coordinate axis of the rotation: 0 x, 1 y, 2 z."""
     error_key: str = ""
     """Key of the rotation's error in the mapping `errors`; empty for a rotation without error."""
-    nominal_function: NominalAmountFunction | None = None
+    nominal_amount: NominalAmountFunction | None = None
     """Nominal angle [rad] as a function of the raw readings; None for a nominal angle of zero."""
     sign: float = 1.0
     """Factor of nominal angle plus error: +1, -1, or a ratio such as `MIRROR_ROTATION_RATIO`."""
@@ -39,13 +39,13 @@ class RotationStep:
 
 @dataclass(frozen=True)
 class TranslationStep:
-    """Translation by the length ``sign * (nominal_function(raw_readings) + errors[error_key])`` [m] along an axis."""
+    """Translation by the length ``sign * (nominal_amount(raw_readings) + errors[error_key])`` [m] along an axis."""
 
     axis: int
     """Coordinate axis of the translation: 0 x, 1 y, 2 z."""
     error_key: str = ""
     """Key of the translation's error in the mapping `errors`; empty for a translation without error."""
-    nominal_function: NominalAmountFunction | None = None
+    nominal_amount: NominalAmountFunction | None = None
     """Nominal length [m] as a function of the raw readings; None for a nominal length of zero."""
     sign: float = 1.0
     """Factor of nominal length plus error, +1 or -1."""
@@ -90,9 +90,7 @@ def _motion_amount(
 
     The result is an array (n,) or one number; None for a motion with neither a nominal amount nor an error.
     """
-    motion_amount = (
-        None if elementary_motion.nominal_function is None else elementary_motion.nominal_function(raw_readings)
-    )
+    motion_amount = None if elementary_motion.nominal_amount is None else elementary_motion.nominal_amount(raw_readings)
     error = errors.get(elementary_motion.error_key)
     if error is not None:
         motion_amount = error if motion_amount is None else motion_amount + error
@@ -261,17 +259,15 @@ def joint_error_motions(joint_name: str) -> tuple[ElementaryMotion, ...]:
 
 
 DH_CHAIN: KinematicChain = (
-    RotationStep(2, nominal_function=ConstantNominalAmount(-QUARTER_TURN)),
-    RotationStep(
-        2, nominal_function=NominalAmountFromReading(1, -QUARTER_TURN)
-    ),  # A1 of Table 1: theta - 90, alpha -90
-    RotationStep(0, nominal_function=ConstantNominalAmount(-QUARTER_TURN)),
+    RotationStep(2, nominal_amount=ConstantNominalAmount(-QUARTER_TURN)),
+    RotationStep(2, nominal_amount=NominalAmountFromReading(1, -QUARTER_TURN)),  # A1 of Table 1: theta - 90, alpha -90
+    RotationStep(0, nominal_amount=ConstantNominalAmount(-QUARTER_TURN)),
     *joint_error_motions("J1"),
-    RotationStep(2, nominal_function=NominalAmountFromReading(2, -QUARTER_TURN)),  # A2: phi - 90, alpha +90
-    RotationStep(0, nominal_function=ConstantNominalAmount(QUARTER_TURN)),
+    RotationStep(2, nominal_amount=NominalAmountFromReading(2, -QUARTER_TURN)),  # A2: phi - 90, alpha +90
+    RotationStep(0, nominal_amount=ConstantNominalAmount(QUARTER_TURN)),
     *joint_error_motions("J2"),
-    TranslationStep(2, nominal_function=NominalAmountFromReading(0)),  # A3: d, theta -90
-    RotationStep(2, nominal_function=ConstantNominalAmount(-QUARTER_TURN)),
+    TranslationStep(2, nominal_amount=NominalAmountFromReading(0)),  # A3: d, theta -90
+    RotationStep(2, nominal_amount=ConstantNominalAmount(-QUARTER_TURN)),
     *joint_error_motions("T"),
 )
 """The paper's Denavit-Hartenberg chain (Sensors 2021, 21, 7479, eq. 1 to 8) with all its error functions.

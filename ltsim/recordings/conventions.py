@@ -16,7 +16,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError, RecordError
-from ltsim.core.limits import MAX_NETWORK_SETUPS, max_pointings
+from ltsim.core.limits import MAX_NETWORK_SETUPS, overridable_limit
 from ltsim.core.notation import listing
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT
 from ltsim.geometry.polar import from_polar
@@ -356,7 +356,7 @@ def mirror_image_sentences(recording: Recording) -> tuple[str, ...]:
     Coordinates in one plane, or a floor plan that fits neither sense, give no sentence. A recording with more set-ups
     than a network may have is not examined.
     """
-    if len(recording.stations) > max_pointings(MAX_NETWORK_SETUPS):
+    if len(recording.stations) > overridable_limit(MAX_NETWORK_SETUPS):
         return ()
     local_points = from_polar(recording.readings)
     polar = PolarReadings(recording.station, recording.target, *recording.readings[:, [1, 2, 0]].T)

@@ -361,7 +361,7 @@ def _coordinates_from_list(path: Path) -> EpochCoordinates:
         return EpochCoordinates(path.stem, listed.names, axes, points, covariance, listed.notes)
     blocks = listed.covariance[:, indices][:, :, indices]
     if not np.isfinite(blocks).all():
-        message = f"no precision is given; add {companion.name} or a column sigma_{axes[0]}_mm"
+        message = f"the coordinates have no standard deviations; add {companion.name} or a column sigma_{axes[0]}_mm"
         raise RecordError(message, file=path)
     blocks_of_pairs = np.zeros(2 * blocks.shape[:2])
     blocks_of_pairs[range(len(blocks)), :, range(len(blocks))] = blocks

@@ -13,7 +13,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option_text
-from ltsim.core.limits import MAX_NETWORK_SETUPS, POINTINGS_LIMIT_VARIABLE, max_pointings
+from ltsim.core.limits import MAX_NETWORK_SETUPS, POINTINGS_LIMIT_VARIABLE, overridable_limit
 from ltsim.core.results import ColumnValues, Result
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
@@ -173,12 +173,12 @@ class Recording(Result):
 
     @property
     def is_usable(self) -> Bools:
-        """Flags (n, 3) of the readings of n pointings that an adjustment uses: all except angles of vertical sights."""
+        """Flags (n, 3) of those readings of n pointings that an adjustment uses: no angles of vertical sights."""
         return self.is_measured & ~(self.is_vertical[:, None] & [False, True, True])
 
     @property
     def is_vertical(self) -> Bools:
-        """Flags (n,) of the pointings, among n, along the standing axis of the tracker: to its zenith or nadir."""
+        """Flags (n,) of those of n pointings that are along the standing axis of the tracker: to its zenith or nadir."""
         return np.asarray(np.abs(np.cos(self.readings[:, 2])) < MIN_COS_ELEVATION_FOR_ANGLES)
 
     @cached_property
@@ -265,7 +265,7 @@ class Recording(Result):
 
     @property
     def is_horizontal(self) -> Bools:
-        """Flags (n,) of the pointings, among n, whose distance is reduced to the horizontal plane of the instrument."""
+        """Flags (n,) of those of n pointings whose distance is reduced to the horizontal plane of the instrument."""
         kinds = self.labels.get(DISTANCE_KIND_COLUMN, ("",) * len(self))
         return np.array([kind == "horizontal" for kind in kinds], dtype=bool)
 
@@ -308,7 +308,7 @@ class Recording(Result):
         the way to divide or to thin the recording. The environment variable that raises the limit of the pointings
         raises the other limits by the same factor.
         """
-        setups, pointings, targets = (max_pointings(n) for n in (MAX_NETWORK_SETUPS, pointings, targets))
+        setups, pointings, targets = (overridable_limit(n) for n in (MAX_NETWORK_SETUPS, pointings, targets))
         if len(self.stations) > setups:
             raise NetworkError(
                 f"the recording holds {len(self.stations)} set-ups; {command} takes at most {setups}: divide it by "

@@ -18,7 +18,7 @@ from ltsim.recordings.setup import Instrument, Noise, NonNegative, Prior, TomlSe
 MPE_COVERAGE_FACTOR = 2.0
 """Maximum permissible error divided by the standard deviation that is derived from it: manufacturers specify a typical
 error of half the maximum."""
-TWO_FACE_LIMIT_RATIO = 2.0
+TWO_FACE_TO_TRANSVERSE_LIMIT_RATIO = 2.0
 """Limit of a two-face difference divided by the limit of the error of a point perpendicular to the beam (ISO
 10360-10:2021, 6.3 and annex D).
 """
@@ -109,7 +109,7 @@ class Specification(TomlSection):
 
     def two_face_limits(self, points: Floats) -> Floats:
         """Limit (k,) [m] of the distance perpendicular to the beam between both faces of k points (k, 3) [m]."""
-        return TWO_FACE_LIMIT_RATIO * self.transverse_limit(to_polar(points)[:, 0])
+        return TWO_FACE_TO_TRANSVERSE_LIMIT_RATIO * self.transverse_limit(to_polar(points)[:, 0])
 
     def to_instrument(self, construction: str = "source-in-head") -> Instrument:
         """Instrument whose noise and priors correspond to these limits, each `MPE_COVERAGE_FACTOR` standard deviations.

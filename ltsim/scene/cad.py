@@ -35,7 +35,7 @@ SINGLE_PRECISION_SUFFIXES = (".stl", *GLTF_SUFFIXES)
 MIN_RELATIVE_BODY_LENGTH = SI_PER_UNIT["mm"] / SI_PER_UNIT["in"]
 """Length of a body divided by the length of the hall, below which the unit of a CAD file is questioned: 1 / 25.4. A
 body as long as the hall has this ratio if a file in inches is read in millimetres."""
-MAX_OVERHANG = 0.05
+MAX_BODY_OVERHANG = 0.05
 """Largest distance [m] by which a body may extend beyond the hall or below its floor."""
 GRID_POINTS_PER_METRE = 1e5
 """Grid points per metre to which corners of triangles are rounded: a grid of 10 um. Single precision, as in STL and
@@ -215,7 +215,7 @@ def implausible_size_question(cad_file: CadFile, hall_size: Floats) -> str:
 def is_inside_hall(triangles: Floats, hall_size: Floats) -> bool:
     """True if m triangles (m, 3, 3) [m] lie within a hall of size (3,) [m] with a corner at the origin.
 
-    They may extend beyond the hall by `MAX_OVERHANG`.
+    They may extend beyond the hall by `MAX_BODY_OVERHANG`.
     """
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    return bool(np.all(low >= -MAX_OVERHANG) and np.all(high <= hall_size + MAX_OVERHANG))
+    return bool(np.all(low >= -MAX_BODY_OVERHANG) and np.all(high <= hall_size + MAX_BODY_OVERHANG))

@@ -311,7 +311,7 @@ _LATEST_OBSTACLES: dict[tuple[bytes, float], Obstacles] = {}
 """Obstacles of the last call of `join_obstacles`, by a digest of their triangles and the height of the floor."""
 
 
-def candidate_nest_places(
+def candidate_nest_positions(
     body_triangles: Floats,
     surface_offset: float,
     min_spacing: float,
@@ -335,7 +335,7 @@ def candidate_nest_places(
     if obstacles is not None:
         is_valid &= ~obstacles.is_inside_body(places)
     is_valid[is_valid] = _is_flat_enough(surface, places[is_valid], normal[is_valid], surface_offset)
-    return _thinned_places(places[is_valid], min_spacing)
+    return _thinned_positions(places[is_valid], min_spacing)
 
 
 def _random_surface_points(body_triangles: Floats, mean_spacing: float) -> tuple[Floats, Floats]:
@@ -374,7 +374,7 @@ def _is_flat_enough(body_surface: Obstacles, places: Floats, surface_normals: Fl
     return is_flat
 
 
-def _thinned_places(places: Floats, min_spacing: float) -> Floats:
+def _thinned_positions(places: Floats, min_spacing: float) -> Floats:
     """Positions among n `places` (n, 3) [m] without those closer than `min_spacing` [m] to an earlier retained one."""
     chosen: list[int] = []
     for i, place in enumerate(places):

@@ -20,9 +20,9 @@ class RayCaster:
     """Triangles in the data structure of the library Embree, which finds the first triangle that a ray hits."""
 
     triangles: Floats
-    """Corners (m, 3, 3) [m] of the triangles."""
+    """Corners (m, 3, 3) [m] of m triangles."""
     normals: Floats
-    """Unit normals (m, 3) of the triangles; zero for a triangle without area."""
+    """Unit normals (m, 3) of the m triangles; zero for a triangle without area."""
     low_corner: Floats
     """Smallest coordinates (3,) [m] of all triangles, the origin of Embree's coordinates."""
     scale: float
@@ -32,7 +32,7 @@ class RayCaster:
 
     @classmethod
     def from_triangles(cls, triangles: Floats, normals: Floats) -> RayCaster | None:
-        """Ray caster for triangles (m, 3, 3) [m] with unit normals (m, 3); None if Embree is not installed."""
+        """Ray caster for m triangles (m, 3, 3) [m] with unit normals (m, 3); None if Embree is not installed."""
         try:
             from embreex import rtcore_scene
             from embreex.mesh_construction import TriangleMesh
@@ -46,7 +46,7 @@ class RayCaster:
         return cls(triangles, normals, low_corner, scale, scene)
 
     def first_hit_distances(self, origins: Floats, directions: Floats) -> Floats:
-        """Distances (n,) [m] from origins (n, 3) [m] along unit directions (n, 3) to the first triangle; inf for none.
+        """Distances (n,) [m] from n origins (n, 3) [m] along unit vectors (n, 3) to the first triangle; inf for none.
 
         Embree finds the triangle; the distance to its plane is computed in double precision.
         """

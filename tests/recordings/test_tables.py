@@ -266,7 +266,7 @@ def test_wrong_tables_get_one_sentence(tmp_path: Path, text: str, says: str) -> 
     [
         ("azimuth=D[furlong]", "expected one of the units deg, gon, rad, dms for azimuth"),
         ("colour=D", "expected ROLE=HEADER[UNIT] with a role among station, target"),
-        ("azimuth=Z[deg],elevation=E[deg]", "does not define its columns"),
+        ("azimuth=Z[deg],elevation=E[deg]", "does not say what its columns contain"),
     ],
 )
 def test_wrong_mappings_get_one_sentence(tmp_path: Path, wanted: str, says: str) -> None:

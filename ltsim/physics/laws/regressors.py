@@ -215,7 +215,7 @@ class Regressor:
         all_targets = np.arange(len(sightings.target_names))
         if self.covariates == ("last-target",):
             return np.where(
-                sightings.previous_pointings >= 0, sightings.target[sightings.previous_pointings], -1
+                sightings.previous_pointing_indices >= 0, sightings.target[sightings.previous_pointing_indices], -1
             ), all_targets
         ids = [sightings.target_names.index(name) for name in self.centre_targets]
         return sightings.target, np.array(ids) if ids else all_targets

@@ -22,7 +22,7 @@ CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
 """Size of the unit cc, 1e-4 gon [rad]."""
 FIXED_SIGMA_M = 1e-7
 """Standard deviation [m] that is used for a coordinate declared as fixed."""
-FIXED_AXES: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
+FIXED_AXES_BY_KEYWORD: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
 """Axes along which a point is fixed, by the keyword (such as ``*CALA``) of the section in which it is declared."""
 SIGMA_OPTIONS = ("SX", "SY", "SZ")
 """Options of a point that are followed by the standard deviation along x, y, z."""
@@ -152,7 +152,7 @@ def parse_point(keyword: str, line_words: LineWords) -> tuple[str, DeclaredPoint
     """
     name, declared_point = _name_and_point(line_words, "a point needs a name and three coordinates")
     point = DeclaredPoint(declared_point)
-    axes = np.array([axis in FIXED_AXES[keyword] for axis in "xyz"])
+    axes = np.array([axis in FIXED_AXES_BY_KEYWORD[keyword] for axis in "xyz"])
     if axes.any():
         point.add_observation(declared_point, np.eye(3) * FIXED_SIGMA_M**2, axes)
     else:

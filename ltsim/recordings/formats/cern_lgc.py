@@ -29,7 +29,7 @@ from ltsim.core.units import EARTH_RADIUS, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, quoted_text, read_lines, single_line_title
 from ltsim.recordings.formats.cern_declarations import (
-    FIXED_AXES,
+    FIXED_AXES_BY_KEYWORD,
     FIXED_SIGMA_M,
     DeclaredPoint,
     LineWords,
@@ -167,7 +167,7 @@ def _begin_block(keyword: str, line_words: LineWords, file: _LgcContent) -> None
         _begin_direction_set(line_words, file)
     elif keyword not in (
         *KEYWORDS_WITHOUT_OBSERVATIONS,
-        *FIXED_AXES,
+        *FIXED_AXES_BY_KEYWORD,
         *OBSERVATION_KEYWORDS,
         "OBSXYZ",
         "FRAME",
@@ -212,7 +212,7 @@ def _process_line(keyword: str, line_words: LineWords, file: _LgcContent) -> boo
     """Addition of the content of a line to `file`; False if the section of the line (`keyword`) is not supported."""
     if keyword in ("TITR", ""):
         file.title_words += line_words.tokens
-    elif keyword in FIXED_AXES:
+    elif keyword in FIXED_AXES_BY_KEYWORD:
         name, point = parse_point(keyword, line_words)
         if name in file.points:
             raise line_words.location.error(f"the point {name} is declared twice")

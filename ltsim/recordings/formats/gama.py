@@ -43,9 +43,9 @@ from ltsim.recordings.references import check_differences
 from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Gauge, Instrument, Noise, Setup, Station, Target
 from ltsim.recordings.xml import XmlNode, parse_xml
 
-MIRRORED_AXES = ("ne", "sw", "es", "wn")
+LEFT_HANDED_AXES = ("ne", "sw", "es", "wn")
 """Directions of x and y that form a left-handed frame, in which the sign of y is changed."""
-UNMIRRORED_AXES = ("en", "nw", "se", "ws")
+RIGHT_HANDED_AXES = ("en", "nw", "se", "ws")
 """Directions of x and y that form a right-handed frame."""
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
 """Size of the unit cc, 1e-4 gon [rad]."""
@@ -120,12 +120,12 @@ def _replace_slashes(root: XmlNode, network: GamaNetwork) -> None:
 
 def _read_axes(node: XmlNode, network: GamaNetwork) -> None:
     axes, angles = node.get("axes-xy", "ne"), node.get("angles", "left-handed")
-    if axes not in (*MIRRORED_AXES, *UNMIRRORED_AXES) or angles not in ("left-handed", "right-handed"):
+    if axes not in (*LEFT_HANDED_AXES, *RIGHT_HANDED_AXES) or angles not in ("left-handed", "right-handed"):
         message = (
             f"axes-xy='{quoted_text(axes)}', angles='{quoted_text(angles)}' is not a coordinate system of gama-local"
         )
         raise node.location.error(message)
-    network.y_sign = -1.0 if axes in MIRRORED_AXES else 1.0
+    network.y_sign = -1.0 if axes in LEFT_HANDED_AXES else 1.0
     network.angle_sign = -1.0 if angles == "left-handed" else 1.0
     network.north_direction_deg = {"n": 0.0, "e": 90.0, "s": 180.0, "w": -90.0}[axes[0]]
     if network.y_sign < 0:
@@ -156,7 +156,7 @@ def _read_element(node: XmlNode, network: GamaNetwork) -> None:
         network.differences += differences
         network.notes += [OMITTED_CORRELATIONS_NOTE] * correlated
     else:
-        network.skipped_counts[node.tag] += 1
+        network.n_skipped_by_element[node.tag] += 1
 
 
 def _read_point(node: XmlNode, network: GamaNetwork) -> GamaPoint:
@@ -233,7 +233,7 @@ def _read_observation_block(block: XmlNode, network: GamaNetwork) -> None:
         elif child.tag == "angle":
             _read_angle(child, block, (sigma, errors), network)
         else:
-            network.skipped_counts[child.tag] += 1
+            network.n_skipped_by_element[child.tag] += 1
 
 
 def _start_point(child: XmlNode, block: XmlNode) -> str:
@@ -331,8 +331,10 @@ def _make_recording(network: GamaNetwork) -> Recording:
     pointings, instrument_heights, target_heights = separate_constant_heights(
         merge_observations(observed, network.file.name)
     )
-    reason = "not read: a recording cannot contain it"
-    skipped = [f"{count} <{quoted_text(what)}> {reason}" for what, count in network.skipped_counts.items()]
+    reason = "are not read, because a recording cannot contain them"
+    skipped = [
+        f"{count} elements <{quoted_text(what)}> {reason}" for what, count in network.n_skipped_by_element.items()
+    ]
     if not pointings and network.differences:
         message = "contains height differences or vectors without pointings, expected readings of instruments too"
         raise RecordError(f"{message}; gama-local adjusts such a network", file=network.file)

@@ -72,7 +72,7 @@ class GamaNetwork:
     apriori_sigma: float = 10.0
     """A-priori standard deviation [mm, cc] of an observation with the weight 1."""
     differences: list[ReferenceDifference] = field(default_factory=list)
-    skipped_counts: Counter[str] = field(default_factory=Counter)
+    n_skipped_by_element: Counter[str] = field(default_factory=Counter)
     n_shared_errors: int = 0
     """Number of shared errors so far, each of which acts on several observations."""
     notes: list[str] = field(default_factory=list)

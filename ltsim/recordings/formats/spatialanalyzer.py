@@ -45,7 +45,7 @@ _HEADING_PATTERN = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Targe
 
 
 @dataclass
-class _Block:
+class _SetupSection:
     """Section of a report on one set-up: collection, number and model of its instrument, pose, observations."""
 
     collection: str
@@ -141,19 +141,19 @@ def _read_cells(path: Path) -> Iterator[SheetRow]:
         ) from None
 
 
-def _read_blocks(path: Path) -> list[_Block]:
+def _read_blocks(path: Path) -> list[_SetupSection]:
     """Sections of the set-ups in a report, in order; parts of a section on several pages are joined.
 
     Raises RecordError.
     """
-    blocks: dict[tuple[str, str], _Block] = {}
-    block_of_row: _Block | None = None
+    blocks: dict[tuple[str, str], _SetupSection] = {}
+    block_of_row: _SetupSection | None = None
     section = ""
     for row in _read_cells(path):
         where, first = SourceLocation(path, row.line), row.fields[0].split("\n")[0]
         if first in ("Transform", "Observations"):
             section, heading = first, _parse_heading(row.fields[0], where)
-            block_of_row = blocks.setdefault(heading[:2], _Block(*heading))
+            block_of_row = blocks.setdefault(heading[:2], _SetupSection(*heading))
         elif block_of_row is not None and section == "Transform":
             _read_pose(block_of_row, row.fields, where)
         elif block_of_row is not None and first == "Collection":
@@ -178,7 +178,7 @@ def _parse_heading(cell: str, location: SourceLocation) -> tuple[str, str, str]:
     return match[1] or "", match[2], (match[3] or "").replace("/", "-").strip()
 
 
-def _read_pose(block: _Block, fields: Sequence[str], location: SourceLocation) -> None:
+def _read_pose(block: _SetupSection, fields: Sequence[str], location: SourceLocation) -> None:
     if fields[0] == "# Meas." and len(fields) > 1:
         block.n_declared_observations = int(location.number(fields[1], "# Meas.", allows_decimal_comma=True))
     if fields[0].startswith("(") and len(fields) > 3:
@@ -207,7 +207,7 @@ def _check_heading(fields: Sequence[str], location: SourceLocation) -> None:
             raise location.error(message, required_title.capitalize())
 
 
-def _sheet_of_block(block: _Block, name: str, sheet_rows: list[SheetRow], file: Path) -> TableSheet:
+def _sheet_of_block(block: _SetupSection, name: str, sheet_rows: list[SheetRow], file: Path) -> TableSheet:
     """Table of `sheet_rows` of the set-up `name`, with only the columns in `RETAINED_COLUMNS`.
 
     The titles of columns with offsets of reflectors are changed so that they end with the unit.
@@ -221,7 +221,7 @@ def _sheet_of_block(block: _Block, name: str, sheet_rows: list[SheetRow], file: 
     return TableSheet(file, (SheetRow(block.rows[0].line, tuple(titles.values())), *body), name)
 
 
-def _station_names(blocks: Sequence[_Block]) -> list[str]:
+def _station_names(blocks: Sequence[_SetupSection]) -> list[str]:
     """Name of the station of each section: ``Instrument_0`` if instrument numbers are unique, or ``COLLECTION::0``."""
     block_numbers = [block.number for block in blocks]
     if len(set(block_numbers)) == len(block_numbers):
@@ -234,8 +234,8 @@ def _prefix_ambiguous_points(
 ) -> list[str]:
     """Addition, in place, of the group to target names that stand for several points; the result is a list of notes.
 
-    `group_names` and `readings` (n, 3) [m, rad, rad] are the group and the range, azimuth and elevation of each
-    pointing; `poses` are those of the stations by name.
+    `group_names` and `readings` (n, 3) [m, rad, rad] are the group and the range, azimuth and elevation of each of n
+    pointings; `poses` are those of the stations by name.
     """
     sightings: dict[str, dict[str, list[tuple[str, Floats]]]] = {}
     printed = table.pointings
@@ -286,7 +286,7 @@ def _new_names_by_group(name: str, groups: dict[str, list[tuple[str, Floats]]]) 
     }
 
 
-def _setup(blocks: Sequence[_Block], names: Sequence[str], file: Path) -> Setup:
+def _setup(blocks: Sequence[_SetupSection], names: Sequence[str], file: Path) -> Setup:
     """Set-up with the poses in the report as rough poses, and one instrument for each model."""
     stations = {}
     for name, block in zip(names, blocks, strict=True):

@@ -55,11 +55,11 @@ def unrecognised_header_sentence(sheet: TableSheet, is_readable_with: Callable[[
     assignments = _likely_assignments(titles, [row for row in data_rows if len(row) == n_columns][:MAX_SAMPLE_ROWS])
     advice = next(filter(is_readable_with, assignments[:MAX_TRIED_ASSIGNMENTS]), None)
     if advice is not None:
-        sentence = f'{header} does not define its columns; define them, for instance --columns "{advice}"'
+        sentence = f'{header} does not say what its columns contain; define them, for instance --columns "{advice}"'
         is_ambiguous = not has_header and advice != assignments[-1] and is_readable_with(assignments[-1])
         return f'{sentence}, or --columns "{assignments[-1]}"' if is_ambiguous else sentence
     reason = "no three columns look like two angles and a distance, or like coordinates"
-    return f"{header} does not define its columns, and {reason}; define them if they are: {COLUMNS_TEMPLATE}"
+    return f"{header} does not say what its columns contain, and {reason}; define them if they are: {COLUMNS_TEMPLATE}"
 
 
 def _column_reference(position: int, titles: Sequence[str]) -> str:

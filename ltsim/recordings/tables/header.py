@@ -76,9 +76,9 @@ FALLBACK_TITLE_ROLES = {"target": "", "station": "instrument_setup"}
 example, in a table with a column of stations, a column of set-up numbers counts the occupations."""
 MAX_TITLE_LENGTH = 80
 """Number of characters above which a cell is not tested as a title."""
-_BRACKET_PATTERN = re.compile(r"(.*?)\s*[\[({（【]\s*([^\])}）】]*?)\s*[\])}）】]?\s*")
+_UNIT_IN_BRACKETS_PATTERN = re.compile(r"(.*?)\s*[\[({（【]\s*([^\])}）】]*?)\s*[\])}）】]?\s*")
 """Pattern of a title with its unit in brackets."""
-_OTHER_SIGNS_PATTERN = re.compile(f"[^a-z0-9{EAST_ASIAN_LETTERS}]")
+_REMOVED_CHARACTERS_PATTERN = re.compile(f"[^a-z0-9{EAST_ASIAN_LETTERS}]")
 """Pattern of the characters that `normalised_title` removes from a title."""
 _FACE_NUMBER_PATTERN = re.compile(r"(.*?)[\s._-]*(?:(?:face|lage|f|l)[\s._-]*)?(1|2|ii|i)", re.IGNORECASE)
 """Pattern of a title that ends with the number of a face."""
@@ -123,14 +123,14 @@ class TableColumn:
     role: str = ""
     unit: str = ""
     face: int = 0
-    part_positions: tuple[int, ...] = ()
+    angle_part_positions: tuple[int, ...] = ()
     """Positions of the columns with the minutes and seconds of an angle whose degrees are in this column."""
 
     def texts(self, table: Sequence[Sequence[str]]) -> Sequence[str]:
         """Cells of this column, joined with those of minutes and seconds; `table` has the cells of each column."""
-        if not self.part_positions:
+        if not self.angle_part_positions:
             return table[self.position]
-        cell_rows = zip(*(table[place] for place in (self.position, *self.part_positions)), strict=True)
+        cell_rows = zip(*(table[place] for place in (self.position, *self.angle_part_positions)), strict=True)
         return [
             " ".join(cell + sign for cell, sign in zip(row, ANGLE_SYMBOLS, strict=False) if cell) for row in cell_rows
         ]
@@ -231,7 +231,7 @@ def _join_angle_parts(columns: list[TableColumn]) -> list[TableColumn]:
         if not places and degrees_match is not None:
             places = _angle_parts_with_stem(columns, stem)
         if places:
-            joined_columns[place] = TableColumn(place, column.title, role, "deg", part_positions=places)
+            joined_columns[place] = TableColumn(place, column.title, role, "deg", angle_part_positions=places)
             for other in places:
                 joined_columns[other] = TableColumn(other, columns[other].title, ANGLE_PART_ROLE)
     return joined_columns
@@ -353,7 +353,7 @@ def title_role(name: str) -> str:
 def normalised_title(text: str) -> str:
     """Title reduced to its Latin or East Asian letters and its digits, in lower case and without accents."""
     letters = re.sub("[\u0300-\u036f]", "", unicodedata.normalize("NFKD", text.casefold()))
-    return _OTHER_SIGNS_PATTERN.sub("", unicodedata.normalize("NFC", letters))
+    return _REMOVED_CHARACTERS_PATTERN.sub("", unicodedata.normalize("NFC", letters))
 
 
 def _column_from_title(position: int, title: str, *, has_face: bool = True) -> TableColumn:
@@ -374,7 +374,7 @@ def _column_from_title(position: int, title: str, *, has_face: bool = True) -> T
 
 def split_unit(text: str) -> tuple[str, str]:
     """Title without the unit in brackets at its end, and this unit ('' if there is none)."""
-    bracket_match = _BRACKET_PATTERN.fullmatch(text)
+    bracket_match = _UNIT_IN_BRACKETS_PATTERN.fullmatch(text)
     if bracket_match is None or not bracket_match[1]:
         return text, ""
     return bracket_match[1], UNITS_BY_SPELLING.get(bracket_match[2].lower(), bracket_match[2])

@@ -59,7 +59,7 @@ FULL_CIRCLE_DEG = 360
 """Full circle [deg]."""
 QUARTER_CIRCLE_DEG = 90
 """Quarter circle [deg]."""
-HEIGHT_RANGE_M = (0.2, 3.0)
+METRE_HEIGHT_RANGE = (0.2, 3.0)
 """Smallest and largest median of heights above survey marks, as numbers without unit, between which they show that the
 table is in metres."""
 PLAUSIBLE_HEIGHT_RANGES = (("m", 0.2, 5.0), ("mm", 100.0, 5000.0))
@@ -113,7 +113,7 @@ class ColumnInterpretation:
     def unit_of(self, role: str, column_values: Floats) -> str:
         """Unit of a column of standard deviations or heights that declares none: in general that of the readings.
 
-        `role` is that of the column, `column_values` (n,) are its numbers. Heights have millimetres or metres instead,
+        `role` is that of the column, `column_values` (n,) are its n numbers. Heights have millimetres or metres instead,
         if the unit of the readings makes them implausible.
         """
         if role in HEIGHT_ROLES and self.length_unit in ("m", "mm"):
@@ -167,7 +167,7 @@ def _missing_readings_notes(table: PointingTable) -> list[str]:
         if columns and table.column(kind) is None:
             title, titles = columns[0].title, ", ".join(f"'{quoted_text(c.title)}'" for c in columns)
             notes.append(
-                f"no column is recognised as {name}, and the recording has none; if {titles} contains them, give "
+                f"no column is recognised as {name}, so the recording contains none; if {titles} contains them, give "
                 f'--columns "{kind[0]}={quoted_text(title)}"'
             )
     return notes
@@ -233,7 +233,7 @@ def _length_convention(
     column = next((c for c in table.columns if c.role in HEIGHT_ROLES and not c.unit), None)
     height_texts = table.pointings.additional_cells.get(column.title, []) if column is not None else []
     heights = [abs(float(height)) for height in map(cells.parse_value, height_texts) if height]
-    if column is not None and heights and HEIGHT_RANGE_M[0] < float(np.median(heights)) < HEIGHT_RANGE_M[1]:
+    if column is not None and heights and METRE_HEIGHT_RANGE[0] < float(np.median(heights)) < METRE_HEIGHT_RANGE[1]:
         return "m", [
             f"distances are interpreted as m ('{quoted_text(column.title)}' in the same table contains "
             "heights in metres)"

@@ -237,7 +237,7 @@ def _additional_columns(
     return (
         covariates,
         labels,
-        [*units, *([f"further columns are read as covariates and labels: {names_text}"] if names_text else [])],
+        [*units, *([f"additional columns are read as covariates and labels: {names_text}"] if names_text else [])],
     )
 
 

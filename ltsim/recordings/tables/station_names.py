@@ -29,7 +29,7 @@ class UnnamedStationsError(RecordError):
 def require_station_names(table: PointingTable, readings: Floats, file: object) -> None:
     """Check that a table without station names is from one set-up: ranges and elevations of each target agree.
 
-    `readings` (n, 3) are ranges, azimuths and elevations [m, rad, rad]. If several set-ups measured them, raises
+    `readings` (n, 3) are ranges, azimuths and elevations of n pointings [m, rad, rad]. If several set-ups measured them, raises
     UnnamedStationsError, which names the column with the names of the set-ups, or RecordError without such a column.
     """
     if not table.lacks_station_names:
@@ -65,7 +65,7 @@ def require_station_names(table: PointingTable, readings: Floats, file: object) 
 def ambiguous_target_name_notes(table: PointingTable, readings: Floats) -> list[str]:
     """Note that names of targets stand for several points, if ranges from a set-up to most names differ; else empty.
 
-    `readings` (n, 3) are ranges, azimuths and elevations [m, rad, rad].
+    `readings` (n, 3) are ranges, azimuths and elevations of n pointings [m, rad, rad].
     """
     sights, groups = indices_by_value(zip(table.pointings.station, table.pointings.target, strict=True))
     spread = _median_spread(readings[:, 0], groups)

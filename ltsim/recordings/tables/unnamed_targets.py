@@ -72,7 +72,7 @@ def _possible_name_titles(table: PointingTable) -> list[str]:
 def name_targets_by_position(table: PointingTable, readings: Floats) -> PointingTable:
     """Table in which each position is a separate target, in place, if all rows have the same target name or none.
 
-    `readings` (n, 3) are raw ranges, azimuths and elevations [m, rad, rad] of both faces.
+    `readings` (n, 3) are raw ranges, azimuths and elevations [m, rad, rad] of n pointings on both faces.
     """
     names, stations = {*table.pointings.target}, {*table.pointings.station}
     if len(names) > 1:
@@ -99,7 +99,7 @@ def name_targets_by_position(table: PointingTable, readings: Floats) -> Pointing
 def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats) -> list[str]:
     """Note on targets with different names at the same position, as in lists that number each shot; empty without them.
 
-    `readings` (n, 3) are raw ranges, azimuths and elevations [m, rad, rad].
+    `readings` (n, 3) are raw ranges, azimuths and elevations of n pointings [m, rad, rad].
     """
     points = from_polar(readings)
     tolerance = min(

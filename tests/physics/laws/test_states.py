@@ -110,8 +110,8 @@ def test_a_latch_holds_between_its_thresholds(sightings: Sightings) -> None:
         x = sightings.covariate_values[name]
         on = latch_regressor(name, above, below).columns(sightings)[:, 0] > 0.0
         assert on[x > above].all() and not on[x < below].any()
-        between = (x <= above) & (x >= below) & (sightings.previous_pointings >= 0)
-        np.testing.assert_array_equal(on[between], on[sightings.previous_pointings[between]])
+        between = (x <= above) & (x >= below) & (sightings.previous_pointing_indices >= 0)
+        np.testing.assert_array_equal(on[between], on[sightings.previous_pointing_indices[between]])
 
 
 def test_a_switch_is_on_from_one_edge_to_the_next(sightings: Sightings) -> None:
