@@ -173,12 +173,12 @@ class Recording(Result):
 
     @property
     def is_usable(self) -> Bools:
-        """Flags (n, 3) of those readings of n pointings that an adjustment uses: no angles of vertical sights."""
+        """Flags (n, 3) of the readings of n pointings that an adjustment uses: no angles of vertical sights."""
         return self.is_measured & ~(self.is_vertical[:, None] & [False, True, True])
 
     @property
     def is_vertical(self) -> Bools:
-        """Flags (n,) of those of n pointings that are along the standing axis of the tracker: to its zenith or nadir."""
+        """Flags (n,) of those of n pointings that go along the standing axis of the tracker, to its zenith or nadir."""
         return np.asarray(np.abs(np.cos(self.readings[:, 2])) < MIN_COS_ELEVATION_FOR_ANGLES)
 
     @cached_property

@@ -332,9 +332,7 @@ def _make_recording(network: GamaNetwork) -> Recording:
         merge_observations(observed, network.file.name)
     )
     reason = "are not read, because a recording cannot contain them"
-    skipped = [
-        f"{count} elements <{quoted_text(what)}> {reason}" for what, count in network.n_skipped_by_element.items()
-    ]
+    skipped = [f"{n} elements <{quoted_text(tag)}> {reason}" for tag, n in network.n_skipped_by_element.items()]
     if not pointings and network.differences:
         message = "contains height differences or vectors without pointings, expected readings of instruments too"
         raise RecordError(f"{message}; gama-local adjusts such a network", file=network.file)

@@ -113,8 +113,8 @@ class ColumnInterpretation:
     def unit_of(self, role: str, column_values: Floats) -> str:
         """Unit of a column of standard deviations or heights that declares none: in general that of the readings.
 
-        `role` is that of the column, `column_values` (n,) are its n numbers. Heights have millimetres or metres instead,
-        if the unit of the readings makes them implausible.
+        `role` is that of the column, `column_values` (n,) are its n numbers. Heights have millimetres or metres
+        instead, if the unit of the readings makes them implausible.
         """
         if role in HEIGHT_ROLES and self.length_unit in ("m", "mm"):
             sizes = np.abs(column_values[np.isfinite(column_values) & (column_values != 0)])

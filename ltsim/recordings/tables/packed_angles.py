@@ -53,7 +53,7 @@ def _are_packed(digits: Digits) -> bool:
 
 
 def _decimal_degrees(digits: Digits) -> Digits:
-    """Decimal degrees (n,), as digits, of n packed angles (minutes and seconds in decimals); a missing angle stays empty."""
+    """Decimal degrees (n,), as digits, of n angles with minutes and seconds in their decimals; empty if missing."""
     return to_digits([str(cells.parse_packed_degrees(text)) if text else "" for text in digits.astype(str).tolist()])
 
 
