@@ -43,7 +43,7 @@ AXIS_NAMES = "xyz"
 TARGETS_FILE = "targets.csv"
 MAX_COVARIANCE_ASYMMETRY = 1e-6
 """Largest difference of entries ij and ji, relative to the largest variance, at which a covariance is accepted."""
-MIN_RELATIVE_EIGENVALUE = -1e-9
+MIN_EIGENVALUE_PER_ROW = -1e-9
 """Smallest accepted eigenvalue of a correlation matrix, divided by its number of rows: rounding may make 0 negative."""
 MAX_COORDINATE_IN_METRES = 500.0
 """Largest coordinate of a list without unit, as a number, below which it is in metres, otherwise in millimetres."""
@@ -302,7 +302,7 @@ def read_coordinates(path: Path) -> EpochCoordinates:
         position = divmod(int(np.argmin(sigma)), len(epoch.axes))
         what = f"{quoted_text(epoch.names[position[0]])}.{epoch.axes[position[1]]}"
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
-    if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_RELATIVE_EIGENVALUE * len(sigma):
+    if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_EIGENVALUE_PER_ROW * len(sigma):
         raise RecordError("has a covariance matrix that is not positive definite; correct its entries", file=path)
     return epoch if folder == path else replace(epoch, title=folder.name)
 

@@ -118,7 +118,7 @@ class Material(TomlSection):
     """Standard deviation of the coefficient of thermal expansion; by default the coefficient is exact."""
 
 
-class LengthConditions(TomlSection):
+class LengthMaterialAndTemperature(TomlSection):
     """Material of a reference length, and its temperature during use."""
 
     measured_at_c: Finite | SingleLine | None = None
@@ -134,7 +134,7 @@ class LengthConditions(TomlSection):
     expansion."""
 
 
-class GaugeDistance(LengthConditions):
+class GaugeDistance(LengthMaterialAndTemperature):
     """Reference length (known length) between two targets."""
 
     from_: str = Field(alias="from")

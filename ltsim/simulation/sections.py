@@ -15,7 +15,7 @@ from ltsim.recordings.setup import (
     MIN_SIGMA,
     ElevationLimits,
     Finite,
-    LengthConditions,
+    LengthMaterialAndTemperature,
     Noise,
     NonNegative,
     Positive,
@@ -317,7 +317,7 @@ class ScenarioGauge(TomlSection):
     """Standard deviation of each length; by default computed from the measuring machine's maximum permissible error."""
 
 
-class ReferenceLengthEntry(LengthConditions):
+class ReferenceLengthEntry(LengthMaterialAndTemperature):
     """Reference length between reflectors off the gauge: a scale bar, or a length from an interferometer."""
 
     from_: str = Field(alias="from")

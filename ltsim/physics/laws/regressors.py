@@ -198,7 +198,7 @@ class Regressor:
         if self.kind == "near":
             return region.target_weights(sightings)
         return (
-            region.lever_weighted_paths(sightings)
+            region.lever_weighted_path_lengths(sightings)
             if self.function == LEVER_FUNCTION
             else region.path_lengths(sightings)
         )

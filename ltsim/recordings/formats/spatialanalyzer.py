@@ -85,7 +85,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
     Raises RecordError for a malformed or truncated report, or for a convention that the data do not decide.
     """
-    blocks = [block for block in _read_blocks(path) if block.rows]
+    blocks = [block for block in _read_setup_sections(path) if block.rows]
     if not blocks:
         raise RecordError("contains no block of observations", file=path)
     names = _station_names(blocks)
@@ -99,7 +99,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     hints = replace(hints, columns=SPATIALANALYZER_COLUMN_MAP, date=hints.date or "dmy")
     table = read_pointing_table(
         [
-            _sheet_of_block(*block_parts, path)
+            _table_sheet_of_section(*block_parts, path)
             for block_parts in zip(blocks, names, active_rows, strict=True)
             if block_parts[2]
         ],
@@ -141,7 +141,7 @@ def _read_cells(path: Path) -> Iterator[SheetRow]:
         ) from None
 
 
-def _read_blocks(path: Path) -> list[_SetupSection]:
+def _read_setup_sections(path: Path) -> list[_SetupSection]:
     """Sections of the set-ups in a report, in order; parts of a section on several pages are joined.
 
     Raises RecordError.
@@ -207,7 +207,7 @@ def _check_heading(fields: Sequence[str], location: SourceLocation) -> None:
             raise location.error(message, required_title.capitalize())
 
 
-def _sheet_of_block(block: _SetupSection, name: str, sheet_rows: list[SheetRow], file: Path) -> TableSheet:
+def _table_sheet_of_section(block: _SetupSection, name: str, sheet_rows: list[SheetRow], file: Path) -> TableSheet:
     """Table of `sheet_rows` of the set-up `name`, with only the columns in `RETAINED_COLUMNS`.
 
     The titles of columns with offsets of reflectors are changed so that they end with the unit.

@@ -327,7 +327,7 @@ def title_words_and_unit(title: str) -> tuple[str, str]:
     """Title without unit, in the form of `normalised_title`, and its unit ('' if it has none)."""
     if len(title) > MAX_TITLE_LENGTH:
         return "", ""
-    name, unit = split_unit(title)
+    name, unit = split_title_and_unit(title)
     if not unit:
         parts = re.split(r"[\s_]+", title.strip())
         if len(parts) > 1 and parts[-1].lower() in UNITS_BY_SPELLING and title_role("".join(parts[:-1])):
@@ -372,7 +372,7 @@ def _column_from_title(position: int, title: str, *, has_face: bool = True) -> T
     return TableColumn(position, title, role, unit, face)
 
 
-def split_unit(text: str) -> tuple[str, str]:
+def split_title_and_unit(text: str) -> tuple[str, str]:
     """Title without the unit in brackets at its end, and this unit ('' if there is none)."""
     bracket_match = _UNIT_IN_BRACKETS_PATTERN.fullmatch(text)
     if bracket_match is None or not bracket_match[1]:

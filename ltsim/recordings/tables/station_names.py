@@ -30,7 +30,8 @@ def require_station_names(table: PointingTable, readings: Floats, file: object) 
     """Check that a table without station names is from one set-up: ranges and elevations of each target agree.
 
     `readings` (n, 3) are ranges, azimuths and elevations of n pointings [m, rad, rad]. If several set-ups measured
-    them, raises UnnamedStationsError, which names the column with the names of the set-ups, or RecordError without such a column.
+    them, UnnamedStationsError is raised, which names the column with the names of the set-ups, or RecordError without
+    such a column.
     """
     if not table.lacks_station_names:
         return
