@@ -50,7 +50,7 @@ def _require_positive_definite(upper_triangle: tuple[float, ...]) -> tuple[float
     matrix = symmetric_matrix(upper_triangle)
     sigma = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     if sigma.min() < MIN_SIGMA or np.linalg.eigvalsh(matrix / np.outer(sigma, sigma))[0] < MIN_CORRELATION_EIGENVALUE:
-        raise ValueError("it should be the xx, xy, xz, yy, yz, zz of a covariance matrix, positive in every direction")
+        raise ValueError("it should be the entries xx, xy, xz, yy, yz, zz of a positive definite covariance matrix")
     return upper_triangle
 
 

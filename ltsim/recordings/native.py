@@ -282,7 +282,7 @@ def _require_declared_smrs(recording: Recording, folder: Path) -> None:
     if recording.setup.reflectors and "" in names:
         row = names.index("")
         target = recording.targets[recording.target[row]]
-        message = f"no SMR is named here or by targets.{target}.reflector, expected one of tables [reflectors.NAME]"
+        message = f"no SMR is named here or in targets.{target}.reflector, expected NAME of a table [reflectors.NAME]"
         raise SourceLocation(folder / OBSERVATIONS_FILE, row + 1, REFLECTOR_COLUMN).error(message)
 
 

@@ -331,7 +331,7 @@ class Setup(TomlSection):
     """
     height_above_mark_sigma_mm: Sigma | None = None
     """Standard deviation of the height of a tracker head, or a reflector, above its survey mark. With it the adjustment
-    estimates a correction of the height in each occupation, named by `instrument_setup` and `target_setup`.
+    estimates a correction of the height in each occupation (columns `instrument_setup` and `target_setup`).
     """
     curved: bool = False
     """True if plumb lines differ between stations, as on a sphere of the size of the earth; the key `vertical` of a

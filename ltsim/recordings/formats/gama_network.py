@@ -242,7 +242,7 @@ def _reference_difference(child: XmlNode, y_sign: float, covariance: Floats) -> 
     try:
         return ReferenceDifference.model_validate({**end_names, "known_mm": vector, **precision})
     except ValidationError:
-        wanted = "values below 1e8 m, and variances that are positive in every direction"
+        wanted = "values below 1e8 m, and a positive definite covariance matrix"
         raise child.location.error(
             f"the value of <{child.tag}> is too large, or its covariance is wrong, expected {wanted}"
         ) from None

@@ -140,7 +140,7 @@ def _read_observation(
     (station, target), cells = dialect.fields(line, 2, 3)
     if field_book.station and station != field_book.setups[field_book.station][0]:
         raise location.error(
-            f"the record names the station '{quoted_text(station)}', expected that of the last record 02"
+            f"the record names the station '{quoted_text(station)}', expected the station of the last record 02"
         )
     distance, vertical, horizontal = (_parse_number(cell, location) for cell in cells)
     vertical *= dialect.angle_factor

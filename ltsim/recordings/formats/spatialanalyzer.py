@@ -52,7 +52,7 @@ class _SetupSection:
     number: str
     model: str
     n_declared_observations: int | None = None
-    """Number of observations that the section announces; None if it does not."""
+    """Number of observations that the section declares; None if it declares none."""
     position: Floats | None = None
     """Position (3,) [m] of the instrument."""
     rotation: Floats | None = None
@@ -164,8 +164,8 @@ def _read_setup_sections(path: Path) -> list[_SetupSection]:
             block_of_row.rows.append(row)
     for block in blocks.values():
         if block.rows and block.n_declared_observations not in (None, len(block.rows) - 1):
-            held = f"{block.n_declared_observations} observations and holds {len(block.rows) - 1}"
-            message = f"set-up {quoted_text(block.number)} announces {held}: the report is incomplete or was edited"
+            held = f"{block.n_declared_observations} observations but contains {len(block.rows) - 1}"
+            message = f"set-up {quoted_text(block.number)} declares {held}: the report is incomplete or was edited"
             raise RecordError(message, file=path)
     return list(blocks.values())
 

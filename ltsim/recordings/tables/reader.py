@@ -282,7 +282,7 @@ def _covariate_values(
 def _unread_lines_notes(table: PointingTable) -> list[str]:
     notes = []
     if table.lacks_station_names:
-        assumption = "the table names no station: all its pointings are assumed from one station, S1"
+        assumption = "the table names no station: all its pointings are assigned to one station, S1"
         notes.append(f"{assumption} (give another name with --hint station=NAME)")
     if table.unread_lines:
         examples = "; ".join(table.unread_lines[:MAX_ROWS_IN_NOTE])
