@@ -23,7 +23,7 @@ FACE_BY_WORD = {word: face for face, words in enumerate(FACE_WORDS, start=1) for
 MISSING_VALUE_TEXTS = frozenset(("-", "--", "---", "----", "-----", "\u2013", "\u2014", "n/a", "N/A", "#N/A"))
 """Texts that programs write in cells without a value."""
 ValueType = TypeVar("ValueType")
-ONE_DAY = timedelta(days=1)
+DAY_DURATION = timedelta(days=1)
 """Time span of a day."""
 MAX_VALUE_LENGTH = 60
 """Number of characters above which a cell is not tested as a number or an angle."""
@@ -328,8 +328,8 @@ def _unwrap_midnight(clocks: list[timedelta]) -> list[timedelta]:
     """Times since the first midnight, from times of day in order: each decrease by more than half a day adds a day."""
     days, last, unwrapped = timedelta(0), clocks[0], []
     for clock in clocks:
-        if last - clock > ONE_DAY / 2:
-            days += ONE_DAY
+        if last - clock > DAY_DURATION / 2:
+            days += DAY_DURATION
         last = clock
         unwrapped.append(clock + days)
     return unwrapped
