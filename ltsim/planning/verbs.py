@@ -151,7 +151,7 @@ def _visibility_function(search_space: SearchSpace) -> VisibilityFunction:
 
     A height outside the permitted range by less than the position tolerance is accepted.
     """
-    low, high = np.array([area.heights for area in search_space.allowed_areas]).T
+    low, high = np.array([area.head_height_range for area in search_space.allowed_areas]).T
 
     def sights(places: Floats, targets: Floats) -> Bools:
         height = np.clip(places[:, 2], low.min(), high.max())

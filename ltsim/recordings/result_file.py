@@ -112,13 +112,13 @@ class SourceEntry(Entry):
     """Number of pointings of the recording."""
     digest: str
     """Digest of the recording, or of the coordinates, from which the result was computed."""
-    measured: str | None = None
+    measured_on: str | None = None
     """Day, or day and time, of the measurement in ISO format, if the set-up gives it."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> SourceEntry:
         """Description of a recording: its title, number of pointings, digest and day of measurement."""
-        time_keys = {"measured": recording.setup.measured_on} if recording.setup.measured_on else {}
+        time_keys = {"measured_on": recording.setup.measured_on} if recording.setup.measured_on else {}
         return cls(
             title=recording.setup.title, pointings=len(recording), digest=recording_digest(recording), **time_keys
         )

@@ -100,7 +100,7 @@ def section_of_part(page_part: PagePart, detail: WorkshopDetail = "none") -> Sec
     recording = read(page_part.recording) if page_part.recording else None
     section = result_section(content, SectionContext(page_part.folder, recording, detail, page_part.is_brief))
     return replace(
-        section, measurement_date=(content.recording and content.recording.measured) or section.measurement_date
+        section, measurement_date=(content.recording and content.recording.measured_on) or section.measurement_date
     )
 
 
