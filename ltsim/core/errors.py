@@ -139,7 +139,7 @@ def is_installed(package_name: str) -> bool:
         return False
 
 
-def printable(text: str) -> str:
+def as_printable(text: str) -> str:
     """Text with `?` in place of control characters, including those that change the direction of writing.
 
     The result is safe on a terminal and, after escaping, on an HTML page. Line breaks, tabs and no-break spaces remain.
@@ -150,7 +150,7 @@ def printable(text: str) -> str:
 def unknown_name_error(object_kind: str, unknown_name_text: str, valid_names: Iterable[str]) -> ModelError:
     """ModelError for an unknown name; it lists similar `valid_names`. `object_kind` is a noun such as `effect`."""
     choices = sorted(valid_names)
-    short = printable(
+    short = as_printable(
         unknown_name_text
         if len(unknown_name_text) <= MAX_QUOTED_NAME_LENGTH
         else f"{unknown_name_text[:MAX_QUOTED_NAME_LENGTH]}..."

@@ -22,7 +22,7 @@ from pydantic import BaseModel
 from ltsim.core.arrays import Floats
 from ltsim.core.descriptions import field_descriptions
 from ltsim.core.equality import ValueEquality
-from ltsim.core.errors import ModelError, RecordError, missing_extra_error, printable, unknown_name_error
+from ltsim.core.errors import ModelError, RecordError, as_printable, missing_extra_error, unknown_name_error
 from ltsim.core.limits import MAX_TEXT_LINES
 from ltsim.core.notation import MISSING_TEXT, align_columns, decimals_of_sigma, number_text, unsigned_zero, with_sigma
 from ltsim.core.plotting import plotting_module
@@ -396,5 +396,5 @@ def _parse_value(column: Column, cell: str, file: object, row: int) -> Any:
     except ValueError:
         value = math.inf
     if abs(value) > MAX_RESULT_MAGNITUDE:
-        raise RecordError(f"'{printable(cell[:40])}' is not a number", file=file, row=row, column=column.name)
+        raise RecordError(f"'{as_printable(cell[:40])}' is not a number", file=file, row=row, column=column.name)
     return value

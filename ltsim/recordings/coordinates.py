@@ -122,7 +122,7 @@ def recognises(file_beginning: str) -> bool:
     header = _header_columns(first_rows)
     data_rows = [row for row in first_rows[0 if header is None else header[0] :] if not row.is_comment]
     if header is not None:
-        return not data_rows or data_rows[0].n_values > 1
+        return not data_rows or data_rows[0].n_numeric_fields > 1
     sample = [_drop_trailing_field(row) for row in data_rows[: max(1, min(6, len(data_rows)) - 1)]]
     return bool(sample) and all(len(r) in HEADERLESS_FIELD_COUNTS and all(map(cells.is_value, r[1:])) for r in sample)
 
@@ -149,7 +149,7 @@ def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | No
 def _header_columns(sheet_rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] | None:
     """Number of rows before the first point, and columns that the header names; None if there is no such header."""
     for place, row in enumerate(sheet_rows):
-        if not count_recognised_titles(row.fields) or row.n_values:
+        if not count_recognised_titles(row.fields) or row.n_numeric_fields:
             continue
         columns = header_columns(row.fields)
         roles = {c.role for c in columns}

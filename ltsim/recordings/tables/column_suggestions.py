@@ -41,8 +41,8 @@ def unrecognised_header_sentence(sheet: TableSheet, is_readable_with: Callable[[
     `is_readable_with` returns True for a value of ``--columns`` with which the sheet can be read.
     """
     sample = sample_rows(sheet)
-    header_row = next((row for row in sample if len(row.fields) > 2 and not row.n_values), None)
-    data_rows = [row.fields for row in sample if row.n_values > 1]
+    header_row = next((row for row in sample if len(row.fields) > 2 and not row.n_numeric_fields), None)
+    data_rows = [row.fields for row in sample if row.n_numeric_fields > 1]
     if not data_rows:
         return "contains no row with two or more numbers, and therefore no pointing"
     if header_row is not None and (unit_fault := unknown_unit_sentence(header_row.fields)):

@@ -66,7 +66,7 @@ def recognises(path: Path, file_beginning: str) -> bool:
     headers = [columns for row in first_rows if (columns := parse_header(row, NO_HINTS))]
     if headers and has_named_coordinates(headers[0]) and not any(c.role == "station" for c in headers[0]):
         return False  # a list of coordinates, unless its station is named
-    n_measured_rows = sum(row.n_values > 1 and len(row.fields) > 2 for row in first_rows)
+    n_measured_rows = sum(row.n_numeric_fields > 1 and len(row.fields) > 2 for row in first_rows)
     return bool(headers) or (path.suffix.lower() in TABLE_SUFFIXES and 2 * n_measured_rows > len(first_rows))
 
 
