@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ltsim.cli.main import run
-from ltsim.scene.meshes import Obstacles, box_triangles, cylinder_triangles, place_triangles
+from ltsim.scene.meshes import Obstacles, box_triangles, cylinder_triangles, rotate_and_shift_triangles
 
 HEAVY = ("pyvista", "vtkmodules", "trame_vtk", "embreex", "cascadio", "duckdb", "numba", "pyarrow")
 
@@ -62,7 +62,7 @@ def test_a_cad_file_needs_no_extra(plain_install, tmp_path: Path, monkeypatch, c
 def test_obstacles_hide_without_embree_what_they_hide_with_it(plain_install):
     bodies = [
         box_triangles(np.array([1.0, 2.0, 3.0])),
-        place_triangles(cylinder_triangles(1.0, 2.0), np.array([3.0, 0.0, 0.0]), 0.3),
+        rotate_and_shift_triangles(cylinder_triangles(1.0, 2.0), np.array([3.0, 0.0, 0.0]), 0.3),
     ]
     obstacles = Obstacles(np.concatenate(bodies))
     rng = np.random.default_rng(2)

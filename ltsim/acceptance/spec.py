@@ -17,7 +17,7 @@ from ltsim.geometry.polar import from_polar
 from ltsim.recordings.files import parse_comma_number, quoted_text
 from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.recordings.setup import Positive, TomlSection
-from ltsim.recordings.specification import Specification, complete_values, data_sheet
+from ltsim.recordings.specification import Specification, completed_specification_values, data_sheet
 from ltsim.recordings.tables.sheets import table_rows
 
 TestKind = Literal["length", "two-face"]
@@ -293,7 +293,7 @@ def validate_acceptance(tables: Mapping[str, Any], file: object) -> AcceptanceSe
     name, specification = tables.get("instrument"), tables.get("specification", {})
     if isinstance(name, str) and isinstance(specification, Mapping):
         try:
-            tables = {**tables, "specification": complete_values(name, specification)}
+            tables = {**tables, "specification": completed_specification_values(name, specification)}
         except ModelError as problem:
             raise SetupError(f"{file}: {problem}") from None
     return validate_settings(tables, AcceptanceSettings, "acceptance file", file)

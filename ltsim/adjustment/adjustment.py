@@ -373,7 +373,7 @@ class Adjustment(Result):
     @cached_property
     def is_height_undetermined(self) -> Bools:
         """Flags (T,), True for those of the T targets whose height is undetermined."""
-        plan = [self.recording.target_setup(name).in_plan for name in self.recording.targets]
+        plan = [self.recording.target_setup(name).plan_only for name in self.recording.targets]
         return np.asarray(self.problem.undetermined_unknowns.is_height_undetermined_target | np.array(plan, dtype=bool))
 
     @single_threaded

@@ -143,7 +143,7 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
     The file is read by `read_points` and must contain standard deviations; a point may lack some of its coordinates.
     Raises RecordError for a malformed file, for missing standard deviations, and for a file without measured targets.
     """
-    listed, targets, count = read_points(path, requires_all_axes=False), dict(recording.setup.targets), 0
+    listed, targets, count = read_points(path, refuses_contradictions=False), dict(recording.setup.targets), 0
     for name, place, covariance, line in zip(
         listed.names, listed.points, listed.covariance, listed.line_numbers, strict=True
     ):
@@ -223,4 +223,4 @@ def _with_datum(
         x, y, z = (place / MILLIMETRE).tolist()
         update = {"approximate_mm": (x, y, z), "datum": True, "datum_axes": axes_by_target.get(name, "xyz")}
         targets[name] = targets.get(name, Target()).model_copy(update=update)
-    return recording.replace(setup=recording.setup.model_copy(update={"targets": targets, "axes": source}))
+    return recording.replace(setup=recording.setup.model_copy(update={"targets": targets, "datum_source": source}))

@@ -291,7 +291,7 @@ def _transform_to_datum(adjustment: Adjustment, datum_names: Sequence[str] | Non
             raise ModelError(f"the readings do not determine target {name} of the datum: remove it from the datum")
     if not names or solution.factor is None or not problem.free_motions.shape[1]:
         return adjustment
-    if adjustment.recording.setup.axes and datum_names is None and len(names) >= MIN_RIGID_POINTS:
+    if adjustment.recording.setup.datum_source and datum_names is None and len(names) >= MIN_RIGID_POINTS:
         fitted, tests = exclude_contradicting_axes_points(adjustment, names)
         problem = replace(problem, model=replace(problem.model, recording=fitted))
         adjustment, names = (

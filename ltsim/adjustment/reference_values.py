@@ -11,7 +11,7 @@ from ltsim.adjustment.rows import ControlRows
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.references import MIN_UNKNOWN_SCALE_PPM
+from ltsim.recordings.references import MIN_UNKNOWN_SCALE_SIGMA_PPM
 
 ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
 """Kind of reference value."""
@@ -142,7 +142,9 @@ def drop_reference(recording: Recording, reference_value: ReferenceValue) -> Rec
     if reference_value.kind in ("length", "scale"):
         lengths = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
         cleared: dict[str, object] = (
-            {"sigma_scale_ppm": MIN_UNKNOWN_SCALE_PPM} if reference_value.kind == "scale" else {"distance": lengths}
+            {"sigma_scale_ppm": MIN_UNKNOWN_SCALE_SIGMA_PPM}
+            if reference_value.kind == "scale"
+            else {"distance": lengths}
         )
         change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=cleared)}
     elif reference_value.kind == "difference":

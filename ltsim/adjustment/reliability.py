@@ -15,7 +15,7 @@ from ltsim.adjustment.significance import (
     TEST_POWER,
 )
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.probability import AGREEMENT_LEVEL
+from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.solve.design import robust_sigma
@@ -67,7 +67,7 @@ def noise_factor(problem: NetworkProblem, solution: Solution[NetworkState]) -> f
     Otherwise it is the smaller of sigma0 and the robust `noise_factor_from_residuals`.
     """
     dof, chi2 = problem.dof, solution.sum_of_squares
-    if solution.factor is None or dof <= 0 or special.chdtrc(dof, chi2) >= AGREEMENT_LEVEL / 2:
+    if solution.factor is None or dof <= 0 or special.chdtrc(dof, chi2) >= TWO_SIDED_GLOBAL_TEST_LEVEL / 2:
         return 1.0
     redundancy = redundancy_numbers(problem, solution.factor)
     residuals = problem.reading_residuals(problem.model.predict(solution.x))

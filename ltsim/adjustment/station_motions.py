@@ -43,7 +43,7 @@ class UniformMotion(StationMotion):
 
     def motion(self, sightings: Sightings) -> Floats:
         """Derivatives (n, 6, 6) of the motion at each of n pointings by the six components of the final motion."""
-        share = with_mean_times_of_consecutive_pointings(sightings).elapsed_visit_fraction
+        share = with_mean_times_of_consecutive_pointings(sightings).elapsed_occupation_fraction
         return (self.pointing_indicator(sightings) * share)[:, None, None] * np.eye(6)
 
 

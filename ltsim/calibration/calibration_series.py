@@ -144,7 +144,7 @@ class CalibrationSeries(ValueEquality):
         day_texts = (
             dates
             if dates is not None
-            else [c.recording.measured if c.recording else None for _, c in labelled_calibrations]
+            else [c.recording.measured_on if c.recording else None for _, c in labelled_calibrations]
         )
         return cls(labels, calibrations, days_since_first(labels, day_texts))
 

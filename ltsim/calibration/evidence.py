@@ -26,9 +26,9 @@ MIN_REFERENCE_COEFFICIENT = 0.5
 """Coefficient, relative to the largest coefficient of a combination, above which a parameter can be the reference
 parameter with coefficient 1. The first such parameter in the order of the model is used, for example the vertical index
 rather than a harmonic of the circle."""
-RELATIVE_EFFECT_SIZES = np.array(list(probability.SIZE_PRIOR))
+RELATIVE_EFFECT_SIZES = np.array(list(probability.PRIOR_BY_RELATIVE_EFFECT_SIZE))
 """Sizes of an effect over which the evidence is averaged, relative to its plausible size."""
-LOG_SIZE_PRIOR = np.log(np.array(list(probability.SIZE_PRIOR.values())))
+LOG_SIZE_PRIOR = np.log(np.array(list(probability.PRIOR_BY_RELATIVE_EFFECT_SIZE.values())))
 """Logarithms of the prior probabilities of `RELATIVE_EFFECT_SIZES`."""
 MAX_SINGLE_CALL_ENTRIES = 100
 """Largest number of array entries for which one NumPy call computes a log-sum-exp; for larger arrays several vectorised

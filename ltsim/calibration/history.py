@@ -54,7 +54,7 @@ INSTRUMENT_CHANGES_TABLE = Table(
         *text_columns(**{"from": "the earlier calibration"}, to="the later one", above_all="parameters that differ"),
         Column("chi2", "weighted sum of squares of the differences", display_format=".1f"),
         Column("parameters", "degrees of freedom"),
-        Column("p_value", "p-value of such differences without a change", "chance", title="p"),
+        Column("p_value", "p-value of such differences without a change", "p_value", title="p"),
     ),
 )
 PARAMETER_HISTORIES_TABLE = Table(
@@ -67,7 +67,7 @@ PARAMETER_HISTORIES_TABLE = Table(
         *text_columns(unit="of all numbers of the row"),
         Column("mean", "weighted mean of the estimates", n_digits=3),
         Column("spread", "standard deviation over the calibrations", n_digits=3),
-        Column("p_constant", "p-value of no change", "chance"),
+        Column("p_constant", "p-value of no change", "p_value"),
     ),
 )
 CALIBRATION_FITS_TABLE = Table(
@@ -90,7 +90,7 @@ EVENTS_TABLE = Table(
         name={"name": "parameter"},
         difference={"name": "step", "sigma_column": "sigma"},
         usual_step_sigma={"name": "usual_step"},
-        p_value={"kind": "chance", "title": "p"},
+        p_value={"kind": "p_value", "title": "p"},
     ),
 )
 

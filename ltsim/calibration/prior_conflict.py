@@ -13,7 +13,7 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import forward_select, likelihood_information, log_evidence, score_test
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.notation import MAX_LISTED_ITEMS, MAX_LISTED_SENTENCES, with_sigma
-from ltsim.core.probability import P_WRONG_CONSTANT
+from ltsim.core.probability import PRIOR_OF_WRONG_INSTRUMENT_CONSTANT
 
 MAX_NOISE_FREE_SIGMA0 = 0.1
 """Sigma0 (root of chi-square per degree of freedom) below which readings count as simulated without noise."""
@@ -139,7 +139,7 @@ def log_odds_of_errors(normalised_changes: Floats, information: Floats, n_consta
     """
     information = np.maximum(information, 0.0)
     return log_evidence((normalised_changes**2 * information)[:, None], information[:, None]) + np.log(
-        P_WRONG_CONSTANT / n_constants
+        PRIOR_OF_WRONG_INSTRUMENT_CONSTANT / n_constants
     )
 
 

@@ -23,7 +23,7 @@ from ltsim.calibration.schema import FitEntry, FittedEffectEntry, ReflectorEntry
 from ltsim.calibration.uncertainty import HiddenError
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import number_text
-from ltsim.core.probability import AGREEMENT_LEVEL
+from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.air import air_uncertainty_text
 from ltsim.recordings.pointings import declares_noise
@@ -41,11 +41,11 @@ def uncertainty_factor(fit: FitEntry, *, is_sigma0_credible: bool | None = None)
     """Factor on the standard deviations: sigma0 if it is significantly above 1 and not due to single readings, else 1.
 
     `is_sigma0_credible` states whether the verdict on the tests prefers sigma0 to the declared noise. If it is None,
-    the global test decides, at the level `AGREEMENT_LEVEL`.
+    the global test decides, at the level `TWO_SIDED_GLOBAL_TEST_LEVEL`.
     """
     if fit.sigma0 is None or fit.sigma0 <= 1.0:
         return 1.0
-    is_rejected = fit.p_value is not None and fit.p_value < AGREEMENT_LEVEL / 2
+    is_rejected = fit.p_value is not None and fit.p_value < TWO_SIDED_GLOBAL_TEST_LEVEL / 2
     return fit.sigma0 if (is_rejected if is_sigma0_credible is None else is_sigma0_credible) else 1.0
 
 

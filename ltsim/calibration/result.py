@@ -33,7 +33,7 @@ from ltsim.calibration.schema import (
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing, with_sigma
-from ltsim.core.probability import AGREEMENT_LEVEL
+from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE, PPM
 from ltsim.geometry.rigid import quaternion_from_matrix, rigid_motion_design
 from ltsim.physics.effects.motions import exact_change_by_displacement
@@ -141,8 +141,8 @@ def _has_estimated_error(adjustment: Adjustment, whitened_residuals: Floats) -> 
 
 
 def verdict_entry(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:
-    """Verdict on which test to trust, at the level `AGREEMENT_LEVEL`; `fit` estimates the instrument constants too."""
-    return verdict_on(adjustment, AGREEMENT_LEVEL, None if fit is None else (fit.chi2, fit.dof))
+    """Verdict on which test to trust (`TWO_SIDED_GLOBAL_TEST_LEVEL`); `fit` also estimates instrument constants."""
+    return verdict_on(adjustment, TWO_SIDED_GLOBAL_TEST_LEVEL, None if fit is None else (fit.chi2, fit.dof))
 
 
 def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
@@ -236,7 +236,7 @@ def _axes_notes(adjustment: Adjustment) -> tuple[str, ...]:
     if fitted is None:
         return ()
     within = max(float(np.linalg.norm(test.residual)) for test in accepted_tests) / MILLIMETRE
-    source = adjustment.recording.setup.axes
+    source = adjustment.recording.setup.datum_source
     out = [f"{test.name} ({test.error_text})" for test in adjustment.axes_point_tests if test.is_excluded]
     place, turn = (
         " ".join(f"{v:.2g}" for v in values) for values in (fitted.sigma_position_mm, fitted.sigma_rotation_arcsec)
@@ -287,7 +287,7 @@ def _datum_text(adjustment: Adjustment, station: str) -> str:
     """Text on how the free motions of the network are fixed."""
     state, frame = adjustment.state, DeclaredFrame.from_recording(adjustment.recording)
     if adjustment.datum is not None and _has_declared_datum_points(adjustment):
-        source = adjustment.recording.setup.axes
+        source = adjustment.recording.setup.datum_source
         axes = "the axes and the scale" if len(adjustment.problem.undetermined_unknowns.scale_target) else "the axes"
         return f"{axes} of {source}" if source else f"{axes} of the declared coordinates of the datum's targets"
     if adjustment.datum is None and frame.agrees_with_floor_plan(state.station_positions, state.station_rotations):

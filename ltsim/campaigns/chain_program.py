@@ -54,16 +54,14 @@ class ChainProgram(NamedTuple):
         """Chain of an error model, linearised at `readings` (pointings, 3), without motions that are always zero."""
         slots = [term.slot for term in construction.terms]
         motions_by_slot = {
-            m.error_slot: [k for k, slot in enumerate(slots) if slot == m.error_slot]
+            m.error_key: [k for k, slot in enumerate(slots) if slot == m.error_key]
             for m in construction.kinematic_chain
-            if m.error_slot
+            if m.error_key
         }
         motions = [
-            m
-            for m in construction.kinematic_chain
-            if m.nominal_function is not None or motions_by_slot.get(m.error_slot)
+            m for m in construction.kinematic_chain if m.nominal_amount is not None or motions_by_slot.get(m.error_key)
         ]
-        feeds = [motions_by_slot.get(m.error_slot, []) for m in motions]
+        feeds = [motions_by_slot.get(m.error_key, []) for m in motions]
         slope = _basis_derivatives(construction, readings)
         return cls(
             is_rotation=np.array([isinstance(m, RotationStep) for m in motions], dtype=np.int64),
@@ -99,17 +97,17 @@ class ChainProgram(NamedTuple):
 
 def _reading_index(motion: ElementaryMotion) -> int:
     """Index of the reading that determines the amount of a motion: 0 range, 1 azimuth, 2 elevation, -1 none."""
-    if motion.nominal_function is None:
+    if motion.nominal_amount is None:
         return -1
     probe = np.vstack([np.zeros(3), np.eye(3)])
-    probed_amounts = np.asarray(motion.nominal_function(probe))
+    probed_amounts = np.asarray(motion.nominal_amount(probe))
     return next((c for c in range(3) if probed_amounts[c + 1] != probed_amounts[0]), -1)
 
 
 def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
     """Amount of a motion, (pointings, 2): length [m] and 0 of a translation, or cosine and sine of a rotation."""
     nominal_amounts = (
-        np.zeros(len(readings)) if motion.nominal_function is None else motion.sign * motion.nominal_function(readings)
+        np.zeros(len(readings)) if motion.nominal_amount is None else motion.sign * motion.nominal_amount(readings)
     )
     if isinstance(motion, RotationStep):
         return np.stack([np.cos(nominal_amounts), np.sin(nominal_amounts)], axis=1)

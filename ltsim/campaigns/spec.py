@@ -17,7 +17,7 @@ from ltsim.campaigns.schema import MAX_SHARDS, RESULT_COLUMNS, ManifestFile, Sta
 from ltsim.core.errors import SetupError, as_setup_error, unknown_name_error
 from ltsim.core.limits import MAX_ADDITIONAL_EFFECTS
 from ltsim.core.units import MILLIMETRE
-from ltsim.recordings.keys import Distinct
+from ltsim.recordings.keys import DistinctValues
 from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.recordings.setup import Positive, TomlSection
 from ltsim.simulation.keys import convert_value, unit_of_scenario_key, value_type_of_key
@@ -119,7 +119,7 @@ class CampaignFile(TomlSection):
     (`per-trial`)."""
     verify: Annotated[int, Field(ge=0, le=1000)] = 2
     """Number of trials at the start of each output file that the full solver repeats for verification."""
-    statistics: Distinct[StatisticGroup] = ("criteria", "errors", "z-scores")
+    statistics: DistinctValues[StatisticGroup] = ("criteria", "errors", "z-scores")
     """Groups of results that each row contains."""
     judge_in: str = ""
     """Held-out points, which are measured by the instruments of each trial but used by no calibration: a scenario

@@ -32,7 +32,7 @@ from ltsim.campaigns.store import CampaignFolder, sql_path
 from ltsim.campaigns.summary import CampaignSummary, SolverComparison, StatisticSummary, ZScoreSummary
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, SetupError, option_text, unknown_name_error
-from ltsim.core.limits import BYTES_PER_MIB, MAX_DATABASE_MEMORY, MAX_FILE_BYTES
+from ltsim.core.limits import BYTES_PER_MIB, MAX_DATABASE_MEMORY_BYTES, MAX_FILE_BYTES
 from ltsim.core.results import ColumnValues, Table
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.result_file import Entry
@@ -348,7 +348,7 @@ def _nan_if_none(value: float | None) -> float:
 def memory_limit(shards: Sequence[Path]) -> str:
     """Memory of the database for files of rows, in the words of its setting."""
     n_bytes = sum(shard.stat().st_size for shard in shards)
-    return f"{MAX_DATABASE_MEMORY * max(1.0, n_bytes / MAX_FILE_BYTES) / BYTES_PER_MIB:.0f}MiB"
+    return f"{MAX_DATABASE_MEMORY_BYTES * max(1.0, n_bytes / MAX_FILE_BYTES) / BYTES_PER_MIB:.0f}MiB"
 
 
 def _damaged_folder_error(folder: Path, problem: Exception) -> SetupError:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ltsim.campaigns import require_packages
-from ltsim.core.arguments import check_mapping, path_argument, source_path
+from ltsim.core.arguments import check_mapping, path_argument, path_of_file_or_built_in
 from ltsim.core.errors import SetupError
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def campaign(
     tables = source if isinstance(source, Mapping) else None
     if tables is not None and out is None:
         raise SetupError("a campaign without a file needs a folder for its rows: out=...")
-    path = Path("the campaign") if isinstance(source, Mapping) else source_path(source)
+    path = Path("the campaign") if isinstance(source, Mapping) else path_of_file_or_built_in(source)
     is_finished = tables is None and (path / MANIFEST_FILE).is_file()
     if is_finished and out is None and not (resume or force or changes):
         return CampaignResults(path)

@@ -16,8 +16,8 @@ from ltsim.campaigns import require_packages
 from ltsim.cli.output_checks import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOption
 from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, write_line
-from ltsim.core.arguments import bounded_parser, bounds_text, source_path
-from ltsim.core.errors import SetupError, StoppedError
+from ltsim.core.arguments import bounded_parser, bounds_text, path_of_file_or_built_in
+from ltsim.core.errors import SetupError, UserInterruptError
 from ltsim.core.storage import with_digest_comment
 from ltsim.recordings.files import write_text
 
@@ -80,7 +80,7 @@ def campaign(
     from ltsim.reports.sections.campaign import campaign_section
 
     workers = WorkerSettings(*(options.pop(name) for name in ("jobs", "backend", "scheduler")))
-    path = source_path(file)
+    path = path_of_file_or_built_in(file)
     folder = rows_folder(path, out)
     settings, scenarios = load_campaign(path, options["changes"])
     n_trials = settings.trials * len(settings.methods) * len(scenarios)
@@ -90,7 +90,7 @@ def campaign(
             outcome = run_campaign(path, folder, progress=advance, workers=workers, force=force, **options)
     except KeyboardInterrupt:
         n_finished_files = len(CampaignFolder(folder).shard_paths())
-        raise StoppedError(
+        raise UserInterruptError(
             f"{n_finished_files} files with results of finished trials remain in {folder}; continue with --resume"
         ) from None
     results = CampaignResults(folder)

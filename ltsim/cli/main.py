@@ -15,7 +15,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from ltsim.cli.options import typer_command
 from ltsim.cli.terminal import discard_output, flush_streams, prepare_streams, write_line
-from ltsim.core.errors import LtsimError, StoppedError, options_are_flags
+from ltsim.core.errors import LtsimError, UserInterruptError, spell_options_as_flags
 
 INVALID_INPUT_STATUS = 2
 """Exit status after invalid input or wrong usage."""
@@ -155,12 +155,12 @@ def run(arguments: Sequence[str]) -> int:
     traceback), 130 interrupted.
     """
     try:
-        with options_are_flags():
+        with spell_options_as_flags():
             status = app(args=list(arguments) or ["--help"], prog_name="ltsim", standalone_mode=False)
         flush_streams()
     except UsageError as problem:
         return _report_invalid_input(_usage_error_sentence(problem))
-    except StoppedError as stop:
+    except UserInterruptError as stop:
         return _report_interruption(str(stop))
     except LtsimError as problem:
         return _report_invalid_input(str(problem))

@@ -20,7 +20,7 @@ from ltsim.cli.terminal import Terminal, is_output_closed
 from ltsim.core.arguments import (
     ARGUMENT_BOUNDS,
     MAPPING_SYNTAX,
-    MAX_MAPPING_NUMBER,
+    MAX_MAPPING_VALUE_MAGNITUDE,
     bounded_parser,
     bounds_text,
     check_choice,
@@ -228,7 +228,7 @@ METAVARIABLES = {"prior": "FILE|none", "with_effects": "EFFECT[:WHERE,...]", "ca
 
 def _parse_number(text: str) -> float:
     value = float(text)
-    if not abs(value) <= MAX_MAPPING_NUMBER:
+    if not abs(value) <= MAX_MAPPING_VALUE_MAGNITUDE:
         raise ValueError
     return value
 
@@ -388,7 +388,7 @@ def with_axes_of_frame(recording: Recording, frame: Path) -> Recording:
 
     if frame.exists() and str(frame) not in builtin_names():
         if frame.suffix.lower() != ".toml":
-            coordinates = read_points(frame, requires_all_axes=False).coordinates_by_name
+            coordinates = read_points(frame, refuses_contradictions=False).coordinates_by_name
             return with_axes_from_points(recording, coordinates, str(frame))
         frame_table = read_toml(frame, "frame")
         if {*(keys := ("origin", "x_axis", "xy_plane"))} <= frame_table.keys():

@@ -17,7 +17,7 @@ from typing import IO, TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from ltsim.cli.output_checks import COMMAND_CHECKED_OUTPUT, ForceOption, check_overwrite
-from ltsim.core.errors import printable
+from ltsim.core.errors import as_printable
 
 if TYPE_CHECKING:
     from ltsim.recordings.result_file import ResultFile
@@ -61,7 +61,7 @@ def is_reader_gone() -> bool:
 def write_line(text: str, stream: IO[str]) -> None:
     """Output of a line whose control characters are replaced; raises OSError if standard output cannot be written."""
     with _discard_if_unwritable(stream):
-        print(printable(text), file=stream)
+        print(as_printable(text), file=stream)
 
 
 def flush_streams() -> None:

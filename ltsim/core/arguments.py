@@ -30,8 +30,8 @@ MAPPING_SYNTAX = {
     "move": STATION_POSITION_SYNTAX,
 }
 """Syntax of the arguments that are mappings, by the name of the argument, for messages and help."""
-MAX_MAPPING_NUMBER = 1e12
-"""Largest absolute value of a number in an argument NAME=NUMBER."""
+MAX_MAPPING_VALUE_MAGNITUDE = 1e12
+"""Largest absolute value of a number in an argument that is a mapping, `NAME=NUMBER`."""
 
 
 def bounds_text(argument_name: str) -> str:
@@ -92,13 +92,14 @@ def check_mapping(argument_name: str, argument_value: object) -> None:
             raise SetupError(f"{option_text(argument_name)} {key}={value}: expected {MAPPING_SYNTAX[argument_name]}")
 
 
-def source_path(path_or_name: object) -> Path:
-    """Path of a source: the path of a file, or the name of a built-in source.
+def path_of_file_or_built_in(path_or_name: object) -> Path:
+    """Path of a file or folder that a user gives, or the name of something built in, such as a scenario, as a path.
 
     Raises SetupError for an empty text, and for an object that is neither text nor path.
     """
     if not (text := _path_text(path_or_name)):
-        raise SetupError(f"the source is {path_or_name!r}, expected the name of a built-in source, or a file path")
+        expected = "the path of a file or folder, or a built-in name such as paper-workshop"
+        raise SetupError(f"the source is {path_or_name!r}, expected {expected}")
     return Path(text)
 
 

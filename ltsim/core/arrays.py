@@ -9,7 +9,7 @@ from ltsim.core.errors import ModelError
 
 Floats = NDArray[np.float64]
 """Array of double-precision numbers."""
-Singles = NDArray[np.float32]
+Floats32 = NDArray[np.float32]
 """Array of single-precision numbers."""
 Ints = NDArray[np.int64]
 """Array of 64-bit integers."""
@@ -41,7 +41,7 @@ def stack_columns(*columns: Floats) -> Floats:
     return array
 
 
-def stack_and_release(row_arrays: list[Singles]) -> Singles:
+def stack_and_release(row_arrays: list[Floats32]) -> Floats32:
     """Array (arrays, ...) from a list of arrays of equal shape, which become its rows.
 
     Each array is removed from the list once it is copied, so that all data are never in memory twice.

@@ -72,7 +72,7 @@ class WorkerError(LtsimError):
     """Error for a worker process that ended before its result was complete."""
 
 
-class StoppedError(LtsimError):
+class UserInterruptError(LtsimError):
     """Error for work that the user interrupted; the message states which results are complete and how to continue."""
 
 
@@ -94,8 +94,8 @@ class ConvergenceError(LtsimError):
 
 MAX_QUOTED_NAME_LENGTH = 60
 """Largest number of characters of a name that a message quotes in full; longer names are shortened."""
-_OPTION_SPELLING = {"flags": False}
-"""Spelling of options in messages: as command-line flags if true, as Python arguments if false."""
+_OPTION_SPELLING_SWITCH = {"flags": False}
+"""Switch of the spelling of options in messages: command-line flags if true, Python arguments if false."""
 FLAG_SPELLINGS = {
     "with_effects": "--with", "scaled": "--scale", "hints": "--hint", "changes": "--set",
     "calibrate=False": "--no-calibrate",
@@ -104,18 +104,18 @@ FLAG_SPELLINGS = {
 
 
 @contextmanager
-def options_are_flags() -> Iterator[None]:
+def spell_options_as_flags() -> Iterator[None]:
     """Context in which `option_text` spells names as flags of the command line."""
-    before, _OPTION_SPELLING["flags"] = _OPTION_SPELLING["flags"], True
+    before, _OPTION_SPELLING_SWITCH["flags"] = _OPTION_SPELLING_SWITCH["flags"], True
     try:
         yield
     finally:
-        _OPTION_SPELLING["flags"] = before
+        _OPTION_SPELLING_SWITCH["flags"] = before
 
 
 def option_text(argument_name: str) -> str:
     """Name of an option as the user writes it: `resume=True` in Python, `--resume` on the command line."""
-    if not _OPTION_SPELLING["flags"]:
+    if not _OPTION_SPELLING_SWITCH["flags"]:
         return argument_name
     return FLAG_SPELLINGS.get(argument_name) or "--" + argument_name.removesuffix("=True").replace("_", "-")
 
@@ -139,7 +139,7 @@ def is_installed(package_name: str) -> bool:
         return False
 
 
-def printable(text: str) -> str:
+def as_printable(text: str) -> str:
     """Text with `?` in place of control characters, including those that change the direction of writing.
 
     The result is safe on a terminal and, after escaping, on an HTML page. Line breaks, tabs and no-break spaces remain.
@@ -150,7 +150,7 @@ def printable(text: str) -> str:
 def unknown_name_error(object_kind: str, unknown_name_text: str, valid_names: Iterable[str]) -> ModelError:
     """ModelError for an unknown name; it lists similar `valid_names`. `object_kind` is a noun such as `effect`."""
     choices = sorted(valid_names)
-    short = printable(
+    short = as_printable(
         unknown_name_text
         if len(unknown_name_text) <= MAX_QUOTED_NAME_LENGTH
         else f"{unknown_name_text[:MAX_QUOTED_NAME_LENGTH]}..."

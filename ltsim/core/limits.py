@@ -82,35 +82,36 @@ coordinates and a covariance matrix each.
 
 MAX_JSON_VALUES = 1_500_000
 """Largest number of commas and opening brackets in a JSON file, an upper bound of the number of values. An empty
-object, with a comma three characters, takes 64 bytes.
+object with its comma has three characters in the file and takes 64 bytes of memory.
 """
 
-MAX_RESULT_ENTRIES = 10_000
+MAX_RESULT_LIST_ENTRIES = 10_000
 """Largest number of entries in a list of a result file. Result files have an entry for each parameter, target or test;
 values of pointings are in tables. An entry takes 1 to 2 kB in a report.
 """
 
-MAX_TASK_RESULTS = 1_000
+MAX_RESULTS_OF_ALL_TASKS = 1_000
 """Largest number of results of all tasks of an evaluation of uncertainty; their correlations are in its result file,
-of at most `MAX_JSON_VALUES` values. A result takes 80 kB for 10,000 trials, four times.
+of at most `MAX_JSON_VALUES` values. The 10,000 trials of a result take 80 kB, and four copies of them are in memory.
 """
 MAX_ADDITIONAL_EFFECTS = 200
 """Largest number of effects of type B in an evaluation of uncertainty, and of effects that a method of a campaign
 estimates; each is linearised for all pointings. The catalogue has 60.
 """
-MAX_RESULT_DRAWS = 20_000_000
-"""Largest number of trials of an evaluation of uncertainty multiplied by the number of results: 16 bytes each."""
+MAX_TRIALS_TIMES_RESULTS = 20_000_000
+"""Largest product of the numbers of trials and of results in an evaluation of uncertainty; a trial of a result takes 16
+bytes."""
 
 MAX_SHARD_ROWS = 1_000_000
 """Largest number of rows in a file of rows of a campaign: 65,536 trials with 15 methods. Equal rows take no space in
 the file, and 200 bytes each in memory.
 """
-MAX_DATABASE_MEMORY = 250 * BYTES_PER_MIB
+MAX_DATABASE_MEMORY_BYTES = 250 * BYTES_PER_MIB
 """Memory [bytes] of the database that reads the rows of a campaign; proportionally more for files of rows that together
 are larger than `MAX_FILE_BYTES`.
 """
 
-MAX_DRAWN_ITEMS = 1_000
+MAX_FIGURE_ITEMS = 1_000
 """Largest number of points, bars or curves in a figure of a report; each takes 5 ms and 0.1 MB. A reader cannot
 distinguish more of them."""
 
@@ -127,7 +128,7 @@ MAX_COVARIANCE_VALUES = 1_000_000
 """Largest number of values of a covariance matrix in an XML file: the upper triangle of 1,400 coordinates. A value
 takes 120 bytes while it is read.
 """
-MAX_JOINT_COORDINATES = 4_000
+MAX_JOINT_COVARIANCE_COORDINATES = 4_000
 """Largest number of coordinates with a joint covariance matrix, for example of compared epochs; the matrix takes 130
 MB."""
 
@@ -150,7 +151,7 @@ MAX_WORKBOOK_SHEETS = 200
 
 MAX_CAD_BYTES = 512 * BYTES_PER_MIB
 """Largest size [bytes] of a CAD file."""
-MAX_CAD_MEMORY = 250 * BYTES_PER_MIB
+MAX_CAD_MEMORY_BYTES = 250 * BYTES_PER_MIB
 """Largest memory [bytes], beyond 125 MB of libraries, of the process that reads a CAD file; proportionally more for a
 file larger than `MAX_FILE_BYTES`. The process that waits for it takes 110 MB.
 """
@@ -163,15 +164,15 @@ MAX_IN_PROCESS_CAD_BYTES = BYTES_PER_MIB // 2
 360 bytes of memory for each byte of the file.
 """
 MAX_FLOOR_PARTS = 200
-"""Largest number of areas, of holes in one, of keep-out areas and of doors of a floor; each is compared with all places
-for tripods. A hall has tens.
+"""Largest number of areas of a floor, of holes in one area, of keep-out areas and of doors; each is compared with all
+positions of tripods. A hall has tens.
 """
 MAX_OBSTACLE_TRIANGLES = 200_000
 """Largest number of triangles in a CAD file, counted for each instance of a part. A triangle takes 700 bytes while it
 is read, and 1,500 in a hall where it may hide targets."""
 
 
-def max_pointings(default_limit: int) -> int:
+def overridable_limit(default_limit: int) -> int:
     """Limit of the number of pointings, set-ups or targets: the larger of `default_limit` and the environment variable.
 
     ModelError is raised if the variable is not a whole number.
@@ -187,8 +188,8 @@ def max_pointings(default_limit: int) -> int:
 def require_small_joint_covariance(n_coordinates: int, file: object) -> None:
     """Check that a joint covariance matrix of `n_coordinates` coordinates fits in memory.
 
-    RecordError, which names `file`, is raised for more than `MAX_JOINT_COORDINATES` coordinates.
+    RecordError, which names `file`, is raised for more than `MAX_JOINT_COVARIANCE_COORDINATES` coordinates.
     """
-    if n_coordinates > MAX_JOINT_COORDINATES:
-        expected = f"expected at most {MAX_JOINT_COORDINATES}; leave out points"
+    if n_coordinates > MAX_JOINT_COVARIANCE_COORDINATES:
+        expected = f"expected at most {MAX_JOINT_COVARIANCE_COORDINATES}; leave out points"
         raise RecordError(f"{n_coordinates} coordinates with a joint covariance matrix, {expected}", file=file)

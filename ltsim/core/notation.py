@@ -17,7 +17,7 @@ MAX_LISTED_ITEMS = 6
 """Largest number of names or numbers that a sentence lists; further ones are only counted."""
 MAX_LISTED_SENTENCES = 4
 """Largest number of sentences of one kind that are displayed; further ones are only counted."""
-MAX_DECIMALS = 12
+MAX_SIGMA_DECIMALS = 12
 """Largest number of decimals in a displayed standard deviation; standard deviations below 1e-12 are displayed as 0."""
 
 
@@ -59,7 +59,7 @@ def with_expanded_uncertainty(
 def decimals_of_sigma(sigma: float) -> int:
     """Number of decimals that show two significant digits of a standard deviation: 2 for 0.10, and 0 from 10 on."""
     rounded_sigma = float(f"{sigma:.1e}")  # 0.0996 is 0.10
-    return min(max(1 - math.floor(math.log10(rounded_sigma)), 0), MAX_DECIMALS)
+    return min(max(1 - math.floor(math.log10(rounded_sigma)), 0), MAX_SIGMA_DECIMALS)
 
 
 def align_columns(header: Sequence[str], table_rows: Sequence[Sequence[str]], n_text_columns: int = 1) -> str:

@@ -13,7 +13,7 @@ from ltsim.core.errors import WorkerError, option_text
 
 PARENT_CHECK_INTERVAL_S = 1.0
 """Time [s] between two checks by a worker process that its parent process still exists."""
-SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
+PYTHON_SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
 """Environment variable that keeps Python from adding the working folder to its module search path."""
 ReturnType = TypeVar("ReturnType")
 """Type of the result of a function that worker processes call."""
@@ -67,15 +67,15 @@ def _without_working_folder() -> Iterator[None]:
 
     A file `numpy.py` in the working folder would otherwise be imported in place of numpy.
     """
-    old_value = os.environ.get(SAFE_PATH_VARIABLE)
-    os.environ[SAFE_PATH_VARIABLE] = "1"
+    old_value = os.environ.get(PYTHON_SAFE_PATH_VARIABLE)
+    os.environ[PYTHON_SAFE_PATH_VARIABLE] = "1"
     try:
         yield
     finally:
         if old_value is None:
-            del os.environ[SAFE_PATH_VARIABLE]
+            del os.environ[PYTHON_SAFE_PATH_VARIABLE]
         else:
-            os.environ[SAFE_PATH_VARIABLE] = old_value
+            os.environ[PYTHON_SAFE_PATH_VARIABLE] = old_value
 
 
 def _watch_parent(parent_process_id: int) -> None:

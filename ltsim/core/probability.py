@@ -2,15 +2,15 @@
 
 import math
 
-SMALLEST_REPORTED_P = 1e-6
+MIN_REPORTED_P_VALUE = 1e-6
 """Smallest p-value that is reported as a number; smaller ones are reported as `< 1e-6`, because no test is exact
 there."""
-AGREEMENT_LEVEL = 0.02
+TWO_SIDED_GLOBAL_TEST_LEVEL = 0.02
 """Two-sided p-value of the global test (chi-square) below which readings and model disagree: 1 % on each side."""
-SIZE_PRIOR = {0.03: 0.15, 0.1: 0.2, 0.3: 0.25, 1.0: 0.22, 3.0: 0.13, 10.0: 0.05}
+PRIOR_BY_RELATIVE_EFFECT_SIZE = {0.03: 0.15, 0.1: 0.2, 0.3: 0.25, 1.0: 0.22, 3.0: 0.13, 10.0: 0.05}
 """Prior probability of each size of an unmodelled effect; the keys are sizes divided by the plausible size of the
 effect."""
-P_WRONG_CONSTANT = 0.04
+PRIOR_OF_WRONG_INSTRUMENT_CONSTANT = 0.04
 """Prior probability that a wrong instrument constant, such as the additive constant, is the cause of a misfit."""
 
 
@@ -23,7 +23,7 @@ def p_text(p_value: float | None) -> str:
     """Text of a p-value: `0.02`, `< 1e-6`, `> 0.99`; a dash if it is missing."""
     if p_value is None or not math.isfinite(p_value):
         return "–"
-    if p_value < SMALLEST_REPORTED_P:
+    if p_value < MIN_REPORTED_P_VALUE:
         return "< 1e-6"
     return "> 0.99" if p_value > 0.99 else f"{p_value:.2g}"
 

@@ -22,7 +22,7 @@ from pydantic import BaseModel
 from ltsim.core.arrays import Floats
 from ltsim.core.descriptions import field_descriptions
 from ltsim.core.equality import ValueEquality
-from ltsim.core.errors import ModelError, RecordError, missing_extra_error, printable, unknown_name_error
+from ltsim.core.errors import ModelError, RecordError, as_printable, missing_extra_error, unknown_name_error
 from ltsim.core.limits import MAX_TEXT_LINES
 from ltsim.core.notation import MISSING_TEXT, align_columns, decimals_of_sigma, number_text, unsigned_zero, with_sigma
 from ltsim.core.plotting import plotting_module
@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 
 FORMULA_STARTS = ("=", "+", "-", "@", "'")
 """First characters of a text that is written to CSV with an apostrophe, so that it is no spreadsheet formula."""
-MAX_MAGNITUDE = 1e40
+MAX_RESULT_MAGNITUDE = 1e40
 """Largest absolute value of a number in a result file; a product of seven such numbers does not overflow."""
 MAX_NOTEBOOK_ROWS = 12
 """Largest number of rows of a table that a notebook shows."""
-ColumnKind = Literal["text", "number", "flag", "chance"]
-"""Kind of the values of a column: text, number, true or false, or p-value (`chance`)."""
+ColumnKind = Literal["text", "number", "flag", "p_value"]
+"""Kind of the values of a column: text, number, true or false, or p-value."""
 ColumnValues = Mapping[str, Sequence[Any]]
 """Values of columns of equal length, by the names of the columns."""
 
@@ -56,20 +56,20 @@ class Column:
     meaning : str
         Definition of the column.
     kind : str
-        `text`, `number`, `flag` (true or false) or `chance` (a p-value).
+        `text`, `number`, `flag` (true or false) or `p_value`.
     csv_format : str
         Number format in CSV, in the syntax of Python's `format`; `r` for full precision.
     display_format : str
         Number format for display; by default `n_digits` significant digits.
     sigma_column : str
         Name of the column with the standard deviation of this column; both are displayed in one cell, `1.23 +- 0.10`.
-    precision_column : str
+    rounding_column : str
         Name of a column, such as U, whose second significant digit is the last displayed decimal of this column.
     unit : str
         Unit; by default the one in the name.
     title : str
         Displayed title; by default the name without its unit.
-    attribute : str
+    row_attribute : str
         Attribute of a row object, or key of a row mapping, that holds the value; by default the name of the column.
     n_digits : int
         Significant digits of a number that is displayed without `display_format`.
@@ -81,10 +81,10 @@ class Column:
     csv_format: str = ""
     display_format: str = ""
     sigma_column: str = ""
-    precision_column: str = ""
+    rounding_column: str = ""
     unit: str = ""
     title: str = ""
-    attribute: str = ""
+    row_attribute: str = ""
     n_digits: int = 4
 
     @property
@@ -100,25 +100,25 @@ class Column:
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return ""
         if self.kind == "text":
-            return guard_formula(str(value))
+            return escape_formula(str(value))
         if self.csv_format:
             return repr(float(value)) if self.csv_format == "r" else format(value, self.csv_format)
         return f"{value:.6g}" if isinstance(value, float) and abs(value) < 1e4 else value
 
-    def displayed_text(self, value: Any, precision_value: Any = None) -> str:
-        """Displayed text of a value; `precision_value` is the row's value of `sigma_column` or `precision_column`."""
+    def displayed_text(self, value: Any, sigma_or_uncertainty: Any = None) -> str:
+        """Displayed text of a value; `sigma_or_uncertainty` is the value in its `sigma_column` or `rounding_column`."""
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return MISSING_TEXT
         if isinstance(value, bool | np.bool_):
             return "yes" if value else ""
         if isinstance(value, str) or self.kind == "text":
             return str(value)
-        if self.kind == "chance":
+        if self.kind == "p_value":
             return p_text(value)
         if self.sigma_column:
-            return with_sigma(float(value), precision_value)
-        if self.precision_column and precision_value and 0 < precision_value < math.inf:
-            return unsigned_zero(f"{value:.{decimals_of_sigma(precision_value)}f}")
+            return with_sigma(float(value), sigma_or_uncertainty)
+        if self.rounding_column and sigma_or_uncertainty and 0 < sigma_or_uncertainty < math.inf:
+            return unsigned_zero(f"{value:.{decimals_of_sigma(sigma_or_uncertainty)}f}")
         if self.display_format:
             return unsigned_zero(format(value, self.display_format))
         return str(value) if isinstance(value, int | np.integer) else number_text(float(value), self.n_digits)
@@ -151,7 +151,7 @@ def columns_of(model: type[BaseModel], names: str = "", **column_options: Mappin
     for name in names.split() or model.model_fields:
         field = model.model_fields[name]
         kind = "flag" if field.annotation is bool else "text" if _is_text(field.annotation) else "number"
-        options: dict[str, Any] = {"name": name, "kind": kind, "attribute": name, **column_options.get(name, {})}
+        options: dict[str, Any] = {"name": name, "kind": kind, "row_attribute": name, **column_options.get(name, {})}
         made.append(Column(meaning=meanings.get(name, "").rstrip("."), **options))
     return tuple(made)
 
@@ -186,12 +186,12 @@ class Table(ValueEquality):
 
     def _row_values(self, row: Any) -> tuple[Any, ...]:
         if isinstance(row, Mapping):
-            return tuple(row[c.attribute or c.name] for c in self.columns)
+            return tuple(row[c.row_attribute or c.name] for c in self.columns)
         if isinstance(row, Sequence):
             if len(row) != len(self.columns):
                 raise ModelError(f"a row of {self.file} has {len(row)} cells for {len(self.columns)} columns")
             return tuple(row)
-        return tuple(getattr(row, c.attribute or c.name) for c in self.columns)
+        return tuple(getattr(row, c.row_attribute or c.name) for c in self.columns)
 
     @property
     def name(self) -> str:
@@ -208,7 +208,7 @@ class Table(ValueEquality):
         column_by_name = {column.name: column for column in self.columns}
         columns_used = [column_by_name[name] for name in names.split() if name in column_by_name]
         names_used = dict.fromkeys(
-            name for c in columns_used for name in (c.name, c.sigma_column or c.precision_column) if name
+            name for c in columns_used for name in (c.name, c.sigma_column or c.rounding_column) if name
         )
         indices = [self.header.index(name) for name in names_used]
         rows = tuple(tuple(row[i] for i in indices) for row in self.rows)
@@ -237,7 +237,7 @@ class Table(ValueEquality):
         """Content of the table's CSV file."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow([guard_formula(name) for name in self.header])
+        writer.writerow([escape_formula(name) for name in self.header])
         for row in self.rows:
             writer.writerow([column.csv_cell(value) for column, value in zip(self.columns, row, strict=True)])
         return stream.getvalue()
@@ -292,7 +292,7 @@ class Table(ValueEquality):
     def cells(self) -> list[list[str]]:
         """Displayed texts of the rows, in the order of `headings`."""
         at = {name: i for i, name in enumerate(self.header)}
-        pairs = [(c, c.sigma_column or c.precision_column) for c in self._displayed_columns]
+        pairs = [(c, c.sigma_column or c.rounding_column) for c in self._displayed_columns]
         return [[c.displayed_text(row[at[c.name]], row[at[p]] if p else None) for c, p in pairs] for row in self.rows]
 
     def text(self) -> str:
@@ -371,13 +371,13 @@ class Result(ValueEquality):
         return figure
 
 
-def guard_formula(text: str) -> str:
+def escape_formula(text: str) -> str:
     """Text with an apostrophe before it if a spreadsheet would interpret the text as a formula."""
     return f"'{text}" if text.startswith(FORMULA_STARTS) else text
 
 
-def unguard_formula(text: str) -> str:
-    """Text of a CSV cell without the apostrophe that `guard_formula` adds."""
+def unescape_formula(text: str) -> str:
+    """Text of a CSV cell without the apostrophe that `escape_formula` adds."""
     return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA_STARTS) else text
 
 
@@ -388,13 +388,13 @@ def _column_kind(column: Sequence[Any]) -> ColumnKind:
 
 def _parse_value(column: Column, cell: str, file: object, row: int) -> Any:
     if column.kind == "text":
-        return unguard_formula(cell)
+        return unescape_formula(cell)
     if column.kind == "flag":
         return cell == "True"
     try:
         value = float(cell or "nan")
     except ValueError:
         value = math.inf
-    if abs(value) > MAX_MAGNITUDE:
-        raise RecordError(f"'{printable(cell[:40])}' is not a number", file=file, row=row, column=column.name)
+    if abs(value) > MAX_RESULT_MAGNITUDE:
+        raise RecordError(f"'{as_printable(cell[:40])}' is not a number", file=file, row=row, column=column.name)
     return value

@@ -11,7 +11,7 @@ MAX_SOLUTION_ROUNDING_ERROR = 1e-6
 that remain in residuals, coefficients of combinations, log evidences. A smaller number counts as zero. The limit
 exceeds `MAX_ROUNDING_ERROR` because the condition number of normal equations is the square of that of the design
 matrix."""
-MAX_SINGLE_ROUNDING_ERROR = 1e-3
-"""Largest difference of log evidences in single precision that count as equal. It is the spacing of single-precision
-numbers near 10,000, the log evidence of a step of 140 standard deviations.
+MAX_LOG_EVIDENCE_ROUNDING_ERROR = 1e-3
+"""Largest difference of two log evidences, computed in single precision, that count as equal. It is the spacing of
+single-precision numbers near 10,000, the log evidence of a step of 140 standard deviations.
 """

@@ -28,7 +28,7 @@ MAX_JOURNAL_BYTES = BYTES_PER_MIB
 """Largest size [bytes] of a journal, that of 10,000 files; no command writes so many at once."""
 _PROCESS_TOKEN = secrets.token_hex(4)
 """Random identifier of this process, because the operating system reuses process numbers."""
-_TEMPORARY_NAME = re.compile(r"\.ltsim-(\d{1,9})-([0-9a-f]{8})-[0-9a-f]{8}\.(tmp|moves)")
+_TEMPORARY_NAME_PATTERN = re.compile(r"\.ltsim-(\d{1,9})-([0-9a-f]{8})-[0-9a-f]{8}\.(tmp|moves)")
 """Pattern of the names of temporary files and journals; its groups are number and random identifier of the process."""
 
 
@@ -79,7 +79,8 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
             with journal.open("rb") as stream:
                 moves = json.loads(stream.read(MAX_JOURNAL_BYTES))
             valid = isinstance(moves, dict) and all(
-                isinstance(name, str) and _TEMPORARY_NAME.fullmatch(Path(source).name) for source, name in moves.items()
+                isinstance(name, str) and _TEMPORARY_NAME_PATTERN.fullmatch(Path(source).name)
+                for source, name in moves.items()
             )
         except (ValueError, RecursionError):  # killed while it wrote the journal, or not written by ltsim
             valid = False
@@ -197,7 +198,7 @@ def _abandoned_files(folder: Path, file_suffix: str) -> Iterator[Path]:
     Files behind symbolic links are left out.
     """
     for path in [*folder.glob(f".ltsim-*.{file_suffix}"), *folder.glob(f"*/.ltsim-*.{file_suffix}")]:
-        match = _TEMPORARY_NAME.fullmatch(path.name)
+        match = _TEMPORARY_NAME_PATTERN.fullmatch(path.name)
         name = path.relative_to(folder).as_posix()
         if match and _is_inside_folder(folder, name) and not _is_running(int(match[1]), match[2]):
             yield path

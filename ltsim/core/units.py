@@ -96,7 +96,7 @@ SMALL_ANGLE_UNITS = ("arcsec", "cc", "mgon", "urad", "mrad", "deg", "gon", "rad"
 """Units of small angles, such as standard deviations."""
 _PI = Decimal("3.14159265358979323846264338327950288")
 """Pi with 36 digits, for exact conversions of angles."""
-_CIRCLE_PARTS = MappingProxyType(
+_FULL_CIRCLE_BY_UNIT = MappingProxyType(
     {
         "deg": Decimal(360), "dms": Decimal(360), "gon": Decimal(400), "rad": 2 * _PI, "mrad": 2000 * _PI,
         "urad": 2_000_000 * _PI, "arcsec": Decimal(1_296_000), "cc": Decimal(4_000_000), "mgon": Decimal(400_000),
@@ -124,8 +124,8 @@ def permitted_units_text() -> str:
 
 def unit_ratio(numerator_unit: str, denominator_unit: str) -> Decimal:
     """Exact ratio of two units of the same quantity (angle, length or time): `numerator_unit` / `denominator_unit`."""
-    if numerator_unit in _CIRCLE_PARTS:
-        return _CIRCLE_PARTS[denominator_unit] / _CIRCLE_PARTS[numerator_unit]
+    if numerator_unit in _FULL_CIRCLE_BY_UNIT:
+        return _FULL_CIRCLE_BY_UNIT[denominator_unit] / _FULL_CIRCLE_BY_UNIT[numerator_unit]
     return Decimal(repr(SI_PER_UNIT[numerator_unit])) / Decimal(repr(SI_PER_UNIT[denominator_unit]))
 
 

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_evidence
-from ltsim.core.arrays import Floats, Ints, Singles, batches, stack_and_release
+from ltsim.core.arrays import Floats, Floats32, Ints, batches, stack_and_release
 from ltsim.diagnosis.evidence import (
     MAX_LOG_EVIDENCE_DEFICIT,
     log_mean_exp_by_group,
@@ -76,10 +76,10 @@ class EffectGroup:
     """Indices (h,), in `CatalogueDesigns.effects`, of the h effects of the group."""
     row_indices: Ints | slice
     """Indices (r,) of the r rows of the residual space on which the design columns are stored."""
-    transposed_designs: Singles | sp.csr_array
+    transposed_designs: Floats32 | sp.csr_array
     """Transposed design columns (h k, r) of h effects with k parameters on r rows of the residual space: one row per
     parameter, in units of its plausible size."""
-    row_factors: Singles
+    row_factors: Floats32
     """Factors (r,) by which the r rows of the design are multiplied, for an adjustment with other weights."""
     unprojected_gram: Floats
     """Gram matrices (h, k, k) of the k design columns, times `row_factors`, of each of h effects, before projection."""
@@ -91,7 +91,7 @@ class EffectGroup:
         """Ranges of effects of the group whose products with `n_vectors` vectors are in memory at a time."""
         return batches(len(self.effect_indices), self.n_parameters * n_vectors)
 
-    def products_with_vectors(self, effect_range: slice, vectors: Floats | Singles) -> Floats:
+    def products_with_vectors(self, effect_range: slice, vectors: Floats | Floats32) -> Floats:
         """Products (h, k, v) of the k scaled design columns of each of h effects in a range with v `vectors` (m, v).
 
         The vectors have m rows, those of the residual space. The design columns are multiplied by `row_factors`.
@@ -107,7 +107,7 @@ class EffectGroup:
             )
         return products.reshape(effect_range.stop - effect_range.start, self.n_parameters, count)
 
-    def with_rows_scaled(self, row_factors: Singles) -> EffectGroup:
+    def with_rows_scaled(self, row_factors: Floats32) -> EffectGroup:
         """Copy of the group for a residual space with other weights: its m rows are multiplied by factors (m,)."""
         weight = self.row_factors * row_factors[self.row_indices]
         if isinstance(self.transposed_designs, np.ndarray):
@@ -178,8 +178,8 @@ class CatalogueDesigns:
     def from_space(cls, space: ResidualSpace, effects: Sequence[CandidateEffect]) -> CatalogueDesigns:
         """Design matrices of all effects that change a reading of this recording."""
         touching: list[CandidateEffect] = []
-        sparse_designs: dict[int, list[tuple[int, Ints, Singles]]] = {}
-        dense_designs: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Singles]]] = {}
+        sparse_designs: dict[int, list[tuple[int, Ints, Floats32]]] = {}
+        dense_designs: dict[tuple[int, tuple[bool, ...]], tuple[list[int], list[Floats32]]] = {}
         used_indices = np.nonzero(space.is_used_reading)
         other = np.ones(
             space.n_equations - len(used_indices[0]), dtype=np.int64
@@ -369,7 +369,7 @@ def _with_size_raised_to_noise(
 
 
 def _dense_group(
-    n_parameters: int, effect_indices: Sequence[int], transposed_designs: Singles, row_indices: Ints
+    n_parameters: int, effect_indices: Sequence[int], transposed_designs: Floats32, row_indices: Ints
 ) -> EffectGroup:
     """Group of h effects with k parameters each, from `transposed_designs` (h, k, r) on r rows `row_indices` (r,)."""
     products, weight = row_gram(transposed_designs).astype(np.float64), np.ones(len(row_indices), dtype=np.float32)
@@ -379,7 +379,7 @@ def _dense_group(
     )
 
 
-def _sparse_group(n_parameters: int, indexed_designs: Sequence[tuple[int, Ints, Singles]], n_rows: int) -> EffectGroup:
+def _sparse_group(n_parameters: int, indexed_designs: Sequence[tuple[int, Ints, Floats32]], n_rows: int) -> EffectGroup:
     """Group of effects with k parameters each that change only a few of the `n_rows` rows of the residual space.
 
     `indexed_designs` has the index, the r nonzero rows and the transposed design (k, r) of each effect.

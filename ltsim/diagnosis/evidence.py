@@ -32,7 +32,7 @@ from ltsim.calibration.evidence import (
     log_sum_exp,
     size_weights_and_constants,
 )
-from ltsim.core.arrays import Bools, Floats, Ints, Singles, batches
+from ltsim.core.arrays import Bools, Floats, Floats32, Ints, batches
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.effects.linear_effect import CandidateEffect
 from ltsim.physics.effects.outlier import OBSERVABLE_COLUMN, Outlier
@@ -74,7 +74,7 @@ def simulated_log_evidence(scores: Floats, eigenvalues: Floats) -> Floats:
     return evidence
 
 
-def simulated_log_total_evidence(scores: Singles, eigenvalues: Floats, log_prior: Floats) -> Floats:
+def simulated_log_total_evidence(scores: Floats32, eigenvalues: Floats, log_prior: Floats) -> Floats:
     """Log (trials,) of the summed evidence of h hypotheses for each simulated recording (trial), with log priors (h,).
 
     `scores` and `eigenvalues` are as for `simulated_log_evidence`.
@@ -87,8 +87,8 @@ def simulated_log_total_evidence(scores: Singles, eigenvalues: Floats, log_prior
 
 
 def _simulated_log_evidence_batches(
-    scores: Floats | Singles, eigenvalues: Floats, log_prior: Floats
-) -> Iterator[Singles]:
+    scores: Floats | Floats32, eigenvalues: Floats, log_prior: Floats
+) -> Iterator[Floats32]:
     """Iterator over batches of h hypotheses: log evidence with priors, (h, size factors, simulated recordings)."""
     for part in batches(len(scores), scores.size // max(len(scores), 1)):
         weights, constants = size_weights_and_constants(eigenvalues[part])
@@ -98,11 +98,11 @@ def _simulated_log_evidence_batches(
         yield logs
 
 
-def _log_sum_exp_in_place(log_values: Singles, axis: int | tuple[int, ...]) -> Singles:
+def _log_sum_exp_in_place(log_values: Floats32, axis: int | tuple[int, ...]) -> Floats32:
     """Log of the sum of exp(log_values) along `axis`. The array `log_values` is overwritten."""
     top = log_values.max(axis=axis, keepdims=True)
     np.exp(np.subtract(log_values, top, out=log_values), out=log_values)
-    log_total: Singles = np.log(log_values.sum(axis=axis)) + top.squeeze(axis)
+    log_total: Floats32 = np.log(log_values.sum(axis=axis)) + top.squeeze(axis)
     return log_total
 
 

@@ -12,7 +12,7 @@ from scipy import special
 
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
-from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR
+from ltsim.core.rounding import MAX_LOG_EVIDENCE_ROUNDING_ERROR
 from ltsim.diagnosis.noise import NoiseHypothesisSet
 from ltsim.diagnosis.search import Searcher
 
@@ -43,7 +43,7 @@ class GlobalTestResult:
         A recording without effects is exchangeable with the simulated recordings. Its p-value is therefore at most p
         with a probability of at most p. The smallest p-value is 1 / (n + 1).
         """
-        return (int(np.sum(self.null_statistics >= statistic - MAX_SINGLE_ROUNDING_ERROR)) + 1) / (
+        return (int(np.sum(self.null_statistics >= statistic - MAX_LOG_EVIDENCE_ROUNDING_ERROR)) + 1) / (
             len(self.null_statistics) + 1
         )
 

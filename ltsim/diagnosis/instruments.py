@@ -25,7 +25,7 @@ from ltsim.calibration.evidence import (
 from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
-from ltsim.core.probability import SIZE_PRIOR
+from ltsim.core.probability import PRIOR_BY_RELATIVE_EFFECT_SIZE
 from ltsim.core.rounding import MAX_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import normalised_probabilities
 from ltsim.diagnosis.prior import MIN_EFFECT_LOG_EVIDENCE, log_prior_of_each_explanation
@@ -35,7 +35,7 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 from ltsim.solve.design import scale_to_unit_diagonal
 
-CHANGED_CONSTANT_PRIOR_VARIANCE_RATIO = sum(share * size**2 for size, share in SIZE_PRIOR.items())
+CHANGED_CONSTANT_PRIOR_VARIANCE_RATIO = sum(share * size**2 for size, share in PRIOR_BY_RELATIVE_EFFECT_SIZE.items())
 """Prior variance of an instrument constant that is selected as changed, divided by its squared specification."""
 CONSTANT_REFERENCE_PHRASES = {True: "its declared correction", False: "the other instruments"}
 """Name for users of the reference of a constant: with a declared correction (True) or without it (False)."""
@@ -228,7 +228,7 @@ def constants_contradicting_expectation(
             expectation.mean,
             expectation.covariance + size**2 * change_directions[contradictions].T @ change_directions[contradictions],
         )
-        for size, share in SIZE_PRIOR.items()
+        for size, share in PRIOR_BY_RELATIVE_EFFECT_SIZE.items()
     ]
     unchanged = log_marginal_likelihood(likelihood, np.zeros(unit.size), np.diag((prior / unit).ravel() ** 2))
     joint_log_ratio = float(log_sum_exp(np.array(changed))) - unchanged

@@ -20,8 +20,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.calibration.evidence import log_evidence, log_sum_exp
-from ltsim.core.arrays import Floats, Ints, Singles, batches
-from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR
+from ltsim.core.arrays import Floats, Floats32, Ints, batches
+from ltsim.core.rounding import MAX_LOG_EVIDENCE_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import N_EXACTLY_EVALUATED, simulated_log_total_evidence
 from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
 from ltsim.physics.laws.places import LawPlace
@@ -109,11 +109,11 @@ class RegressorColumns:
             pointing_order,
             acts_on_targets,
         )
-        self._all_columns: Singles | None = None
+        self._all_columns: Floats32 | None = None
         self.is_cached = False
         self.n_entries_per_regressor = regressors[0].n_columns * len(sightings)
 
-    def columns_of(self, regressor_range: slice) -> Singles:
+    def columns_of(self, regressor_range: slice) -> Floats32:
         """The k columns (n, d k) of each of d regressors in a range, for n pointings in the order of the cells."""
         if self.n_entries_per_regressor * len(self._regressors) > MAX_CACHED_COLUMN_ENTRIES:
             return self._compute_columns(self._regressors[regressor_range])
@@ -127,7 +127,7 @@ class RegressorColumns:
         if not self.is_cached:
             self._all_columns = None
 
-    def _compute_columns(self, regressors: Sequence[Regressor]) -> Singles:
+    def _compute_columns(self, regressors: Sequence[Regressor]) -> Floats32:
         n_columns = regressors[0].n_columns
         columns = np.empty((len(self._sightings), len(regressors) * n_columns), dtype=np.float32)
         for i, driver in enumerate(regressors):
@@ -151,14 +151,14 @@ class LawBatch:
     """The P places: stations, targets or instruments at which a law acts."""
     partition: PointingPartition
     """Partition of the pointings by these places."""
-    whitened_response_designs: Singles
+    whitened_response_designs: Floats32
     """Whitened change (n, 3, C, c) of the readings of n pointings by the plausible size of each of the c components of
     C responses."""
     columns: RegressorColumns
     """Columns of the regressors, which batches with the same regressors and cells share."""
     log_prior_by_place: Floats
     """Log prior (P,) of a single law (response, regressor and length scale) at each of P places."""
-    _cached_eigen_decompositions: dict[int, list[tuple[Floats, Singles]]] = field(default_factory=dict, repr=False)
+    _cached_eigen_decompositions: dict[int, list[tuple[Floats, Floats32]]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _prior_sigmas(self) -> list[Floats]:
@@ -182,7 +182,7 @@ class LawBatch:
             len(self.places), -1
         )
         null = log_sum_exp(np.stack([null for _, null in batch_results]))
-        best_index = np.argsort(-np.round(log_evidences / MAX_SINGLE_ROUNDING_ERROR), axis=1, kind="stable")[
+        best_index = np.argsort(-np.round(log_evidences / MAX_LOG_EVIDENCE_ROUNDING_ERROR), axis=1, kind="stable")[
             :, :N_EXACTLY_EVALUATED
         ]
         hits = [
@@ -224,7 +224,7 @@ class LawBatch:
         ]
         return log_sum_exp(np.stack(log_evidences)) + self.log_prior_by_place[:, None, None], log_sum_exp(null)
 
-    def _scaled_eigen_decompositions(self, gram: Floats, regressor_range: slice) -> list[tuple[Floats, Singles]]:
+    def _scaled_eigen_decompositions(self, gram: Floats, regressor_range: slice) -> list[tuple[Floats, Floats32]]:
         """Eigenvalues (P, C, d, c k) and matrices (P, C, d, c k, c k) of scaled Gram matrices, for each length scale.
 
         There are P places, C responses with c components, and d regressors with k columns in a range. The product of a
@@ -238,7 +238,7 @@ class LawBatch:
             transforms.append((np.maximum(eigenvalues, 0.0), eigenvectors.astype(np.float32)))
         return transforms
 
-    def _products_with_ensemble_vectors(self, null_ensemble: NullEnsemble, columns: Singles) -> Singles:
+    def _products_with_ensemble_vectors(self, null_ensemble: NullEnsemble, columns: Floats32) -> Floats32:
         """Products (P, C, d, c k, v) of the design matrices of laws with v vectors of the ensemble, at P places.
 
         The laws have C responses with c components. `columns` (n, d k) are the k columns of each of d regressors at n
@@ -262,7 +262,7 @@ class LawBatch:
         )
         return np.ascontiguousarray(products.transpose(0, 3, 1, 4, 2, 5)).reshape(len(products), count, d, -1, vectors)
 
-    def _unprojected_gram_matrices(self, columns: Singles) -> Floats:
+    def _unprojected_gram_matrices(self, columns: Floats32) -> Floats:
         """Gram matrices (P, C, d, c k, c k) of the designs of laws at P places with C responses of c components.
 
         `columns` (n, d k) are the k columns of each of d regressors at n pointings.

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.arrays import Floats, Singles
+from ltsim.core.arrays import Floats, Floats32
 from ltsim.diagnosis.evidence import size_factor_to_noise_level
 from ltsim.diagnosis.law_batch import MAX_CACHED_COLUMN_ENTRIES, LawBatch, PointingPartition, RegressorColumns
 from ltsim.diagnosis.prior import CAUSE_PRIOR, PLACE_PRIOR, RESPONSE_PRIOR, RESPONSE_PRIOR_AT_TARGETS
@@ -250,7 +250,7 @@ class _LawBatchBuilder:
             for group, prior in registrations
         )
         cells: dict[tuple[int, ...], PointingPartition] = {}
-        stacked: dict[tuple[Response, ...], Singles] = {}
+        stacked: dict[tuple[Response, ...], Floats32] = {}
         columns: dict[tuple[tuple[Regressor, ...], bool, tuple[int, ...]], RegressorColumns] = {}
         batches = []
         for (responses, regressors), registrations in self._registered.items():

@@ -23,7 +23,7 @@ import scipy.sparse as sp
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
-from ltsim.core.arrays import Floats, Ints, Singles, batches
+from ltsim.core.arrays import Floats, Floats32, Ints, batches
 from ltsim.diagnosis.evidence import (
     MAX_AVERAGED_HYPOTHESES,
     N_EXACTLY_EVALUATED,
@@ -133,7 +133,7 @@ class NoiseHypothesisSet:
         share = np.concatenate([redundancy, redundancy_of_means(self.averaging_matrix, redundancy)])
         return self.variance_factors.log_likelihood_ratios(squares, share)
 
-    def log_evidence_by_family(self, residual: Floats | Singles, redundancy: Floats) -> Floats:
+    def log_evidence_by_family(self, residual: Floats | Floats32, redundancy: Floats) -> Floats:
         """Log evidence (families, trials), with priors, of all families of noise changes, in the diagonal form.
 
         The first rows of the result belong to `families`, the others to `group_noise_changes`. `residual` (m, trials)

@@ -22,7 +22,7 @@ from ltsim.core.arrays import Ints
 from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.physics.laws.centring import CentringVariance
-from ltsim.recordings.centring_errors import CentringUncertainty, Occupation
+from ltsim.recordings.centring_errors import CentringUncertainty, OccupationGrouping
 from ltsim.recordings.occupations import days_of_pointings, target_occupations
 from ltsim.recordings.recording import Recording
 
@@ -73,11 +73,11 @@ def with_declared_centring(recording: Recording, noise_changes: Sequence[NoiseHy
     return recording.replace(setup=recording.setup.model_copy(update={"centring": centring}))
 
 
-def _distinguished_occupation_kinds(recording: Recording) -> list[Occupation]:
+def _distinguished_occupation_kinds(recording: Recording) -> list[OccupationGrouping]:
     """Kinds of occupations of targets that a recording distinguishes: by set-up, by a column, or by day."""
     declared = {c.occupation for c in recording.setup.centring if not c.stations and not c.targets}
-    columns: tuple[Occupation, ...] = ("instrument_setup", "target_setup")
-    kinds: list[Occupation] = ["station", *(column for column in columns if column in recording.labels)]
+    columns: tuple[OccupationGrouping, ...] = ("instrument_setup", "target_setup")
+    kinds: list[OccupationGrouping] = ["station", *(column for column in columns if column in recording.labels)]
     kinds += ["day"] if len(set(days_of_pointings(recording))) > 1 else []
     return [kind for kind in kinds if kind not in declared]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.core.arrays import Floats, Ints, Singles, batches, stack_and_release
+from ltsim.core.arrays import Floats, Floats32, Ints, batches, stack_and_release
 
 MIN_NONZERO_FRACTION_OF_DENSE_PATTERN = 0.5
 """Fraction of nonzero elements above which a pattern is stored as a dense row, which limits the memory. The fraction
@@ -29,14 +29,14 @@ class PatternGroup:
     """Indices (h,) of the h hypotheses of the group."""
     pattern_indices: Ints
     """Index (h,) of the pattern of each of h hypotheses, in ascending order."""
-    sizes: Singles
+    sizes: Floats32
     """Size (h,) of each of h hypotheses; the variance factor of a row is 1 plus the size times the added variance."""
     row_indices: Ints | slice
     """Indices (r,) of the r rows of dense patterns; all rows for sparse patterns."""
-    added_variance: Singles | sp.csr_array
+    added_variance: Floats32 | sp.csr_array
     """Added variance (p, r) in r rows by p patterns per unit of the size, divided by the declared variance."""
 
-    def log_likelihood_ratios(self, squares: Singles, redundancy: Floats) -> Iterator[tuple[Ints, Floats]]:
+    def log_likelihood_ratios(self, squares: Floats32, redundancy: Floats) -> Iterator[tuple[Ints, Floats]]:
         """Iterator over batches: indices (b,) of b hypotheses, and log likelihood ratios (b, trials) by recording.
 
         The log likelihood ratio is half the sum over rows of (1 - 1/s) r^2 - k log s, with the variance factors s,
@@ -68,7 +68,7 @@ class PatternGroup:
         row_indices = np.arange(log_factors.shape[1]) if isinstance(self.row_indices, slice) else self.row_indices
         return row_indices[changed_indices], log_factors[0, changed_indices].astype(np.float64)
 
-    def _log_variance_factors_of(self, member_range: slice) -> Singles | sp.csr_array:
+    def _log_variance_factors_of(self, member_range: slice) -> Floats32 | sp.csr_array:
         """Logs (h, r) of the variance factors in r rows of the h hypotheses in a range of this group."""
         added_variance, sizes = (
             self.added_variance[self.pattern_indices[member_range]],
@@ -80,7 +80,7 @@ class PatternGroup:
         return sp.csr_array((log_factors, added_variance.indices, added_variance.indptr), added_variance.shape)
 
 
-def _relative_precision_loss(log_variance_factors: Singles | sp.csr_array) -> Singles | sp.csr_array:
+def _relative_precision_loss(log_variance_factors: Floats32 | sp.csr_array) -> Floats32 | sp.csr_array:
     """Relative loss 1 - 1/s of precision by variance factors s, from logs (h, r) of s for h hypotheses and r rows."""
     if isinstance(log_variance_factors, np.ndarray):
         return -np.expm1(-log_variance_factors)
@@ -111,8 +111,8 @@ class VarianceFactors:
         `observation_kinds` (m,) is the kind of observation of each of the m rows of the residual space. Dense patterns
         are stored on all rows of the kinds that they change.
         """
-        dense: dict[tuple[bool, ...], tuple[list[Singles], list[FirstIndexAndSizes]]] = {}
-        sparse: list[tuple[Ints, Singles]] = []
+        dense: dict[tuple[bool, ...], tuple[list[Floats32], list[FirstIndexAndSizes]]] = {}
+        sparse: list[tuple[Ints, Floats32]] = []
         few: list[FirstIndexAndSizes] = []
         kinds, n_hypotheses = int(observation_kinds.max(initial=0)) + 1, 0
         for added_variance, sizes in patterns:
@@ -145,7 +145,7 @@ class VarianceFactors:
             )
         return cls(n_hypotheses, tuple(pattern_groups))
 
-    def log_likelihood_ratios(self, squares: Singles, redundancy: Floats) -> Floats:
+    def log_likelihood_ratios(self, squares: Floats32, redundancy: Floats) -> Floats:
         """Log likelihood ratios (h, trials) of all h hypotheses for each recording (trial).
 
         `squares` (m, trials) are squares of m whitened residuals, and `redundancy` (m,) their redundancy numbers.
@@ -170,7 +170,7 @@ FirstIndexAndSizes = tuple[int, tuple[float, ...]]
 
 
 def _pattern_group(
-    pattern_hypotheses: Sequence[FirstIndexAndSizes], row_indices: Ints | slice, added_variance: Singles | sp.csr_array
+    pattern_hypotheses: Sequence[FirstIndexAndSizes], row_indices: Ints | slice, added_variance: Floats32 | sp.csr_array
 ) -> PatternGroup:
     members = np.concatenate([first + np.arange(len(sizes)) for first, sizes in pattern_hypotheses])
     pattern_indices = np.repeat(np.arange(len(pattern_hypotheses)), [len(sizes) for _, sizes in pattern_hypotheses])
@@ -178,7 +178,7 @@ def _pattern_group(
     return PatternGroup(members, pattern_indices, pattern_sizes, row_indices, added_variance)
 
 
-def _sparse_rows(row_entries: Sequence[tuple[Ints, Singles]], n_rows: int) -> sp.csr_array:
+def _sparse_rows(row_entries: Sequence[tuple[Ints, Floats32]], n_rows: int) -> sp.csr_array:
     """Sparse matrix (p, n_rows) of p patterns on `n_rows` rows, from indices and values of its nonzero elements."""
     ends = np.cumsum([0, *(len(row_indices) for row_indices, _ in row_entries)]).astype(np.int32)
     row_indices, values = (np.concatenate([part[k] for part in row_entries]) for k in (0, 1))

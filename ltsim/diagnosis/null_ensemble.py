@@ -19,7 +19,7 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.shrinkage import MAX_DENSE_UNKNOWNS
-from ltsim.core.arrays import Floats, Ints, Singles, batches
+from ltsim.core.arrays import Floats, Floats32, Ints, batches
 from ltsim.core.randomness import random_stream
 from ltsim.solve.projection import BasisResidualProjector
 
@@ -39,7 +39,7 @@ class NullEnsemble:
 
     space: ResidualSpace
     """Residual space with m rows."""
-    probe_vectors: Singles
+    probe_vectors: Floats32
     """Vectors (m, 1 + t + u) with m rows, side by side: the residuals given the model, the residuals of t simulated
     recordings, and an orthonormal basis of u estimated parameters, or with `uses_monte_carlo_gram` u further simulated
     residuals."""
@@ -82,7 +82,7 @@ class NullEnsemble:
         return replace(self, probe_vectors=vectors, n_trials=0, model_basis=model_basis, computes_gram_matrices=False)
 
     @property
-    def simulated_residuals(self) -> Singles:
+    def simulated_residuals(self) -> Floats32:
         """The m residuals (m, t) of each of t simulated recordings."""
         return self.probe_vectors[:, 1 : 1 + self.n_trials]
 
@@ -94,11 +94,11 @@ class NullEnsemble:
         row_of_reading[use] = np.arange(int(use.sum()))
         return row_of_reading
 
-    def vectors_of_pointings(self, pointings: Ints) -> Singles:
+    def vectors_of_pointings(self, pointings: Ints) -> Floats32:
         """Elements (p, 3, v) of the v vectors for the readings of p pointings; undefined for readings not in use."""
         return self.probe_vectors[self._row_of_reading[pointings]]
 
-    def split_products(self, scores: Floats | Singles) -> tuple[Any, Any, Any]:
+    def split_products(self, scores: Floats | Floats32) -> tuple[Any, Any, Any]:
         """Products of k columns with the residuals (..., k), t trials (..., k, t) and u basis vectors (..., k, u).
 
         They are the parts of `scores` (..., k, v), the products of the columns with all v vectors.
@@ -106,7 +106,7 @@ class NullEnsemble:
         edge = 1 + self.n_trials
         return scores[..., 0], scores[..., 1:edge], scores[..., edge:]
 
-    def projected_gram(self, scores: Floats | Singles, unprojected_gram: Floats) -> Floats:
+    def projected_gram(self, scores: Floats | Floats32, unprojected_gram: Floats) -> Floats:
         """Gram matrices (..., k, k) of the k design columns of an effect after projection onto the residual space.
 
         Parameters
@@ -141,7 +141,7 @@ def n_simulated_recordings(space: ResidualSpace, level: float) -> int:
     return max(usual, ceil(1.0 / level))
 
 
-def _simulate_residuals(space: ResidualSpace, rng: np.random.Generator, residuals: Singles) -> None:
+def _simulate_residuals(space: ResidualSpace, rng: np.random.Generator, residuals: Floats32) -> None:
     """Simulation of recordings without any effect; their m whitened residuals fill `residuals` (m, recordings)."""
     white = rng.standard_normal(residuals.shape)
     for part in batches(white.shape[1], len(white)):

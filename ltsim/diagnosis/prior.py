@@ -14,10 +14,16 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.probability import P_WRONG_CONSTANT
+from ltsim.core.probability import PRIOR_OF_WRONG_INSTRUMENT_CONSTANT
 from ltsim.physics.effects import find_effect
 
-CAUSE_PRIOR = {"named": 0.53, "law": 0.3, "noise": 0.095, "scatter": 0.035, "constant": P_WRONG_CONSTANT}
+CAUSE_PRIOR = {
+    "named": 0.53,
+    "law": 0.3,
+    "noise": 0.095,
+    "scatter": 0.035,
+    "constant": PRIOR_OF_WRONG_INSTRUMENT_CONSTANT,
+}
 """Prior probability of each kind of cause, given that there is a cause."""
 CAUSE_TEXTS = {
     "named": "an effect of the catalogue that shifts readings",

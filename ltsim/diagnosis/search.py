@@ -21,7 +21,7 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import MAX_TEMPORARY_ENTRIES, Floats, Ints
-from ltsim.core.rounding import MAX_SINGLE_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
+from ltsim.core.rounding import MAX_LOG_EVIDENCE_ROUNDING_ERROR, MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.catalogue_designs import (
     ORDINARY_CALIBRATION_EFFECT_TYPES,
     CatalogueDesigns,
@@ -175,7 +175,7 @@ class Searcher:
             self._screening(conditioning_model) if conditioning_model.hypotheses else self.empty_model_screening
         )
         hypotheses = self._law_hypotheses(laws, conditioning_model)
-        for i, family in enumerate(ranked_indices(families, MAX_SINGLE_ROUNDING_ERROR)):
+        for i, family in enumerate(ranked_indices(families, MAX_LOG_EVIDENCE_ROUNDING_ERROR)):
             hypotheses.append(
                 self._best_hypothesis_of_family(
                     int(family),
@@ -208,7 +208,7 @@ class Searcher:
         """
         designs = self.catalogue_designs
         indices = np.flatnonzero(designs.family_indices == family_index)
-        indices = indices[ranked_indices(effect_log_evidence[indices], MAX_SINGLE_ROUNDING_ERROR)]
+        indices = indices[ranked_indices(effect_log_evidence[indices], MAX_LOG_EVIDENCE_ROUNDING_ERROR)]
         prior = float(designs.log_family_prior[family_index] - np.log(len(indices)))
         best = Hypothesis(designs.effects[indices[0]], prior, family_log_evidence, designs.families[family_index])
         if not is_exact:
@@ -230,7 +230,7 @@ class Searcher:
         """
         entries, evaluated = [], set[tuple[object, ...]]()
         kinds = set[tuple[str, str, bool]]()
-        order = ranked_indices(np.array([h.log_evidence for h in laws]), MAX_SINGLE_ROUNDING_ERROR)
+        order = ranked_indices(np.array([h.log_evidence for h in laws]), MAX_LOG_EVIDENCE_ROUNDING_ERROR)
         laws = [laws[i] for i in order[:MAX_RANKED_LAWS]]
         for hit in laws:
             place, driver = hit.place, hit.regressor.with_field_centred_on(hit.place.targets)

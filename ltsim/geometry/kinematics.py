@@ -2,7 +2,7 @@
 
 A chain is a list of motions from the base outwards: a turn about z by the azimuth, a shift along x by the transit
 offset, and so on. The target sits at the origin of the last frame. An instrument error is added to the nominal amount
-of a motion. The motion's `error_slot` is the key of this error in the mapping `errors`. The derivative of the point by
+of a motion. The motion's `error_key` is the key of this error in the mapping `errors`. The derivative of the point by
 the error of a translation is the direction of the translation's axis in the base frame. The derivative by the error of
 a rotation is the cross product of the axis and the vector from the axis to the target. There are three designs of a
 tracker: `MISALIGNMENT_CHAIN`, `STEERING_MIRROR_CHAIN` and the paper's `DH_CHAIN`.
@@ -18,20 +18,20 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.units import QUARTER_TURN
 
-NominalFunction = Callable[[Floats], Floats]
+NominalAmountFunction = Callable[[Floats], Floats]
 """Function from n raw readings of range, azimuth and elevation, (n, 3), to the nominal angle [rad] or length [m] of an
 elementary motion, (n,)."""
 
 
 @dataclass(frozen=True)
 class RotationStep:
-    """Rotation by the angle ``sign * (nominal_function(raw_readings) + errors[error_slot])`` [rad] about an axis."""
+    """Rotation by the angle ``sign * (nominal_amount(raw_readings) + errors[error_key])`` [rad] about an axis."""
 
     axis: int
     """Coordinate axis of the rotation: 0 x, 1 y, 2 z."""
-    error_slot: str = ""
+    error_key: str = ""
     """Key of the rotation's error in the mapping `errors`; empty for a rotation without error."""
-    nominal_function: NominalFunction | None = None
+    nominal_amount: NominalAmountFunction | None = None
     """Nominal angle [rad] as a function of the raw readings; None for a nominal angle of zero."""
     sign: float = 1.0
     """Factor of nominal angle plus error: +1, -1, or a ratio such as `MIRROR_ROTATION_RATIO`."""
@@ -39,13 +39,13 @@ class RotationStep:
 
 @dataclass(frozen=True)
 class TranslationStep:
-    """Translation by the length ``sign * (nominal_function(raw_readings) + errors[error_slot])`` [m] along an axis."""
+    """Translation by the length ``sign * (nominal_amount(raw_readings) + errors[error_key])`` [m] along an axis."""
 
     axis: int
     """Coordinate axis of the translation: 0 x, 1 y, 2 z."""
-    error_slot: str = ""
+    error_key: str = ""
     """Key of the translation's error in the mapping `errors`; empty for a translation without error."""
-    nominal_function: NominalFunction | None = None
+    nominal_amount: NominalAmountFunction | None = None
     """Nominal length [m] as a function of the raw readings; None for a nominal length of zero."""
     sign: float = 1.0
     """Factor of nominal length plus error, +1 or -1."""
@@ -58,7 +58,7 @@ KinematicChain = tuple[ElementaryMotion, ...]
 
 
 @dataclass(frozen=True)
-class ConstantAmount:
+class ConstantNominalAmount:
     """Nominal angle [rad] or length [m] of an elementary motion that is the same for all readings."""
 
     value: float
@@ -70,7 +70,7 @@ class ConstantAmount:
 
 
 @dataclass(frozen=True)
-class ReadingAmount:
+class NominalAmountFromReading:
     """Nominal angle [rad] or length [m] of an elementary motion that is a raw reading plus a fixed offset."""
 
     reading_index: int
@@ -90,10 +90,8 @@ def _motion_amount(
 
     The result is an array (n,) or one number; None for a motion with neither a nominal amount nor an error.
     """
-    motion_amount = (
-        None if elementary_motion.nominal_function is None else elementary_motion.nominal_function(raw_readings)
-    )
-    error = errors.get(elementary_motion.error_slot)
+    motion_amount = None if elementary_motion.nominal_amount is None else elementary_motion.nominal_amount(raw_readings)
+    error = errors.get(elementary_motion.error_key)
     if error is not None:
         motion_amount = error if motion_amount is None else motion_amount + error
     return None if motion_amount is None else elementary_motion.sign * motion_amount
@@ -110,7 +108,7 @@ def _rotate(axis: int, angle: Floats, *vectors: Floats) -> None:
 def points_from_raw_readings(chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats]) -> Floats:
     """Coordinates (n, 3) [m], in the base frame of a chain, of the points that n raw readings (n, 3) measure.
 
-    `errors` has the error [rad or m] of each motion by its `error_slot`, as an array (n,) or one number. A motion
+    `errors` has the error [rad or m] of each motion by its `error_key`, as an array (n,) or one number. A motion
     whose slot is missing has no error.
     """
     p: list[Any] = [0.0, 0.0, 0.0]  # one contiguous array per coordinate
@@ -130,12 +128,12 @@ def points_from_raw_readings(chain: KinematicChain, raw_readings: Floats, errors
 
 
 def points_and_error_derivatives(
-    chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats], error_slots: set[str]
+    chain: KinematicChain, raw_readings: Floats, errors: Mapping[str, Floats], error_keys: set[str]
 ) -> tuple[Floats, dict[str, Floats]]:
     """Points (n, 3) [m] of n raw readings (n, 3), and their derivatives (n, 3) with respect to errors of the chain.
 
     `errors` is as for `points_from_raw_readings`. The dictionary of derivatives has one entry for each of the keys
-    `error_slots` that the chain contains. The computation starts at the target and applies the motions towards the
+    `error_keys` that the chain contains. The computation starts at the target and applies the motions towards the
     base. Point and derivatives are vectors of the current frame: a rotation turns all of them, a translation moves the
     point alone.
     """
@@ -149,12 +147,12 @@ def points_and_error_derivatives(
                 p[:, motion.axis] += amount
         elif amount is not None:
             _rotate(motion.axis, amount, p, derivative_buffer[:count])
-        if motion.error_slot not in error_slots:
+        if motion.error_key not in error_keys:
             continue
-        if motion.error_slot not in derivatives:
-            derivatives[motion.error_slot] = derivative_buffer[count]
+        if motion.error_key not in derivatives:
+            derivatives[motion.error_key] = derivative_buffer[count]
             count += 1
-        derivative = derivatives[motion.error_slot]
+        derivative = derivatives[motion.error_key]
         if isinstance(motion, TranslationStep):
             derivative[:, motion.axis] += motion.sign
         else:
@@ -171,14 +169,14 @@ MISALIGNMENT_CHAIN: KinematicChain = (
     TranslationStep(2, "standing-axial"),
     RotationStep(0, "standing-tilt-x"),
     RotationStep(1, "standing-tilt-y"),
-    RotationStep(2, "azimuth", ReadingAmount(1)),
+    RotationStep(2, "azimuth", NominalAmountFromReading(1)),
     TranslationStep(0, "transit-offset"),
     RotationStep(0, "transit-tilt"),
-    RotationStep(1, "elevation", ReadingAmount(2), sign=-1.0),
+    RotationStep(1, "elevation", NominalAmountFromReading(2), sign=-1.0),
     TranslationStep(1, "beam-lateral"),
     TranslationStep(2, "beam-vertical"),
     RotationStep(2, "beam-tilt"),
-    TranslationStep(0, "range", ReadingAmount(0)),
+    TranslationStep(0, "range", NominalAmountFromReading(0)),
 )
 """Geometric-misalignment model of a tracker whose source is in the rotating head.
 
@@ -204,27 +202,27 @@ mirror. It is negative because elevation is counted upwards and a positive turn 
 
 STEERING_MIRROR_CHAIN: KinematicChain = (
     # To the mirror: T.
-    RotationStep(2, "azimuth", ReadingAmount(1)),
+    RotationStep(2, "azimuth", NominalAmountFromReading(1)),
     TranslationStep(0, "transit-offset"),
     RotationStep(0, "transit-tilt"),
-    RotationStep(1, "elevation", ReadingAmount(2, MIRROR_ZENITH_ROTATION), sign=MIRROR_ROTATION_RATIO),
+    RotationStep(1, "elevation", NominalAmountFromReading(2, MIRROR_ZENITH_ROTATION), sign=MIRROR_ROTATION_RATIO),
     TranslationStep(0, "mirror-offset"),
     RotationStep(2, "mirror-tilt"),
     # Its image: T^-1 reflected.
     RotationStep(2, "mirror-tilt"),
     TranslationStep(0, "mirror-offset"),
-    RotationStep(1, "elevation", ReadingAmount(2, MIRROR_ZENITH_ROTATION), sign=MIRROR_ROTATION_RATIO),
+    RotationStep(1, "elevation", NominalAmountFromReading(2, MIRROR_ZENITH_ROTATION), sign=MIRROR_ROTATION_RATIO),
     RotationStep(0, "transit-tilt", sign=-1.0),
     TranslationStep(0, "transit-offset"),
     TranslationStep(0, "cover-forward", sign=-1.0),
     TranslationStep(1, "cover-left"),
-    RotationStep(2, "azimuth", ReadingAmount(1)),
+    RotationStep(2, "azimuth", NominalAmountFromReading(1)),
     # The beam in the base, reflected.
     TranslationStep(0, "beam-x", sign=-1.0),
     TranslationStep(1, "beam-y"),
     RotationStep(0, "beam-tilt-x"),
     RotationStep(1, "beam-tilt-y", sign=-1.0),
-    TranslationStep(2, "range", ReadingAmount(0)),
+    TranslationStep(2, "range", NominalAmountFromReading(0)),
 )
 """Model of a tracker with a beam-steering mirror: fixed source, mirror that turns at half the rate of the beam.
 
@@ -261,15 +259,15 @@ def joint_error_motions(joint_name: str) -> tuple[ElementaryMotion, ...]:
 
 
 DH_CHAIN: KinematicChain = (
-    RotationStep(2, nominal_function=ConstantAmount(-QUARTER_TURN)),
-    RotationStep(2, nominal_function=ReadingAmount(1, -QUARTER_TURN)),  # A1 of Table 1: theta - 90, alpha -90
-    RotationStep(0, nominal_function=ConstantAmount(-QUARTER_TURN)),
+    RotationStep(2, nominal_amount=ConstantNominalAmount(-QUARTER_TURN)),
+    RotationStep(2, nominal_amount=NominalAmountFromReading(1, -QUARTER_TURN)),  # A1 of Table 1: theta - 90, alpha -90
+    RotationStep(0, nominal_amount=ConstantNominalAmount(-QUARTER_TURN)),
     *joint_error_motions("J1"),
-    RotationStep(2, nominal_function=ReadingAmount(2, -QUARTER_TURN)),  # A2: phi - 90, alpha +90
-    RotationStep(0, nominal_function=ConstantAmount(QUARTER_TURN)),
+    RotationStep(2, nominal_amount=NominalAmountFromReading(2, -QUARTER_TURN)),  # A2: phi - 90, alpha +90
+    RotationStep(0, nominal_amount=ConstantNominalAmount(QUARTER_TURN)),
     *joint_error_motions("J2"),
-    TranslationStep(2, nominal_function=ReadingAmount(0)),  # A3: d, theta -90
-    RotationStep(2, nominal_function=ConstantAmount(-QUARTER_TURN)),
+    TranslationStep(2, nominal_amount=NominalAmountFromReading(0)),  # A3: d, theta -90
+    RotationStep(2, nominal_amount=ConstantNominalAmount(-QUARTER_TURN)),
     *joint_error_motions("T"),
 )
 """The paper's Denavit-Hartenberg chain (Sensors 2021, 21, 7479, eq. 1 to 8) with all its error functions.

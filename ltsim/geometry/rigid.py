@@ -73,9 +73,9 @@ MIN_RIGID_POINTS = 3
 
 
 def rigid_motion_design(points: Floats, centre: Floats | None = None) -> Floats:
-    """Displacement (3 k, 6) of k points (k, 3) [m] per unit of translation and small rotation about `centre` (3,) [m].
+    """Design matrix (3 k, 6) of rigid motions: displacements of k points (k, 3) [m] by unit translations and rotations.
 
-    Without `centre` the rotations are about the origin.
+    The rotations are small and about `centre` (3,) [m], by default the origin.
     """
     turn = -cross_matrix(points if centre is None else points - centre)
     return np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2).reshape(-1, 6)
@@ -142,9 +142,9 @@ def determines_pose(
     return is_determined
 
 
-MAX_ROBUST_PASSES = 8
+MAX_REWEIGHTING_PASSES = 8
 """Largest number of reweighted least-squares fits in `align_robustly`."""
-MAX_NOISE_DISTANCE_RATIO = 8.0
+MAX_LARGEST_TO_MEDIAN_DISTANCE = 8.0
 """Ratio of the largest to the median distance between aligned points and their goals, below which the alignment is not
 reweighted, because the distances then contain noise only and no outlier."""
 MAX_OUTLIER_FREE_MISFIT = 1e-4
@@ -153,7 +153,7 @@ starts from triples of points: an outlier may have distorted the least-squares a
 need no smaller distance than this 0.1 mm."""
 MAX_POINTS_FOR_ALL_TRIPLES = 6
 """Largest number of points of which every triple is a start of a robust alignment."""
-MAX_TRIPLES = 30
+N_RANDOM_TRIPLES = 30
 """Number of random triples of points at which a robust alignment starts if there are too many triples to try all. With
 30 triples at least one has no outlier with a probability of 98 % if half of the points are outliers, and of 99.999 % if
 a third are."""
@@ -251,11 +251,11 @@ def align_robustly(points: Floats, goal_points: Floats) -> tuple[Floats, Floats]
             if log_distance_sums[k] < _sum_of_log_distances(residual_distances)
             else best_alignment
         )
-    for _ in range(MAX_ROBUST_PASSES):
+    for _ in range(MAX_REWEIGHTING_PASSES):
         residual_distances = _alignment_residual_distances(points, goal_points, best_alignment)
         floor = max(1e-5, 0.5 * median(residual_distances))
         best_alignment = align_rigidly(points, goal_points, 1.0 / np.maximum(residual_distances, floor))
-        if residual_distances.max() < MAX_NOISE_DISTANCE_RATIO * floor:
+        if residual_distances.max() < MAX_LARGEST_TO_MEDIAN_DISTANCE * floor:
             break
     return best_alignment
 
@@ -296,4 +296,4 @@ def _point_triples(n_points: int) -> list[list[int]]:
     if every:
         return [list(triple) for triple in every]
     draw = np.random.default_rng(n_points)
-    return [draw.choice(n_points, 3, replace=False).tolist() for _ in range(MAX_TRIPLES)]
+    return [draw.choice(n_points, 3, replace=False).tolist() for _ in range(N_RANDOM_TRIPLES)]

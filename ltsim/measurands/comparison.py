@@ -35,7 +35,9 @@ DISPLACEMENTS_TABLE = Table(
         *(Column(f"d{a}_um", "displacement, second minus first epoch", sigma_column=f"s{a}_um") for a in "xyz"),
         *(Column(f"s{a}_um", f"standard deviation of d{a}_um") for a in "xyz"),
         *number_columns("", ".1f", a_um="semi-axis of the 95 % confidence ellipsoid", b_um="as a_um", c_um="as a_um"),
-        Column("p_value", "p-value of the hypothesis of no displacement, corrected for the number of points", "chance"),
+        Column(
+            "p_value", "p-value of the hypothesis of no displacement, corrected for the number of points", "p_value"
+        ),
         *number_columns("", ".0f", detectable_um="displacement detected in any direction with a probability of 80 %"),
     ),
 )

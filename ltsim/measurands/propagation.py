@@ -20,7 +20,7 @@ from scipy import optimize, special
 from ltsim.adjustment import adjust_from_state
 from ltsim.core.arrays import Bools, Floats, batches
 from ltsim.core.equality import ValueEquality
-from ltsim.core.limits import MAX_RESULT_DRAWS
+from ltsim.core.limits import MAX_TRIALS_TIMES_RESULTS
 from ltsim.core.randomness import random_stream
 from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.geometry.expansion import ThermalExpansion
@@ -222,7 +222,7 @@ def run_monte_carlo(
     exact = _linear_statistics(task_inputs, linear_uncertainty, monte_carlo_settings.coverage)
     samples: list[Floats] = []
     figures: list[Floats] = []
-    max_trials = min(monte_carlo_settings.most_trials, MAX_RESULT_DRAWS // len(linear_uncertainty.values))
+    max_trials = min(monte_carlo_settings.most_trials, MAX_TRIALS_TIMES_RESULTS // len(linear_uncertainty.values))
     max_batches = max(max_trials // TRIALS_PER_BATCH, 1)
     uncertain = (
         linear_uncertainty.sigma > 0

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from ltsim.core.errors import as_setup_error
 from ltsim.core.limits import MAX_ADDITIONAL_EFFECTS
 from ltsim.recordings.air import AirUncertainty
-from ltsim.recordings.keys import Distinct
+from ltsim.recordings.keys import DistinctValues
 from ltsim.recordings.settings import load_settings, validate_settings
 from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection, Vector
 
@@ -116,9 +116,9 @@ class TypeBEffect(TomlSection):
     units."""
     shared: Literal["all", "station", "instrument", "target", "pointing"] = "all"
     """Pointings that share one random draw: all, those of one station, instrument or target, or each pointing alone."""
-    stations: Distinct[str] = ()
+    stations: DistinctValues[str] = ()
     """Names of the stations where the effect acts; empty for all."""
-    targets: Distinct[str] = ()
+    targets: DistinctValues[str] = ()
     """Names of the targets where the effect acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
     """Fixed constants of the effect's formula by name, such as a time constant, as in a scenario."""
@@ -174,7 +174,7 @@ class Tasks(TomlSection):
     """Path of the recording or scenario, relative to this file."""
     calibrate: bool = True
     """True if the instrument parameters are estimated together with the network."""
-    datum: Distinct[str] = ()
+    datum: DistinctValues[str] = ()
     """Targets that define the datum by inner constraints."""
     robust: bool = False
     """True if outliers among the readings are excluded."""

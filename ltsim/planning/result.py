@@ -7,7 +7,7 @@ from typing import ClassVar, Literal, Self
 from pydantic import PrivateAttr
 
 from ltsim.adjustment.remedies.detectability import catalogue_detectability
-from ltsim.core.arguments import source_path
+from ltsim.core.arguments import path_of_file_or_built_in
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.core.results import Table
 from ltsim.physics.effects import CATALOGUE
@@ -230,7 +230,7 @@ def load_plan_and_scenario(source: str | Path) -> tuple[PlanFile, Scenario]:
 
     In a folder, the file that the interactive planner saved has priority over plan.json. Raises SetupError.
     """
-    folder = source_path(source)
+    folder = path_of_file_or_built_in(source)
     if (folder / PLAN_FILE).is_file():
         return load_plan(folder / PLAN_FILE)
     if not folder.is_dir():

@@ -24,7 +24,7 @@ from ltsim.planning.tolerances import point_weights
 from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.floor import areas_and_keep_outs
-from ltsim.scene.meshes import candidate_nest_places, wall_triangles
+from ltsim.scene.meshes import candidate_nest_positions, wall_triangles
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import PlacingSigmas
 from ltsim.simulation.simulator import simulate
@@ -234,7 +234,7 @@ def _places_on_body(plan: PlanFile, scenario: Scenario, obstacle_name: str) -> F
             [part.triangles for part in placed_obstacles(scenario) if part.name == obstacle_name]
         )
     standoff, spacing = plan.reflectors.standoff_mm * MILLIMETRE, plan.reflectors.place_spacing_mm * MILLIMETRE
-    places = candidate_nest_places(
+    places = candidate_nest_positions(
         triangles, standoff, spacing, make_obstacles(scenario), is_closed=obstacle_name != WALLS_NAME
     )
     return np.asarray(np.round(places / MILLIMETRE))

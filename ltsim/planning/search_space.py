@@ -120,7 +120,8 @@ class SearchSpace(ValueEquality):
     @property
     def head_heights(self) -> tuple[float, float]:
         """Lowest and highest height [m] of the centre of a tracker head that any allowed area permits."""
-        return min(area.heights[0] for area in self.allowed_areas), max(area.heights[1] for area in self.allowed_areas)
+        lowest, highest = zip(*(area.head_height_range for area in self.allowed_areas), strict=True)
+        return min(lowest), max(highest)
 
     def replace(self, **changes: Any) -> SearchSpace:
         """Copy of the search space in which `changes` replace the fields with these names."""

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from ltsim.recordings.air import AirUncertainty
-from ltsim.recordings.keys import Distinct
+from ltsim.recordings.keys import DistinctValues
 from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection, Vector
 from ltsim.scene.floor import Floor
 from ltsim.simulation.sections import MeasurementProcedure, ScenarioInstrument, Smr, Workshop
@@ -50,9 +50,9 @@ class StationSettings(TomlSection):
     max_count: StationCount = 8
     """Largest number of stations of the search for the fewest stations that meet the tolerances, if no count is given.
     """
-    tradeoff_counts: Distinct[StationCount] = ()
+    tradeoff_counts: DistinctValues[StationCount] = ()
     """Further numbers of stations that are searched, for the curve of cost against quality."""
-    fixed: Distinct[str] = ()
+    fixed: DistinctValues[str] = ()
     """Stations of the scenario that do not move."""
     spacing_mm: Annotated[Finite, Field(ge=1)] = 1000.0
     """Smallest horizontal distance between two stations, at least 1 mm."""
@@ -95,17 +95,17 @@ class ReflectorSettings(TomlSection):
     """Tables `[[reflectors.surfaces]]`: rectangles with a grid of candidate positions."""
     places: tuple[CandidatePlace, ...] = ()
     """Tables `[[reflectors.places]]`: single candidate positions."""
-    on: Distinct[str] = ()
+    on: DistinctValues[str] = ()
     """Names of obstacles, or `walls`, on whose surfaces candidate positions are generated."""
     place_spacing_mm: Positive = 1000.0
     """Smallest distance between candidate positions that are generated on obstacles and walls."""
     standoff_mm: Positive = 40.0
     """Height of a reflector's centre above the surface on which it may be placed."""
-    movable: Distinct[str] = ()
+    movable: DistinctValues[str] = ()
     """Names of points of the list, or of groups of points, that could be moved. The search does not move them, but the
     plan reports the benefit of moving each.
     """
-    keep: Distinct[str] = ()
+    keep: DistinctValues[str] = ()
     """Reflectors of the scenario that do not move; the points of a list never move."""
     spacing_mm: NonNegative = 300.0
     """Smallest distance between two reflectors."""
@@ -114,9 +114,9 @@ class ReflectorSettings(TomlSection):
 class BudgetSettings(TomlSection):
     """Duration of the measurement, and candidate measuring procedures."""
 
-    faces: Annotated[Distinct[Literal[1, 2]], Field(min_length=1)] | None = None
+    faces: Annotated[DistinctValues[Literal[1, 2]], Field(min_length=1)] | None = None
     """Candidate numbers of faces, used with `hours` or tolerances; default one face and both."""
-    repeats: Annotated[Distinct[Annotated[int, Field(ge=1, le=20)]], Field(min_length=1)] | None = None
+    repeats: Annotated[DistinctValues[Annotated[int, Field(ge=1, le=20)]], Field(min_length=1)] | None = None
     """Candidate numbers of rounds, used with `hours` or tolerances; default 1 and 2, and that of the scenario."""
     seconds_per_pointing: Positive | None = None
     """Time from one pointing to the next; default that of the scenario."""
@@ -157,7 +157,7 @@ class GoalSettings(TomlSection):
     criterion: Literal["D", "A", "E"] = "D"
     """Optimality criterion of the instrument parameters, from their standard deviations in prior sigmas. D: geometric
     mean over all combinations; A: root mean square over the parameters; E: worst combination."""
-    effects: Distinct[str] = (
+    effects: DistinctValues[str] = (
         "station-weather",
         "range-step",
         "index-drift",

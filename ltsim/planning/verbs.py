@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.adjustment.remedies.candidates import VisibilityFunction
 from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress, rank_next_measurements as ranked
-from ltsim.core.arguments import MAX_MAPPING_NUMBER, STATION_POSITION_SYNTAX, check_bounds, check_mapping
+from ltsim.core.arguments import MAX_MAPPING_VALUE_MAGNITUDE, STATION_POSITION_SYNTAX, check_bounds, check_mapping
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.errors import SetupError, option_text, unknown_name_error
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
@@ -151,7 +151,7 @@ def _visibility_function(search_space: SearchSpace) -> VisibilityFunction:
 
     A height outside the permitted range by less than the position tolerance is accepted.
     """
-    low, high = np.array([area.heights for area in search_space.allowed_areas]).T
+    low, high = np.array([area.head_height_range for area in search_space.allowed_areas]).T
 
     def sights(places: Floats, targets: Floats) -> Bools:
         height = np.clip(places[:, 2], low.min(), high.max())
@@ -272,7 +272,7 @@ def _position_numbers(name: str, position: object) -> Floats:
         place = np.array(words, dtype=np.float64)
     except (TypeError, ValueError):
         place = np.zeros(0)
-    if not 2 <= len(place) <= 4 or not np.all(np.abs(place) <= MAX_MAPPING_NUMBER):
+    if not 2 <= len(place) <= 4 or not np.all(np.abs(place) <= MAX_MAPPING_VALUE_MAGNITUDE):
         raise SetupError(
             f"{option_text('move')} {name}={','.join(map(str, words))}: expected {STATION_POSITION_SYNTAX}"
         )

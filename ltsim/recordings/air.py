@@ -21,13 +21,12 @@ class AirUncertainty(TomlSection):
     turbulence_um2_per_m3: NonNegative = 0.1
     """Variance of the displacement of a line of sight by turbulence, perpendicular to the beam, divided by the cube of
     the range."""
-    beyond_mm: NonNegative = 10_000.0
-    """Limit of the longest line of sight of a network: above it the adjustment takes the uncertainty of the air into
-    account, in a network with only shorter lines of sight the uncertainty is neglected."""
+    negligible_up_to_mm: NonNegative = 10_000.0
+    """Longest line of sight of a network up to which the adjustment neglects the uncertainty of the air."""
 
     def is_relevant(self, max_range: float) -> bool:
-        """True if the longest line of sight `max_range` [m] exceeds `beyond_mm`, so that the air is not neglected."""
-        return max_range > self.beyond_mm * MILLIMETRE
+        """True if the longest line of sight of a network, `max_range` [m], exceeds `negligible_up_to_mm`."""
+        return max_range > self.negligible_up_to_mm * MILLIMETRE
 
 
 NO_AIR_UNCERTAINTY = AirUncertainty(temperature_k=0.0, gradient_k_per_m=0.0, turbulence_um2_per_m3=0.0)

@@ -7,9 +7,9 @@ from typing import Literal
 
 from ltsim.recordings.keys import Positive, TomlSection
 
-Occupation = Literal["station", "instrument_setup", "target_setup", "day"]
-"""Group of pointings to a target during which its reflector is not moved: all pointings from one station, all with the
-same entry in the column `instrument_setup` or `target_setup`, or all of one day."""
+OccupationGrouping = Literal["station", "instrument_setup", "target_setup", "day"]
+"""Rule that groups the pointings to a target into occupations, in which its reflector is not moved: all pointings from
+one station, all with the same entry in the column `instrument_setup` or `target_setup`, or all of one day."""
 
 
 class CentringUncertainty(TomlSection):
@@ -20,9 +20,9 @@ class CentringUncertainty(TomlSection):
 
     sigma_mm: Positive
     """Standard deviation of the displacement along each axis."""
-    occupation: Occupation = "station"
-    """Group of pointings to a target during which its reflector is not moved: all pointings from one `station`, all
-    with the same entry in the column `instrument_setup` or `target_setup`, or all of one `day`.
+    occupation: OccupationGrouping = "station"
+    """Pointings to a target during which its reflector is not moved: all pointings from one `station`, all with the
+    same entry in the column `instrument_setup` or `target_setup`, or all of one `day`.
     """
     stations: tuple[str, ...] = ()
     """Names of the stations whose pointings have these errors; empty for all stations."""

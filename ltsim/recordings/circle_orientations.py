@@ -24,7 +24,7 @@ MAX_CONTRADICTORY_FRACTION = 0.1
 
 Above this fraction all pointings of the occupation keep a single orientation.
 """
-MAX_ROWS_AHEAD = 100
+MAX_CONFIRMATION_ROWS = 100
 """Number of rows after a rotation within which `MIN_AGREEING_TARGETS` targets must be measured again to confirm it."""
 
 
@@ -55,8 +55,8 @@ def circle_orientations(occupation: Ints, sight_number: Ints, readings: Floats) 
 def circle_rotation_note(n_orientations: int, n_occupations: int) -> str:
     """Note to the user that the circle was rotated: `n_orientations` orientations at `n_occupations` occupations."""
     return (
-        f"the circle was rotated between repeated pointings: {n_orientations} orientations at {n_occupations} "
-        "occupations are separate set-ups at the same positions"
+        f"the horizontal circle was rotated between repeated pointings: {n_orientations} orientations at "
+        f"{n_occupations} occupations are separate set-ups at the same positions"
     )
 
 
@@ -100,7 +100,7 @@ def _is_confirmed(
     each earlier row.
     """
     agreeing = {first_row_of_same_target[row]}
-    for later in range(row + 1, min(row + MAX_ROWS_AHEAD, len(first_row_of_same_target))):
+    for later in range(row + 1, min(row + MAX_CONFIRMATION_ROWS, len(first_row_of_same_target))):
         first = first_row_of_same_target[later]
         if first >= row or first in agreeing or math.isnan(rotations_from_first[later]):
             continue

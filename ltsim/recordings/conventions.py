@@ -16,7 +16,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError, RecordError
-from ltsim.core.limits import MAX_NETWORK_SETUPS, max_pointings
+from ltsim.core.limits import MAX_NETWORK_SETUPS, overridable_limit
 from ltsim.core.notation import listing
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT
 from ltsim.geometry.polar import from_polar
@@ -25,9 +25,9 @@ from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup
 from ltsim.recordings.transcription_errors import (
-    MIN_DISTANCE_MM,
+    MIN_LONGEST_DISTANCE_MM,
     length_disagreement,
-    neighbour_pairs,
+    most_shared_target_pairs,
     position_disagreement,
     station_clouds,
 )
@@ -43,9 +43,9 @@ FULL_CIRCLE_BY_UNIT = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
 HINTED_ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
 """Possible units of the angles in a file; the data or a hint decide among them."""
 VERTICAL_KINDS: tuple[VerticalKind, ...] = ("zenith", "elevation")
-MIN_MISFIT_RATIO = 10.0
-"""Smallest ratio of the misfit of the second-best convention to that of the best one at which the data decide."""
-MAX_MIRROR_MISFIT = 1e-3
+MIN_SECOND_TO_BEST_RATIO = 10.0
+"""Ratio of the misfit of the second-best convention to that of the best one from which on the data decide."""
+MAX_RELATIVE_MIRROR_MISFIT = 1e-3
 """Median distance of mirrored points from reference points, divided by the network's size, below which they fit."""
 MAX_ROWS_IN_A_NOTE = 3
 """Largest number of rows that a note lists, and of sentences on mirror images that are reported."""
@@ -179,13 +179,13 @@ def _convention_from_faces(
 ) -> tuple[AngleConvention, str] | None:
     """Candidate (unit, kind of vertical angle) with which most repeated targets are on two faces; this reason as text.
 
-    None if the number of such targets does not exceed that of every other candidate by the factor `MIN_MISFIT_RATIO`.
+    None without `MIN_SECOND_TO_BEST_RATIO` times as many such targets as with any other candidate.
     """
     counts = [_count_two_face_pairs(polar, angle, vertical) for angle, vertical in candidates]
     best_index = int(np.argmax(counts))
-    if counts[best_index] < 2 or sorted(counts)[-2] * MIN_MISFIT_RATIO > counts[best_index]:
+    if counts[best_index] < 2 or sorted(counts)[-2] * MIN_SECOND_TO_BEST_RATIO > counts[best_index]:
         return None
-    return candidates[best_index], f"with it the readings of {counts[best_index]} targets on both faces agree"
+    return candidates[best_index], f"the readings of {counts[best_index]} targets on both faces then agree"
 
 
 def _convention_from_lengths(
@@ -199,7 +199,7 @@ def _convention_from_lengths(
     if not np.all(np.isfinite(misfits)):
         return None
     first, second = np.argsort(misfits)[:2]
-    if misfits[first] > 1e-2 or misfits[first] * MIN_MISFIT_RATIO > misfits[second]:
+    if misfits[first] > 1e-2 or misfits[first] * MIN_SECOND_TO_BEST_RATIO > misfits[second]:
         return None
     accuracy = 1 / max(misfits[first], 1e-9)
     return candidates[first], f"two stations then measure equal lengths within 1 part in {accuracy:.0f}"
@@ -216,11 +216,11 @@ def _raise_missing_hint(candidates: list[AngleConvention], file: object) -> tupl
 
 
 def length_unit_from_size(distance: Floats, hints: Hints) -> tuple[LengthUnit, list[str]]:
-    """Unit of n distances (n,), and notes on it: m if the longest is a number below `MIN_DISTANCE_MM`, otherwise mm."""
+    """Unit of n distances (n,), and notes on it: m if the longest is below `MIN_LONGEST_DISTANCE_MM`, otherwise mm."""
     if hints.length is not None:
         return hints.length, []
     longest = float(np.nanmax(distance, initial=0))
-    length_unit: LengthUnit = "m" if longest < MIN_DISTANCE_MM else "mm"
+    length_unit: LengthUnit = "m" if longest < MIN_LONGEST_DISTANCE_MM else "mm"
     return length_unit, [f"distances are interpreted as {length_unit} (the longest is {longest:.6g})"]
 
 
@@ -240,7 +240,7 @@ def azimuth_sense_from_points(
     `targets` are the names to which the indices `polar.target` refer. Raises RecordError if the coordinates do not
     decide.
     """
-    listed = read_points(file, requires_all_axes=False)
+    listed = read_points(file, refuses_contradictions=False)
     index_of = {name: i for i, name in enumerate(targets)}
     points = {index_of[n]: p for n, p in zip(listed.names, listed.points, strict=True) if n in index_of}
     azimuth = _azimuth_sense_by_alignment(local_points, polar, points)
@@ -270,7 +270,7 @@ def _azimuth_sense_by_alignment(
             continue
         fixed_points = np.array([points_by_target[int(t)] for t in polar.target[rows]])
         misfit = _rigid_misfits(local_points[rows], fixed_points)
-        if max(misfit) > MIN_MISFIT_RATIO * min(misfit):
+        if max(misfit) > MIN_SECOND_TO_BEST_RATIO * min(misfit):
             station_senses.append(int(np.argmin(misfit)))
     return _unanimous_sense(station_senses)
 
@@ -309,7 +309,7 @@ def azimuth_sense_from_poses(
         images = local_points[rows] * [1.0, y_sign, 1.0]
         points[rows] = np.einsum("nij,nj->ni", rotations[index], images) + positions[index]
         misfits.append(position_disagreement(points, polar.station, polar.target))
-    if not np.all(np.isfinite(misfits)) or max(misfits) < MIN_MISFIT_RATIO * min(misfits):
+    if not np.all(np.isfinite(misfits)) or max(misfits) < MIN_SECOND_TO_BEST_RATIO * min(misfits):
         return None
     return _unanimous_sense([int(np.argmin(misfits))])
 
@@ -356,7 +356,7 @@ def mirror_image_sentences(recording: Recording) -> tuple[str, ...]:
     Coordinates in one plane, or a floor plan that fits neither sense, give no sentence. A recording with more set-ups
     than a network may have is not examined.
     """
-    if len(recording.stations) > max_pointings(MAX_NETWORK_SETUPS):
+    if len(recording.stations) > overridable_limit(MAX_NETWORK_SETUPS):
         return ()
     local_points = from_polar(recording.readings)
     polar = PolarReadings(recording.station, recording.target, *recording.readings[:, [1, 2, 0]].T)
@@ -379,10 +379,12 @@ def _mirrored_station_pairs(local_points: Floats, recording: Recording) -> list[
     """Mirror-image pairs of stations: each station and the earlier one with which it shares most targets (indices)."""
     measured = np.isfinite(local_points).all(axis=1)
     clouds, pairs = station_clouds(local_points, recording.station, recording.target), []
-    for other, s in neighbour_pairs(recording.station[measured], recording.target[measured], len(recording.stations)):
+    stations, targets = recording.station[measured], recording.target[measured]
+    for other, s in most_shared_target_pairs(stations, targets, len(recording.stations)):
         here, there = clouds[s].common_points(clouds[other])
         misfit, mirror = _rigid_misfits(here, there)
-        if misfit > MIN_MISFIT_RATIO * mirror and mirror < MAX_MIRROR_MISFIT * float(np.ptp(there, axis=0).max()):
+        extent = float(np.ptp(there, axis=0).max())
+        if misfit > MIN_SECOND_TO_BEST_RATIO * mirror and mirror < MAX_RELATIVE_MIRROR_MISFIT * extent:
             pairs.append((other, s))
     return pairs
 

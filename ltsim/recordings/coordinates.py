@@ -22,7 +22,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import require_small_joint_covariance
-from ltsim.core.results import guard_formula, unguard_formula
+from ltsim.core.results import escape_formula, unescape_formula
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.files import SourceLocation, decode_head, quoted_text
 from ltsim.recordings.tables import cells
@@ -41,19 +41,19 @@ from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 
 AXIS_NAMES = "xyz"
 TARGETS_FILE = "targets.csv"
-MAX_ASYMMETRY = 1e-6
+MAX_COVARIANCE_ASYMMETRY = 1e-6
 """Largest difference of entries ij and ji, relative to the largest variance, at which a covariance is accepted."""
-MIN_RELATIVE_EIGENVALUE = -1e-9
+MIN_EIGENVALUE_PER_ROW = -1e-9
 """Smallest accepted eigenvalue of a correlation matrix, divided by its number of rows: rounding may make 0 negative."""
 MAX_COORDINATE_IN_METRES = 500.0
 """Largest coordinate of a list without unit, as a number, below which it is in metres, otherwise in millimetres."""
-MIN_GRID_COORDINATE = 1e6
+MIN_NATIONAL_GRID_COORDINATE = 1e6
 """Largest coordinate of a list without unit, as a number, from which the list is in a national grid, in metres."""
 GEODETIC_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
 """Column titles, in lower case, of coordinates in national grids, which are in metres if the list gives no unit."""
 HEADERLESS_FIELD_COUNTS = (4, 7, 8, 16, 17)
 """Numbers of fields in lines without header: name, x, y, z; with 3 or 4 sigmas; with these and a covariance."""
-NAME_ROLES = ("target", "station", "", "time", "date")
+POINT_NAME_ROLES = ("target", "station", "", "time", "date")
 """Possible roles of the column that names the points; the first role that a header contains is used."""
 POINT_LIST_CONTENT_TEXT = (
     "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
@@ -92,7 +92,7 @@ class PointList:
         return {name: p for name, p, whole in zip(self.names, self.points, is_whole.tolist(), strict=True) if whole}
 
 
-def read_points(path: str | Path, *, requires_all_axes: bool = True) -> PointList:
+def read_points(path: str | Path, *, refuses_contradictions: bool = True) -> PointList:
     """List of points from a file.
 
     Without a unit in the header the unit is the metre or the millimetre, by size, and a note reports which.
@@ -100,7 +100,7 @@ def read_points(path: str | Path, *, requires_all_axes: bool = True) -> PointLis
     Parameters
     ----------
     path : str or Path
-    requires_all_axes : bool
+    refuses_contradictions : bool
         True to refuse a point that is listed again with other coordinates; False to use its first ones, with a note.
 
     Raises
@@ -112,7 +112,7 @@ def read_points(path: str | Path, *, requires_all_axes: bool = True) -> PointLis
     for sheet in read_sheets(path):
         header = _header_columns(sheet.rows) or _headerless_columns(sheet)
         if header is not None:
-            return _PointRowReader(sheet, *header).points(requires_all_axes=requires_all_axes)
+            return _PointRowReader(sheet, *header).points(refuses_contradictions=refuses_contradictions)
     raise RecordError(f"is not a list of coordinates, {POINT_LIST_CONTENT_TEXT}", file=path)
 
 
@@ -122,7 +122,7 @@ def recognises(file_beginning: str) -> bool:
     header = _header_columns(first_rows)
     data_rows = [row for row in first_rows[0 if header is None else header[0] :] if not row.is_comment]
     if header is not None:
-        return not data_rows or data_rows[0].n_values > 1
+        return not data_rows or data_rows[0].n_numeric_fields > 1
     sample = [_drop_trailing_field(row) for row in data_rows[: max(1, min(6, len(data_rows)) - 1)]]
     return bool(sample) and all(len(r) in HEADERLESS_FIELD_COUNTS and all(map(cells.is_value, r[1:])) for r in sample)
 
@@ -149,7 +149,7 @@ def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | No
 def _header_columns(sheet_rows: Sequence[SheetRow]) -> tuple[int, list[TableColumn]] | None:
     """Number of rows before the first point, and columns that the header names; None if there is no such header."""
     for place, row in enumerate(sheet_rows):
-        if not count_recognised_titles(row.fields) or row.n_values:
+        if not count_recognised_titles(row.fields) or row.n_numeric_fields:
             continue
         columns = header_columns(row.fields)
         roles = {c.role for c in columns}
@@ -158,7 +158,7 @@ def _header_columns(sheet_rows: Sequence[SheetRow]) -> tuple[int, list[TableColu
         others = {*READING_ROLES} - {*COORDINATE_ROLES, "elevation"}
         if not roles & {*COORDINATE_ROLES} or roles & others or {"station", "target"} <= roles:
             continue
-        first = next((c for role in NAME_ROLES for c in columns if c.role == role and c.title), None)
+        first = next((c for role in POINT_NAME_ROLES for c in columns if c.role == role and c.title), None)
         if first is not None:
             return place + 1, [replace(c, role="target") if c is first else c for c in columns]
     return None
@@ -174,7 +174,7 @@ class _PointRowReader:
         self.numbers = {c.role: c for c in self.columns if c.role in COORDINATE_ROLES or c.role.startswith(sigmas)}
         self.name = next(c for c in columns if c.role == "target")
 
-    def points(self, *, requires_all_axes: bool) -> PointList:
+    def points(self, *, refuses_contradictions: bool) -> PointList:
         """List of the points in the sheet, with notes on the assumed unit and on ignored rows; raises RecordError."""
         self.sheet.require_complete_end(self.width)
         places, row_indices, numbers = dict[str, int](), list[int](), array("d")
@@ -188,7 +188,7 @@ class _PointRowReader:
                 numbers.extend(values)
             elif not np.array_equal(before := numbers[n * place : n * place + n], values, equal_nan=True):
                 what = f"the point {quoted_text(name)} was listed before with other coordinates"
-                if requires_all_axes:
+                if refuses_contradictions:
                     raise SourceLocation(self.sheet.file, row.line).error(what)
                 notes.append(f"{what} in {self.sheet.file.name}; the first coordinates are used")
                 ignored.append((before, values))
@@ -219,14 +219,14 @@ class _PointRowReader:
             if text and (number is None or abs(number) >= 10**11):
                 raise where.error(f"found '{quoted_text(text)}', expected a number", quoted_text(column.title or role))
             coordinates.append(np.nan if number is None else float(number))
-        return where.name(unguard_formula(row.cell(self.name.position)), "point"), coordinates
+        return where.name(unescape_formula(row.cell(self.name.position)), "point"), coordinates
 
     def _unit_factors(self, table: Floats) -> tuple[Floats, list[str]]:
         """Factors (k,) from the k columns of `table` (n points, k) to m or m^2, and notes on the assumed unit."""
         axes = [c for c in self.numbers.values() if c.role in COORDINATE_ROLES]
         largest = np.nanmax(np.abs(table[:, [role in COORDINATE_ROLES for role in self.numbers]]), initial=0.0)
         declared_unit = next((c.unit for c in axes if c.unit in SI_PER_UNIT and c.unit), "")
-        is_grid = largest >= MIN_GRID_COORDINATE or any(
+        is_grid = largest >= MIN_NATIONAL_GRID_COORDINATE or any(
             title_words_and_unit(c.title)[0] in GEODETIC_TITLES for c in axes
         )
         unit = declared_unit or ("m" if is_grid or largest < MAX_COORDINATE_IN_METRES else "mm")
@@ -302,7 +302,7 @@ def read_coordinates(path: Path) -> EpochCoordinates:
         position = divmod(int(np.argmin(sigma)), len(epoch.axes))
         what = f"{quoted_text(epoch.names[position[0]])}.{epoch.axes[position[1]]}"
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
-    if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_RELATIVE_EIGENVALUE * len(sigma):
+    if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_EIGENVALUE_PER_ROW * len(sigma):
         raise RecordError("has a covariance matrix that is not positive definite; correct its entries", file=path)
     return epoch if folder == path else replace(epoch, title=folder.name)
 
@@ -315,7 +315,7 @@ def _coordinates_from_gama(path: Path) -> EpochCoordinates:
     point_cells = [{cell.tag.lower(): cell for cell in point} for point in elements["adjusted"]]
     axis_sets = {"".join(axis for axis in AXIS_NAMES if axis in row) for row in point_cells}
     if len(axis_sets) != 1 or not (axes := axis_sets.pop()):
-        raise RecordError("contains points with different coordinate axes; give points of one kind", file=path)
+        raise RecordError("contains points with different axes (xy, xyz); give points with the same axes", file=path)
     points = np.zeros((len(point_cells), 3))
     points[:, [AXIS_NAMES.index(axis) for axis in axes]] = [
         [_parse_number(row[axis]) for axis in axes] for row in point_cells
@@ -361,7 +361,7 @@ def _coordinates_from_list(path: Path) -> EpochCoordinates:
         return EpochCoordinates(path.stem, listed.names, axes, points, covariance, listed.notes)
     blocks = listed.covariance[:, indices][:, :, indices]
     if not np.isfinite(blocks).all():
-        message = f"no precision is given; add {companion.name} or a column sigma_{axes[0]}_mm"
+        message = f"the coordinates have no standard deviations; add {companion.name} or a column sigma_{axes[0]}_mm"
         raise RecordError(message, file=path)
     blocks_of_pairs = np.zeros(2 * blocks.shape[:2])
     blocks_of_pairs[range(len(blocks)), :, range(len(blocks))] = blocks
@@ -374,7 +374,7 @@ def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
     """Content of ``NAME.covariance.csv`` [mm^2] from a covariance [m^2] of coordinates with names like ``TARGET.x``."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    names = list(map(guard_formula, coordinates))
+    names = list(map(escape_formula, coordinates))
     writer.writerow(["", *names])
     for name, row in zip(names, covariance / MILLIMETRE**2, strict=True):
         writer.writerow([name, *(f"{entry:.12g}" for entry in row.tolist())])
@@ -385,16 +385,16 @@ def _read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floa
     """Covariance matrix [mm^2] of `coordinate_names`, from a file that may have them in another order."""
     sheet = read_sheets(path)[0]
     (first, *body) = [row for row in sheet.rows if not row.is_comment]
-    names = list(map(unguard_formula, first.fields[1:]))
+    names = list(map(unescape_formula, first.fields[1:]))
     missing = [name for name in coordinate_names if name not in names]
-    if missing or [unguard_formula(row.fields[0]) for row in body] != names:
+    if missing or [unescape_formula(row.fields[0]) for row in body] != names:
         what = f"the coordinate {quoted_text(missing[0])}" if missing else "rows in the order of its columns"
         raise RecordError(f"lacks {what}", file=path)
     if any(len(row.fields) != len(first.fields) for row in body):
         raise RecordError("has rows whose length differs from the header", file=path)
     matrix = np.array([[SourceLocation(path, row.line).number(text) for text in row.fields[1:]] for row in body])
     sigma = np.sqrt(np.abs(np.diag(matrix)))
-    if np.abs(matrix - matrix.T).max() > MAX_ASYMMETRY * float(np.outer(sigma, sigma).max()):
+    if np.abs(matrix - matrix.T).max() > MAX_COVARIANCE_ASYMMETRY * float(np.outer(sigma, sigma).max()):
         raise RecordError("is not symmetric", file=path)
     indices = [names.index(name) for name in coordinate_names]
     return 0.5 * (matrix + matrix.T)[np.ix_(indices, indices)]

@@ -36,9 +36,9 @@ def with_earth_curvature(recording: Recording) -> Recording:
     longest = float(np.nanmax(horizontal_length))
     drop = longest**2 / (2.0 * EARTH_RADIUS) / MILLIMETRE
     note = (
-        f"the set-ups are levelled on a curved earth: over the longest sight, {longest:.4g} m, a level surface departs "
-        f"from the plane by {drop:.2g} mm; coordinates refer to one plumb line (for parallel plumb lines "
-        "set curved = false in setup.toml)"
+        f"the plumb lines of the set-ups follow the curved earth: over the longest sight, {longest:.4g} m, a level "
+        f"surface departs from the horizontal plane by {drop:.2g} mm (for parallel plumb lines set curved = false in "
+        "setup.toml)"
     )
     if setup.refraction is None and sum(DEFAULT_REFRACTION) * angle_in_sigmas > MIN_CURVATURE_SIGMAS:
         setup_changes["refraction"] = DEFAULT_REFRACTION

@@ -39,7 +39,7 @@ a moving target, and not as a list of points; it must also be at least the numbe
 TRIAL_STATION_NAME = "S1"
 """Station name with which a list of coordinates is read on trial as a table of the positions that one station measured.
 """
-MAX_REPEATED_POINT_M = 1e-3
+MAX_REPEATED_POINT_DISTANCE_M = 1e-3
 """Distance [m] between rows with the same name below which they count as repeated measurements of one point, not as
 contradictory coordinates."""
 NATIVE_FORMAT = "folder with observations.csv and setup.toml"
@@ -84,7 +84,7 @@ def _is_list_of_points(path: Path, file_beginning: str) -> bool:
 
 
 def _refuse_point_list(path: Path, hints: Hints) -> Recording:
-    point_list = coordinates.read_points(path, requires_all_axes=False)
+    point_list = coordinates.read_points(path, refuses_contradictions=False)
     n_points, n_repeated = len(point_list.names), point_list.n_contradictory_rows
     if n_repeated:
         for station in (None, TRIAL_STATION_NAME):
@@ -100,7 +100,7 @@ def _refuse_point_list(path: Path, hints: Hints) -> Recording:
             f"this is a table of {n_points + n_repeated} positions without point names, as of a target that moves "
         )
         message += "(a robot, a T-MAC); it is no list of points"
-    elif n_repeated and point_list.max_contradiction_m < MAX_REPEATED_POINT_M:
+    elif n_repeated and point_list.max_contradiction_m < MAX_REPEATED_POINT_DISTANCE_M:
         message = (
             f"this is a list of {n_points} points, measured {n_points + n_repeated} times in all, without readings"
         )

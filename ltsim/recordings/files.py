@@ -19,11 +19,11 @@ MAX_TEXT_LENGTH = 500
 """Number of characters above which a text, such as a cell of an additional column, is refused."""
 MAX_RECORDING_TITLE_LENGTH = 120
 """Number of characters to which a title in a file of another program is shortened."""
-UTF8_MARK = b"\xef\xbb\xbf"
+UTF8_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 """Byte-order mark of UTF-8."""
-UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+UTF16_BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff")
 """Byte-order marks of UTF-16, little-endian and big-endian."""
-_UNDEFINED_BYTES = frozenset(b"\x81\x8d\x8f\x90\x9d")  # bytes without a meaning in Windows-1252
+_UNDEFINED_WINDOWS_1252_BYTES = frozenset(b"\x81\x8d\x8f\x90\x9d")  # bytes without a meaning in Windows-1252
 """Bytes that have no character in Windows-1252."""
 NUMBER_PATTERN = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
 """Pattern of a decimal number in plain ASCII."""
@@ -60,12 +60,12 @@ def decode_head(content: bytes) -> str:
 
     An incomplete last character is dropped.
     """
-    if content.startswith(UTF16_MARKS):
+    if content.startswith(UTF16_BYTE_ORDER_MARKS):
         return content.decode("utf-16", errors="replace")
     try:
         return codecs.getincrementaldecoder("utf-8-sig")().decode(content)
     except UnicodeDecodeError:
-        return content.removeprefix(UTF8_MARK).decode("latin-1")
+        return content.removeprefix(UTF8_BYTE_ORDER_MARK).decode("latin-1")
 
 
 def read_text(path: Path, *, replaces_undecodable: bool = False, max_bytes: int = MAX_FILE_BYTES) -> str:
@@ -74,7 +74,7 @@ def read_text(path: Path, *, replaces_undecodable: bool = False, max_bytes: int 
     With `replaces_undecodable` any other encoding is read as Windows-1252.
     """
     content = read_bytes(path, max_bytes)
-    if content.startswith(UTF16_MARKS):
+    if content.startswith(UTF16_BYTE_ORDER_MARKS):
         content = decode_head(content).encode()
     elif b"\x00" in content[1:2] and replaces_undecodable:
         content = content.decode("utf-16-le", errors="replace").encode()
@@ -84,7 +84,7 @@ def read_text(path: Path, *, replaces_undecodable: bool = False, max_bytes: int 
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
         if replaces_undecodable:
-            return content.decode("latin-1" if _UNDEFINED_BYTES & {*content} else "cp1252")
+            return content.decode("latin-1" if _UNDEFINED_WINDOWS_1252_BYTES & {*content} else "cp1252")
         line = content[: problem.start].count(b"\n") + 1
         raise RecordError(f"is not UTF-8 text (first in line {line}); save it as UTF-8", file=path) from None
 
@@ -151,7 +151,7 @@ class SourceLocation:
             raise self.error(f"found '{quoted_text(text)}', {wanted}{hint}", column)
         value = float(text)
         if not abs(value) <= limit:
-            raise self.error(f"found {quoted_text(text)}, expected a number of at most {limit:g} in size", column)
+            raise self.error(f"found {quoted_text(text)}, expected a number of at most {limit:g} in magnitude", column)
         return value
 
     def name(self, name: str, kind: str, column: str | None = None) -> str:

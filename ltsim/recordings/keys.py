@@ -50,7 +50,7 @@ def _require_positive_definite(upper_triangle: tuple[float, ...]) -> tuple[float
     matrix = symmetric_matrix(upper_triangle)
     sigma = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     if sigma.min() < MIN_SIGMA or np.linalg.eigvalsh(matrix / np.outer(sigma, sigma))[0] < MIN_CORRELATION_EIGENVALUE:
-        raise ValueError("it should be the xx, xy, xz, yy, yz, zz of a covariance matrix, positive in every direction")
+        raise ValueError("it should be the entries xx, xy, xz, yy, yz, zz of a positive definite covariance matrix")
     return upper_triangle
 
 
@@ -77,7 +77,7 @@ Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False), AfterValid
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
-Distinct = Annotated[tuple[ListedValue, ...], AfterValidator(_without_repetitions)]
+DistinctValues = Annotated[tuple[ListedValue, ...], AfterValidator(_without_repetitions)]
 """Values of a list, each once: a file of 1 MB could repeat a name 100,000 times."""
 SingleLine = Annotated[str, Field(max_length=200), AfterValidator(_require_single_line)]
 Date = Annotated[str, AfterValidator(_require_calendar_date)]

@@ -13,7 +13,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_ROW_FIELDS
-from ltsim.core.results import guard_formula, unguard_formula
+from ltsim.core.results import escape_formula, unescape_formula
 from ltsim.core.units import DEGREE, MILLIMETRE, SI_PER_UNIT, UNITS_BY_SPELLING
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import (
@@ -40,7 +40,7 @@ from ltsim.recordings.references import ReferenceLengths, check_differences
 from ltsim.recordings.reflectors import excess_radii, smr_names
 from ltsim.recordings.settings import read_setup, setup_to_toml, validate_setup
 from ltsim.recordings.setup import Setup
-from ltsim.recordings.specification import deviating_keys
+from ltsim.recordings.specification import keys_deviating_from_data_sheet
 from ltsim.recordings.tables.sheets import SheetRow, is_table_folder
 from ltsim.recordings.transcription_errors import require_degrees_and_millimetres
 
@@ -134,9 +134,9 @@ def _pop_lines(lines: list[str]) -> Iterator[str]:
 def parse(table: TextTable, setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
     """Recording from header and columns of `observations.csv`, and its set-up; `folder` is only named in errors."""
     file = folder / OBSERVATIONS_FILE
-    header = list(map(unguard_formula, table[0]))
+    header = list(map(unescape_formula, table[0]))
     _check_header(header, file)
-    columns = {name: list(map(unguard_formula, column)) for name, column in zip(header, table[1], strict=True)}
+    columns = {name: list(map(unescape_formula, column)) for name, column in zip(header, table[1], strict=True)}
     stations, station = index_names(columns["station"], "station", file)
     targets, target = index_names(columns["target"], "target", file)
     n_rows = len(station)
@@ -282,7 +282,7 @@ def _require_declared_smrs(recording: Recording, folder: Path) -> None:
     if recording.setup.reflectors and "" in names:
         row = names.index("")
         target = recording.targets[recording.target[row]]
-        message = f"no SMR is named here or by targets.{target}.reflector, expected one of tables [reflectors.NAME]"
+        message = f"no SMR is named here or in targets.{target}.reflector, expected NAME of a table [reflectors.NAME]"
         raise SourceLocation(folder / OBSERVATIONS_FILE, row + 1, REFLECTOR_COLUMN).error(message)
 
 
@@ -301,7 +301,7 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
     for name in setup.stations:
         if name not in stations:
             similar = _similar_names(name, recording.stations, len(notes))
-            notes.append(f"stations.{name} was never measured: it has no effect{similar}")
+            notes.append(f"no pointing is from station {name}: the table stations.{name} has no effect{similar}")
     joined = {name for entry in setup.differences for name in (entry.from_, entry.to)}
     for name, target in setup.targets.items():
         if target.known_mm and name not in targets and name not in marks and name not in joined:
@@ -313,10 +313,10 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
                 f"measured{_similar_names(name, recording.targets, len(notes))}"
             )
     for place, entry in {"instrument": setup.instrument, **setup.instruments}.items():
-        if keys := deviating_keys(entry):
+        if keys := keys_deviating_from_data_sheet(entry):
             notes.append(f"{place}: {', '.join(keys)} replace the values of the data sheet {entry.sheet}")
-    if setup.heads_sigma_mm is not None and not recording.labels.keys() & {*OCCUPATION_COLUMNS}:
-        notes.append(f"heads_sigma_mm has no effect: the table has no column {' or '.join(OCCUPATION_COLUMNS)}")
+    if setup.height_above_mark_sigma_mm is not None and not recording.labels.keys() & {*OCCUPATION_COLUMNS}:
+        notes.append(f"height_above_mark_sigma_mm has no effect: no column {' or '.join(OCCUPATION_COLUMNS)} is given")
     if setup.reference_radius_mm is not None and not setup.reflectors:
         notes.append("reference_radius_mm has no effect: no table [reflectors.NAME] gives an SMR its radius")
     return tuple(notes)
@@ -362,8 +362,8 @@ def observation_table(recording: Recording) -> TextTable:
     """Header and columns of `observations.csv` for a recording."""
     readings = recording.readings
     columns: dict[str, Sequence[str]] = {
-        "station": [guard_formula(recording.stations[i]) for i in recording.station],
-        "target": [guard_formula(recording.targets[i]) for i in recording.target],
+        "station": [escape_formula(recording.stations[i]) for i in recording.station],
+        "target": [escape_formula(recording.targets[i]) for i in recording.target],
         "face": _integer_texts(recording.face),
         "repeat": _integer_texts(recording.repeat),
     }
@@ -373,8 +373,8 @@ def observation_table(recording: Recording) -> TextTable:
     columns["elevation_deg"] = _number_texts(readings[:, 2], DEGREE, 9)
     columns["distance_mm"] = _number_texts(readings[:, 0], MILLIMETRE, 6)
     columns |= {name: _number_texts(values) for name, values in recording.covariates.items()}
-    columns |= {name: [guard_formula(text) for text in labels] for name, labels in recording.labels.items()}
-    return list(map(guard_formula, columns)), list(columns.values())
+    columns |= {name: [escape_formula(text) for text in labels] for name, labels in recording.labels.items()}
+    return list(map(escape_formula, columns)), list(columns.values())
 
 
 def _integer_texts(values: Ints) -> list[str]:

@@ -13,10 +13,10 @@ from ltsim.recordings.files import SourceLocation
 from ltsim.recordings.recording import (
     DISTANCE_KIND_COLUMN,
     HEIGHT_COLUMNS,
+    OBSERVABLE_NAMES_WITH_UNIT,
     OBSERVABLES,
     SIGMA_COLUMNS,
     SIGMA_UNITS,
-    UNIT_SUFFIXES,
     Recording,
     repeat_numbers,
 )
@@ -25,7 +25,7 @@ from ltsim.recordings.setup import Setup
 NOT_MEASURED = float("nan")
 """Value of a reading that was not measured."""
 ObservationKind = Literal["distance", "azimuth", "elevation"]
-_UNIT_BY_KIND = dict(zip(OBSERVABLES, SIGMA_UNITS, strict=True))
+_SIGMA_UNIT_BY_KIND = dict(zip(OBSERVABLES, SIGMA_UNITS, strict=True))
 """SI value of the unit of the standard deviation in additional columns, by the kind of observation."""
 
 
@@ -206,10 +206,10 @@ def _have_equal_heights(observations: Sequence[SingleObservation]) -> bool:
 
 
 def _merged_pointing(row: dict[str, SingleObservation], file: str) -> Pointing:
-    sigmas = {SIGMA_COLUMNS[OBSERVABLES.index(kind)]: row[kind].sigma / _UNIT_BY_KIND[kind] for kind in row}
+    sigmas = {SIGMA_COLUMNS[OBSERVABLES.index(kind)]: row[kind].sigma / _SIGMA_UNIT_BY_KIND[kind] for kind in row}
     heights = zip(HEIGHT_COLUMNS, zip(*(o.heights for o in row.values()), strict=True), strict=True)
     shared_columns = {
-        f"shared_{name}_{UNIT_SUFFIXES[OBSERVABLES.index(kind)]}": change / _UNIT_BY_KIND[kind]
+        f"shared_{name}_{OBSERVABLE_NAMES_WITH_UNIT[OBSERVABLES.index(kind)]}": change / _SIGMA_UNIT_BY_KIND[kind]
         for kind, observation in row.items()
         for name, change in observation.shared_error_changes.items()
     }

@@ -13,7 +13,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option_text
-from ltsim.core.limits import MAX_NETWORK_SETUPS, POINTINGS_LIMIT_VARIABLE, max_pointings
+from ltsim.core.limits import MAX_NETWORK_SETUPS, POINTINGS_LIMIT_VARIABLE, overridable_limit
 from ltsim.core.results import ColumnValues, Result
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
@@ -24,17 +24,17 @@ SIGMA_COLUMNS = ("sigma_distance_mm", "sigma_azimuth_arcsec", "sigma_elevation_a
 """Columns with the standard deviation of each range, azimuth and elevation; for an empty cell the declared noise of the
 instrument is used."""
 SIGMA_UNITS = (MILLIMETRE, ARCSECOND, ARCSECOND)
-"""Unit [m, rad, rad] of each of `SIGMA_COLUMNS`."""
-UNIT_SUFFIXES = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
-"""Ends of the names of columns for each observable, with the unit, such as `distance_mm`."""
+"""Unit of each of `SIGMA_COLUMNS`, in SI units [m, rad, rad]: millimetre, arc second, arc second."""
+OBSERVABLE_NAMES_WITH_UNIT = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
+"""Names of the observables with the units of their standard deviations in columns, such as `azimuth_arcsec`."""
 HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
 """Columns with the heights of instrument and reflector in each pointing; for an empty cell the height in the set-up is
 used."""
-SHARED_ERROR_COLUMN_PATTERN = re.compile(f"shared_(.+)_({'|'.join(UNIT_SUFFIXES)})")
+SHARED_ERROR_COLUMN_PATTERN = re.compile(f"shared_(.+)_({'|'.join(OBSERVABLE_NAMES_WITH_UNIT)})")
 """Pattern of the name of a column with the change of each reading by one standard deviation of an error that readings
 share: name of the error, then observable and unit."""
-BOOKKEEPING_COLUMNS = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
-"""Covariates with standard deviations and heights, which a diagnosis does not use as regressors."""
+NON_REGRESSOR_COLUMNS = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
+"""Names of the columns of standard deviations and heights, which a diagnosis does not use as regressors."""
 DISTANCE_KIND_COLUMN = "distance_kind"
 """Text column with the kind of a distance: ``slope`` (or empty) or ``horizontal``."""
 DISTANCE_METER_COLUMN = "distance_mode"
@@ -173,12 +173,12 @@ class Recording(Result):
 
     @property
     def is_usable(self) -> Bools:
-        """Flags (n, 3) of the readings of n pointings that an adjustment uses: all except angles of vertical sights."""
+        """Flags (n, 3) of the readings of n pointings that an adjustment uses: no angles of vertical sights."""
         return self.is_measured & ~(self.is_vertical[:, None] & [False, True, True])
 
     @property
     def is_vertical(self) -> Bools:
-        """Flags (n,) of the pointings, among n, along the standing axis of the tracker: to its zenith or nadir."""
+        """Flags (n,) of those of n pointings that go along the standing axis of the tracker, to its zenith or nadir."""
         return np.asarray(np.abs(np.cos(self.readings[:, 2])) < MIN_COS_ELEVATION_FOR_ANGLES)
 
     @cached_property
@@ -254,7 +254,7 @@ class Recording(Result):
         These are all covariates except standard deviations, heights and shared errors. If both distance meters
         measured, `distance_mode` is one of the covariates: 1 for the IFM, 0 otherwise.
         """
-        columns = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING_COLUMNS}
+        columns = {name: column for name, column in self.covariates.items() if name not in NON_REGRESSOR_COLUMNS}
         regressors = {
             name: column for name, column in columns.items() if not SHARED_ERROR_COLUMN_PATTERN.fullmatch(name)
         }
@@ -265,7 +265,7 @@ class Recording(Result):
 
     @property
     def is_horizontal(self) -> Bools:
-        """Flags (n,) of the pointings, among n, whose distance is reduced to the horizontal plane of the instrument."""
+        """Flags (n,) of those of n pointings whose distance is reduced to the horizontal plane of the instrument."""
         kinds = self.labels.get(DISTANCE_KIND_COLUMN, ("",) * len(self))
         return np.array([kind == "horizontal" for kind in kinds], dtype=bool)
 
@@ -308,7 +308,7 @@ class Recording(Result):
         the way to divide or to thin the recording. The environment variable that raises the limit of the pointings
         raises the other limits by the same factor.
         """
-        setups, pointings, targets = (max_pointings(n) for n in (MAX_NETWORK_SETUPS, pointings, targets))
+        setups, pointings, targets = (overridable_limit(n) for n in (MAX_NETWORK_SETUPS, pointings, targets))
         if len(self.stations) > setups:
             raise NetworkError(
                 f"the recording holds {len(self.stations)} set-ups; {command} takes at most {setups}: divide it by "

@@ -19,7 +19,7 @@ EXPANSION_ERROR_PREFIX = "expansion of "
 """Beginning of the name of the error of an expansion coefficient, which lengths of one material share."""
 SCALE_ERROR_NAME = "scale of all lengths"
 """Name of the scale error that all lengths share."""
-MIN_UNKNOWN_SCALE_PPM = 1000.0
+MIN_UNKNOWN_SCALE_SIGMA_PPM = 1000.0
 """Declared standard deviation [ppm] of the common scale of all lengths above which the lengths determine only ratios.
 
 It corresponds to 40 K for aluminium.
@@ -79,7 +79,9 @@ class ReferenceLengths:
     def is_scale_determined(self) -> bool:
         """True if the lengths determine the scale of the network, not only the ratios of its lengths."""
         return SCALE_ERROR_NAME not in self.shared_error_changes or bool(
-            np.any(self.shared_error_changes[SCALE_ERROR_NAME] < 0.99 * MIN_UNKNOWN_SCALE_PPM * PPM * self.lengths)
+            np.any(
+                self.shared_error_changes[SCALE_ERROR_NAME] < 0.99 * MIN_UNKNOWN_SCALE_SIGMA_PPM * PPM * self.lengths
+            )
         )
 
     @property
@@ -146,7 +148,7 @@ def _mean_of_column(recording: Recording, name: str, gauge: GaugeDistance, locat
     return float(np.nanmean(column_values))
 
 
-MAX_EXACT_SIGMA_RATIO = 0.1
+MAX_EXACT_MARK_SIGMA_RATIO = 0.1
 """Largest ratio of the standard deviation of the coordinates of an unmeasured mark to the standard deviation of a
 reference difference, at which the difference takes the mark as exact."""
 
@@ -186,7 +188,8 @@ def _is_exact_mark(target: Target, difference: ReferenceDifference) -> bool:
     axes = ["xyz".index(axis) for axis in difference.known_axes]
     is_control = target.known_mm is not None and {*difference.known_axes} <= {*target.known_axes}
     return is_control and bool(
-        _coordinate_sigmas(target)[axes].max() <= MAX_EXACT_SIGMA_RATIO * _coordinate_sigmas(difference)[axes].min()
+        _coordinate_sigmas(target)[axes].max()
+        <= MAX_EXACT_MARK_SIGMA_RATIO * _coordinate_sigmas(difference)[axes].min()
     )
 
 

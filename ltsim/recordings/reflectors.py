@@ -88,6 +88,6 @@ def require_equal_radii(recording: Recording, task: str) -> None:
     """
     if excess_radii(recording) is not None:
         raise NetworkError(
-            f"{task} assumes one centre per target, but SMRs of different radii have different centres; adjust or "
-            "calibrate by the network, which puts each SMR along its nest's normal"
+            f"{task} assumes one centre per target, but SMRs of different radii have different centres; use `adjust` "
+            "or the method network of `calibrate`, which displace each SMR centre along the normal of its nest"
         )

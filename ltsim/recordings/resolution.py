@@ -14,7 +14,7 @@ from ltsim.core.units import ARCSECOND, DEGREE, GON, MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.setup import Instrument
 from ltsim.recordings.specification import TOTAL_STATION, TOTAL_STATION_NOTE
 
-ANGLE_STEPS = tuple(
+ANGLE_DISPLAY_STEPS = tuple(
     sorted(
         (
             *(step * ARCSECOND for step in (60.0, 30.0, 20.0, 10.0, 5.0, 2.0, 1.0)),
@@ -25,9 +25,9 @@ ANGLE_STEPS = tuple(
 )
 """Display steps [rad] of theodolites, the largest first; smaller steps are negligible compared with the default noise.
 """
-FOOT_STEPS = tuple(step * SI_PER_UNIT["ft"] for step in (0.1, 0.05, 0.01, 0.005, 0.001))
+FOOT_DISPLAY_STEPS = tuple(step * SI_PER_UNIT["ft"] for step in (0.1, 0.05, 0.01, 0.005, 0.001))
 """Display steps [m] of distance meters that display feet, the largest first."""
-LENGTH_STEPS = tuple(sorted((*FOOT_STEPS, 0.1, 0.05, 0.01, 0.005, 0.001), reverse=True))
+LENGTH_DISPLAY_STEPS = tuple(sorted((*FOOT_DISPLAY_STEPS, 0.1, 0.05, 0.01, 0.005, 0.001), reverse=True))
 """Display steps [m] of distance meters that display metres or feet, the largest first."""
 MAX_STEP_DEVIATION = 1e-4
 """Largest difference between a reading and a multiple of a step, in steps, at which the reading counts as this
@@ -52,12 +52,12 @@ def reading_step(readings: Floats, steps: Sequence[float]) -> float:
 def default_total_station(readings: Floats, reason: str) -> tuple[Instrument, str]:
     """Default total station with a noise no smaller than the steps of its readings, and a note that reports this noise.
 
-    `readings` (n, 3) of n pointings are distance, azimuth, elevation [m, rad, rad]; `reason` completes the note: why it
-    is taken as one of a total station.
+    `readings` (n, 3) of n pointings are distance, azimuth, elevation [m, rad, rad]; `reason` is the part of the note
+    that says why the file is taken as that of a total station.
     """
     noise = TOTAL_STATION.noise
-    distance_mm = reading_step(readings[:, 0], LENGTH_STEPS) / MILLIMETRE
-    angle_arcsec = reading_step(readings[:, 1:].ravel(), ANGLE_STEPS) / ARCSECOND
+    distance_mm = reading_step(readings[:, 0], LENGTH_DISPLAY_STEPS) / MILLIMETRE
+    angle_arcsec = reading_step(readings[:, 1:].ravel(), ANGLE_DISPLAY_STEPS) / ARCSECOND
     noise = noise.model_copy(
         update={
             "distance_mm": max(noise.distance_mm, float(f"{distance_mm:.3g}")),

@@ -29,17 +29,17 @@ from pydantic_core import CoreSchema
 from ltsim.core.descriptions import DescribedModel
 from ltsim.core.equality import equal_values
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import MAX_JSON_VALUES, MAX_RESULT_ENTRIES
-from ltsim.core.results import MAX_MAGNITUDE, Result
+from ltsim.core.limits import MAX_JSON_VALUES, MAX_RESULT_LIST_ENTRIES
+from ltsim.core.results import MAX_RESULT_MAGNITUDE, Result
 from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.files import quoted_text, read_bytes, read_text, write_texts
 from ltsim.recordings.recording import Recording
 
-DIGEST_STEP = 1e-6
+DIGEST_ROUNDING_STEP = 1e-6
 """Step [m, rad] to which a digest rounds readings, so that writing and reading a recording does not change it."""
-DIGEST_OFFSET = 1.0 / np.pi
-"""Offset, in steps of `DIGEST_STEP`, that is added before rounding, so that no decimal reading lies halfway between two
-steps."""
+DIGEST_ROUNDING_OFFSET = 1.0 / np.pi
+"""Offset, in steps of `DIGEST_ROUNDING_STEP`, that is added before rounding, so that no decimal reading lies halfway
+between two steps."""
 
 
 def finite_or_none(value: Any) -> Any:
@@ -59,7 +59,7 @@ OptionalFloat = Annotated[FiniteFloat | None, BeforeValidator(finite_or_none)]
 """Number, or null for NaN and infinities, which JSON does not have."""
 NotNegative = Annotated[Finite, Field(ge=0)]
 Sigma = Annotated[NotNegative | None, BeforeValidator(finite_or_none)]
-MIN_NONZERO_MAGNITUDE = 1.0 / MAX_MAGNITUDE
+MIN_NONZERO_MAGNITUDE = 1.0 / MAX_RESULT_MAGNITUDE
 """Magnitude below which a number counts as zero and is refused: the square of its reciprocal would not be finite."""
 Positive = Annotated[Finite, Field(gt=0), AfterValidator(_require_not_zero)]
 NonZero = Annotated[Finite, AfterValidator(_require_not_zero)]
@@ -112,13 +112,13 @@ class SourceEntry(Entry):
     """Number of pointings of the recording."""
     digest: str
     """Digest of the recording, or of the coordinates, from which the result was computed."""
-    measured: str | None = None
+    measured_on: str | None = None
     """Day, or day and time, of the measurement in ISO format, if the set-up gives it."""
 
     @classmethod
     def from_recording(cls, recording: Recording) -> SourceEntry:
         """Description of a recording: its title, number of pointings, digest and day of measurement."""
-        time_keys = {"measured": recording.setup.measured_on} if recording.setup.measured_on else {}
+        time_keys = {"measured_on": recording.setup.measured_on} if recording.setup.measured_on else {}
         return cls(
             title=recording.setup.title, pointings=len(recording), digest=recording_digest(recording), **time_keys
         )
@@ -180,7 +180,7 @@ def _digest(content: bytes) -> str:
 def recording_digest(recording: Recording) -> str:
     """Digest (SHA-256) of stations, targets, faces, and readings rounded to a micrometre and a microradian."""
     readings = recording.readings
-    floored_steps = np.floor(np.nan_to_num(readings) / DIGEST_STEP + DIGEST_OFFSET).astype("<i8")
+    floored_steps = np.floor(np.nan_to_num(readings) / DIGEST_ROUNDING_STEP + DIGEST_ROUNDING_OFFSET).astype("<i8")
     rounded_steps = np.where(np.isfinite(readings), floored_steps, np.iinfo(np.int64).min).astype("<i8")
     names = [
         f"{recording.stations[s]}\t{recording.targets[t]}\t{face}"
@@ -212,9 +212,9 @@ def read_result(path: Path, model: type[ResultFileType]) -> ResultFileType:
     if version != expected:
         raise RecordError(f"format is '{quoted_text(str(version))}', expected '{expected}'", file=file)
     for key, value in content.items():
-        if isinstance(value, list) and len(value) > MAX_RESULT_ENTRIES:
+        if isinstance(value, list) and len(value) > MAX_RESULT_LIST_ENTRIES:
             name = quoted_text(key, 100)
-            raise RecordError(f"{name} has {len(value)} entries, expected at most {MAX_RESULT_ENTRIES}", file=file)
+            raise RecordError(f"{name} has {len(value)} entries, expected at most {MAX_RESULT_LIST_ENTRIES}", file=file)
     try:
         return model.model_validate(content)
     except ValidationError as problem:
@@ -227,16 +227,14 @@ def read_result(path: Path, model: type[ResultFileType]) -> ResultFileType:
 def read_json(file: Path, kind: str) -> dict[str, Any]:
     """JSON object in a file, as a dictionary; `kind` is the expected content, named in errors.
 
-    Raises RecordError for other content, for too many values, and for a number beyond `MAX_MAGNITUDE`.
+    Raises RecordError for other content, for too many values, and for a number beyond `MAX_RESULT_MAGNITUDE`.
     """
 
     def checked_number(text: str, number_type: Callable[[str], float]) -> float:
         value = number_type(text) if len(text) <= 400 else math.inf
-        if not abs(value) <= MAX_MAGNITUDE:
-            raise RecordError(
-                f"contains the number {quoted_text(text)}, expected a finite one, at most {MAX_MAGNITUDE:g} in size",
-                file=file,
-            )
+        if not abs(value) <= MAX_RESULT_MAGNITUDE:
+            permitted = f"a finite number of at most {MAX_RESULT_MAGNITUDE:g} in magnitude"
+            raise RecordError(f"contains the number {quoted_text(text)}, expected {permitted}", file=file)
         return value
 
     decimal, whole = (partial(checked_number, number_type=number_type) for number_type in (float, int))

@@ -118,7 +118,7 @@ class Material(TomlSection):
     """Standard deviation of the coefficient of thermal expansion; by default the coefficient is exact."""
 
 
-class LengthConditions(TomlSection):
+class LengthMaterialAndTemperature(TomlSection):
     """Material of a reference length, and its temperature during use."""
 
     measured_at_c: Finite | SingleLine | None = None
@@ -134,7 +134,7 @@ class LengthConditions(TomlSection):
     expansion."""
 
 
-class GaugeDistance(LengthConditions):
+class GaugeDistance(LengthMaterialAndTemperature):
     """Reference length (known length) between two targets."""
 
     from_: str = Field(alias="from")
@@ -233,7 +233,7 @@ class Target(TomlSection):
     """Covariance xx, xy, xz, yy, yz, zz of the known coordinates; it replaces `known_sigma_mm`."""
     known_axes: Axes = "xyz"
     """Axes along which the coordinates are known."""
-    in_plan: bool = False
+    plan_only: bool = False
     """True for a target that is adjusted in plan only; its height has no meaning and is not reported."""
     approximate_mm: Vector | None = None
     """Start value of the coordinates, without weight."""
@@ -325,13 +325,13 @@ class Setup(TomlSection):
     """Title of the recording, free text."""
     started: str = ""
     """Start of the recording (time 0): date and time in ISO format, or the time alone."""
-    axes: SingleLine | None = None
-    """Source of the coordinates of the datum's targets. With this key each of these targets is tested against the other
-    ones; a target that contradicts them is removed from the datum and reported.
+    datum_source: SingleLine | None = None
+    """Source of the coordinates of the targets that define the datum, such as a name of a file. With this key each of
+    these targets is tested against the others; a target that contradicts them is removed from the datum and reported.
     """
-    heads_sigma_mm: Sigma | None = None
+    height_above_mark_sigma_mm: Sigma | None = None
     """Standard deviation of the height of a tracker head, or a reflector, above its survey mark. With it the adjustment
-    estimates a correction of the height in each occupation, named by `instrument_setup` and `target_setup`.
+    estimates a correction of the height in each occupation (columns `instrument_setup` and `target_setup`).
     """
     curved: bool = False
     """True if plumb lines differ between stations, as on a sphere of the size of the earth; the key `vertical` of a

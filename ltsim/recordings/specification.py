@@ -18,13 +18,13 @@ from ltsim.recordings.setup import Instrument, Noise, NonNegative, Prior, TomlSe
 MPE_COVERAGE_FACTOR = 2.0
 """Maximum permissible error divided by the standard deviation that is derived from it: manufacturers specify a typical
 error of half the maximum."""
-TWO_FACE_LIMIT_RATIO = 2.0
+TWO_FACE_TO_TRANSVERSE_LIMIT_RATIO = 2.0
 """Limit of a two-face difference divided by the limit of the error of a point perpendicular to the beam (ISO
 10360-10:2021, 6.3 and annex D).
 """
-REQUIRED_LIMITS = ("transverse_um", "transverse_um_per_m", "range_um", "range_um_per_m")
+REQUIRED_LIMIT_KEYS = ("transverse_um", "transverse_um_per_m", "range_um", "range_um_per_m")
 """Keys of a specification that must be given, because acceptance tests have no limit without them."""
-RANGE_PREFIXES = ("distance_", "range_")
+RANGE_KEY_PREFIXES = ("distance_", "range_")
 """Beginnings of the keys of noise and prior that follow from the limits of range errors."""
 
 TOTAL_STATION_NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=1.0)
@@ -42,7 +42,7 @@ TOTAL_STATION_NOTE = (
     ASSUMED_NOISE_TEXT + ": the noise of a total station is used ({distance:g} mm + {ppm:g} ppm, {angle:g} arcsec), "
     "because {reason}; set it in setup.toml, or estimate it from the readings (--noise-from-data)"
 )
-"""Note to the user on the assumed noise of a total station, as a format."""
+"""Note to the user on the assumed noise of a total station, as a template with the noise and the reason to fill in."""
 
 
 def has_assumed_noise(notes: Iterable[str]) -> bool:
@@ -72,7 +72,7 @@ class Specification(TomlSection):
     """Limit of the range error, part proportional to the range."""
     range_offset_um: NonNegative = 0.0
     """Limit of the range zero error (e_R0)."""
-    noise_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
+    noise_variance_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
     """Fraction of the variance that is noise; the rest is due to errors of the instrument parameters."""
 
     @model_validator(mode="after")
@@ -109,19 +109,22 @@ class Specification(TomlSection):
 
     def two_face_limits(self, points: Floats) -> Floats:
         """Limit (k,) [m] of the distance perpendicular to the beam between both faces of k points (k, 3) [m]."""
-        return TWO_FACE_LIMIT_RATIO * self.transverse_limit(to_polar(points)[:, 0])
+        return TWO_FACE_TO_TRANSVERSE_LIMIT_RATIO * self.transverse_limit(to_polar(points)[:, 0])
 
     def to_instrument(self, construction: str = "source-in-head") -> Instrument:
         """Instrument whose noise and priors correspond to these limits, each `MPE_COVERAGE_FACTOR` standard deviations.
 
-        The part of each limit that grows with the range is an angle or a scale, the constant part an offset. The
-        fraction `noise_share` of each variance is noise of the readings, the rest the prior variance of instrument
+        The part of each limit that grows with the range is an angle or a scale, the constant part an offset. Of each
+        variance `noise_variance_fraction` is noise of the readings, the rest the prior variance of instrument
         parameters, of which two angular ones act on each direction perpendicular to the beam. The constant part of the
         limit perpendicular to the beam is all prior of offsets, without noise. The constant part of the range limit is
         all noise if the range zero has its own limit.
         """
         sigma = 1.0 / MPE_COVERAGE_FACTOR
-        noise_factor, constants_factor = np.sqrt(self.noise_share), np.sqrt(1 - self.noise_share)
+        noise_factor, constants_factor = (
+            np.sqrt(self.noise_variance_fraction),
+            np.sqrt(1 - self.noise_variance_fraction),
+        )
         angle = sigma * self.transverse_um_per_m * MICROMETRE / ARCSECOND
         has_offset = self.range_offset_um > 0
         offset = self.range_offset_um if has_offset else constants_factor * self.range_um
@@ -145,9 +148,9 @@ class Specification(TomlSection):
     def assumption_sentence(self) -> str:
         """Sentence on how the limits of the data sheet become standard deviations."""
         return (
-            f"a limit is taken as {MPE_COVERAGE_FACTOR:g} standard deviations, {100 * self.noise_share:g} "
-            "% of the variance as "
-            "noise and the rest as errors of the instrument parameters"
+            f"each limit of the data sheet is taken as {MPE_COVERAGE_FACTOR:g} standard deviations, "
+            f"{100 * self.noise_variance_fraction:g} % of the variance as noise of the readings and the rest as errors "
+            "of the instrument parameters"
         )
 
 
@@ -170,14 +173,14 @@ def data_sheet_values(name: str) -> dict[str, Any]:
     return dict(_data_sheets()[name])
 
 
-def complete_values(name: str, declared_values: Mapping[str, Any]) -> dict[str, Any]:
+def completed_specification_values(name: str, declared_values: Mapping[str, Any]) -> dict[str, Any]:
     """Values of a `Specification` by key: those that the user declares, and for other keys those of a data sheet.
 
     `name` is that of a built-in data sheet. Raises ModelError if there is no such sheet, or neither source gives a
     required limit.
     """
     keys = data_sheet_values(name)
-    missing = [key for key in REQUIRED_LIMITS if key not in keys and key not in declared_values]
+    missing = [key for key in REQUIRED_LIMIT_KEYS if key not in keys and key not in declared_values]
     if missing:
         message = f"the data sheet {name} does not give {' and '.join(missing)}"
         raise ModelError(f"{message}; set {'it' if len(missing) == 1 else 'them'} in the table [specification]")
@@ -188,7 +191,7 @@ def complete_values(name: str, declared_values: Mapping[str, Any]) -> dict[str, 
 
 def data_sheet(name: str) -> Specification:
     """Specification from a built-in data sheet; raises ModelError if the sheet does not give all required limits."""
-    return Specification.model_validate(complete_values(name, {}))
+    return Specification.model_validate(completed_specification_values(name, {}))
 
 
 def noise_and_prior_tables(
@@ -203,7 +206,7 @@ def noise_and_prior_tables(
     Raises ModelError if there is no such sheet, or such a value is missing.
     """
     figures = data_sheet_values(name)
-    specification = Specification.model_validate({**dict.fromkeys(REQUIRED_LIMITS, 1.0), **figures}).to_instrument()
+    specification = Specification.model_validate({**dict.fromkeys(REQUIRED_LIMIT_KEYS, 1.0), **figures}).to_instrument()
     unrounded_tables = {
         "noise": specification.noise.model_dump(),
         "prior": specification.prior.model_dump(exclude={"parameters"}),
@@ -211,7 +214,7 @@ def noise_and_prior_tables(
     tables = {
         table: {key: float(f"{x:.6g}") for key, x in values.items()} for table, values in unrounded_tables.items()
     }
-    if any(key not in figures for key in REQUIRED_LIMITS):
+    if any(key not in figures for key in REQUIRED_LIMIT_KEYS):
         declared = {
             f"{table}.{key}"
             for table in tables
@@ -219,7 +222,7 @@ def noise_and_prior_tables(
             for key in declared_tables[table]
         }
         range_keys = [
-            f"{table}.{key}" for table, values in tables.items() for key in values if key.startswith(RANGE_PREFIXES)
+            f"{table}.{key}" for table, values in tables.items() for key in values if key.startswith(RANGE_KEY_PREFIXES)
         ]
         missing = [key for key in range_keys if key not in declared]
         if missing:
@@ -235,13 +238,13 @@ def noise_and_prior_tables(
     return tables
 
 
-def deviating_keys(instrument: Instrument) -> list[str]:
+def keys_deviating_from_data_sheet(instrument: Instrument) -> list[str]:
     """Keys of ``noise`` and ``prior``, such as ``noise.distance_mm``, whose values differ from the data sheet."""
     if instrument.sheet is None:
         return []
     declared_tables: dict[str, dict[str, float]] = instrument.model_dump(include={"noise", "prior"})
     skipped_prefixes = (
-        () if all(key in data_sheet_values(instrument.sheet) for key in REQUIRED_LIMITS) else RANGE_PREFIXES
+        () if all(key in data_sheet_values(instrument.sheet) for key in REQUIRED_LIMIT_KEYS) else RANGE_KEY_PREFIXES
     )
     return [
         f"{table}.{key}"

@@ -78,8 +78,8 @@ def _readings_text(recording: Recording) -> str:
 def _heights_text(recording: Recording) -> str:
     instrument, target = recording.heights()
     if not instrument.any() and not target.any():
-        given = recording.setup.heads_sigma_mm
-        return "none" if given is None else f"between heads, each known to {given:g} mm"
+        given = recording.setup.height_above_mark_sigma_mm
+        return "none" if given is None else f"of the heads over their marks: not applied, sigma {given:g} mm"
     origin = " (by row)" if any(name in recording.covariates for name in HEIGHT_COLUMNS) else ""
     return (
         f"instruments {_range_text(instrument, '.4g')} m, targets {_range_text(target, '.4g')} m over their "

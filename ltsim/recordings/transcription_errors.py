@@ -95,16 +95,16 @@ FACE_ERRORS = (
 
 MAX_CIRCLE_RADIANS = 2 * np.pi + 0.01
 """Largest angle [rad] up to which a column may be in radians: a full circle, with a margin for rounding."""
-MIN_DISTANCE_MM = 200.0
+MIN_LONGEST_DISTANCE_MM = 200.0
 """Number below which the longest distance of a recording shows that its distances are in metres, not millimetres."""
 MAX_COMPARED_PAIRS = 400
 """Largest number of pairs of stations, and of lengths between targets, that are compared."""
 MAX_COMPARED_TARGETS = 60
 """Largest number of common targets of two stations between which lengths are compared."""
-MIN_WRONG_DISAGREEMENT = 2e-3
+MIN_WRONG_LENGTH_DISAGREEMENT = 2e-3
 """Median relative difference, between stations, of the lengths between their common targets, above which the reader
 tests whether a transcription error explains it."""
-MAX_RIGHT_DISAGREEMENT = 2e-4
+MAX_RIGHT_LENGTH_DISAGREEMENT = 2e-4
 """Median relative difference, between stations, of the lengths between their common targets, below which they count as
 equal, so that the correction of a transcription error explains the file."""
 
@@ -159,7 +159,7 @@ def shared_target_counts(station: Ints, target: Ints, n_stations: int) -> Ints:
     return counts
 
 
-def neighbour_pairs(station: Ints, target: Ints, n_stations: int) -> list[tuple[int, int]]:
+def most_shared_target_pairs(station: Ints, target: Ints, n_stations: int) -> list[tuple[int, int]]:
     """Pairs of station indices: each station (second) with the earlier one (first) with which it shares most targets.
 
     Pairs with fewer than `MIN_MIRRORED_TARGETS` common targets are left out: these may lie in a plane, which is its own
@@ -230,7 +230,7 @@ def require_degrees_and_millimetres(
     """
     elevation = measured_columns[:, 2]
     longest = float(np.nanmax(measured_columns[:, 0], initial=-np.inf))
-    if -np.inf < longest < MIN_DISTANCE_MM:
+    if -np.inf < longest < MIN_LONGEST_DISTANCE_MM:
         message = f"no distance exceeds {longest:.4g}, which looks like metres; expected millimetres"
         raise SourceLocation(file, column="distance_mm").error(message)
     face_sums = _two_face_sums(elevation, station, target, face)
@@ -239,8 +239,8 @@ def require_degrees_and_millimetres(
         expected = _face_sum_with_error(unit_error)
         if expected is not None and abs(median - expected) < 0.005 * expected:
             message = (
-                f"the two faces add up to {median:.4g}, which looks like {unit_error.wrong_content}; "
-                "expected elevations in degrees, where they add up to 180"
+                f"the elevations of a target on both faces add up to {median:.4g}, which looks like "
+                f"{unit_error.wrong_content}; expected elevations in degrees, which add up to 180"
             )
             raise SourceLocation(file, column="elevation_deg").error(message)
     _require_not_radians(measured_columns, station, target, file)
@@ -272,14 +272,14 @@ def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> Transcr
     `readings` (n, 3) [m, rad, rad] of n pointings are uncorrected. None if there is no such error, or the lengths are
     already equal. Lengths do not reveal a mirrored network.
     """
-    if not length_disagreement(from_polar(readings), station, target) > MIN_WRONG_DISAGREEMENT:
+    if not length_disagreement(from_polar(readings), station, target) > MIN_WRONG_LENGTH_DISAGREEMENT:
         return None
     angle_errors = [error for error in UNIT_ERRORS if 0 not in error.changed_columns]
     disagreements = [
         length_disagreement(from_polar(error.without_error(readings)), station, target) for error in angle_errors
     ]
     best_index = int(np.argmin(disagreements))
-    return angle_errors[best_index] if disagreements[best_index] < MAX_RIGHT_DISAGREEMENT else None
+    return angle_errors[best_index] if disagreements[best_index] < MAX_RIGHT_LENGTH_DISAGREEMENT else None
 
 
 def _require_not_radians(measured_columns: Floats, station: Ints, target: Ints, file: object) -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from ltsim.core import results
 from ltsim.core.descriptions import field_descriptions
-from ltsim.core.limits import MAX_DRAWN_ITEMS
+from ltsim.core.limits import MAX_FIGURE_ITEMS
 from ltsim.core.notation import MISSING_TEXT, align_columns, number_text
 from ltsim.recordings import Recording
 from ltsim.recordings.result_file import ResultFile, companion_path
@@ -128,10 +128,10 @@ class PictureBlock:
 def picture_or_note(
     title: str, draw_figure: Callable[[], Figure | str], caption: str, n_items: int
 ) -> PictureBlock | NoteBlock:
-    """Picture of `n_items` points, bars or curves; a note if there are more than `MAX_DRAWN_ITEMS`."""
-    if n_items <= MAX_DRAWN_ITEMS:
+    """Picture of `n_items` points, bars or curves; a note if there are more than `MAX_FIGURE_ITEMS`."""
+    if n_items <= MAX_FIGURE_ITEMS:
         return PictureBlock(title, draw_figure, caption)
-    return NoteBlock(f"No figure: {title}", f"{n_items} items are too many to draw; at most {MAX_DRAWN_ITEMS} are.")
+    return NoteBlock(f"No figure: {title}", f"{n_items} items are too many to draw; at most {MAX_FIGURE_ITEMS} are.")
 
 
 @dataclass(frozen=True)
@@ -290,7 +290,7 @@ def entries_table_blocks(
         (name, _, sigma), heading = field.partition("=")[0].partition("+-"), field.partition("=")[2]
         first_value = getattr(entry_list[0], name)
         column_kind: results.ColumnKind = (
-            "chance" if name == "p_value" else "text" if isinstance(first_value, str | tuple) else "number"
+            "p_value" if name == "p_value" else "text" if isinstance(first_value, str | tuple) else "number"
         )
         meaning = field_descriptions(type(entry_list[0])).get(name, "")
         columns.append(

@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from ltsim.campaigns import require_packages
-from ltsim.core.errors import LtsimError, RecordError, printable
+from ltsim.core.errors import LtsimError, RecordError, as_printable
 from ltsim.recordings import read
 from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE
 from ltsim.recordings.result_file import read_json, recording_digest
@@ -100,7 +100,7 @@ def section_of_part(page_part: PagePart, detail: WorkshopDetail = "none") -> Sec
     recording = read(page_part.recording) if page_part.recording else None
     section = result_section(content, SectionContext(page_part.folder, recording, detail, page_part.is_brief))
     return replace(
-        section, measurement_date=(content.recording and content.recording.measured) or section.measurement_date
+        section, measurement_date=(content.recording and content.recording.measured_on) or section.measurement_date
     )
 
 
@@ -237,11 +237,11 @@ def page_html(document: Document) -> str:
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
-        finalize=lambda value: printable(value) if type(value) is str else value,
+        finalize=lambda value: as_printable(value) if type(value) is str else value,
     )
     environment.filters["print"] = typographic_text
     environment.filters["names"] = lambda text: Markup(
-        re.sub(r"[_:]|\.(?=[a-z])", r"\g<0><wbr>", str(escape(printable(text))))
+        re.sub(r"[_:]|\.(?=[a-z])", r"\g<0><wbr>", str(escape(as_printable(text))))
     )
     files = "palette.css", "page.css", "page.js"
     palette, style, script = (loader.get_source(environment, file)[0] for file in files)

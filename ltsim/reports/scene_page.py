@@ -14,7 +14,7 @@ from PIL import Image
 from trame_vtk.modules.vtk import serializers
 from trame_vtk.tools.vtksz2html import write_html
 
-from ltsim.core.errors import printable
+from ltsim.core.errors import as_printable
 from ltsim.core.notation import number_text
 from ltsim.reports import scene3d
 from ltsim.reports.document_model import CONTENT_SECURITY_POLICY
@@ -76,7 +76,7 @@ def _page_html(plotter: pv.Plotter, workshop: WorkshopScene, legend: scene3d.Sce
     stream = io.StringIO()
     write_html(_zip_archive(_vtk_scene(plotter.render_window)), stream)
     html = FAVICON_PATTERN.sub("data:,", stream.getvalue())
-    title = escape(printable(workshop.title or "Workshop"))
+    title = escape(as_printable(workshop.title or "Workshop"))
     html = re.sub(r"<title>.*?</title>", lambda _: f"<title>{title}</title>", html, count=1)
     html = html.replace("<head>", f"<head>{PAGE_HEAD}", 1)
     html = html.replace("</style>", PAGE_CSS + "</style>", 1)
@@ -86,7 +86,7 @@ def _page_html(plotter: pv.Plotter, workshop: WorkshopScene, legend: scene3d.Sce
 
 
 def _legend_html(title: str, legend: scene3d.SceneLegend) -> str:
-    lines = "".join(f"<p>{escape(printable(line))}</p>" for line in legend.lines)
+    lines = "".join(f"<p>{escape(as_printable(line))}</p>" for line in legend.lines)
     html_parts = [f'<div id="legend"><h1>{title}</h1>{lines}</div>']
     if legend.colour_bar is not None:
         label, low, high = legend.colour_bar

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from ltsim.core.arguments import check_choice, path_argument, source_path
+from ltsim.core.arguments import check_choice, path_argument, path_of_file_or_built_in
 from ltsim.core.errors import require_extra
 from ltsim.core.results import Result
 from ltsim.core.storage import check_writable
@@ -116,7 +116,7 @@ def _workshop_of(source: Recording | Scenario | str | Path) -> WorkshopScene:
         return workshop_from_recording(source)
     if isinstance(source, Scenario):
         return workshop_from_scenario(source)
-    path = source_path(source)
+    path = path_of_file_or_built_in(source)
     is_scenario = (path.suffix == ".toml" and path.is_file()) or (path / "plan.json").is_file() or not path.exists()
     if is_scenario or str(source) in builtin_names():
         return workshop_from_scenario(scenario(source))

@@ -17,11 +17,11 @@ from ltsim.core.errors import SetupError, is_installed
 from ltsim.core.limits import BYTES_PER_MIB, MAX_CAD_BYTES
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.recordings.files import quoted_text
-from ltsim.scene.cad_process import EXACT_SUFFIXES, FACET_SUFFIXES, read_triangles
+from ltsim.scene.cad_process import EXACT_SURFACE_SUFFIXES, FACET_SUFFIXES, read_triangles
 
 GLTF_SUFFIXES = (".glb", ".gltf")
 """Suffixes of glTF files."""
-CAD_SUFFIXES = (*FACET_SUFFIXES, *GLTF_SUFFIXES, *EXACT_SUFFIXES)
+CAD_SUFFIXES = (*FACET_SUFFIXES, *GLTF_SUFFIXES, *EXACT_SURFACE_SUFFIXES)
 """Suffixes of all CAD files that are read."""
 UNIT_NAMES = {"mm": "millimetres", "m": "metres", "in": "inches"}
 """Full names of the units of CAD files, for messages."""
@@ -35,7 +35,7 @@ SINGLE_PRECISION_SUFFIXES = (".stl", *GLTF_SUFFIXES)
 MIN_RELATIVE_BODY_LENGTH = SI_PER_UNIT["mm"] / SI_PER_UNIT["in"]
 """Length of a body divided by the length of the hall, below which the unit of a CAD file is questioned: 1 / 25.4. A
 body as long as the hall has this ratio if a file in inches is read in millimetres."""
-MAX_OVERHANG = 0.05
+MAX_BODY_OVERHANG = 0.05
 """Largest distance [m] by which a body may extend beyond the hall or below its floor."""
 GRID_POINTS_PER_METRE = 1e5
 """Grid points per metre to which corners of triangles are rounded: a grid of 10 um. Single precision, as in STL and
@@ -84,10 +84,10 @@ def read_mesh(path: Path, unit: str | None = None, vertical_axis: str | None = N
     suffix = path.suffix.lower()
     if suffix not in CAD_SUFFIXES:
         raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(CAD_SUFFIXES)}")
-    if suffix in EXACT_SUFFIXES and unit is not None:
+    if suffix in EXACT_SURFACE_SUFFIXES and unit is not None:
         raise SetupError(f"{path}: {suffix[1:].upper()} declares its own unit; leave out unit")
     file_axis = vertical_axis or ("y" if suffix in GLTF_SUFFIXES else "z")
-    file_unit = "" if suffix in EXACT_SUFFIXES else unit or ("m" if suffix in GLTF_SUFFIXES else "mm")
+    file_unit = "" if suffix in EXACT_SURFACE_SUFFIXES else unit or ("m" if suffix in GLTF_SUFFIXES else "mm")
     try:
         status = path.stat()
         if status.st_size > MAX_CAD_BYTES:
@@ -95,7 +95,7 @@ def read_mesh(path: Path, unit: str | None = None, vertical_axis: str | None = N
         triangles = _read_triangles(path, status.st_mtime_ns, SI_PER_UNIT[file_unit or "m"], file_axis)
     except OSError as problem:
         raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
-    return CadFile(path, triangles, file_unit, file_axis, suffix in EXACT_SUFFIXES or unit is not None)
+    return CadFile(path, triangles, file_unit, file_axis, suffix in EXACT_SURFACE_SUFFIXES or unit is not None)
 
 
 @lru_cache(maxsize=8)
@@ -146,7 +146,7 @@ def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
     `metres_per_unit` is the length [m] of the file's unit. Raises SetupError for a file that cannot be read.
     """
     suffix = path.suffix.lower()
-    if suffix in EXACT_SUFFIXES and not is_installed("cascadio"):
+    if suffix in EXACT_SURFACE_SUFFIXES and not is_installed("cascadio"):
         raise SetupError(
             f'{path}: has exact surfaces, which need the library cascadio: pip install "ltsim[step]", or export it '
             "from the CAD system as STL, OBJ or GLB"
@@ -215,7 +215,7 @@ def implausible_size_question(cad_file: CadFile, hall_size: Floats) -> str:
 def is_inside_hall(triangles: Floats, hall_size: Floats) -> bool:
     """True if m triangles (m, 3, 3) [m] lie within a hall of size (3,) [m] with a corner at the origin.
 
-    They may extend beyond the hall by `MAX_OVERHANG`.
+    They may extend beyond the hall by `MAX_BODY_OVERHANG`.
     """
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    return bool(np.all(low >= -MAX_OVERHANG) and np.all(high <= hall_size + MAX_OVERHANG))
+    return bool(np.all(low >= -MAX_BODY_OVERHANG) and np.all(high <= hall_size + MAX_BODY_OVERHANG))

@@ -20,7 +20,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.limits import (
     BYTES_PER_MIB,
-    MAX_CAD_MEMORY,
+    MAX_CAD_MEMORY_BYTES,
     MAX_CAD_SECONDS,
     MAX_FILE_BYTES,
     MAX_IN_PROCESS_CAD_BYTES,
@@ -28,7 +28,7 @@ from ltsim.core.limits import (
 )
 from ltsim.recordings.files import quoted_text
 
-EXACT_SUFFIXES = (".step", ".stp", ".iges", ".igs")
+EXACT_SURFACE_SUFFIXES = (".step", ".stp", ".iges", ".igs")
 """Suffixes of CAD files with exact surfaces."""
 FACET_SUFFIXES = (".stl", ".obj", ".ply")
 """Suffixes of CAD files with triangles or polygons."""
@@ -37,7 +37,7 @@ MAX_TESSELLATION_DEVIATION_MM = 1.0
 distance would not change which lines of sight are free."""
 _CHILD_PROCESS_CODE = "from ltsim.scene.cad_process import run_reader_process; run_reader_process()"
 """Python code that the separate process runs."""
-_REFUSED_STATUS = 3
+_REFUSED_EXIT_STATUS = 3
 """Exit status of the separate process if a library raised an error; the name of the error is on standard error."""
 
 
@@ -89,18 +89,20 @@ def _read_in_process(path: Path, file_size: int) -> Floats:
     Raises SetupError if the process refuses the file, crashes, or exceeds its limits of memory and time.
     """
     limit_factor = max(1.0, file_size / MAX_FILE_BYTES)
-    limits = [str(int(limit_factor * MAX_CAD_MEMORY)), str(int(limit_factor * MAX_CAD_SECONDS))]
+    limits = [str(int(limit_factor * MAX_CAD_MEMORY_BYTES)), str(int(limit_factor * MAX_CAD_SECONDS))]
     process_arguments = [sys.executable, "-P", "-c", _CHILD_PROCESS_CODE, str(path.resolve()), *limits]
     thread_limits = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     completed_process = subprocess.run(
         process_arguments, capture_output=True, check=False, env={**os.environ, **thread_limits}
     )
-    if completed_process.returncode == _REFUSED_STATUS:
+    if completed_process.returncode == _REFUSED_EXIT_STATUS:
         reason = completed_process.stderr.decode(errors="replace").strip()
         if reason not in (MemoryError.__name__, ""):  # without memory the reason may not be written either
             raise _incomplete_file_error(path, reason)
     if completed_process.returncode:
-        most = f"{limit_factor * MAX_CAD_MEMORY / BYTES_PER_MIB:.0f} MiB and {limit_factor * MAX_CAD_SECONDS:.0f} s"
+        most = (
+            f"{limit_factor * MAX_CAD_MEMORY_BYTES / BYTES_PER_MIB:.0f} MiB and {limit_factor * MAX_CAD_SECONDS:.0f} s"
+        )
         what = f"is damaged, or needs more than {most} of memory and time"
         raise SetupError(f"{path}: {what}; export it as STL with a coarser mesh")
     return np.frombuffer(completed_process.stdout, dtype=np.float64).reshape(-1, 3, 3)
@@ -120,7 +122,7 @@ def run_reader_process() -> None:
             raise MemoryError
     except Exception as problem:  # the libraries raise many kinds of errors
         sys.stderr.write(type(problem).__name__)
-        sys.exit(_REFUSED_STATUS)
+        sys.exit(_REFUSED_EXIT_STATUS)
     sys.stdout.buffer.write(np.ascontiguousarray(triangles).tobytes())
 
 
@@ -148,10 +150,10 @@ def parse_triangles(file_content: bytes, suffix: str) -> Floats:
     """
     import trimesh  # takes 0.3 s to import and is rarely needed
 
-    if suffix in EXACT_SUFFIXES:
+    if suffix in EXACT_SURFACE_SUFFIXES:
         import cascadio
 
-        kind = cascadio.FileType.STEP if suffix in EXACT_SUFFIXES[:2] else cascadio.FileType.IGES
+        kind = cascadio.FileType.STEP if suffix in EXACT_SURFACE_SUFFIXES[:2] else cascadio.FileType.IGES
         file_content, suffix = (
             cascadio.to_glb_bytes(file_content, kind, tol_linear=MAX_TESSELLATION_DEVIATION_MM),
             ".glb",

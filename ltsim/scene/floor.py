@@ -28,7 +28,7 @@ HeightRange = tuple[Positive, Positive]
 """Lowest and highest height [mm] above the floor."""
 MIN_HEAD_ROOM = 0.3
 """Free height [m] that is required above the centre of an instrument's head."""
-N_DEFAULT_PLACES = 250
+N_DEFAULT_TRIPOD_POSITIONS = 250
 """Number of grid positions for tripods on the floor if no grid spacing is given. The positions of stations are refined
 without the grid afterwards."""
 EDGE_TOLERANCE = 1e-9
@@ -182,14 +182,14 @@ class StandingArea:
 
     outline: Floats
     """The k corners in order around the area, (k, 2) [m]."""
-    heights: tuple[float, float]
+    head_height_range: tuple[float, float]
     """Lowest and highest height [m] of the centre of the instrument's head in this area."""
     holes: tuple[Floats, ...] = ()
     """Outlines of the openings in the area, each with its k corners, (k, 2) [m]."""
 
     def contains_instrument(self, position: Floats) -> Bools:
         """Flags (N,) of N instrument positions (N, 3) [m] that lie over this area and within its limits of height."""
-        low, high = self.heights
+        low, high = self.head_height_range
         return np.asarray(
             self.covers_positions(position[:, :2])
             & (position[:, 2] > low - EDGE_TOLERANCE)
@@ -260,12 +260,12 @@ def invalid_outline_reason(outline: Floats) -> str:
 def grid_step(standing_areas: Sequence[StandingArea], requested_step_mm: float | None) -> float:
     """Spacing [m] of the grid of positions for tripods: `requested_step_mm` [mm], or by default a suitable spacing.
 
-    By default about `N_DEFAULT_PLACES` positions cover the areas, at least half a metre from each other.
+    By default about `N_DEFAULT_TRIPOD_POSITIONS` positions cover the areas, at least half a metre from each other.
     """
     if requested_step_mm is not None:
         return requested_step_mm * MILLIMETRE
     total_area = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in standing_areas)
-    return max(round(float(np.sqrt(total_area / N_DEFAULT_PLACES)), 1), 0.5)
+    return max(round(float(np.sqrt(total_area / N_DEFAULT_TRIPOD_POSITIONS)), 1), 0.5)
 
 
 def is_allowed_position(
@@ -307,7 +307,8 @@ def refusal_reason(
     if not areas_below:
         return "outside the permitted floor (floor.corners_mm, floor.areas, floor.margin_mm)"
     if not any(area.contains_instrument(position[None])[0] for area in areas_below):
-        low, high = min(area.heights[0] for area in areas_below), max(area.heights[1] for area in areas_below)
+        lowest, highest = zip(*(area.head_height_range for area in areas_below), strict=True)
+        low, high = min(lowest), max(highest)
         span = f"{low / MILLIMETRE:g} to {high / MILLIMETRE:g} mm (floor.height_mm)"
         return f"with its head at {position[2] / MILLIMETRE:.0f} mm, expected {span}"
     if any(free.contains_positions(place)[0] for free in keep_out_areas):
@@ -324,6 +325,6 @@ def grid_over_area(standing_area: StandingArea, grid_spacing: float, n_heights: 
     low, high = standing_area.outline.min(axis=0), standing_area.outline.max(axis=0)
     n_grid_points = np.maximum(np.ceil((high - low) / grid_spacing).astype(int), 1)
     axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, n_grid_points, strict=True)]
-    bottom, top = standing_area.heights
+    bottom, top = standing_area.head_height_range
     levels = np.linspace(bottom, top, n_heights if top - bottom > EDGE_TOLERANCE else 1)
     return np.stack([g.ravel() for g in np.meshgrid(*axes, levels, indexing="ij")], axis=1)

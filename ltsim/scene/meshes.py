@@ -36,14 +36,14 @@ NEST_FOOT_RADIUS = 0.025
 """Radius [m] of the foot of a nest."""
 MAX_NEST_UNEVENNESS = 0.002
 """Largest deviation [m] of the surface from a plane under the foot of a nest."""
-MIN_NORMAL_Z = -0.5
-"""Largest vertical component of the unit normal of a surface for which the surface carries no nest, because it faces
-down: its normal is then 60 deg or less from straight down."""
-N_DRAWS_PER_PLACE = 12.0
-"""Number of random points that are drawn per area of `min_spacing` squared, with the smallest spacing `min_spacing` of
-nests. Of points that are nearer to each other only the first is used."""
-MAX_DRAWN_PLACES = 20_000
-"""Largest number of random points that are drawn on a body as positions of nests."""
+MIN_NEST_NORMAL_Z = -0.5
+"""Vertical component of the unit normal of a surface up to which the surface carries no nest, because it faces down:
+the normal is then 60 deg or less from straight down."""
+N_RANDOM_POINTS_PER_NEST_AREA = 12.0
+"""Number of random points that are drawn on a body for each area that a nest occupies, the square of the smallest
+spacing of nests. Of points closer to each other than this spacing only the first becomes a nest."""
+MAX_RANDOM_SURFACE_POINTS = 20_000
+"""Largest number of random points that are drawn on the surface of a body as possible positions of nests."""
 MERGE_DECIMALS = 8
 """Number of decimals of coordinates in metres to which corners of triangles are rounded to merge equal corners."""
 UNIT_CUBE = np.array(list(product((-0.5, 0.5), repeat=3)))[
@@ -258,7 +258,7 @@ def _dot_products(first_vectors: Floats, second_vectors: Floats) -> Floats:
     return np.asarray(np.einsum("...k,...k->...", first_vectors, second_vectors))
 
 
-def place_triangles(triangles: Floats, position: Floats, yaw: float) -> Floats:
+def rotate_and_shift_triangles(triangles: Floats, position: Floats, yaw: float) -> Floats:
     """The m triangles (m, 3, 3) [m] rotated by `yaw` [rad] about the z axis, then shifted by `position` (3,) [m]."""
     return triangles @ rotation_about_z(yaw).T + position
 
@@ -311,7 +311,7 @@ _LATEST_OBSTACLES: dict[tuple[bytes, float], Obstacles] = {}
 """Obstacles of the last call of `join_obstacles`, by a digest of their triangles and the height of the floor."""
 
 
-def candidate_nest_places(
+def candidate_nest_positions(
     body_triangles: Floats,
     surface_offset: float,
     min_spacing: float,
@@ -330,23 +330,25 @@ def candidate_nest_places(
     if is_closed:
         normal[surface.is_inside_body(drawn + surface_offset * normal)] *= -1.0
     places = drawn + surface_offset * normal
-    is_valid = normal[:, 2] > MIN_NORMAL_Z
+    is_valid = normal[:, 2] > MIN_NEST_NORMAL_Z
     is_valid &= ~(is_closed & surface.is_inside_body(places))
     if obstacles is not None:
         is_valid &= ~obstacles.is_inside_body(places)
     is_valid[is_valid] = _is_flat_enough(surface, places[is_valid], normal[is_valid], surface_offset)
-    return _thinned_places(places[is_valid], min_spacing)
+    return _thinned_positions(places[is_valid], min_spacing)
 
 
 def _random_surface_points(body_triangles: Floats, mean_spacing: float) -> tuple[Floats, Floats]:
     """Random points (n, 3) [m], uniform over the area of m triangles (m, 3, 3) [m], and surface normals (n, 3) there.
 
-    The number n of points is `N_DRAWS_PER_PLACE` per area of `mean_spacing` [m] squared, at least 200 and at most
-    `MAX_DRAWN_PLACES`.
+    The number n of points is `N_RANDOM_POINTS_PER_NEST_AREA` per area of `mean_spacing` [m] squared, at least 200 and
+    at most `MAX_RANDOM_SURFACE_POINTS`.
     """
     normal, area = _normals_and_areas(body_triangles)
     rng = random_stream(0, "nests")
-    n_points = int(np.clip(N_DRAWS_PER_PLACE * area.sum() / mean_spacing**2, 200, MAX_DRAWN_PLACES))
+    n_points = int(
+        np.clip(N_RANDOM_POINTS_PER_NEST_AREA * area.sum() / mean_spacing**2, 200, MAX_RANDOM_SURFACE_POINTS)
+    )
     face = rng.choice(len(body_triangles), size=n_points, p=area / area.sum())
     root, share = np.sqrt(rng.random(n_points))[:, None], rng.random(n_points)[:, None]
     a, b, c = np.moveaxis(body_triangles[face], 1, 0)
@@ -372,7 +374,7 @@ def _is_flat_enough(body_surface: Obstacles, places: Floats, surface_normals: Fl
     return is_flat
 
 
-def _thinned_places(places: Floats, min_spacing: float) -> Floats:
+def _thinned_positions(places: Floats, min_spacing: float) -> Floats:
     """Positions among n `places` (n, 3) [m] without those closer than `min_spacing` [m] to an earlier retained one."""
     chosen: list[int] = []
     for i, place in enumerate(places):

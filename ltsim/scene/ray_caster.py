@@ -9,30 +9,30 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 
-SCENE_EXTENT = 100.0
-"""Diagonal of all triangles in the units of Embree, for which its tolerances are made."""
+EMBREE_SCENE_DIAGONAL = 100.0
+"""Diagonal of the box around all triangles, in the units of the library Embree; its tolerances are made for it."""
 MIN_INCIDENCE_COSINE = 1e-12
 """Smallest cosine between a ray and the normal of a triangle at which the ray hits the triangle."""
 
 
 @dataclass(frozen=True)
 class RayCaster:
-    """Triangles in a scene of Embree."""
+    """Triangles in the data structure of the library Embree, which finds the first triangle that a ray hits."""
 
     triangles: Floats
-    """Corners (m, 3, 3) [m] of the triangles."""
+    """Corners (m, 3, 3) [m] of m triangles."""
     normals: Floats
-    """Unit normals (m, 3) of the triangles; zero for a triangle without area."""
+    """Unit normals (m, 3) of the m triangles; zero for a triangle without area."""
     low_corner: Floats
     """Smallest coordinates (3,) [m] of all triangles, the origin of Embree's coordinates."""
     scale: float
-    """Ratio of the units of Embree to metres."""
+    """Number of units of Embree in a metre."""
     scene: Any
-    """Scene of Embree."""
+    """Embree object that holds the scaled triangles."""
 
     @classmethod
     def from_triangles(cls, triangles: Floats, normals: Floats) -> RayCaster | None:
-        """Ray caster for triangles (m, 3, 3) [m] with unit normals (m, 3); None if Embree is not installed."""
+        """Ray caster for m triangles (m, 3, 3) [m] with unit normals (m, 3); None if Embree is not installed."""
         try:
             from embreex import rtcore_scene
             from embreex.mesh_construction import TriangleMesh
@@ -40,13 +40,13 @@ class RayCaster:
             return None
         low_corner, high_corner = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
         extent = float(np.linalg.norm(high_corner - low_corner))
-        scale = SCENE_EXTENT / extent if extent else 1.0
+        scale = EMBREE_SCENE_DIAGONAL / extent if extent else 1.0
         scene = rtcore_scene.EmbreeScene()
         TriangleMesh(scene, vertices=((triangles - low_corner) * scale).astype(np.float32))
         return cls(triangles, normals, low_corner, scale, scene)
 
     def first_hit_distances(self, origins: Floats, directions: Floats) -> Floats:
-        """Distances (n,) [m] from origins (n, 3) [m] along unit directions (n, 3) to the first triangle; inf for none.
+        """Distances (n,) [m] from n origins (n, 3) [m] along unit vectors (n, 3) to the first triangle; inf for none.
 
         Embree finds the triangle; the distance to its plane is computed in double precision.
         """

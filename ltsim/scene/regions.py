@@ -38,7 +38,7 @@ the spacing of the coarsest grid. A finer grid detects disturbances much narrowe
 several times as wide as the disturbance has only a tenth of the evidence."""
 MIN_PASSING_LINES = 6
 """Smallest number of lines of sight through a candidate region: fewer lines indicate an error of single readings."""
-MAX_PASSING_FRACTION = 0.8
+MAX_PASSING_LINE_FRACTION = 0.8
 """Largest fraction of the lines of sight through a candidate region: if almost all lines pass it, the error belongs to
 the whole recording."""
 MIN_TARGETS_BEHIND_REGION = 2
@@ -83,16 +83,17 @@ class HallRegion:
     def path_lengths(self, sightings: Sightings) -> Floats:
         """Length (n,) [m] of the lines of sight of n pointings in the region: the integral of its weight w."""
         if self not in sightings.derived_cache:
-            sightings.derived_cache[self] = region_paths(
+            sightings.derived_cache[self] = path_lengths_in_regions(
                 sightings, self.bounded_axes, np.array([self.centre]), self.width
             )[0]
         path: Floats = sightings.derived_cache[self]
         return path
 
-    def lever_weighted_paths(self, sightings: Sightings) -> Floats:
-        """Integral (n,) [m] of w (d - s) / d along n lines of sight of length d, with the region's weight w.
+    def lever_weighted_path_lengths(self, sightings: Sightings) -> Floats:
+        """Path lengths (n,) [m] of n lines of sight in the region, weighted by the lever of each point on the line.
 
-        The integral is over the distance s from the station. A deflection of the line at the distance s, proportional
+        They are integrals of w (d - s) / d over the distance s from the station, with the region's weight w and the
+        length d of the line. A deflection of the line at the distance s, proportional
         to the weight w there, moves its end in proportion to the remaining length d - s. The integral is therefore
         proportional to the change of the measured direction. Along the line w is a Gaussian about the nearest approach
         s0. The integral of (d - s) w is (d - s0) times the path length minus the first moment of w about s0.
@@ -100,7 +101,7 @@ class HallRegion:
         key = self, "lever"
         if key not in sightings.derived_cache:
             path = self.path_lengths(sightings)[None]
-            sightings.derived_cache[key] = lever_weighted_region_paths(
+            sightings.derived_cache[key] = lever_weighted_path_lengths_in_regions(
                 sightings, self.bounded_axes, np.array([self.centre]), self.width, path
             )[0]
         lever: Floats = sightings.derived_cache[key]
@@ -118,7 +119,7 @@ class HallRegion:
         near: Floats = np.exp(-0.5 * np.sum(gap**2, axis=1) / self.width**2)[sightings.target]
         return near
 
-    def path_and_bending(self, sightings: Sightings) -> tuple[Floats, Floats]:
+    def path_lengths_and_bending(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Path lengths (n,) [m] of n lines of sight in a region bounded in x, y and z, and their bending (n, 3) [m].
 
         The weight of the region at the point r is w = exp(-|r - c|^2 / (2 width^2)), with the centre c. A line of sight
@@ -145,7 +146,7 @@ class HallRegion:
                 yield replace(self, width=round(self.width * factor, 6))
 
 
-def region_paths(sightings: Sightings, bounded_axes: str, region_centres: Floats, width: float) -> Floats:
+def path_lengths_in_regions(sightings: Sightings, bounded_axes: str, region_centres: Floats, width: float) -> Floats:
     """Path lengths (r, n) [m] of n lines of sight in r regions of one shape and width [m].
 
     `bounded_axes` is a key of `REGION_SHAPES`, `region_centres` (r, k) [m] are the coordinates of the centres in these
@@ -158,12 +159,12 @@ def region_paths(sightings: Sightings, bounded_axes: str, region_centres: Floats
     return path
 
 
-def lever_weighted_region_paths(
+def lever_weighted_path_lengths_in_regions(
     sightings: Sightings, bounded_axes: str, region_centres: Floats, width: float, path_lengths: Floats
 ) -> Floats:
-    """Integrals (r, n) [m] for n lines of sight and r regions, as `HallRegion.lever_weighted_paths` for one region.
+    """Lever-weighted path lengths (r, n) [m] of n lines of sight in r regions, as in the method of `HallRegion`.
 
-    `path_lengths` (r, n) [m] are the results of `region_paths` for the same regions.
+    `path_lengths` (r, n) [m] are the results of `path_lengths_in_regions` for the same regions.
     """
     beam, length, start, a, crossing = _lines_relative_to_centres(sightings, bounded_axes, region_centres)
     lever = 0.5 * path_lengths  # w is constant along a parallel line
@@ -264,9 +265,9 @@ def _regions_on_grid(sightings: Sightings, bounded_axes: str, grid_spacing: floa
     ]
     centres = np.array(list(product(*grids))).reshape(-1, len(bounded_axes))
     for part in np.array_split(centres, 1 + len(centres) * len(sightings) // MAX_REGION_LINE_PAIRS):
-        path_lengths = region_paths(sightings, bounded_axes, part, width)
+        path_lengths = path_lengths_in_regions(sightings, bounded_axes, part, width)
         chosen = np.flatnonzero(is_passed_by_enough_sights(path_lengths > width, sightings))
-        lever_integrals = lever_weighted_region_paths(
+        lever_integrals = lever_weighted_path_lengths_in_regions(
             sightings, bounded_axes, part[chosen], width, path_lengths[chosen]
         )
         for i, lever in zip(chosen.tolist(), lever_integrals, strict=True):
@@ -284,7 +285,7 @@ def is_passed_by_enough_sights(is_crossed: Bools, sightings: Sightings) -> Bools
     `is_crossed` (r, n) flags the lines of sight of n pointings that pass through each of r regions.
     """
     n_crossed = is_crossed.sum(axis=1)
-    is_sufficient = (n_crossed >= MIN_PASSING_LINES) & (n_crossed <= MAX_PASSING_FRACTION * len(sightings))
+    is_sufficient = (n_crossed >= MIN_PASSING_LINES) & (n_crossed <= MAX_PASSING_LINE_FRACTION * len(sightings))
     of_target = (sightings.target[:, None] == np.arange(len(sightings.target_points))).astype(np.float32)
     by_target = is_crossed[is_sufficient].astype(np.float32) @ of_target
     is_sufficient[is_sufficient] = (by_target > 0.0).sum(axis=1) >= MIN_TARGETS_BEHIND_REGION

@@ -158,29 +158,29 @@ class Sightings:
         return beam, across, upward_part
 
     @cached_property
-    def reading_change_by_error_slot(self) -> dict[str, Floats]:
+    def reading_change_by_error_key(self) -> dict[str, Floats]:
         """Change (n, 3) of the readings of n pointings per unit of each instrument error, by the key of the error.
 
         The keys are those of `MISALIGNMENT_CHAIN`. Instrument errors are corrections, which are added to a reading. For
         a fixed point a reading is therefore smaller by its correction, hence the minus sign.
         """
-        slots = {motion.error_slot for motion in MISALIGNMENT_CHAIN}
+        slots = {motion.error_key for motion in MISALIGNMENT_CHAIN}
         _, by_slot = points_and_error_derivatives(MISALIGNMENT_CHAIN, self.raw_readings, {}, slots)
         return {slot: -np.einsum("nij,nj->ni", self.local_derivatives, moved) for slot, moved in by_slot.items()}
 
     @cached_property
-    def station_time(self) -> Floats:
+    def time_since_station_start(self) -> Floats:
         """Time of each of n pointings since the first pointing of the same station, (n,) [s]."""
         first_times = np.full(len(self.station_names), np.inf)
         np.minimum.at(first_times, self.station, self.time)
         return self.time - first_times[self.station]
 
     @cached_property
-    def elapsed_visit_fraction(self) -> Floats:
+    def elapsed_occupation_fraction(self) -> Floats:
         """Elapsed fraction (n,) of the occupation of the station at n pointings: 0 at its first one, 1 at its last."""
         duration = np.full(len(self.station_names), 1e-9)
-        np.maximum.at(duration, self.station, self.station_time)
-        return self.station_time / duration[self.station]
+        np.maximum.at(duration, self.station, self.time_since_station_start)
+        return self.time_since_station_start / duration[self.station]
 
     @cached_property
     def measurement_order(self) -> Ints:
@@ -193,7 +193,7 @@ class Sightings:
         return self.measurement_order[np.argsort(self.station[self.measurement_order], kind="stable")]
 
     @cached_property
-    def previous_pointings(self) -> Ints:
+    def previous_pointing_indices(self) -> Ints:
         """Index (n,), for n pointings, of the previous pointing of the same station; -1 for the first of a station."""
         row_order = self.pointing_order_by_station
         before = np.full(len(self), -1)
@@ -205,7 +205,7 @@ class Sightings:
         """Sum (n,) of increments (n,) of n pointings, from the second pointing of a set-up to each of its pointings."""
         row_order = self.pointing_order_by_station
         first_indices = np.maximum.accumulate(
-            np.where(self.previous_pointings[row_order] < 0, np.arange(len(row_order)), 0)
+            np.where(self.previous_pointing_indices[row_order] < 0, np.arange(len(row_order)), 0)
         )
         cumulative_sums = np.cumsum(row_increments[row_order], dtype=np.float64)
         sums_by_row = np.empty_like(cumulative_sums)
@@ -219,7 +219,9 @@ class Sightings:
         It is 0 for the first pointing of a station. The change of azimuth is the shorter of the two rotations.
         """
         move: Floats = np.where(
-            self.previous_pointings[:, None] >= 0, self.raw_readings - self.raw_readings[self.previous_pointings], 0.0
+            self.previous_pointing_indices[:, None] >= 0,
+            self.raw_readings - self.raw_readings[self.previous_pointing_indices],
+            0.0,
         )
         move[:, 1] = wrap_angle(move[:, 1])
         return move
@@ -240,7 +242,7 @@ class Sightings:
             np.abs(self.reading_changes[:, 1:]) < MIN_AXIS_ROTATION, 0.0, np.sign(self.reading_changes[:, 1:])
         )
         for row in self.measurement_order:
-            before = self.previous_pointings[row]
+            before = self.previous_pointing_indices[row]
             if before >= 0:
                 sign[row] = np.where(sign[row] == 0.0, sign[before], sign[row])
         return sign
@@ -248,7 +250,7 @@ class Sightings:
     @cached_property
     def seating_numbers(self) -> Ints:
         """Number (n,) of target changes from the start of the set-up to n pointings; each change is a new seating."""
-        return self._cumulative_sum(self.target != self.target[self.previous_pointings]).astype(np.int64)
+        return self._cumulative_sum(self.target != self.target[self.previous_pointing_indices]).astype(np.int64)
 
     @cached_property
     def covariate_values(self) -> dict[str, Floats]:
@@ -257,8 +259,8 @@ class Sightings:
         Unknown values are zero. Changes since the previous pointing are zero at the first pointing of a station.
         """
         place = self.target_points[self.target]
-        has_previous = self.previous_pointings >= 0
-        previous_polar = np.where(has_previous[:, None], self.front_face_polar[self.previous_pointings], 0.0)
+        has_previous = self.previous_pointing_indices >= 0
+        previous_polar = np.where(has_previous[:, None], self.front_face_polar[self.previous_pointing_indices], 0.0)
         covariate_values = {
             "azimuth": self.azimuth,
             "elevation": self.elevation,
@@ -271,7 +273,7 @@ class Sightings:
             "y": place[:, 1],
             "z": place[:, 2],
             "time": self.time,
-            "station-time": self.station_time,
+            "station-time": self.time_since_station_start,
             "incidence": self.incidence_angle,
             "nest-direction": self.incidence_direction,
             "face": self.face_sign,
@@ -283,7 +285,7 @@ class Sightings:
             "approach-elevation": self.approach_signs[:, 1],
             "wound-azimuth": self.cumulative_head_rotation,
             "count": self._cumulative_sum(has_previous),
-            "lapse": np.where(has_previous, self.time - self.time[self.previous_pointings], 0.0),
+            "lapse": np.where(has_previous, self.time - self.time[self.previous_pointing_indices], 0.0),
         }
         changing = dict(
             zip(
@@ -295,8 +297,8 @@ class Sightings:
         for name, column in self.covariates.items():
             x = np.nan_to_num(column)
             changing[name] = (
-                np.where(has_previous, x[self.previous_pointings], x),
-                np.where(has_previous, x - x[self.previous_pointings], 0.0),
+                np.where(has_previous, x[self.previous_pointing_indices], x),
+                np.where(has_previous, x - x[self.previous_pointing_indices], 0.0),
             )
         for name, (before, move) in changing.items():
             covariate_values |= {

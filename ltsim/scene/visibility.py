@@ -224,7 +224,7 @@ def _incidence_on_reflectors(beam: Floats, nest_normals: Floats | None, is_reaim
 
 
 def _add_obstacles(reason_table: NDArray[np.int8], position: Floats, points: Floats, obstacles: Obstacles) -> None:
-    """Entry of the reasons due to obstacles in an array (S, T) of reason codes of S stations and T targets, in place.
+    """Addition, in place, of the reasons due to obstacles to reason codes (S, T) of S stations and T targets.
 
     `position` (S, 3) and `points` (T, 3) [m] are the instruments and targets. Rays are cast only for pairs that no
     other reason excludes.

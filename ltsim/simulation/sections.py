@@ -10,12 +10,12 @@ from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS, TABLE_ANGLES
 from ltsim.physics.effects.verbs import SizedEffect, display_constants, make_effect
-from ltsim.recordings.keys import Distinct
+from ltsim.recordings.keys import DistinctValues
 from ltsim.recordings.setup import (
     MIN_SIGMA,
     ElevationLimits,
     Finite,
-    LengthConditions,
+    LengthMaterialAndTemperature,
     Noise,
     NonNegative,
     Positive,
@@ -317,7 +317,7 @@ class ScenarioGauge(TomlSection):
     """Standard deviation of each length; by default computed from the measuring machine's maximum permissible error."""
 
 
-class ReferenceLengthEntry(LengthConditions):
+class ReferenceLengthEntry(LengthMaterialAndTemperature):
     """Reference length between reflectors off the gauge: a scale bar, or a length from an interferometer."""
 
     from_: str = Field(alias="from")
@@ -367,9 +367,9 @@ class PlacedEffect(TomlSection):
 
     name: str
     """Name of the effect, as listed by `ltsim effects`."""
-    stations: Distinct[str] = ()
+    stations: DistinctValues[str] = ()
     """Names of the stations where the effect acts; empty for all."""
-    targets: Distinct[str] = ()
+    targets: DistinctValues[str] = ()
     """Names of the targets where the effect acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
     """Fixed constants of the effect's formula by name, such as a time constant, in display units if the effect declares

@@ -17,7 +17,7 @@ from ltsim.recordings.setup import (
     Gauge,
     GaugeDistance,
     Instrument,
-    LengthConditions,
+    LengthMaterialAndTemperature,
     Prior,
     Setup,
     Station,
@@ -309,7 +309,7 @@ def _declared_reference_lengths(scenario: Scenario) -> Iterator[tuple[GaugeDista
         for a, b in combinations(scenario.gauge.targets, 2):
             yield GaugeDistance.model_validate({"from": a, "to": b, **blank}), scenario.gauge.sigma_um
     for length in scenario.lengths:
-        use = length.model_dump(include=set(LengthConditions.model_fields))
+        use = length.model_dump(include=set(LengthMaterialAndTemperature.model_fields))
         ends = {"from": length.from_, "to": length.to}
         yield GaugeDistance.model_validate(ends | use | blank), length.sigma_um
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
-from ltsim.core.arguments import check_bounds, check_choice, check_mapping, source_path
+from ltsim.core.arguments import check_bounds, check_choice, check_mapping, path_of_file_or_built_in
 from ltsim.recordings import Recording
 from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario
 from ltsim.simulation.simulator import GeometrySharing, simulate as measured
@@ -45,7 +45,7 @@ def scenario(source: ScenarioSource, changes: Mapping[str, Any] | None = None) -
     check_mapping("changes", changes)
     if isinstance(source, Scenario):
         return change_scenario(source, changes, Path(source.title or "the scenario")) if changes else source
-    loaded = load_scenario(source_path(source))
+    loaded = load_scenario(path_of_file_or_built_in(source))
     return change_scenario(loaded, changes, Path(source)) if changes else loaded
 
 

@@ -14,7 +14,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.geometry.expansion import ThermalExpansion
 from ltsim.scene.cad import CadFile, extent_text, implausible_size_question, is_inside_hall, read_mesh
-from ltsim.scene.meshes import Obstacles, box_triangles, cylinder_triangles, join_obstacles, place_triangles
+from ltsim.scene.meshes import Obstacles, box_triangles, cylinder_triangles, join_obstacles, rotate_and_shift_triangles
 from ltsim.scene.visibility import (
     SightLimits,
     Visibility,
@@ -295,7 +295,7 @@ def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
 
 def _placed_triangles(obstacle_entry: Obstacle, triangles: Floats) -> Floats:
     """Triangles of an obstacle after its rotation and translation to its position in the hall."""
-    return place_triangles(
+    return rotate_and_shift_triangles(
         triangles, np.array(obstacle_entry.position_mm) * MILLIMETRE, obstacle_entry.yaw_deg * DEGREE
     )
 

@@ -141,7 +141,7 @@ def test_the_template_has_every_key(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["accept", "--show"]) == 0
     lines = [line.removeprefix("# ") for line in capsys.readouterr().out.splitlines()]
     for model in (AcceptanceSettings, Specification):
-        missing = set(model.model_fields) - {"source", "range_offset_um", "noise_share"}
+        missing = set(model.model_fields) - {"source", "range_offset_um", "noise_variance_fraction"}
         assert {key for key in missing if not any(re.match(rf"{key} = |\[{key}\]", line) for line in lines)} == set()
 
 

@@ -133,12 +133,12 @@ def test_a_file_of_axes(tmp_path: Path) -> None:
     (tmp_path / "b.txt").write_text("A 1 2 1000\n")
     (tmp_path / "c.csv").write_text("# from the drawing\nname;x_mm;y_mm;z_mm\nA;1,0;2;3\nB;;;\n")
     for name in ("a.csv", "b.txt", "c.csv"):
-        found = read_points(tmp_path / name, requires_all_axes=False).coordinates_by_name
+        found = read_points(tmp_path / name, refuses_contradictions=False).coordinates_by_name
         assert list(found) == ["A"]
         np.testing.assert_allclose(found["A"][:2], [0.001, 0.002])
     (tmp_path / "d.csv").write_text("what;when\nA;1\n")
     with pytest.raises(RecordError, match=r"d.csv: is not a list of coordinates, expected a header"):
-        read_points(tmp_path / "d.csv", requires_all_axes=False)
+        read_points(tmp_path / "d.csv", refuses_contradictions=False)
 
 
 def test_rough_places_of_stations_give_the_axes_of_the_floor_plan(recording: Recording) -> None:

@@ -21,7 +21,7 @@ def set_up_anew(seed: int, sigma_mm: float = 1.0) -> tuple[Recording, np.ndarray
     stations = {
         name: Station(levelled=True, levelling_sigma_arcsec=EXACT_LEVELLING_SIGMA_ARCSEC) for name in recording.stations
     }
-    told = {"stations": stations, "heads_sigma_mm": sigma_mm}
+    told = {"stations": stations, "height_above_mark_sigma_mm": sigma_mm}
     higher = 1e-3 * sigma_mm * random_stream(seed, "heads").standard_normal((4, len(mesh())))
     change = higher[recording.station, recording.target, None] * [0.0, 0.0, 1.0]
     by_target = adjust(recording).problem.model.linearise(adjust(recording).state).target_derivatives
@@ -34,7 +34,7 @@ def set_up_anew(seed: int, sigma_mm: float = 1.0) -> tuple[Recording, np.ndarray
 def test_heights_that_differ_by_set_up_are_estimated_and_the_network_agrees() -> None:
     recording, higher = set_up_anew(3)
     found = adjust(recording)
-    blind = adjust(recording.replace(setup=recording.setup.model_copy(update={"heads_sigma_mm": None})))
+    blind = adjust(recording.replace(setup=recording.setup.model_copy(update={"height_above_mark_sigma_mm": None})))
     assert found.dof == blind.dof
     assert blind.sigma0 > 5.0
     assert found.sigma0 == pytest.approx(1.0, abs=0.15)
@@ -51,7 +51,7 @@ def test_heads_are_kept_in_a_file(tmp_path) -> None:  # type: ignore[no-untyped-
     recording, _ = set_up_anew(4)
     write_recording(recording, tmp_path)
     again = read_recording(tmp_path)
-    assert again.setup.heads_sigma_mm == 1.0
+    assert again.setup.height_above_mark_sigma_mm == 1.0
     assert adjust(again).chi2 == pytest.approx(adjust(recording).chi2, rel=1e-6)
 
 

@@ -396,7 +396,7 @@ def test_known_points_may_have_a_full_covariance():
 
 @pytest.mark.parametrize("entries", [(1, 2, 0, 1, 0, 1), (1, 0, 0, 1, 0, 0), (-1, 0, 0, 1, 0, 1)])
 def test_a_covariance_is_positive_in_every_direction(entries):
-    with pytest.raises(ValueError, match="positive in every direction"):
+    with pytest.raises(ValueError, match="positive definite covariance matrix"):
         Target(known_mm=(0, 0, 0), known_covariance_mm2=entries)
 
 

@@ -180,7 +180,7 @@ def without_normal(recording: Recording) -> Recording:
         ),
         (
             lambda r: with_setup(r.replace(labels={}), targets={}),
-            r"observations.csv, row 1, column reflector: no SMR is named here or by targets.T\d+.reflector",
+            r"observations.csv, row 1, column reflector: no SMR is named here or in targets.T\d+.reflector",
         ),
     ],
 )
@@ -245,7 +245,7 @@ def test_a_pointing_in_gon_to_a_small_ball_is_mended() -> None:
 
 def test_a_format_that_knows_no_normals_refuses_them(tmp_path: Path) -> None:
     recording, _ = lt.simulate(scenario(), seed=3)
-    with pytest.raises(RecordError, match="gama-local does not support; write the recording as native"):
+    with pytest.raises(RecordError, match="gama-local does not support; write the recording in the native format"):
         write(recording, tmp_path / "out.gkf", "gama-local")
     assert not any(tmp_path.iterdir())
 

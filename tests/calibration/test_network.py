@@ -19,7 +19,7 @@ from ltsim.adjustment.remedies.undetermined import (
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.prior_conflict import log_odds_of_errors
 from ltsim.core.errors import ModelError
-from ltsim.core.probability import P_WRONG_CONSTANT, SIZE_PRIOR
+from ltsim.core.probability import PRIOR_BY_RELATIVE_EFFECT_SIZE, PRIOR_OF_WRONG_INSTRUMENT_CONSTANT
 from ltsim.geometry.polar import from_polar, to_polar
 from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.model.construction import dh_construction, misalignment_construction
@@ -213,9 +213,9 @@ def test_a_constant_that_the_readings_hardly_see_contradicts_nothing_where_one_t
     odds = log_odds_of_errors(np.full(2, 5.0), np.array([7.0, 0.5]) ** -2.0, 48)
     assert odds[0] < 0.0 < odds[1]
     for own, weight in zip(odds, (7.0**-2, 0.5**-2), strict=True):
-        spreads = np.sqrt([1.0 + weight * size**2 for size in SIZE_PRIOR])
-        changed = np.sum(np.array(list(SIZE_PRIOR.values())) * stats.norm.pdf(5.0, scale=spreads))
-        assert own == pytest.approx(np.log(P_WRONG_CONSTANT / 48 * changed / stats.norm.pdf(5.0)))
+        spreads = np.sqrt([1.0 + weight * size**2 for size in PRIOR_BY_RELATIVE_EFFECT_SIZE])
+        changed = np.sum(np.array(list(PRIOR_BY_RELATIVE_EFFECT_SIZE.values())) * stats.norm.pdf(5.0, scale=spreads))
+        assert own == pytest.approx(np.log(PRIOR_OF_WRONG_INSTRUMENT_CONSTANT / 48 * changed / stats.norm.pdf(5.0)))
 
 
 def test_a_stated_prior_holds_for_a_corrected_instrument_too(make) -> None:

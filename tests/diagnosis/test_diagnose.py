@@ -173,7 +173,7 @@ def test_a_stand_that_is_pumped_up_again_and_again_swings():
     recording, state = workshop(17)
     sightings = sightings_at_state(recording, state)
     visit = float(np.ptp(sightings.time[sightings.station == 1]))
-    sinks = (sightings.station == 1) * np.mod(sightings.station_time / (visit / 4), 1.0)
+    sinks = (sightings.station == 1) * np.mod(sightings.time_since_station_start / (visit / 4), 1.0)
     change = design_from_displacements(sightings, sinks[:, None, None] * np.array([0.0, 0.0, 1.0])[:, None])[:, :, 0]
     found = diagnose(strengthened(recording, state, change)[0])
     first = found.findings[0]

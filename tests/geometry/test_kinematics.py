@@ -27,7 +27,7 @@ both = pytest.mark.parametrize("name", CHAINS)
 
 
 def slots_of(chain: KinematicChain) -> list[str]:
-    return [motion.error_slot for motion in chain if motion.error_slot]
+    return [motion.error_key for motion in chain if motion.error_key]
 
 
 def readings(seed: int, count: int = 8) -> Floats:
@@ -130,7 +130,7 @@ def test_derivatives_by_every_slot(name: str, seed: int) -> None:
 
 def test_a_slot_used_twice_adds_up() -> None:
     chain: tuple[ElementaryMotion, ...] = (RotationStep(2, "twice"), *MISALIGNMENT_CHAIN, RotationStep(2, "nothing"))
-    doubled = tuple(RotationStep(2, "twice", m.nominal_function) if m.error_slot == "azimuth" else m for m in chain)
+    doubled = tuple(RotationStep(2, "twice", m.nominal_amount) if m.error_key == "azimuth" else m for m in chain)
     raw = readings(3)
     _, by_slot = points_and_error_derivatives(doubled, raw, {}, {"twice"})
     _, once = points_and_error_derivatives(MISALIGNMENT_CHAIN, raw, {}, {"azimuth"})

@@ -225,7 +225,7 @@ def test_results_of_gama_are_read(tmp_path: Path) -> None:
 def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_text("target,x_mm,y_mm\nA,1,2\nB,3,4\n")
-    with pytest.raises(RecordError, match="no precision is given"):
+    with pytest.raises(RecordError, match="the coordinates have no standard deviations"):
         read_coordinates(path)
     path.write_text("target,x_mm,sigma_x_mm\nA,1,0.1\nB,3,0\n")
     with pytest.raises(RecordError, match=r"the variance of B\.x is 0"):

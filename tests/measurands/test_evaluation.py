@@ -22,7 +22,7 @@ from ltsim.measurands.spec import DecisionRule, MonteCarloSettings, Task, Tasks,
 from ltsim.measurands.uncertainty import Uncertainty, evaluate_conformity, normalised_error, normalised_errors_of_files
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings import write
-from ltsim.recordings.recording import UNIT_SUFFIXES
+from ltsim.recordings.recording import OBSERVABLE_NAMES_WITH_UNIT
 from ltsim.recordings.result_file import read_result
 from ltsim.reports.sections import result_section
 from ltsim.simulation.verbs import simulate
@@ -61,7 +61,7 @@ def test_the_results_and_trials_of_an_evaluation_are_bounded(monkeypatch: pytest
     lengths = [{"name": f"length {i}", "kind": "distance", "targets": ["T01", "T12"]} for i in range(1_001)]
     with pytest.raises(ModelError, match="the tasks have 1001 results, expected at most 1000: divide them"):
         evaluate_tasks(recording, tasks(task=lengths))
-    monkeypatch.setattr("ltsim.measurands.propagation.MAX_RESULT_DRAWS", 20_000)
+    monkeypatch.setattr("ltsim.measurands.propagation.MAX_TRIALS_TIMES_RESULTS", 20_000)
     few = evaluate_tasks(recording, tasks(task=lengths[:2], monte_carlo={"digits": 2, "most_trials": 5_000_000}))
     assert few.monte_carlo.n_trials == 10_000
     assert any("divide the tasks among task files" in warning for warning in few.warnings)
@@ -84,7 +84,9 @@ def test_errors_of_a_known_size_are_in_the_budget() -> None:
     """Of a reflector in fixed nests, and of readings together: all sources add up to the covariance."""
     recording, _ = simulate("paper-workshop", seed=2)
     shared = 3e-3 * np.sin(np.arange(len(recording)))
-    recording = recording.replace(covariates={**recording.covariates, f"shared_tripod_{UNIT_SUFFIXES[0]}": shared})
+    recording = recording.replace(
+        covariates={**recording.covariates, f"shared_tripod_{OBSERVABLE_NAMES_WITH_UNIT[0]}": shared}
+    )
     inputs = evaluate_tasks(recording, tasks(type_b=[])).inputs
     names = {"range error of a reflector as a function of incidence", "error that readings share"}
     type_b_names = {source.name for source in inputs.sources if source.evaluation_type == "B"}

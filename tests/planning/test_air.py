@@ -25,7 +25,7 @@ from tests.planning.test_hall import HALL, points_csv
 
 
 def test_the_points_move_as_an_adjustment_moves_them() -> None:
-    built, air = misalignment_construction(), AirUncertainty(turbulence_um2_per_m3=0.0, beyond_mm=0.0)
+    built, air = misalignment_construction(), AirUncertainty(turbulence_um2_per_m3=0.0, negligible_up_to_mm=0.0)
     without = survey(stations=3)
     made = replace(without, setup=without.setup.model_copy(update={"air": air}))
     information = LayoutInformation.from_survey(made, built)
@@ -58,7 +58,7 @@ def test_a_long_hall_holds_the_air_by_default_and_a_short_one_does_not(tmp_path:
     (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
     file = tmp_path / "hall.toml"
     visible = {}
-    for text in (HALL, HALL + "[air]\nbeyond_mm = 30000\n"):
+    for text in (HALL, HALL + "[air]\nnegligible_up_to_mm = 30000\n"):
         file.write_text(text, encoding="utf-8")
         visible[text] = make_search_space(*load_plan(file), n_stations=3, n_faces=1).survey
     with_air, without = visible.values()

@@ -28,7 +28,7 @@ from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.search_space import SearchSpace
 from ltsim.scene.floor import StandingArea, is_inside_outline
-from ltsim.scene.meshes import box_triangles, join_obstacles, place_triangles
+from ltsim.scene.meshes import box_triangles, join_obstacles, rotate_and_shift_triangles
 from ltsim.scene.visibility import SightLimits, best_nest_normals, compute_visibility
 from tests.planning.fixtures import survey
 
@@ -155,7 +155,9 @@ def test_a_fixed_station_stays() -> None:
 
 def test_an_obstacle_moves_the_plan_out_of_its_way(found) -> None:  # type: ignore[no-untyped-def]
     """A machine at a station of the plan: nobody stands in it, everything is still in sight, at a price."""
-    pillar = place_triangles(box_triangles(np.array([0.5, 0.5, 1.2])), np.array([*found.positions[0, :2], 0.0]), 0.0)
+    pillar = rotate_and_shift_triangles(
+        box_triangles(np.array([0.5, 0.5, 1.2])), np.array([*found.positions[0, :2], 0.0]), 0.0
+    )
     where = site(obstacles=join_obstacles([pillar]))
     work = LayoutSearcher(where, grid_step=0.8, n_yaws=4, n_heights=1)
     assert work.evaluate_layout(found.positions, found.yaws).objective_value == np.inf
@@ -170,7 +172,9 @@ def test_an_obstacle_moves_the_plan_out_of_its_way(found) -> None:  # type: igno
 
 def test_sights_past_an_edge_hold_when_the_tripod_stands_off_its_place() -> None:
     """From the height of a table's top a point on it is in sight, from 40 mm lower it is not."""
-    table = join_obstacles([place_triangles(box_triangles(np.array([1.0, 1.0, 1.0])), np.array([3.0, 3.0, 0.0]), 0.0)])
+    table = join_obstacles(
+        [rotate_and_shift_triangles(box_triangles(np.array([1.0, 1.0, 1.0])), np.array([3.0, 3.0, 0.0]), 0.0)]
+    )
     point = np.array([[3.0, 3.0, 1.0]])
     heads = np.array([[1.0, 3.0, height] for height in (1.001, 1.04, 1.2)])
     assert site(obstacles=table).is_visible(heads, point)[:, 0].tolist() == [True, True, True]

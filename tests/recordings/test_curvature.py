@@ -59,7 +59,7 @@ def hints(folder: Path) -> Hints:
 def test_long_sights_of_levelled_set_ups_are_on_a_round_earth(tmp_path: Path) -> None:
     recording = read(survey(tmp_path), hints=hints(tmp_path))
     assert recording.setup.curved
-    assert sum("the set-ups are levelled on a curved earth" in note for note in recording.notes) == 1
+    assert sum("the plumb lines of the set-ups follow the curved earth" in note for note in recording.notes) == 1
     assert 0.7 < lt.adjust(recording).fit.sigma0 < 1.3
     flat = recording.replace(setup=recording.setup.model_copy(update={"curved": False, "refraction": None}))
     assert lt.adjust(flat).fit.sigma0 > 2.0

@@ -276,7 +276,7 @@ def test_workbooks_are_bounded_and_told(tmp_path: Path, part: str, change: Calla
 
 
 def test_numbers_of_thousands_of_digits_and_keys_with_brackets(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match=r"contains the number 1111.*, expected a finite one, at most 1e"):
+    with pytest.raises(RecordError, match=r"contains the number 1111.*, expected a finite number of at most 1e"):
         read_json(file_of(tmp_path, '{"a": ' + "1" * 5000 + "}", "c.json"), "calibration.json")
     file = file_of(tmp_path, 'format = "ltsim-recording/1"\n"a[0]" = 1\n', "setup.toml")
     with pytest.raises(RecordError, match=r"unknown key a\[0\]; did you mean"):

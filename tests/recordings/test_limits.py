@@ -328,7 +328,7 @@ def test_advice_on_many_columns_looks_at_bounded_samples(tmp_path: Path) -> None
     (tmp_path / "a.csv").write_text((",".join(["1.5"] * 300) + "\n") * 2000)
 
     def refused() -> None:
-        with pytest.raises(RecordError, match="without a header does not define its columns"):
+        with pytest.raises(RecordError, match="without a header does not say what its columns contain"):
             read(tmp_path / "a.csv")
 
     refused()

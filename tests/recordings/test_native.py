@@ -460,7 +460,7 @@ def test_what_a_setup_says_of_points_that_nobody_measured_is_told(folder: Path) 
     over, station, datum, known = read_recording(folder).notes
     assert over.startswith("stations.S1.over names 'T11', which no pointing and no other set-up names")
     assert over.endswith("did you mean T1?")
-    assert station == "stations.s1 was never measured: it has no effect; did you mean S1?"
+    assert station == "no pointing is from station s1: the table stations.s1 has no effect; did you mean S1?"
     assert datum == "targets.NOPE is left out of the datum, because it was never measured"
     assert known.startswith("targets.T0 has known coordinates, but was never measured; did you mean ")
 

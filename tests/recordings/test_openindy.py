@@ -56,8 +56,8 @@ def test_readings(tmp_path: Path) -> None:
     assert list(recording.time) == [0, 1, 2, 3, 4, 5]
     np.testing.assert_allclose(recording.sigma()[0], [2e-5] * 3)
     notes = " ".join(recording.notes)
-    assert "1 invalid readings left out" in notes
-    assert "1 readings of the type temperature left out" in notes
+    assert "1 readings are declared invalid and are not used" in notes
+    assert "1 readings of the type temperature are not used" in notes
     assert "declares no noise" in notes  # not all of them do
     polar = SAMPLE.partition(observation(12, "polar", 9, POLAR))[0] + "</observations></oiProjectData>"
     (tmp_path / "q.xml").write_text(polar)

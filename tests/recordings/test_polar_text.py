@@ -208,7 +208,7 @@ def test_point_lists(tmp_path: Path) -> None:
     file.write_text("A 1 2 3\nA 1 2 4\n")
     with pytest.raises(RecordError, match="row 2: the point A was listed before"):
         read_points(file)
-    assert len(read_points(file, requires_all_axes=False).notes) == 2
+    assert len(read_points(file, refuses_contradictions=False).notes) == 2
     file.write_text("A 1 2\n")
     with pytest.raises(RecordError, match="or lines of a name, x, y and z"):
         read_points(file)

@@ -78,7 +78,7 @@ def test_angles_from_the_horizon_and_feet(tmp_path: Path) -> None:
             "row 1: found the unit '3' of angles, expected one of",
         ),
         (lambda lines: [*lines[:2], *lines[4:]], "row 3: this measurement precedes the first named station"),
-        (lambda lines: [*lines[:4], lines[-1]], "names the station '2', expected that of the last record 02"),
+        (lambda lines: [*lines[:4], lines[-1]], "names the station '2', expected the station of the last record 02"),
         (lambda lines: [*lines[:4], lines[4].replace("30.25", "30,2x")], "row 5: found '30,2x"),
         (lambda lines: lines[:4], "holds no measurements"),
     ],

@@ -13,7 +13,7 @@ from ltsim.core.errors import ModelError, RecordError, SetupError
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
 from ltsim.recordings.specification import (
     MPE_COVERAGE_FACTOR,
-    REQUIRED_LIMITS,
+    REQUIRED_LIMIT_KEYS,
     Specification,
     data_sheet,
     data_sheet_names,
@@ -25,7 +25,7 @@ RANGE_TABLES = {
     "noise": {"distance_mm": 0.004, "distance_ppm": 0.1},
     "prior": {"range_scale_ppm": 0.2, "range_offset_mm": 0.003},
 }
-WHOLE = [name for name in data_sheet_names() if all(key in data_sheet_values(name) for key in REQUIRED_LIMITS)]
+WHOLE = [name for name in data_sheet_names() if all(key in data_sheet_values(name) for key in REQUIRED_LIMIT_KEYS)]
 
 
 def limits_of(noise: dict[str, float], prior: dict[str, float], *, own_zero: bool) -> dict[str, float]:

@@ -266,7 +266,7 @@ def test_wrong_tables_get_one_sentence(tmp_path: Path, text: str, says: str) -> 
     [
         ("azimuth=D[furlong]", "expected one of the units deg, gon, rad, dms for azimuth"),
         ("colour=D", "expected ROLE=HEADER[UNIT] with a role among station, target"),
-        ("azimuth=Z[deg],elevation=E[deg]", "does not define its columns"),
+        ("azimuth=Z[deg],elevation=E[deg]", "does not say what its columns contain"),
     ],
 )
 def test_wrong_mappings_get_one_sentence(tmp_path: Path, wanted: str, says: str) -> None:
@@ -426,7 +426,7 @@ def test_occupations_are_names_of_a_column_or_one_a_mark_day_and_role(tmp_path: 
     more = [f"{row},{i % 3 + 1},7" for i, row in enumerate(rows[1:])]
     numbered.write_text("\n".join([f"{rows[0]},isetupid,tsetupid", *more]))
     recording, stated = read(plain), read(numbered)
-    assert recording.setup.heads_sigma_mm == stated.setup.heads_sigma_mm == 1.0
+    assert recording.setup.height_above_mark_sigma_mm == stated.setup.height_above_mark_sigma_mm == 1.0
     assert set(recording.labels["instrument_setup"]) == set(recording.stations)
     assert set(recording.labels["target_setup"]) == {f"to {name}" for name in recording.targets}
     assert set(stated.labels["instrument_setup"]) == {"1", "2", "3"}

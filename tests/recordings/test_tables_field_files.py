@@ -97,7 +97,7 @@ def test_a_sigma_of_distances_beside_distances(tmp_path: Path) -> None:
 def test_an_unrecognised_column_of_angles_is_asked_for(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", "Station;Point;Hz[deg];Tilt_deg;D[m]", "{s};{t};{h};{z};{d}")
     note = next(note for note in read(path).notes if "vertical angles" in note)
-    assert note.startswith("no column is recognised as vertical angles, and the recording has none")
+    assert note.startswith("no column is recognised as vertical angles, so the recording contains none")
     assert_right(read(path, hints=Hints(columns=note.split('"')[1], vertical="zenith", angle="deg")))
 
 

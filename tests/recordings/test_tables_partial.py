@@ -36,7 +36,7 @@ def test_merged_cells_hold_for_the_rows_below(tmp_path: Path) -> None:
     recording = read_rows(tmp_path / "a.csv", rows)
     assert recording.stations == ("A", "B")
     np.testing.assert_allclose(recording.covariates["instrument_height_mm"], [1683, 1683, 1548, 1548])
-    assert "2 rows without a station belong to the station of the row above" in said(recording)
+    assert "2 rows without a station are assigned to the station of the row above" in said(recording)
     assert "2 empty heights of instruments are taken from other rows of the same set-up" in said(recording)
 
 

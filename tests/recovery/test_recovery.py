@@ -40,7 +40,7 @@ def flipped(slot: str) -> GeometricErrorModel:
     """The misalignment construction with the sign of one motion's error turned round."""
     construction = misalignment_construction()
     chain = tuple(
-        dataclasses.replace(m, sign=-m.sign) if m.error_slot == slot else m for m in construction.kinematic_chain
+        dataclasses.replace(m, sign=-m.sign) if m.error_key == slot else m for m in construction.kinematic_chain
     )
     assert chain != construction.kinematic_chain
     return dataclasses.replace(construction, kinematic_chain=chain)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from ltsim.core.errors import LtsimError
-from ltsim.core.limits import MAX_DRAWN_ITEMS, MAX_RESULT_ENTRIES
+from ltsim.core.limits import MAX_FIGURE_ITEMS, MAX_RESULT_LIST_ENTRIES
 from ltsim.recordings.result_file import read_result
 from ltsim.reports.page import document_of_folder, page_html
 from ltsim.reports.schemas import FILE_MODELS
@@ -240,9 +240,9 @@ def page_of(folder: Path, name: str, content: Any) -> Reader:
 def test_a_result_with_very_long_lists_is_refused_before_it_is_built(tmp_path: Path) -> None:
     """A list of 150,000 equal entries took 780 MB in a report, one of 72,000 stations more than a minute."""
     content = CONTENTS["calibration.json"]
-    long = content | {"stations": content["stations"][:1] * (MAX_RESULT_ENTRIES + 1)}
+    long = content | {"stations": content["stations"][:1] * (MAX_RESULT_LIST_ENTRIES + 1)}
     says = sentence(tmp_path / "calibration.json", long)
-    assert f"stations has {MAX_RESULT_ENTRIES + 1} entries, expected at most {MAX_RESULT_ENTRIES}" in says
+    assert f"stations has {MAX_RESULT_LIST_ENTRIES + 1} entries, expected at most {MAX_RESULT_LIST_ENTRIES}" in says
 
 
 @pytest.mark.parametrize(
@@ -258,9 +258,9 @@ def test_a_figure_of_very_many_items_is_a_note(tmp_path: Path, name: str, list_n
     """Figures of 3,000 equal items took up to 92 s and 828 MB."""
     content = CONTENTS[name]
     assert content[list_name]
-    many = content | {list_name: content[list_name][:1] * (MAX_DRAWN_ITEMS + 1)}
+    many = content | {list_name: content[list_name][:1] * (MAX_FIGURE_ITEMS + 1)}
     page = page_of(tmp_path, name, many)
-    assert any(f"are too many to draw; at most {MAX_DRAWN_ITEMS} are" in text for text in page.text)
+    assert any(f"are too many to draw; at most {MAX_FIGURE_ITEMS} are" in text for text in page.text)
 
 
 def test_characters_that_turn_the_direction_of_writing_do_not_reach_a_page(tmp_path: Path) -> None:

@@ -17,10 +17,10 @@ from ltsim.scene.meshes import (
     cylinder_triangles,
     join_obstacles,
     nearest_points,
-    place_triangles,
+    rotate_and_shift_triangles,
 )
 
-CUBE = join_obstacles([place_triangles(box_triangles(np.ones(3)), np.array([2.0, 0.0, 0.0]), 0.0)])
+CUBE = join_obstacles([rotate_and_shift_triangles(box_triangles(np.ones(3)), np.array([2.0, 0.0, 0.0]), 0.0)])
 
 
 def blocked(start: tuple[float, float, float], end: tuple[float, float, float]) -> bool:
@@ -98,7 +98,7 @@ def test_no_station_stands_inside_or_with_its_tripod_through_something() -> None
 
 def test_turned_and_moved() -> None:
     turned = join_obstacles(
-        [place_triangles(box_triangles(np.array([4.0, 0.2, 2.0])), np.array([1.0, 1.0, 0.0]), np.pi / 2)]
+        [rotate_and_shift_triangles(box_triangles(np.array([4.0, 0.2, 2.0])), np.array([1.0, 1.0, 0.0]), np.pi / 2)]
     )
     assert turned.is_blocked(np.array([[0.0, 2.5, 1.0]]), np.array([[2.0, 2.5, 1.0]])).all()
     assert not turned.is_blocked(np.array([[1.5, -3.0, 1.0]]), np.array([[1.5, 4.0, 1.0]])).any()

@@ -32,12 +32,12 @@ def test_moves_of_a_station_add_up(sightings):
 
 
 def test_the_first_pointing_of_a_station_comes_from_nowhere(sightings):
-    first = sightings.previous_pointings < 0
+    first = sightings.previous_pointing_indices < 0
     assert first.sum() == len(sightings.station_names)
     assert not sightings.reading_changes[first].any()
     assert not sightings.approach_signs[first].any()
-    assert (sightings.station[sightings.previous_pointings[~first]] == sightings.station[~first]).all()
-    assert (sightings.time[sightings.previous_pointings[~first]] < sightings.time[~first]).all()
+    assert (sightings.station[sightings.previous_pointing_indices[~first]] == sightings.station[~first]).all()
+    assert (sightings.time[sightings.previous_pointing_indices[~first]] < sightings.time[~first]).all()
 
 
 def test_a_reflector_that_stays_is_not_set_anew(sightings):

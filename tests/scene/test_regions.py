@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ltsim.scene.regions import (
-    MAX_PASSING_FRACTION,
+    MAX_PASSING_LINE_FRACTION,
     MIN_PASSING_LINES,
     MIN_REGION_WIDTH,
     MIN_TARGETS_BEHIND_REGION,
@@ -12,7 +12,7 @@ from ltsim.scene.regions import (
     HallRegion,
     candidate_regions,
     coordinate_extent,
-    region_paths,
+    path_lengths_in_regions,
 )
 from tests.physics.effects.scenes import scene
 
@@ -45,7 +45,7 @@ def test_bending_is_the_weighted_gradient_across_the_line_of_sight() -> None:
     gradient = gradient - np.sum(gradient * beam, axis=2, keepdims=True) * beam
     rest = SCENE.range_[:, None, None] * (1.0 - np.linspace(0.0, 1.0, 4001)[:, None])
     expected = np.trapezoid(rest * gradient, dx=1.0 / 4000, axis=1) * SCENE.range_[:, None]
-    path, pull = ball.path_and_bending(SCENE)
+    path, pull = ball.path_lengths_and_bending(SCENE)
     assert path == pytest.approx(ball.path_lengths(SCENE), abs=1e-12)
     assert pull == pytest.approx(expected, abs=1e-5)
 
@@ -56,7 +56,7 @@ def test_every_region_of_the_grid_is_passed_by_some_lines_and_lies_in_the_hall()
     assert regions and len(set(regions)) == len(regions)
     for region in regions:
         passing = region.path_lengths(SCENE) > region.width
-        assert MIN_PASSING_LINES <= passing.sum() <= MAX_PASSING_FRACTION * len(SCENE)
+        assert MIN_PASSING_LINES <= passing.sum() <= MAX_PASSING_LINE_FRACTION * len(SCENE)
         assert len(np.unique(SCENE.target[passing])) >= MIN_TARGETS_BEHIND_REGION
         at = ["xyz".index(axis) for axis in region.bounded_axes]
         assert np.all(np.array(region.centre) > low[at]) and np.all(np.array(region.centre) < high[at])
@@ -75,4 +75,4 @@ def test_a_local_search_does_not_make_a_region_thinner_than_a_beam() -> None:
         region = min(region.neighbours(), key=lambda other: other.width)
         widths.append(region.width)
     assert min(widths) >= MIN_REGION_WIDTH
-    assert np.isfinite(region_paths(SCENE, "xy", np.array([region.centre]), region.width)).all()
+    assert np.isfinite(path_lengths_in_regions(SCENE, "xy", np.array([region.centre]), region.width)).all()

@@ -92,7 +92,7 @@ def item_from_cause(test: CauseTest) -> CheckItem:
 ITEMS_TABLE = Table(
     "items.csv",
     "tests of the field check",
-    columns_of(CheckItem, "station kind passed p_value sentence", p_value={"kind": "chance"}),
+    columns_of(CheckItem, "station kind passed p_value sentence", p_value={"kind": "p_value"}),
 )
 TWO_FACE_TABLE = Table(
     "two_face.csv",

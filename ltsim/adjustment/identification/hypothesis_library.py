@@ -164,7 +164,7 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
                 yield ShiftFamily(
                     "constant-step", observable, place_kind, offset, min_pointings_around_onset=MIN_RIGID_POINTS
                 )
-            drift = offset * sightings.elapsed_visit_fraction[:, None, None]
+            drift = offset * sightings.elapsed_occupation_fraction[:, None, None]
             yield ShiftFamily("constant-drift", observable, "station", drift)
         instrument_places = shift_places(sightings, "instrument")
         for observable, offset in zip(OBSERVABLES, (distance, azimuth, elevation), strict=True):

@@ -63,7 +63,7 @@ class ReadingShift(LinearEffect):
         """Change (n, 3, 1) of the raw readings of n pointings per unit [SI] of the parameter."""
         is_shifted = self.pointing_indicator(sightings) * (sightings.time >= self.onset_time)
         if self.is_drift:
-            elapsed = is_shifted * sightings.station_time
+            elapsed = is_shifted * sightings.time_since_station_start
             is_shifted = elapsed / (float(elapsed.max(initial=0.0)) or 1.0)  # readings made at one time do not drift
         shift_per_unit = is_shifted * sightings.range_ if self.is_proportional else is_shifted
         shift_per_unit = shift_per_unit * sightings.face_sign if self.observable == "elevation" else shift_per_unit

@@ -13,7 +13,7 @@ BearingMotion = Literal["tilt", "radial", "transit"]
 
 
 SLOTS_BY_MOTION = {"tilt": ("standing-tilt-x", "standing-tilt-y"), "radial": ("standing-radial-x", "standing-radial-y")}
-"""Errors of the kinematic chain (`error_slot`) that each kind of motion changes, along or about x and y."""
+"""Errors of the kinematic chain (`error_key`) that each kind of motion changes, along or about x and y."""
 CANDIDATE_MOTIONS: tuple[tuple[BearingMotion, int], ...] = (
     ("tilt", -1),
     ("tilt", 2),
@@ -80,7 +80,7 @@ class BearingWobble(Effect):
         return [cls(kind=kind, order=order) for kind, order in CANDIDATE_MOTIONS]
 
     def design(self, sightings: Sightings) -> Floats:
-        acts, response = self.pointing_indicator(sightings)[:, None], sightings.reading_change_by_error_slot
+        acts, response = self.pointing_indicator(sightings)[:, None], sightings.reading_change_by_error_key
         phase = self.order * sightings.instrument_readings[:, 2 if self.kind == "transit" else 1]
         c, s = np.cos(phase)[:, None], np.sin(phase)[:, None]
         if self.kind == "transit":

@@ -153,7 +153,7 @@ CATALOGUE_TABLE = Table(
         EffectDescription,
         "name observables scope base_rate meaning",
         name={"name": "effect"},
-        observables={"attribute": "observables_text", "kind": "text"},
+        observables={"row_attribute": "observables_text", "kind": "text"},
     ),
 )
 EFFECT_PARAMETERS_TABLE = Table(

@@ -207,7 +207,7 @@ class SlotTerm:
     """Term of a geometric error: a parameter times a basis function, added to an error of the kinematic chain."""
 
     slot: str
-    """Key of the error in the kinematic chain, the `error_slot` of one of its motions."""
+    """Key of the error in the kinematic chain, the `error_key` of one of its motions."""
     basis: BasisFunction = constant_basis
     """Function of the raw readings that multiplies the parameter."""
 
@@ -225,7 +225,7 @@ class SlotEffect(Effect):
     def design(self, sightings: Sightings) -> Floats:
         acts = self.pointing_indicator(sightings)
         columns = [
-            sightings.reading_change_by_error_slot[t.slot] * (acts * t.basis(sightings.instrument_readings))[:, None]
+            sightings.reading_change_by_error_key[t.slot] * (acts * t.basis(sightings.instrument_readings))[:, None]
             for t in self.terms
         ]
         return np.stack(columns, axis=2)

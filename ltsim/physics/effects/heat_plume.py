@@ -126,7 +126,7 @@ class HeatPlume(WarmAirEffect):
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings of n pointings per kelvin at the centre of the plume, to first order."""
         ball = HallRegion("xyz", tuple(self._centre(sightings).tolist()), self.radius)
-        path, bending = ball.path_and_bending(sightings)
+        path, bending = ball.path_lengths_and_bending(sightings)
         _, across, up = sightings.beam_vectors
         acts = relative_index_decrease_per_kelvin() * self.pointing_indicator(sightings)
         bend = -bending * (acts / sightings.range_)[:, None]

@@ -151,11 +151,11 @@ class Drift(Effect):
     def time_law_values(self, sightings: Sightings) -> Floats:
         """Factor (n,) of the drift's parameter at each of n pointings: a time [s], or dimensionless for a decay."""
         if self.law == "visit":
-            return sightings.station_time
+            return sightings.time_since_station_start
         time_since_start = sightings.time - first_pointing_time(sightings)
         return time_since_start if self.law == "linear" else np.asarray(np.exp(-time_since_start / self.time_constant))
 
     def design(self, sightings: Sightings) -> Floats:
         drift_per_unit = self.pointing_indicator(sightings) * self.time_law_values(sightings)
-        column: Floats = sightings.reading_change_by_error_slot[self.slot] * drift_per_unit[:, None]
+        column: Floats = sightings.reading_change_by_error_key[self.slot] * drift_per_unit[:, None]
         return column[:, :, None]

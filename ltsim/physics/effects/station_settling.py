@@ -57,5 +57,7 @@ class StationSettling(StationMotion):
     )
 
     def motion(self, sightings: Sightings) -> Floats:
-        settled = self.pointing_indicator(sightings) * (1.0 - np.exp(-sightings.station_time / self.time_constant))
+        settled = self.pointing_indicator(sightings) * (
+            1.0 - np.exp(-sightings.time_since_station_start / self.time_constant)
+        )
         return settled[:, None, None] * np.eye(6)[:, SETTLING_COMPONENTS]

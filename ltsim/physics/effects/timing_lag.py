@@ -8,8 +8,8 @@ from ltsim.scene.sightings import Sightings
 def reading_rates(sightings: Sightings) -> Floats:
     """Mean rate (n, 3) [m/s, rad/s] of the readings of n pointings since the previous pointing of the same station."""
     rate = np.zeros((len(sightings), 3))
-    lapse = sightings.time - sightings.time[sightings.previous_pointings]
-    going = (sightings.previous_pointings >= 0) & (lapse > 0)
+    lapse = sightings.time - sightings.time[sightings.previous_pointing_indices]
+    going = (sightings.previous_pointing_indices >= 0) & (lapse > 0)
     rate[going] = sightings.reading_changes[going] / lapse[going, None]
     return rate
 

@@ -8,10 +8,10 @@ from ltsim.core.arrays import Floats
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.linear_effect import Parameter
 from ltsim.physics.laws.variance import VarianceFunction
-from ltsim.recordings.centring_errors import CentringUncertainty, Occupation
+from ltsim.recordings.centring_errors import CentringUncertainty, OccupationGrouping
 from ltsim.scene.sightings import Sightings
 
-OCCUPATION_TEXTS: dict[Occupation, str] = {
+OCCUPATION_TEXTS: dict[OccupationGrouping, str] = {
     "station": "for each set-up",
     "instrument_setup": "for each occupation by an instrument",
     "target_setup": "at each occupation",
@@ -40,7 +40,7 @@ class CentringVariance(VarianceFunction):
     adjustment estimates the displacements. Their prior standard deviation is the parameter of the hypothesis.
     """
 
-    occupation: Occupation = "station"
+    occupation: OccupationGrouping = "station"
     """Kind of occupation: the pointings between two placements of the reflector."""
 
     @property

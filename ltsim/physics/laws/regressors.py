@@ -198,7 +198,7 @@ class Regressor:
         if self.kind == "near":
             return region.target_weights(sightings)
         return (
-            region.lever_weighted_paths(sightings)
+            region.lever_weighted_path_lengths(sightings)
             if self.function == LEVER_FUNCTION
             else region.path_lengths(sightings)
         )
@@ -215,7 +215,7 @@ class Regressor:
         all_targets = np.arange(len(sightings.target_names))
         if self.covariates == ("last-target",):
             return np.where(
-                sightings.previous_pointings >= 0, sightings.target[sightings.previous_pointings], -1
+                sightings.previous_pointing_indices >= 0, sightings.target[sightings.previous_pointing_indices], -1
             ), all_targets
         ids = [sightings.target_names.index(name) for name in self.centre_targets]
         return sightings.target, np.array(ids) if ids else all_targets

@@ -75,7 +75,7 @@ _SLOT_RESPONSES = {
     "beam-vertical": Response("vertical beam offset", "um", PLAUSIBLE_LENGTH_ERROR, ("elevation",)),
     "beam-tilt": Response("beam tilt", "urad", PLAUSIBLE_ANGLE_ERROR, ("azimuth",)),
 }
-"""Responses that are instrument constants, by the key of the error in the kinematic chain (`error_slot`)."""
+"""Responses that are instrument constants, by the key of the error in the kinematic chain (`error_key`)."""
 _ECCENTRICITY_RESPONSES = {
     Response(
         f"{effect.observables[0]} eccentricity",
@@ -124,7 +124,7 @@ _RANGE_SCALE_RESPONSE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("
 def constant_names_of_slot(slot: str) -> tuple[str, ...]:
     """Names of the instrument constants of the ordinary calibration that change an error of the kinematic chain.
 
-    `slot` is the key of the error (`error_slot`).
+    `slot` is the key of the error (`error_key`).
     """
     return tuple(
         p.name for e in MISALIGNMENT_EFFECTS for p, t in zip(e.parameters, e.terms, strict=True) if t == SlotTerm(slot)
@@ -173,7 +173,7 @@ def _multi_observable_design(sightings: Sightings, response: Response) -> Floats
 
 def _slot_design(sightings: Sightings, slot: str) -> Floats:
     """Change (n, 3, 1) of the readings of n pointings per unit of the kinematic chain's error with the key `slot`."""
-    return sightings.reading_change_by_error_slot[slot][:, :, None]
+    return sightings.reading_change_by_error_key[slot][:, :, None]
 
 
 def _range_scale_design(sightings: Sightings) -> Floats:

@@ -120,7 +120,7 @@ def latch_column(sightings: Sightings, covariate: str, set_threshold: float, rel
     """
     x, rows = sightings.covariate_values[covariate], sightings.pointing_order_by_station
     event = np.where(x > set_threshold, 1.0, np.where(x < release_threshold, 0.0, np.nan))[rows]
-    is_first_pointing = sightings.previous_pointings[rows] < 0
+    is_first_pointing = sightings.previous_pointing_indices[rows] < 0
     event = np.where(
         is_first_pointing & np.isnan(event),
         (x[rows] > 0.5 * (set_threshold + release_threshold)).astype(np.float64),
@@ -152,8 +152,8 @@ def _is_reset(sightings: Sightings, function_name: str, constant: float) -> Bool
 
     `function_name` is the kind of reset, `constant` its limit or its number of pointings.
     """
-    has_previous = sightings.previous_pointings >= 0
-    before = np.where(has_previous, sightings.previous_pointings, 0)
+    has_previous = sightings.previous_pointing_indices >= 0
+    before = np.where(has_previous, sightings.previous_pointing_indices, 0)
     name = function_name.removeprefix("after ")
     if function_name in (TIME_DECAY_FUNCTION, POINTING_DECAY_FUNCTION):
         return np.zeros(len(sightings), dtype=bool)
@@ -194,7 +194,7 @@ def _cache_states(sightings: Sightings, state_keys: Sequence[StateKey]) -> None:
 def _increments(sightings: Sightings, covariate: str) -> Floats:
     """Change (n,) of a covariate from the previous pointing of the set-up to each of n pointings; 0 for the first."""
     x = sightings.covariate_values[covariate]
-    return np.where(sightings.previous_pointings >= 0, x - x[sightings.previous_pointings], 0.0)
+    return np.where(sightings.previous_pointing_indices >= 0, x - x[sightings.previous_pointing_indices], 0.0)
 
 
 def _remaining_fraction(sightings: Sightings, function_name: str, constant: float) -> Floats:
@@ -203,7 +203,7 @@ def _remaining_fraction(sightings: Sightings, function_name: str, constant: floa
     The fraction is 0 at a reset and at the first pointing of a set-up. `function_name` is the kind of decay or reset,
     and `constant` its constant: a time [s], a number of pointings, or the limit of a pause or motion.
     """
-    has_previous = (sightings.previous_pointings >= 0).astype(np.float64)
+    has_previous = (sightings.previous_pointing_indices >= 0).astype(np.float64)
     if function_name == TIME_DECAY_FUNCTION:
         return has_previous * np.exp(-sightings.covariate_values["lapse"] / constant)
     if function_name == POINTING_DECAY_FUNCTION:

@@ -82,12 +82,12 @@ class GeometricErrorModel:
     def _chain_with_reading_slots(self) -> tuple[kinematics.KinematicChain, tuple[str, ...]]:
         """Kinematic chain with an error in each motion that depends on a reading, and keys of the three errors."""
         zero_reading, chain, slots = np.zeros((1, 3)), list(self.kinematic_chain), []
-        functions = [m.nominal_function for m in self.kinematic_chain]
+        functions = [m.nominal_amount for m in self.kinematic_chain]
         for column in range(3):
             unit_reading = np.eye(3)[[column]]
             place = [f is not None and f(unit_reading)[0] != f(zero_reading)[0] for f in functions].index(True)
-            slots.append(chain[place].error_slot or f"reading-{column}")
-            chain[place] = replace(chain[place], error_slot=slots[-1])
+            slots.append(chain[place].error_key or f"reading-{column}")
+            chain[place] = replace(chain[place], error_key=slots[-1])
         return tuple(chain), tuple(slots)
 
     def basis_values(self, readings: Floats) -> Floats:

@@ -16,11 +16,11 @@ from ltsim.physics.effects.linear_effect import LinearEffect, Parameter, design_
 from ltsim.physics.effects.motions import TargetDisplacement
 from ltsim.recordings.occupations import target_occupations
 from ltsim.recordings.recording import (
+    OBSERVABLE_NAMES_WITH_UNIT,
     OBSERVABLES,
     OCCUPATION_COLUMNS,
     SHARED_ERROR_COLUMN_PATTERN,
     SIGMA_UNITS,
-    UNIT_SUFFIXES,
     Recording,
 )
 from ltsim.scene.sightings import Sightings
@@ -66,7 +66,7 @@ def height_errors(recording: Recording, plumb_directions: Floats) -> tuple[Heigh
     The columns `instrument_setup` and `target_setup` of the recording name the occupation of each pointing; a pointing
     with an empty cell has no height error. `plumb_directions` (S, 3) are upward unit vectors at the S stations.
     """
-    sigma = recording.setup.heads_sigma_mm
+    sigma = recording.setup.height_above_mark_sigma_mm
     if sigma is None:
         return ()
     occupations = [recording.labels.get(column, ("",) * len(recording)) for column in OCCUPATION_COLUMNS]
@@ -176,7 +176,7 @@ def shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
         return ()
     range_changes = np.zeros((len(recording), len(OBSERVABLES), len(names)))
     for name, parts in columns.items():
-        k = UNIT_SUFFIXES.index(parts[2])
+        k = OBSERVABLE_NAMES_WITH_UNIT.index(parts[2])
         range_changes[:, k, names.index(parts[1])] = np.nan_to_num(recording.covariates[name]) * SIGMA_UNITS[k]
     return (SharedErrors(range_changes, recording.is_horizontal),)
 

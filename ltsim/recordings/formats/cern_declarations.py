@@ -22,7 +22,7 @@ CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
 """Size of the unit cc, 1e-4 gon [rad]."""
 FIXED_SIGMA_M = 1e-7
 """Standard deviation [m] that is used for a coordinate declared as fixed."""
-FIXED_AXES: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
+FIXED_AXES_BY_KEYWORD: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
 """Axes along which a point is fixed, by the keyword (such as ``*CALA``) of the section in which it is declared."""
 SIGMA_OPTIONS = ("SX", "SY", "SZ")
 """Options of a point that are followed by the standard deviation along x, y, z."""
@@ -98,10 +98,10 @@ class DeclaredPoint:
 
     declared_point: Floats
     """Declared coordinates, known or approximate, (3,) [m]."""
-    information: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+    inverse_covariance: Floats = field(default_factory=lambda: np.zeros((3, 3)))
     """Inverse covariance (3, 3) [1 / m^2] of the observed coordinates x, y, z; 0 along axes without an observation."""
-    weighted_point: Floats = field(default_factory=lambda: np.zeros(3))
-    """Product (3,) [1 / m] of `information` and the observed coordinates, for the weighted mean."""
+    weighted_coordinate_sum: Floats = field(default_factory=lambda: np.zeros(3))
+    """Product (3,) [1 / m] of `inverse_covariance` and the observed coordinates, for the weighted mean."""
 
     def add_observation(self, point: Floats, covariance: Floats, axis_mask: Bools | None = None) -> None:
         """Addition of observed coordinates `point` (3,) [m] with their covariance (3, 3) [m^2].
@@ -109,21 +109,21 @@ class DeclaredPoint:
         `axis_mask` (3,) is True for the axes that were observed; by default all.
         """
         block = np.ix_(*[np.ones(3, dtype=bool) if axis_mask is None else axis_mask] * 2)
-        information = np.zeros((3, 3))
-        information[block] = np.linalg.inv(covariance[block])
-        self.information = self.information + information
-        self.weighted_point = self.weighted_point + information @ point
+        weights = np.zeros((3, 3))
+        weights[block] = np.linalg.inv(covariance[block])
+        self.inverse_covariance = self.inverse_covariance + weights
+        self.weighted_coordinate_sum = self.weighted_coordinate_sum + weights @ point
 
     @property
-    def axes(self) -> Axes | None:
+    def known_axes(self) -> Axes | None:
         """Axes along which the coordinates are known, such as "xy"; None if no coordinate is known."""
-        axes = "".join(axis for axis, weight in zip("xyz", np.diag(self.information), strict=True) if weight > 0)
+        axes = "".join(axis for axis, weight in zip("xyz", np.diag(self.inverse_covariance), strict=True) if weight > 0)
         return axes or None  # type: ignore[return-value]
 
     @property
     def is_fixed(self) -> bool:
         """True if the point is fixed along all axes, so that further observations are ignored."""
-        return bool(np.all(np.diag(self.information) >= 0.5 * FIXED_SIGMA_M**-2))
+        return bool(np.all(np.diag(self.inverse_covariance) >= 0.5 * FIXED_SIGMA_M**-2))
 
     @property
     def is_placeholder(self) -> bool:
@@ -136,10 +136,12 @@ class DeclaredPoint:
 
         A coordinate that was not observed has its declared value and a variance of 1 mm^2.
         """
-        axes = np.diag(self.information) > 0
+        axes = np.diag(self.inverse_covariance) > 0
         block, covariance, point = np.ix_(axes, axes), np.eye(3) * MILLIMETRE**2, self.declared_point.copy()
-        covariance[block] = np.linalg.inv(self.information[block])
-        point[axes] += covariance[block] @ (self.weighted_point - self.information @ self.declared_point)[axes]
+        covariance[block] = np.linalg.inv(self.inverse_covariance[block])
+        point[axes] += (
+            covariance[block] @ (self.weighted_coordinate_sum - self.inverse_covariance @ self.declared_point)[axes]
+        )
         return point, covariance
 
 
@@ -150,7 +152,7 @@ def parse_point(keyword: str, line_words: LineWords) -> tuple[str, DeclaredPoint
     """
     name, declared_point = _name_and_point(line_words, "a point needs a name and three coordinates")
     point = DeclaredPoint(declared_point)
-    axes = np.array([axis in FIXED_AXES[keyword] for axis in "xyz"])
+    axes = np.array([axis in FIXED_AXES_BY_KEYWORD[keyword] for axis in "xyz"])
     if axes.any():
         point.add_observation(declared_point, np.eye(3) * FIXED_SIGMA_M**2, axes)
     else:
@@ -238,11 +240,11 @@ class TargetSigmas:
 class PolarInstrument:
     """Polar instrument of the file: name of its default kind of target, height [m], kinds of targets by name."""
 
-    default: str
+    default_target: str
     height: float
     targets: dict[str, TargetSigmas] = field(default_factory=dict)
 
-    def declare(self, line_words: LineWords) -> str:
+    def add_target(self, line_words: LineWords) -> str:
         """Addition of the kind of target that a line declares; the result is a note on an unused distance correction.
 
         The note is '' if the line has no such correction. Raises RecordError.
@@ -267,7 +269,7 @@ class PolarInstrument:
 
     def _noise(self) -> Noise:
         """Noise with the standard deviations of the default kind of target, or of the first kind that is declared."""
-        sigmas = self.targets.get(self.default) or next(iter(self.targets.values()), None)
+        sigmas = self.targets.get(self.default_target) or next(iter(self.targets.values()), None)
         if sigmas is None:
             return Noise()
         return Noise(

@@ -29,7 +29,7 @@ from ltsim.core.units import EARTH_RADIUS, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import SourceLocation, quoted_text, read_lines, single_line_title
 from ltsim.recordings.formats.cern_declarations import (
-    FIXED_AXES,
+    FIXED_AXES_BY_KEYWORD,
     FIXED_SIGMA_M,
     DeclaredPoint,
     LineWords,
@@ -57,7 +57,7 @@ OBSERVATION_KEYWORDS: dict[str, tuple[ObservationKind, ...]] = {
     "DHOR": ("distance",),
 }
 """Observables in a line, by the keyword of its section (such as ``*PLR3D``)."""
-CURVED_KEYWORDS = ("RS2K", "LEP", "SPHE")
+CURVED_REFERENCE_KEYWORDS = ("RS2K", "LEP", "SPHE")
 """Keywords of reference systems whose third coordinate is a height above a curved surface."""
 KEYWORDS_WITHOUT_OBSERVATIONS = (
     *("TITR", "OLOC", "HIST", "PREC", "PUNC", "FAUT", "JSON", "APRI", "DEFA", "FMTP", "NODUP", "SOBS", "EREL"),
@@ -96,7 +96,7 @@ class _LgcContent:
     n_setups_by_point: Counter[str] = field(default_factory=Counter)
     observations: list[SingleObservation] = field(default_factory=list)
     n_skipped_by_keyword: dict[str, int] = field(default_factory=dict)
-    n_switched_off: int = 0
+    n_switched_off_lines: int = 0
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -148,13 +148,13 @@ def _lines(file: _LgcContent) -> Iterator[LineWords]:
     for i, line in enumerate(read_lines(file.path, replaces_undecodable=True)):
         text = line.partition("%")[0].partition("$")[0]
         if line.lstrip().startswith("%"):
-            file.n_switched_off += len(line.split()) > 2 and re.search(r"\d\.\d{3}", line[:150]) is not None
+            file.n_switched_off_lines += len(line.split()) > 2 and re.search(r"\d\.\d{3}", line[:150]) is not None
         elif text.strip():
             yield LineWords(text.split(), SourceLocation(file.path, i + 1))
 
 
 def _begin_block(keyword: str, line_words: LineWords, file: _LgcContent) -> None:
-    if keyword in CURVED_KEYWORDS:
+    if keyword in CURVED_REFERENCE_KEYWORDS:
         file.curved_reference_keyword = keyword
     elif keyword == "POLAR":
         name, default, _ = line_words.first_words(3, "*POLAR needs an instrument, its default target and a height")
@@ -167,7 +167,7 @@ def _begin_block(keyword: str, line_words: LineWords, file: _LgcContent) -> None
         _begin_direction_set(line_words, file)
     elif keyword not in (
         *KEYWORDS_WITHOUT_OBSERVATIONS,
-        *FIXED_AXES,
+        *FIXED_AXES_BY_KEYWORD,
         *OBSERVATION_KEYWORDS,
         "OBSXYZ",
         "FRAME",
@@ -186,7 +186,7 @@ def _begin_setup(line_words: LineWords, file: _LgcContent) -> None:
         raise line_words.location.error(f"the set-up is on {point}, which no block of points declares")
     options, polar = line_words.options(2), file.instruments[instrument]
     height = options.number("IH", polar.height if "IHFIX" in options.values else 0.0)
-    default = options.values.get("TRGT", polar.default)
+    default = options.values.get("TRGT", polar.default_target)
     file.add_setup(_SetUp(point, instrument, height, "ROT3D" not in options.values, default))
 
 
@@ -212,7 +212,7 @@ def _process_line(keyword: str, line_words: LineWords, file: _LgcContent) -> boo
     """Addition of the content of a line to `file`; False if the section of the line (`keyword`) is not supported."""
     if keyword in ("TITR", ""):
         file.title_words += line_words.tokens
-    elif keyword in FIXED_AXES:
+    elif keyword in FIXED_AXES_BY_KEYWORD:
         name, point = parse_point(keyword, line_words)
         if name in file.points:
             raise line_words.location.error(f"the point {name} is declared twice")
@@ -222,7 +222,7 @@ def _process_line(keyword: str, line_words: LineWords, file: _LgcContent) -> boo
     elif keyword == "PDOR":
         file.orientation_points[line_words.tokens[0]] = None
     elif keyword == "POLAR":
-        file.notes += filter(None, [file.instruments[next(reversed(file.instruments))].declare(line_words)])
+        file.notes += filter(None, [file.instruments[next(reversed(file.instruments))].add_target(line_words)])
     elif keyword in OBSERVATION_KEYWORDS:
         _add_observation(keyword, line_words, file)
     else:
@@ -270,7 +270,7 @@ def _reading_in_si(kind: ObservationKind, value: float, setup: _SetUp, location:
     if kind == "elevation":
         if not 0 <= value <= 200:
             raise location.error(
-                f"found a zenith angle of {value:g}, expected 0 to 200 gon (both faces reduced to one)"
+                f"found a zenith angle of {value:g} gon, expected 0 to 200 gon; reduce readings of face 2 to face 1"
             )
         return float(np.pi / 2 - value * GON)
     if value <= 0:
@@ -286,7 +286,7 @@ def _make_recording(file: _LgcContent) -> Recording:
         raise RecordError("contains no polar observations", file=file.path)
     targets = dict.fromkeys(p.target for p in pointings)
     _add_observed_coordinates(file)
-    occupied_marks = [s.point for s in file.setups.values() if file.points[s.point].axes or s.point in targets]
+    occupied_marks = [s.point for s in file.setups.values() if file.points[s.point].known_axes or s.point in targets]
     plane = _TangentPlane.from_points(
         [file.points[name] for name in {*targets, *(s.point for s in file.setups.values())}],
         file.curved_reference_keyword,
@@ -364,7 +364,7 @@ class _TangentPlane:
 
     def coordinate_keys(self, point: DeclaredPoint) -> dict[str, Any]:
         """Keys and values in `setup.toml` of a target: coordinates known along some axes, approximate along others."""
-        axes = point.axes
+        axes = point.known_axes
         if axes is None:
             return {} if point.is_placeholder else {"approximate_mm": self.plane_coordinates(point.declared_point)}
         coordinates, covariance = point.point_and_covariance
@@ -376,11 +376,11 @@ class _TangentPlane:
 
 
 def _notes(file: _LgcContent) -> Iterator[str]:
-    if file.n_switched_off:
-        yield f"{file.n_switched_off} lines are switched off with % and are not used"
+    if file.n_switched_off_lines:
+        yield f"{file.n_switched_off_lines} lines are switched off with % and are not used"
     for keyword, count in file.n_skipped_by_keyword.items():
         axes_reason = (
-            f"observes coordinates in the axes of *{file.curved_reference_keyword}, not in those of its heights"
+            f"observes coordinates in a system whose third axis is no height (*{file.curved_reference_keyword})"
         )
         reason = axes_reason if keyword == "OBSXYZ" else "is not supported"
         yield f"*{quoted_text(keyword)} {reason}: {count} lines are skipped"

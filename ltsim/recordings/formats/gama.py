@@ -54,7 +54,7 @@ STDEV_ATTRIBUTE_PREFIXES = {"z-angle": "zenith-angle", "s-distance": "distance"}
 }
 """Beginning of the name of the attribute with the default standard deviation (``direction`` of ``direction-stdev``), by
 the XML element of an observation."""
-NAME_ATTRIBUTES = ("id", "from", "to", "bs", "fs")
+POINT_NAME_ATTRIBUTES = ("id", "from", "to", "bs", "fs")
 """Attributes of elements that name a point."""
 SigmaAndSharedErrors = tuple[float, dict[str, float]]
 """Standard deviation of the independent error of an observation (NaN for the default of the file), and change of the
@@ -102,7 +102,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 def _replace_slashes(root: XmlNode, network: GamaNetwork) -> None:
     """Replacement, in place, of `/` in names of points by `_`; names that are refused in any case are not changed."""
-    attributes = [(element, key) for element in root.element.iter() for key in NAME_ATTRIBUTES if key in element.attrib]
+    attributes = [(node, key) for node in root.element.iter() for key in POINT_NAME_ATTRIBUTES if key in node.attrib]
     used_names = dict.fromkeys(element.attrib[key] for element, key in attributes)
     names: dict[str, str] = {}
     for name in [name for name in used_names if "/" in name and ".." not in name]:
@@ -156,7 +156,7 @@ def _read_element(node: XmlNode, network: GamaNetwork) -> None:
         network.differences += differences
         network.notes += [OMITTED_CORRELATIONS_NOTE] * correlated
     else:
-        network.skipped_counts[node.tag] += 1
+        network.n_skipped_by_element[node.tag] += 1
 
 
 def _read_point(node: XmlNode, network: GamaNetwork) -> GamaPoint:
@@ -233,7 +233,7 @@ def _read_observation_block(block: XmlNode, network: GamaNetwork) -> None:
         elif child.tag == "angle":
             _read_angle(child, block, (sigma, errors), network)
         else:
-            network.skipped_counts[child.tag] += 1
+            network.n_skipped_by_element[child.tag] += 1
 
 
 def _start_point(child: XmlNode, block: XmlNode) -> str:
@@ -331,8 +331,8 @@ def _make_recording(network: GamaNetwork) -> Recording:
     pointings, instrument_heights, target_heights = separate_constant_heights(
         merge_observations(observed, network.file.name)
     )
-    reason = "not read: a recording cannot contain it"
-    skipped = [f"{count} <{quoted_text(what)}> {reason}" for what, count in network.skipped_counts.items()]
+    reason = "are not read, because a recording cannot contain them"
+    skipped = [f"{n} elements <{quoted_text(tag)}> {reason}" for tag, n in network.n_skipped_by_element.items()]
     if not pointings and network.differences:
         message = "contains height differences or vectors without pointings, expected readings of instruments too"
         raise RecordError(f"{message}; gama-local adjusts such a network", file=network.file)
@@ -375,7 +375,7 @@ def _target(point: GamaPoint, height: float) -> Target:
     return Target(
         known_mm=point.coordinates_or_zeros if point.fixed_axes else None,
         **reference_keys if point.fixed_axes else {},  # type: ignore[arg-type]
-        in_plan=point.active_axes == "xy",
+        plan_only=point.active_axes == "xy",
         approximate_mm=None if point.fixed_axes == "xyz" else point.complete_coordinates,
         datum=bool(point.datum_axes),
         datum_axes=point.datum_axes or "xyz",  # type: ignore[arg-type]

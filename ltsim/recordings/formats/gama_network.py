@@ -72,7 +72,7 @@ class GamaNetwork:
     apriori_sigma: float = 10.0
     """A-priori standard deviation [mm, cc] of an observation with the weight 1."""
     differences: list[ReferenceDifference] = field(default_factory=list)
-    skipped_counts: Counter[str] = field(default_factory=Counter)
+    n_skipped_by_element: Counter[str] = field(default_factory=Counter)
     n_shared_errors: int = 0
     """Number of shared errors so far, each of which acts on several observations."""
     notes: list[str] = field(default_factory=list)
@@ -242,7 +242,7 @@ def _reference_difference(child: XmlNode, y_sign: float, covariance: Floats) -> 
     try:
         return ReferenceDifference.model_validate({**end_names, "known_mm": vector, **precision})
     except ValidationError:
-        wanted = "values below 1e8 m, and variances that are positive in every direction"
+        wanted = "values below 1e8 m, and a positive definite covariance matrix"
         raise child.location.error(
             f"the value of <{child.tag}> is too large, or its covariance is wrong, expected {wanted}"
         ) from None

@@ -32,7 +32,7 @@ def write(recording: Recording, path: Path) -> None:
     """
     if excess_radii(recording) is not None:
         message = "SMRs of several radii are offset along the normals of nests, which gama-local does not support"
-        raise RecordError(f"{message}; write the recording as native", file=path)
+        raise RecordError(f"{message}; write the recording in the native format", file=path)
     if any(SHARED_ERROR_COLUMN_PATTERN.fullmatch(name) for name in recording.covariates):
         raise RecordError("contains errors that readings share, which only the native format supports", file=path)
     for name in recording.stations:

@@ -116,7 +116,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     if hints.station is not None:
         file.add_setup(hints.station, 0.0, None, SourceLocation(path))
     lines = read_lines(path)
-    survey = _BlockFacts.from_blocks(_blocks(lines, path))
+    survey = _GsiFileProperties.from_blocks(_blocks(lines, path))
     setup_code = survey.setup_code(path, is_line_broken=not lines[-1].strip())
     for block in _blocks(lines, path):
         _process_block(block, file, setup_code)
@@ -137,7 +137,7 @@ def _blocks(lines: Sequence[str], path: Path) -> Iterator[_GsiBlock]:
 
 
 @dataclass
-class _BlockFacts:
+class _GsiFileProperties:
     """Properties of a GSI file as a whole, which decide how each single measurement block is read."""
 
     has_stations: bool = False
@@ -152,11 +152,11 @@ class _BlockFacts:
     """Code (word 41) of the first block that has a code and a name (42)."""
     last_block: _GsiBlock | None = None
     """Last block of the file."""
-    keys_before_last: frozenset[str] = frozenset()
+    word_indices_of_second_last_block: frozenset[str] = frozenset()
     """Indices of the words in the last block but one."""
 
     @classmethod
-    def from_blocks(cls, blocks: Iterable[_GsiBlock]) -> _BlockFacts:
+    def from_blocks(cls, blocks: Iterable[_GsiBlock]) -> _GsiFileProperties:
         """Properties of the whole file from all of its blocks, in order."""
         facts = cls()
         for block in blocks:
@@ -171,7 +171,9 @@ class _BlockFacts:
             self.code_with_name = self.code_with_name or block.name("41")
             if block.has_words("43"):
                 self.code_with_height = self.code_with_height or block.name("41")
-        self.keys_before_last = frozenset() if self.last_block is None else frozenset(self.last_block.words)
+        self.word_indices_of_second_last_block = (
+            frozenset() if self.last_block is None else frozenset(self.last_block.words)
+        )
         self.last_block = block
 
     def setup_code(self, path: Path, *, is_line_broken: bool) -> str | None:
@@ -183,7 +185,11 @@ class _BlockFacts:
         of a level, and for an incomplete last line: one without a line break whose words differ from those of the line
         before.
         """
-        if self.last_block is not None and not is_line_broken and self.last_block.words.keys() != self.keys_before_last:
+        if (
+            self.last_block is not None
+            and not is_line_broken
+            and self.last_block.words.keys() != self.word_indices_of_second_last_block
+        ):
             raise self.last_block.location.error("the last line has no line break and is incomplete")
         if self.has_staff_readings and not self.has_directions:
             raise RecordError("is the file of a level: it has staff readings (33) and no directions (21)", file=path)

@@ -78,9 +78,9 @@ def _parse_pointing(
     kind = reading.get("type")
     if node.get("isValid") == "0" or kind not in READINGS_BY_TYPE:
         notes[
-            f"readings of the type {quoted_text(kind)} left out"
+            f"readings of the type {quoted_text(kind)} are not used"
             if kind not in READINGS_BY_TYPE
-            else "invalid readings left out"
+            else "readings are declared invalid and are not used"
         ] += 1
         return None
     if reference not in stations:

@@ -28,11 +28,11 @@ SDR_ANGLE_FACTORS = {"1": DEGREE, "2": GON, "4": 2 * np.pi / 6400}
 """Factor to rad by the code of the unit of angles in the header record."""
 SDR_LENGTH_FACTORS = {"1": 1.0, "2": SI_PER_UNIT["ft"]}
 """Factor to m by the code of the unit of lengths in the header record."""
-UNITS_COLUMN = slice(40, 45)
+UNIT_CODES_SLICE = slice(40, 45)
 """Character positions of the unit codes in the header record."""
-VERTICAL_ZERO_COLUMN = 50
+VERTICAL_ZERO_CODE_POSITION = 50
 """Character position, in the instrument record, of the code for the zero of vertical angles (zenith or horizon)."""
-OBSERVATION_RECORDS = ("09F1", "09F2")
+OBSERVATION_RECORD_PREFIXES = ("09F1", "09F2")
 """Beginnings of the records with raw observations on face 1 and face 2."""
 
 
@@ -53,7 +53,7 @@ class _Dialect:
             raise location.error(
                 f"'{quoted_text(header)}' is not a header of SDR20 or SDR33, expected 00NMSDR20 or 00NMSDR33"
             )
-        units = header[UNITS_COLUMN].ljust(5, "1")
+        units = header[UNIT_CODES_SLICE].ljust(5, "1")
         for digit, units_of, what in (
             (units[0], SDR_ANGLE_FACTORS, "angles"),
             (units[1], SDR_LENGTH_FACTORS, "distances"),
@@ -89,18 +89,18 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     lines = read_lines(path, replaces_undecodable=True)
     dialect = _Dialect.from_header(lines[0], SourceLocation(path, 1))
     height, is_from_horizon, skipped = NOT_MEASURED, False, 0
-    shortest = min((len(line.rstrip()) for line in lines[:-1] if line[:4] in OBSERVATION_RECORDS), default=0)
-    if lines[-1][:4] in OBSERVATION_RECORDS and len(lines[-1].rstrip()) < shortest:
+    shortest = min((len(line.rstrip()) for line in lines[:-1] if line[:4] in OBSERVATION_RECORD_PREFIXES), default=0)
+    if lines[-1][:4] in OBSERVATION_RECORD_PREFIXES and len(lines[-1].rstrip()) < shortest:
         raise SourceLocation(path, len(lines)).error("the last line has no line break and is incomplete")
     for i, line in enumerate(lines[1:], start=2):
         where, kind = SourceLocation(path, i), line[:2]
         if kind == "01":
-            is_from_horizon = line[VERTICAL_ZERO_COLUMN : VERTICAL_ZERO_COLUMN + 1] == "2"
+            is_from_horizon = line[VERTICAL_ZERO_CODE_POSITION : VERTICAL_ZERO_CODE_POSITION + 1] == "2"
         elif kind == "02":
             _read_setup(line, dialect, book, where)
         elif kind == "03":
             height = _parse_number(line[4:].split()[0] if line[4:].split() else "", where) * dialect.length_factor
-        elif line[:4] in OBSERVATION_RECORDS:
+        elif line[:4] in OBSERVATION_RECORD_PREFIXES:
             _read_observation(line, dialect, book, where, height=height, is_from_horizon=is_from_horizon)
         elif kind == "09":
             skipped += 1
@@ -140,7 +140,7 @@ def _read_observation(
     (station, target), cells = dialect.fields(line, 2, 3)
     if field_book.station and station != field_book.setups[field_book.station][0]:
         raise location.error(
-            f"the record names the station '{quoted_text(station)}', expected that of the last record 02"
+            f"the record names the station '{quoted_text(station)}', expected the station of the last record 02"
         )
     distance, vertical, horizontal = (_parse_number(cell, location) for cell in cells)
     vertical *= dialect.angle_factor

@@ -36,23 +36,23 @@ MAX_SAME_POINT_DISTANCE = 2e-3
 """Distance [m] below which points with the same name in two groups count as the same target."""
 SPATIALANALYZER_COLUMN_MAP = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
 """Roles of the columns in the table of a set-up, in the notation of the option --columns."""
-PERMITTED_UNITS = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
+PERMITTED_UNITS_BY_COLUMN = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
 """Permitted units of each column that the table of a set-up must have; None for a column without unit."""
-RETAINED_COLUMNS = (*PERMITTED_UNITS, "datetime", "offset1", "offset2")
+RETAINED_COLUMNS = (*PERMITTED_UNITS_BY_COLUMN, "datetime", "offset1", "offset2")
 """Columns in the table of a set-up that are read; others are ignored."""
 _HEADING_PATTERN = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.MULTILINE)
 """Pattern of the heading of a table of observations."""
 
 
 @dataclass
-class _Block:
+class _SetupSection:
     """Section of a report on one set-up: collection, number and model of its instrument, pose, observations."""
 
     collection: str
     number: str
     model: str
     n_declared_observations: int | None = None
-    """Number of observations that the section announces; None if it does not."""
+    """Number of observations that the section declares; None if it declares none."""
     position: Floats | None = None
     """Position (3,) [m] of the instrument."""
     rotation: Floats | None = None
@@ -85,7 +85,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
     Raises RecordError for a malformed or truncated report, or for a convention that the data do not decide.
     """
-    blocks = [block for block in _read_blocks(path) if block.rows]
+    blocks = [block for block in _read_setup_sections(path) if block.rows]
     if not blocks:
         raise RecordError("contains no block of observations", file=path)
     names = _station_names(blocks)
@@ -99,7 +99,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     hints = replace(hints, columns=SPATIALANALYZER_COLUMN_MAP, date=hints.date or "dmy")
     table = read_pointing_table(
         [
-            _sheet_of_block(*block_parts, path)
+            _table_sheet_of_section(*block_parts, path)
             for block_parts in zip(blocks, names, active_rows, strict=True)
             if block_parts[2]
         ],
@@ -136,22 +136,24 @@ def _read_cells(path: Path) -> Iterator[SheetRow]:
             if any(f.strip() for f in fields):
                 yield SheetRow(reader.line_num, tuple(f.strip() for f in fields))
     except csv.Error as problem:
-        raise SourceLocation(path, reader.line_num).error(f"is not a table here ({problem})") from None
+        raise SourceLocation(path, reader.line_num).error(
+            f"the table cannot be read on from this line ({problem})"
+        ) from None
 
 
-def _read_blocks(path: Path) -> list[_Block]:
+def _read_setup_sections(path: Path) -> list[_SetupSection]:
     """Sections of the set-ups in a report, in order; parts of a section on several pages are joined.
 
     Raises RecordError.
     """
-    blocks: dict[tuple[str, str], _Block] = {}
-    block_of_row: _Block | None = None
+    blocks: dict[tuple[str, str], _SetupSection] = {}
+    block_of_row: _SetupSection | None = None
     section = ""
     for row in _read_cells(path):
         where, first = SourceLocation(path, row.line), row.fields[0].split("\n")[0]
         if first in ("Transform", "Observations"):
             section, heading = first, _parse_heading(row.fields[0], where)
-            block_of_row = blocks.setdefault(heading[:2], _Block(*heading))
+            block_of_row = blocks.setdefault(heading[:2], _SetupSection(*heading))
         elif block_of_row is not None and section == "Transform":
             _read_pose(block_of_row, row.fields, where)
         elif block_of_row is not None and first == "Collection":
@@ -162,8 +164,8 @@ def _read_blocks(path: Path) -> list[_Block]:
             block_of_row.rows.append(row)
     for block in blocks.values():
         if block.rows and block.n_declared_observations not in (None, len(block.rows) - 1):
-            held = f"{block.n_declared_observations} observations and holds {len(block.rows) - 1}"
-            message = f"set-up {quoted_text(block.number)} announces {held}: the report is incomplete or was edited"
+            held = f"{block.n_declared_observations} observations but contains {len(block.rows) - 1}"
+            message = f"set-up {quoted_text(block.number)} declares {held}: the report is incomplete or was edited"
             raise RecordError(message, file=path)
     return list(blocks.values())
 
@@ -176,7 +178,7 @@ def _parse_heading(cell: str, location: SourceLocation) -> tuple[str, str, str]:
     return match[1] or "", match[2], (match[3] or "").replace("/", "-").strip()
 
 
-def _read_pose(block: _Block, fields: Sequence[str], location: SourceLocation) -> None:
+def _read_pose(block: _SetupSection, fields: Sequence[str], location: SourceLocation) -> None:
     if fields[0] == "# Meas." and len(fields) > 1:
         block.n_declared_observations = int(location.number(fields[1], "# Meas.", allows_decimal_comma=True))
     if fields[0].startswith("(") and len(fields) > 3:
@@ -193,7 +195,7 @@ def _read_pose(block: _Block, fields: Sequence[str], location: SourceLocation) -
 def _check_heading(fields: Sequence[str], location: SourceLocation) -> None:
     """Check that the heading of a table has each required column once, in a permitted unit; raises RecordError."""
     titles_and_units = [title_words_and_unit(field) for field in fields]
-    for required_title, permitted in PERMITTED_UNITS.items():
+    for required_title, permitted in PERMITTED_UNITS_BY_COLUMN.items():
         units = [unit for word, unit in titles_and_units if word == required_title]
         if len(units) != 1:
             message = f"the heading has {len(units)} columns called {required_title.capitalize()}, expected one"
@@ -205,7 +207,7 @@ def _check_heading(fields: Sequence[str], location: SourceLocation) -> None:
             raise location.error(message, required_title.capitalize())
 
 
-def _sheet_of_block(block: _Block, name: str, sheet_rows: list[SheetRow], file: Path) -> TableSheet:
+def _table_sheet_of_section(block: _SetupSection, name: str, sheet_rows: list[SheetRow], file: Path) -> TableSheet:
     """Table of `sheet_rows` of the set-up `name`, with only the columns in `RETAINED_COLUMNS`.
 
     The titles of columns with offsets of reflectors are changed so that they end with the unit.
@@ -219,7 +221,7 @@ def _sheet_of_block(block: _Block, name: str, sheet_rows: list[SheetRow], file: 
     return TableSheet(file, (SheetRow(block.rows[0].line, tuple(titles.values())), *body), name)
 
 
-def _station_names(blocks: Sequence[_Block]) -> list[str]:
+def _station_names(blocks: Sequence[_SetupSection]) -> list[str]:
     """Name of the station of each section: ``Instrument_0`` if instrument numbers are unique, or ``COLLECTION::0``."""
     block_numbers = [block.number for block in blocks]
     if len(set(block_numbers)) == len(block_numbers):
@@ -232,8 +234,8 @@ def _prefix_ambiguous_points(
 ) -> list[str]:
     """Addition, in place, of the group to target names that stand for several points; the result is a list of notes.
 
-    `group_names` and `readings` (n, 3) [m, rad, rad] are the group and the range, azimuth and elevation of each
-    pointing; `poses` are those of the stations by name.
+    `group_names` and `readings` (n, 3) [m, rad, rad] are the group and the range, azimuth and elevation of each of n
+    pointings; `poses` are those of the stations by name.
     """
     sightings: dict[str, dict[str, list[tuple[str, Floats]]]] = {}
     printed = table.pointings
@@ -284,7 +286,7 @@ def _new_names_by_group(name: str, groups: dict[str, list[tuple[str, Floats]]]) 
     }
 
 
-def _setup(blocks: Sequence[_Block], names: Sequence[str], file: Path) -> Setup:
+def _setup(blocks: Sequence[_SetupSection], names: Sequence[str], file: Path) -> Setup:
     """Set-up with the poses in the report as rough poses, and one instrument for each model."""
     stations = {}
     for name, block in zip(names, blocks, strict=True):

@@ -18,8 +18,8 @@ STATION_WORDS_BEFORE_SIGN = frozenset(("from", "fromstn", "fromstation", "frompo
 MAX_HEIGHT_TITLE_WORDS = 4
 """Largest number of words before a height that are tested as its title."""
 _WORDS_AND_VALUE_PATTERN = re.compile(r"#?+\s*+([^:=]{1,60}?)\s*+[:=]\s*+(\S.*+)")
-"""Pattern of words and a value, separated by a colon or an equals sign. In this and the other patterns of a line no two
-repetitions divide a run of blanks between them, which would take a time that grows with the square of its length.
+"""Pattern of words and a value, separated by a colon or an equals sign. In the patterns of this module each run of
+blanks matches a single repetition: with two, the time would grow with the square of the number of blanks.
 """
 _WORD_PATTERN = re.compile(r"#?+\s*+([^\W\d_]++)(?:\s*+[:=;,]|(?=\s))\s*+(\S.*+)")
 """Pattern of a line with a single word and a value, such as ``Station S1``."""

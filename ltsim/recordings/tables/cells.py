@@ -23,7 +23,7 @@ FACE_BY_WORD = {word: face for face, words in enumerate(FACE_WORDS, start=1) for
 MISSING_VALUE_TEXTS = frozenset(("-", "--", "---", "----", "-----", "\u2013", "\u2014", "n/a", "N/A", "#N/A"))
 """Texts that programs write in cells without a value."""
 ValueType = TypeVar("ValueType")
-DAY = timedelta(days=1)
+DAY_DURATION = timedelta(days=1)
 """Time span of a day."""
 MAX_VALUE_LENGTH = 60
 """Number of characters above which a cell is not tested as a number or an angle."""
@@ -59,9 +59,9 @@ _NUMBER_WITH_UNIT_PATTERN = re.compile(
     rf"([+-]?\d[\d.,]*)\s*({'|'.join(sorted(UNIT_BY_SYMBOL, key=len, reverse=True))})", re.IGNORECASE
 )
 """Pattern of a number followed by one of `UNIT_BY_SYMBOL`."""
-_PACKED_PATTERN = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
+_PACKED_DEGREES_PATTERN = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
 """Pattern of degrees whose decimals are minutes and seconds."""
-_DIGIT_CHARACTERS = re.compile(r"[0-9.+eE-]*")
+_NUMBER_CHARACTERS_PATTERN = re.compile(r"[0-9.+eE-]*")
 """Pattern of texts with only the characters of decimal numbers."""
 _CLOCK_PATTERN = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
 """Pattern of a time of day with colons, of 24 or 12 hours: ``8:00:20.5``, ``8:00 pm``."""
@@ -100,7 +100,7 @@ _DATE_PATTERN = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})")
 """Pattern of a date of three numbers with equal separators."""
 
 
-def python_number(text: str) -> str:
+def python_number_text(text: str) -> str:
     """Text of a number in Python's notation, from text with a decimal comma or point and possibly a degree sign."""
     text = text.strip().removesuffix("°").replace("\u2212", "-").replace("\u00a0", "").strip()
     comma, point = text.rfind(","), text.rfind(".")
@@ -110,10 +110,11 @@ def python_number(text: str) -> str:
     return text.replace(group_separator, "").replace(",", ".") if point >= 0 else text.replace(",", ".", 1)
 
 
-_GROUPED_PATTERN = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:\{mark}\d{{3}})+", re.ASCII) for mark in ".,"}
+_GROUPED_PATTERN_BY_MARK = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:\{mark}\d{{3}})+", re.ASCII) for mark in ".,"}
 """Pattern of a number with groups of three digits, by the mark (point or comma) between the groups."""
-_COMMA_AND_POINT_PATTERN = {
-    mark: re.compile(_GROUPED_PATTERN[mark].pattern + rf"[{other}]\d+", re.ASCII) for mark, other in (".,", ",.")
+_COMMA_AND_POINT_PATTERN_BY_MARK = {
+    mark: re.compile(_GROUPED_PATTERN_BY_MARK[mark].pattern + rf"[{other}]\d+", re.ASCII)
+    for mark, other in (".,", ",.")
 }
 """Pattern of a number with comma and point, by the mark that separates its groups of three digits."""
 
@@ -126,7 +127,10 @@ def thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object) -> st
     """
     mixed_cells = (cell for row in sheet_rows for cell in row if "," in cell and "." in cell)
     cell_by_separator = {
-        mark: cell for cell in mixed_cells for mark, form in _COMMA_AND_POINT_PATTERN.items() if form.fullmatch(cell)
+        mark: cell
+        for cell in mixed_cells
+        for mark, form in _COMMA_AND_POINT_PATTERN_BY_MARK.items()
+        if form.fullmatch(cell)
     }
     if len(cell_by_separator) > 1:
         raise RecordError(
@@ -140,7 +144,7 @@ def is_value(text: str) -> bool:
     """True if a cell is a number or an angle in degrees, minutes and seconds."""
     return len(text) <= MAX_VALUE_LENGTH and (
         is_number(text)
-        or is_number(python_number(text))
+        or is_number(python_number_text(text))
         or _parse_sexagesimal(text) is not None
         or split_unit_symbol(text) is not None
     )
@@ -174,7 +178,7 @@ def split_common_unit(texts: Sequence[str]) -> tuple[Sequence[str], str]:
 
 def is_sexagesimal(text: str) -> bool:
     """True if a cell is an angle in degrees, minutes and seconds, not a plain number."""
-    return not is_number(python_number(text)) and _parse_sexagesimal(text) is not None
+    return not is_number(python_number_text(text)) and _parse_sexagesimal(text) is not None
 
 
 def parse_number(text: str, group_separator: str = "") -> Decimal | None:
@@ -185,9 +189,9 @@ def parse_number(text: str, group_separator: str = "") -> Decimal | None:
     text = text.strip()
     if len(text) > MAX_VALUE_LENGTH:
         return None
-    digits = python_number(
+    digits = python_number_text(
         text.replace(group_separator, "")
-        if group_separator and _GROUPED_PATTERN[group_separator].fullmatch(text)
+        if group_separator and _GROUPED_PATTERN_BY_MARK[group_separator].fullmatch(text)
         else text
     )
     return Decimal(digits) if is_number(digits) else None
@@ -196,7 +200,7 @@ def parse_number(text: str, group_separator: str = "") -> Decimal | None:
 def plain_numbers(texts: Sequence[str]) -> Floats | None:
     """Floating-point numbers (n,) of n cells, NaN for an empty one; None if a cell is no decimal number in ASCII."""
     joined_text = "".join(texts)
-    if max(map(len, texts), default=0) > MAX_NUMBER_LENGTH or not _DIGIT_CHARACTERS.fullmatch(joined_text):
+    if max(map(len, texts), default=0) > MAX_NUMBER_LENGTH or not _NUMBER_CHARACTERS_PATTERN.fullmatch(joined_text):
         return None
     if "e" in joined_text.lower() and not all(map(NUMBER_PATTERN.fullmatch, filter(None, texts))):
         return None
@@ -228,7 +232,7 @@ def parse_packed_degrees(text: str) -> Decimal | None:
 
     Degrees, minutes and seconds with symbols are read too. None for any other cell.
     """
-    match = _PACKED_PATTERN.fullmatch(text.strip()) if len(text) <= MAX_VALUE_LENGTH else None
+    match = _PACKED_DEGREES_PATTERN.fullmatch(text.strip()) if len(text) <= MAX_VALUE_LENGTH else None
     if match is None:
         return _parse_sexagesimal(text)
     sign, degrees, rest = match.groups(default="")
@@ -324,8 +328,8 @@ def _unwrap_midnight(clocks: list[timedelta]) -> list[timedelta]:
     """Times since the first midnight, from times of day in order: each decrease by more than half a day adds a day."""
     days, last, unwrapped = timedelta(0), clocks[0], []
     for clock in clocks:
-        if last - clock > DAY / 2:
-            days += DAY
+        if last - clock > DAY_DURATION / 2:
+            days += DAY_DURATION
         last = clock
         unwrapped.append(clock + days)
     return unwrapped

@@ -72,9 +72,8 @@ def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str
         return [float(number) * factor for number in times if number is not None], "", []
     seconds, start = cells.parse_times(texts, hints.date)
     if seconds is None and start:
-        message = (
-            f"'{quoted_text(texts[0])}' may be day and month or month and day; give --hint date=dmy or --hint date=mdy"
-        )
+        question = f"the date '{quoted_text(texts[0])}' may begin with the day or with the month"
+        message = f"{question}; give --hint date=dmy or --hint date=mdy"
         raise table.pointings.source_location(0).error(message, quoted_text(column.title))
     if seconds is None:
         reason = f"column '{quoted_text(column.title)}' contains no readable time ('{quoted_text(texts[0])}')"

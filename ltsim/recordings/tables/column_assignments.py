@@ -13,7 +13,7 @@ from ltsim.recordings.tables.header import (
     TableColumn,
     header_columns,
     reading_kind,
-    split_unit,
+    split_title_and_unit,
 )
 from ltsim.recordings.tables.title_words import TITLE_WORDS
 
@@ -62,7 +62,7 @@ def parse_assignments(assignments: str, file: object = None) -> list[tuple[str, 
                 f"{', '.join(MAPPABLE_ROLES)}"
             )
             raise RecordError(message, file=file)
-        name, unit = split_unit(title.strip())
+        name, unit = split_title_and_unit(title.strip())
         if unit and unit not in UNITS_BY_ROLE.get(stem, ()):
             units = ", ".join(UNITS_BY_ROLE.get(stem, ("none",)))
             raise RecordError(
@@ -89,7 +89,7 @@ def _title_position(fields: Sequence[str], title: str) -> int | None:
 
     The title may be given without its unit, or as the number of the column, from 1.
     """
-    for fold in (str.strip, lambda text: split_unit(text)[0].casefold()):
+    for fold in (str.strip, lambda text: split_title_and_unit(text)[0].casefold()):
         folded_title = fold(title)
         for position, field in enumerate(fields):
             if fold(field) == folded_title:

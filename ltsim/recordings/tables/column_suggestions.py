@@ -17,7 +17,7 @@ from ltsim.recordings.tables.header import (
     unknown_unit_sentence,
 )
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
-from ltsim.recordings.transcription_errors import MAX_CIRCLE_RADIANS, MIN_DISTANCE_MM
+from ltsim.recordings.transcription_errors import MAX_CIRCLE_RADIANS, MIN_LONGEST_DISTANCE_MM
 
 MAX_SAMPLE_ROWS = 400
 """Largest number of rows from which roles of columns are suggested."""
@@ -25,7 +25,7 @@ MAX_TRIED_ASSIGNMENTS = 20
 """Largest number of suggested values of ``--columns`` that are tested on the whole sheet, the most likely first."""
 MAX_SAMPLE_CELLS = 100_000
 """Largest number of cells, in the first rows of a table, from which roles of columns are suggested."""
-MAX_LENGTH_IN_METRES = MIN_DISTANCE_MM
+MAX_LENGTH_IN_METRES = MIN_LONGEST_DISTANCE_MM
 """Number below which the largest distance or coordinate suggests metres as its unit, and otherwise millimetres."""
 CellsByColumn = Sequence[tuple[str, ...]]
 """Cells of a table, column by column."""
@@ -41,8 +41,8 @@ def unrecognised_header_sentence(sheet: TableSheet, is_readable_with: Callable[[
     `is_readable_with` returns True for a value of ``--columns`` with which the sheet can be read.
     """
     sample = sample_rows(sheet)
-    header_row = next((row for row in sample if len(row.fields) > 2 and not row.n_values), None)
-    data_rows = [row.fields for row in sample if row.n_values > 1]
+    header_row = next((row for row in sample if len(row.fields) > 2 and not row.n_numeric_fields), None)
+    data_rows = [row.fields for row in sample if row.n_numeric_fields > 1]
     if not data_rows:
         return "contains no row with two or more numbers, and therefore no pointing"
     if header_row is not None and (unit_fault := unknown_unit_sentence(header_row.fields)):
@@ -55,11 +55,11 @@ def unrecognised_header_sentence(sheet: TableSheet, is_readable_with: Callable[[
     assignments = _likely_assignments(titles, [row for row in data_rows if len(row) == n_columns][:MAX_SAMPLE_ROWS])
     advice = next(filter(is_readable_with, assignments[:MAX_TRIED_ASSIGNMENTS]), None)
     if advice is not None:
-        sentence = f'{header} does not define its columns; define them, for instance --columns "{advice}"'
+        sentence = f'{header} does not say what its columns contain; define them, for instance --columns "{advice}"'
         is_ambiguous = not has_header and advice != assignments[-1] and is_readable_with(assignments[-1])
         return f'{sentence}, or --columns "{assignments[-1]}"' if is_ambiguous else sentence
     reason = "no three columns look like two angles and a distance, or like coordinates"
-    return f"{header} does not define its columns, and {reason}; define them if they are: {COLUMNS_TEMPLATE}"
+    return f"{header} does not say what its columns contain, and {reason}; define them if they are: {COLUMNS_TEMPLATE}"
 
 
 def _column_reference(position: int, titles: Sequence[str]) -> str:

@@ -14,8 +14,8 @@ from ltsim.recordings.tables.title_words import (
     EAST_ASIAN_LETTERS,
     FOREIGN_TITLE_WORDS,
     NUMBER_TITLE_ENDINGS,
-    STATION_TITLE_PLACES,
-    STATION_TITLE_PREFIXES,
+    STATION_TITLE_FIRST_WORDS,
+    STATION_TITLE_LAST_WORDS,
     TITLE_WORDS,
 )
 
@@ -40,7 +40,7 @@ SIGMA_ROLES = {
 """Role of the column with the standard deviation of a reading or coordinate, by the role of the column of the reading
 or coordinate."""
 ROLE_BY_TITLE = {
-    **{instrument + place: "station" for instrument in STATION_TITLE_PREFIXES for place in STATION_TITLE_PLACES},
+    **{instrument + place: "station" for instrument in STATION_TITLE_FIRST_WORDS for place in STATION_TITLE_LAST_WORDS},
     **{
         word: role
         for words in (TITLE_WORDS, *FOREIGN_TITLE_WORDS.values())
@@ -76,9 +76,9 @@ FALLBACK_TITLE_ROLES = {"target": "", "station": "instrument_setup"}
 example, in a table with a column of stations, a column of set-up numbers counts the occupations."""
 MAX_TITLE_LENGTH = 80
 """Number of characters above which a cell is not tested as a title."""
-_BRACKET_PATTERN = re.compile(r"(.*?)\s*[\[({（【]\s*([^\])}）】]*?)\s*[\])}）】]?\s*")
+_UNIT_IN_BRACKETS_PATTERN = re.compile(r"(.*?)\s*[\[({（【]\s*([^\])}）】]*?)\s*[\])}）】]?\s*")
 """Pattern of a title with its unit in brackets."""
-_OTHER_SIGNS_PATTERN = re.compile(f"[^a-z0-9{EAST_ASIAN_LETTERS}]")
+_REMOVED_CHARACTERS_PATTERN = re.compile(f"[^a-z0-9{EAST_ASIAN_LETTERS}]")
 """Pattern of the characters that `normalised_title` removes from a title."""
 _FACE_NUMBER_PATTERN = re.compile(r"(.*?)[\s._-]*(?:(?:face|lage|f|l)[\s._-]*)?(1|2|ii|i)", re.IGNORECASE)
 """Pattern of a title that ends with the number of a face."""
@@ -102,9 +102,9 @@ _ANGLE_PART_PATTERNS = tuple(
     )
 )
 """Patterns of titles of columns with degrees, minutes and seconds of an angle."""
-_VALUE_PATTERN = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
+_VALUE_ENDING_PATTERN = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
 """Pattern of a title that ends with a word for a measured value."""
-_NUMBER_PATTERN = re.compile(rf"([a-z0-9]+?)(?:{'|'.join(NUMBER_TITLE_ENDINGS)})")
+_NUMBER_ENDING_PATTERN = re.compile(rf"([a-z0-9]+?)(?:{'|'.join(NUMBER_TITLE_ENDINGS)})")
 """Pattern of a title that ends with a word for a number or a name."""
 NUMBERED_ROLES = ("station", "round")
 """Roles of columns whose titles may end with a word for number or name, as in "station no". Titles of targets and
@@ -123,14 +123,14 @@ class TableColumn:
     role: str = ""
     unit: str = ""
     face: int = 0
-    part_positions: tuple[int, ...] = ()
+    angle_part_positions: tuple[int, ...] = ()
     """Positions of the columns with the minutes and seconds of an angle whose degrees are in this column."""
 
     def texts(self, table: Sequence[Sequence[str]]) -> Sequence[str]:
         """Cells of this column, joined with those of minutes and seconds; `table` has the cells of each column."""
-        if not self.part_positions:
+        if not self.angle_part_positions:
             return table[self.position]
-        cell_rows = zip(*(table[place] for place in (self.position, *self.part_positions)), strict=True)
+        cell_rows = zip(*(table[place] for place in (self.position, *self.angle_part_positions)), strict=True)
         return [
             " ".join(cell + sign for cell, sign in zip(row, ANGLE_SYMBOLS, strict=False) if cell) for row in cell_rows
         ]
@@ -231,7 +231,7 @@ def _join_angle_parts(columns: list[TableColumn]) -> list[TableColumn]:
         if not places and degrees_match is not None:
             places = _angle_parts_with_stem(columns, stem)
         if places:
-            joined_columns[place] = TableColumn(place, column.title, role, "deg", part_positions=places)
+            joined_columns[place] = TableColumn(place, column.title, role, "deg", angle_part_positions=places)
             for other in places:
                 joined_columns[other] = TableColumn(other, columns[other].title, ANGLE_PART_ROLE)
     return joined_columns
@@ -327,7 +327,7 @@ def title_words_and_unit(title: str) -> tuple[str, str]:
     """Title without unit, in the form of `normalised_title`, and its unit ('' if it has none)."""
     if len(title) > MAX_TITLE_LENGTH:
         return "", ""
-    name, unit = split_unit(title)
+    name, unit = split_title_and_unit(title)
     if not unit:
         parts = re.split(r"[\s_]+", title.strip())
         if len(parts) > 1 and parts[-1].lower() in UNITS_BY_SPELLING and title_role("".join(parts[:-1])):
@@ -336,14 +336,14 @@ def title_words_and_unit(title: str) -> tuple[str, str]:
 
 
 def title_role(name: str) -> str:
-    """Role of a title without unit; '' if it has none. `haerror` has that of standard deviations of directions."""
+    """Role of a title without unit, such as `sigma_azimuth_arcsec` for `haerror`; '' if the title has no role."""
     name = normalised_title(name)
     if name in ROLE_BY_TITLE:
         return ROLE_BY_TITLE[name]
-    value_match = _VALUE_PATTERN.fullmatch(name)
+    value_match = _VALUE_ENDING_PATTERN.fullmatch(name)
     if value_match is not None and value_match[1] in ROLE_BY_TITLE:
         return ROLE_BY_TITLE[value_match[1]]
-    number_match = _NUMBER_PATTERN.fullmatch(name)
+    number_match = _NUMBER_ENDING_PATTERN.fullmatch(name)
     if number_match is not None and ROLE_BY_TITLE.get(number_match[1]) in NUMBERED_ROLES:
         return ROLE_BY_TITLE[number_match[1]]
     stems = [match[1] for form in _SIGMA_TITLE_PATTERN if (match := form.fullmatch(name))]
@@ -353,7 +353,7 @@ def title_role(name: str) -> str:
 def normalised_title(text: str) -> str:
     """Title reduced to its Latin or East Asian letters and its digits, in lower case and without accents."""
     letters = re.sub("[\u0300-\u036f]", "", unicodedata.normalize("NFKD", text.casefold()))
-    return _OTHER_SIGNS_PATTERN.sub("", unicodedata.normalize("NFC", letters))
+    return _REMOVED_CHARACTERS_PATTERN.sub("", unicodedata.normalize("NFC", letters))
 
 
 def _column_from_title(position: int, title: str, *, has_face: bool = True) -> TableColumn:
@@ -372,9 +372,9 @@ def _column_from_title(position: int, title: str, *, has_face: bool = True) -> T
     return TableColumn(position, title, role, unit, face)
 
 
-def split_unit(text: str) -> tuple[str, str]:
+def split_title_and_unit(text: str) -> tuple[str, str]:
     """Title without the unit in brackets at its end, and this unit ('' if there is none)."""
-    bracket_match = _BRACKET_PATTERN.fullmatch(text)
+    bracket_match = _UNIT_IN_BRACKETS_PATTERN.fullmatch(text)
     if bracket_match is None or not bracket_match[1]:
         return text, ""
     return bracket_match[1], UNITS_BY_SPELLING.get(bracket_match[2].lower(), bracket_match[2])

@@ -53,13 +53,13 @@ from ltsim.recordings.tables.header import (
 )
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, apply_exactly, to_floats
 from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
-from ltsim.recordings.transcription_errors import MIN_DISTANCE_MM
+from ltsim.recordings.transcription_errors import MIN_LONGEST_DISTANCE_MM
 
 FULL_CIRCLE_DEG = 360
 """Full circle [deg]."""
 QUARTER_CIRCLE_DEG = 90
 """Quarter circle [deg]."""
-HEIGHT_RANGE_M = (0.2, 3.0)
+METRE_HEIGHT_RANGE = (0.2, 3.0)
 """Smallest and largest median of heights above survey marks, as numbers without unit, between which they show that the
 table is in metres."""
 PLAUSIBLE_HEIGHT_RANGES = (("m", 0.2, 5.0), ("mm", 100.0, 5000.0))
@@ -113,8 +113,8 @@ class ColumnInterpretation:
     def unit_of(self, role: str, column_values: Floats) -> str:
         """Unit of a column of standard deviations or heights that declares none: in general that of the readings.
 
-        `role` is that of the column, `column_values` (n,) are its numbers. Heights have millimetres or metres instead,
-        if the unit of the readings makes them implausible.
+        `role` is that of the column, `column_values` (n,) are its n numbers. Heights have millimetres or metres
+        instead, if the unit of the readings makes them implausible.
         """
         if role in HEIGHT_ROLES and self.length_unit in ("m", "mm"):
             sizes = np.abs(column_values[np.isfinite(column_values) & (column_values != 0)])
@@ -167,7 +167,7 @@ def _missing_readings_notes(table: PointingTable) -> list[str]:
         if columns and table.column(kind) is None:
             title, titles = columns[0].title, ", ".join(f"'{quoted_text(c.title)}'" for c in columns)
             notes.append(
-                f"no column is recognised as {name}, and the recording has none; if {titles} contains them, give "
+                f"no column is recognised as {name}, so the recording contains none; if {titles} contains them, give "
                 f'--columns "{kind[0]}={quoted_text(title)}"'
             )
     return notes
@@ -226,14 +226,14 @@ def _length_convention(
     if declared_unit or not np.isfinite(polar.distance).any():
         return declared_unit or hints.length or "mm", []
     longest = float(np.nanmax(polar.distance))
-    if hints.length is not None or not MIN_DISTANCE_MM <= longest < MAX_AMBIGUOUS_DISTANCE_MM:
+    if hints.length is not None or not MIN_LONGEST_DISTANCE_MM <= longest < MAX_AMBIGUOUS_DISTANCE_MM:
         return length_unit_from_size(polar.distance, hints)
     if table.column(("flat",)) is not None:
         return "m", ["distances are interpreted as m (horizontal distances are written in metres)"]
     column = next((c for c in table.columns if c.role in HEIGHT_ROLES and not c.unit), None)
     height_texts = table.pointings.additional_cells.get(column.title, []) if column is not None else []
     heights = [abs(float(height)) for height in map(cells.parse_value, height_texts) if height]
-    if column is not None and heights and HEIGHT_RANGE_M[0] < float(np.median(heights)) < HEIGHT_RANGE_M[1]:
+    if column is not None and heights and METRE_HEIGHT_RANGE[0] < float(np.median(heights)) < METRE_HEIGHT_RANGE[1]:
         return "m", [
             f"distances are interpreted as m ('{quoted_text(column.title)}' in the same table contains "
             "heights in metres)"

@@ -11,9 +11,9 @@ from ltsim.recordings.tables.header import HORIZONTAL_ROLES, VERTICAL_ROLES, Tab
 from ltsim.recordings.tables.pointing_table import Digits, PointingTable, to_digits
 
 MIN_PACKED_CELLS = 10
-"""Smallest number of distinct angles in a column that can count as packed, if the minutes and seconds in the decimals
-of all of them are below 60. Decimal degrees have such digits by chance with a probability of 36 %, ten of them with
-4e-5."""
+"""Smallest number of distinct angles in a column at which they count as packed (minutes and seconds in the decimals of
+degrees), if all minutes and seconds are below 60. This holds by chance for one angle in decimal degrees with a
+probability of 36 %, for ten of them with 4e-5."""
 MIN_PACKED_DIGITS = 4
 """Smallest number of decimals of a packed angle with minutes and seconds."""
 
@@ -22,7 +22,7 @@ N_SAMPLE_CELLS = 1000
 
 
 def with_unpacked_angles(table: PointingTable, hints: Hints) -> PointingTable:
-    """Table in which packed angles (see `MIN_PACKED_CELLS`) are converted to decimal degrees, in place.
+    """Table in which packed angles (``33.120747`` for 33° 12' 07.47") are converted to decimal degrees, in place.
 
     Angles count as packed if their columns declare no unit, and the decimals of all cells can be minutes and seconds.
     """
@@ -53,7 +53,7 @@ def _are_packed(digits: Digits) -> bool:
 
 
 def _decimal_degrees(digits: Digits) -> Digits:
-    """Decimal degrees (n,), as digits, of n packed angles; a missing angle stays empty."""
+    """Decimal degrees (n,), as digits, of n angles with minutes and seconds in their decimals; empty if missing."""
     return to_digits([str(cells.parse_packed_degrees(text)) if text else "" for text in digits.astype(str).tolist()])
 
 

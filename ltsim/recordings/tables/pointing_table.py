@@ -23,7 +23,7 @@ from ltsim.recordings.tables.header import COORDINATE_ROLES, READING_ROLES, Tabl
 Digits = NDArray[np.bytes_]
 """Array (n,) of n numbers as texts of decimal digits in ASCII; an empty text for a missing number."""
 ValueType = TypeVar("ValueType")
-MAX_EXACT_PRODUCT = 2**51
+MAX_EXACT_FLOAT_PRODUCT = 2**51
 """Magnitude below which a product of floating-point numbers is rounded to the correct integer; larger products are
 computed with Python's integers."""
 MAX_ANGLE_SUM = 720.0
@@ -77,7 +77,7 @@ def _scaled_integers(digits: Digits, n_decimals: int, multiplier: int, unit: int
     represents 1.0 after the scaling.
     """
     numbers = to_floats(digits)
-    if unit * multiplier * int(np.abs(numbers).max(initial=MAX_ANGLE_SUM)) < MAX_EXACT_PRODUCT:
+    if unit * multiplier * int(np.abs(numbers).max(initial=MAX_ANGLE_SUM)) < MAX_EXACT_FLOAT_PRODUCT:
         return np.rint(numbers * 10**n_decimals).astype(np.int64) * multiplier
     with localcontext(prec=MAX_PREC):
         integers = [int(number.scaleb(n_decimals)) * multiplier for number in to_decimals(digits) if number is not None]

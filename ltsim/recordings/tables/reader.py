@@ -20,7 +20,7 @@ from ltsim.recordings.recording import (
     SIGMA_COLUMNS,
     Recording,
 )
-from ltsim.recordings.resolution import FOOT_STEPS, LENGTH_STEPS, default_total_station, reading_step
+from ltsim.recordings.resolution import FOOT_DISPLAY_STEPS, LENGTH_DISPLAY_STEPS, default_total_station, reading_step
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import Instrument, Setup
 from ltsim.recordings.specification import NO_NOISE_NOTE
@@ -66,7 +66,7 @@ def recognises(path: Path, file_beginning: str) -> bool:
     headers = [columns for row in first_rows if (columns := parse_header(row, NO_HINTS))]
     if headers and has_named_coordinates(headers[0]) and not any(c.role == "station" for c in headers[0]):
         return False  # a list of coordinates, unless its station is named
-    n_measured_rows = sum(row.n_values > 1 and len(row.fields) > 2 for row in first_rows)
+    n_measured_rows = sum(row.n_numeric_fields > 1 and len(row.fields) > 2 for row in first_rows)
     return bool(headers) or (path.suffix.lower() in TABLE_SUFFIXES and 2 * n_measured_rows > len(first_rows))
 
 
@@ -127,8 +127,8 @@ def assemble_recording(
     if unapplied:
         height_notes = []
         covariates = {name: column for name, column in covariates.items() if name not in HEIGHT_COLUMNS}
-        sigma_mm = setup.heads_sigma_mm or HEAD_HEIGHT_SIGMA_MM
-        setup = setup.model_copy(update={"heads_sigma_mm": sigma_mm, "curved": True})
+        sigma_mm = setup.height_above_mark_sigma_mm or HEAD_HEIGHT_SIGMA_MM
+        setup = setup.model_copy(update={"height_above_mark_sigma_mm": sigma_mm, "curved": True})
         labels = _merged_labels(occupation_columns(table), labels)
     if time_notes and table.column(("date",)) is not None:  # a text where it is no clock
         labels["date"] = printed.date_and_time
@@ -237,7 +237,7 @@ def _additional_columns(
     return (
         covariates,
         labels,
-        [*units, *([f"further columns are read as covariates and labels: {names_text}"] if names_text else [])],
+        [*units, *([f"additional columns are read as covariates and labels: {names_text}"] if names_text else [])],
     )
 
 
@@ -282,7 +282,7 @@ def _covariate_values(
 def _unread_lines_notes(table: PointingTable) -> list[str]:
     notes = []
     if table.lacks_station_names:
-        assumption = "the table names no station: all its pointings are assumed from one station, S1"
+        assumption = "the table names no station: all its pointings are assigned to one station, S1"
         notes.append(f"{assumption} (give another name with --hint station=NAME)")
     if table.unread_lines:
         examples = "; ".join(table.unread_lines[:MAX_ROWS_IN_NOTE])
@@ -294,7 +294,7 @@ def _unread_lines_notes(table: PointingTable) -> list[str]:
 MAX_TRACKER_RANGE_M = 160.0
 """Range [m] above which a table is taken as one of a total station: data sheets of trackers give ranges of 80 to 160 m.
 """
-MIN_COARSE_DIGIT_M = 0.5e-4
+MIN_TOTAL_STATION_DIGIT_M = 0.5e-4
 """Smallest value [m] of the last digit of ranges at which a table is taken as one of a total station; trackers report
 micrometres."""
 MIN_DISPLAYED_DIGIT_M = 0.5e-9
@@ -325,9 +325,11 @@ def total_station_reason(table: PointingTable, interpretation: ColumnInterpretat
     if len(n_decimals) < MIN_RANGES_FOR_RESOLUTION:
         return ""
     digit = 10.0 ** -int(n_decimals.max()) * SI_PER_UNIT[interpretation.length_unit]
-    digit = max(digit, reading_step(ranges, FOOT_STEPS if digit > MIN_DISPLAYED_DIGIT_M else LENGTH_STEPS))
-    if digit > MIN_COARSE_DIGIT_M:
+    digit = max(
+        digit, reading_step(ranges, FOOT_DISPLAY_STEPS if digit > MIN_DISPLAYED_DIGIT_M else LENGTH_DISPLAY_STEPS)
+    )
+    if digit > MIN_TOTAL_STATION_DIGIT_M:
         return f"its ranges are written to {1e3 * digit:.2g} mm"
-    if table.column(("instrument_height_mm",)) is not None and digit > MIN_COARSE_DIGIT_M / 10:
+    if table.column(("instrument_height_mm",)) is not None and digit > MIN_TOTAL_STATION_DIGIT_M / 10:
         return f"its ranges are written to {1e3 * digit:.2g} mm, with heights over marks"
     return ""

@@ -65,7 +65,7 @@ def read_pointing_table(
             table = reader.read_positional() if start is None else reader.read(start)
             joined_table.add_sheet(table, sheet.file)
             parts.append(table.pointings)
-        elif len(sheets) == 1 or any(row.n_values > 2 for row in sheet.rows[:50]):
+        elif len(sheets) == 1 or any(row.n_numeric_fields > 2 for row in sheet.rows[:50]):
             raise RecordError(
                 unrecognised_header_sentence(sheet, partial(_is_readable_with_columns, sheet, hints)), file=sheet.file
             )
@@ -105,7 +105,7 @@ def find_header(sheet: TableSheet, hints: Hints) -> int | None:
         asked = parse_assignments(hints.columns, sheet.file)
         if all(title.isdigit() for *_, title, _ in asked):
             first = next((i for i, row in enumerate(sheet.rows) if not row.is_comment), 0)
-            return first if not sheet.rows[first].n_values else first - 1
+            return first if not sheet.rows[first].n_numeric_fields else first - 1
     return next((i for i, row in enumerate(sheet.rows) if parse_header(row, hints, sheet.file) is not None), None)
 
 
@@ -192,7 +192,9 @@ class _SheetReader:
         self._convert_rows()
         self.table.notes += _duplicate_role_warnings(self.columns)
         if self.n_unnamed:
-            self.table.notes.append(f"{self.n_unnamed} rows without a station belong to the station of the row above")
+            self.table.notes.append(
+                f"{self.n_unnamed} rows without a station are assigned to the station of the row above"
+            )
         self.table.pointings = join_pointings(self.parts) if self.parts else UnconvertedPointings()
         return self.table
 

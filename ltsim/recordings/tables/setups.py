@@ -39,22 +39,21 @@ height in fewer rows may be a mistake."""
 MIN_RECIPROCAL_LINES = 4
 """Smallest number of lines measured in both directions whose misclosures decide whether heights above survey marks are
 applied."""
-MAX_CLOSURE_RATIO = 0.5
-"""Limit of the misclosure of lines measured in both directions, computed without heights above survey marks and divided
-by that computed with them. Below it the heights are not applied, because correct heights would reduce the misclosure.
-"""
+MAX_MISCLOSURE_RATIO_WITHOUT_TO_WITH_HEIGHTS = 0.5
+"""Misclosure of lines measured in both directions, computed without heights above survey marks and divided by that
+computed with them, below which the heights are not applied: correct heights would reduce the misclosure."""
 MIN_CIRCLE_ROTATION = 1e-3
 """Median difference [rad] between the directions of two rounds to the same targets, above which the circle was rotated.
 """
 MIN_ROTATION_SIGMAS = 6.0
 """Median difference between the directions of two rounds to the same targets, in their standard deviations, above which
 the circle was rotated."""
-MAX_UNAPPLIED_CLOSURE_M = 0.2
+MAX_MISCLOSURE_WITHOUT_HEIGHTS_M = 0.2
 """Median misclosure [m] in height of lines measured in both directions, computed without heights above survey marks,
 above which these heights are applied (0.2 m: curvature of the earth over 1.3 km)."""
-MAX_CLOSURE_M = 0.02
-"""Median misclosure [m] of lines measured in both directions below which heads replace the targets on forced centring;
-above survey marks, the heights of heads and targets differ by decimetres.
+MAX_FORCED_CENTRING_MISCLOSURE_M = 0.02
+"""Median misclosure [m] of lines measured in both directions below which heads and reflectors are taken as exchanged
+on the same forced centring; set up separately above a survey mark, their heights differ by decimetres.
 """
 _TARGET_NAME_AFTER_STATION = re.compile(r"[\s._:/-]+(.+)")
 """Pattern of a separator and, as group 1, the name of a target after the name of its set-up ("P01" in "S1_P01")."""
@@ -329,7 +328,7 @@ def _reciprocal_lines_agree(table: PointingTable, readings: Floats) -> bool:
     length, rise = np.abs(np.array(closures)).T
     in_height = rise[np.isfinite(rise)]
     medians = [float(np.median(closure)) for closure in (length, in_height) if len(closure)]
-    return max(medians) < MAX_CLOSURE_M
+    return max(medians) < MAX_FORCED_CENTRING_MISCLOSURE_M
 
 
 def _marks_and_targets(table: PointingTable) -> Iterator[tuple[str, str]]:
@@ -371,16 +370,17 @@ def unapplied_heights_notes(table: PointingTable, readings: Floats, height: Floa
     ).reshape(-1, 2)
     if len(closures) < MIN_RECIPROCAL_LINES:
         return []
-    if np.median(closures[:, 0]) > MAX_UNAPPLIED_CLOSURE_M:
+    if np.median(closures[:, 0]) > MAX_MISCLOSURE_WITHOUT_HEIGHTS_M:
         return []
     for statistic in (np.median, np.max):
         closure_without, closure_with = statistic(closures, axis=0)
-        if not closure_without < MAX_CLOSURE_RATIO * closure_with:
+        if not closure_without < MAX_MISCLOSURE_RATIO_WITHOUT_TO_WITH_HEIGHTS * closure_with:
             return []
     names = " and ".join(f"'{quoted_text(c.title)}'" for c in table.columns if c.role in HEIGHT_ROLES)
     return [
         f"heights in {names} are not applied: {len(closures)} lines measured in both directions close within "
         f"{1e3 * closures[:, 0].max():.3g} mm without them, {1e3 * closures[:, 1].max():.4g} mm with them. "
         "The coordinates are those of heads and reflectors, not of the marks below them. The height of each head is an "
-        "observation with the standard deviation heads_sigma_mm. Plumb lines follow the curved earth (key curved)"
+        "observation with the standard deviation height_above_mark_sigma_mm. Plumb lines follow the curved earth (key "
+        "curved)"
     ]

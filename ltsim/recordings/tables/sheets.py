@@ -56,7 +56,7 @@ class SheetRow(NamedTuple):
     is_comment: bool = False
 
     @property
-    def n_values(self) -> int:
+    def n_numeric_fields(self) -> int:
         """Number of fields that contain a number or an angle."""
         return sum(map(is_value, self.fields))
 

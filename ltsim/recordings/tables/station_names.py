@@ -15,9 +15,9 @@ MAX_SPREADS_WITHIN_SETUP = (0.1, 0.02)
 """Median differences of the ranges [m] and of the elevations [rad] to one target, above which a table without station
 names has several set-ups. Reflectors, faces and drifts change readings by less, and set-ups at different positions by
 more (0.02 rad is 0.1 m at 5 m)."""
-MAX_SPREAD_RATIO = 0.01
+MAX_SPREAD_RATIO_OF_STATION_COLUMN = 0.01
 """Largest ratio at which a column counts as the column of set-up names: median difference of readings to one target
-among rows with the same text in the column, divided by the median difference among all rows."""
+among rows with the same text in the column, divided by that among all rows."""
 MIN_ROWS_PER_SETUP = 3
 """Smallest mean number of rows per distinct text of a column at which it can count as the column of set-up names."""
 
@@ -29,8 +29,9 @@ class UnnamedStationsError(RecordError):
 def require_station_names(table: PointingTable, readings: Floats, file: object) -> None:
     """Check that a table without station names is from one set-up: ranges and elevations of each target agree.
 
-    `readings` (n, 3) are ranges, azimuths and elevations [m, rad, rad]. If several set-ups measured them, raises
-    UnnamedStationsError, which names the column with the names of the set-ups, or RecordError without such a column.
+    `readings` (n, 3) are ranges, azimuths and elevations of n pointings [m, rad, rad]. If several set-ups measured
+    them, UnnamedStationsError is raised, which names the column with the names of the set-ups, or RecordError without
+    such a column.
     """
     if not table.lacks_station_names:
         return
@@ -46,7 +47,7 @@ def require_station_names(table: PointingTable, readings: Floats, file: object) 
             groups = indices_by_value(zip(of_value.tolist(), targets.tolist(), strict=True))[1]
             if (
                 1 < len(distinct) <= len(texts) / MIN_ROWS_PER_SETUP
-                and _median_spread(values, groups) < MAX_SPREAD_RATIO * spread
+                and _median_spread(values, groups) < MAX_SPREAD_RATIO_OF_STATION_COLUMN * spread
             ):
                 names.append((len(distinct), bool(title_words_and_unit(title)[1]), title))
         quantity = "distances" if unit == "m" else "elevations"
@@ -65,7 +66,7 @@ def require_station_names(table: PointingTable, readings: Floats, file: object) 
 def ambiguous_target_name_notes(table: PointingTable, readings: Floats) -> list[str]:
     """Note that names of targets stand for several points, if ranges from a set-up to most names differ; else empty.
 
-    `readings` (n, 3) are ranges, azimuths and elevations [m, rad, rad].
+    `readings` (n, 3) are ranges, azimuths and elevations of n pointings [m, rad, rad].
     """
     sights, groups = indices_by_value(zip(table.pointings.station, table.pointings.target, strict=True))
     spread = _median_spread(readings[:, 0], groups)

@@ -214,7 +214,7 @@ FOREIGN_TITLE_WORDS = {
     },
 }
 """Titles in other languages: by language, and then by the role of the column."""
-STATION_TITLE_PREFIXES = (
+STATION_TITLE_FIRST_WORDS = (
     "instrument",
     "instruments",
     "instrumenten",
@@ -226,7 +226,7 @@ STATION_TITLE_PREFIXES = (
     "geraete",
 )
 """First words of titles of stations such as "instrument position"."""
-STATION_TITLE_PLACES = (
+STATION_TITLE_LAST_WORDS = (
     "station",
     "stn",
     "stand",

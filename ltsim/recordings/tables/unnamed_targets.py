@@ -14,16 +14,16 @@ from ltsim.recordings.files import quoted_text
 from ltsim.recordings.tables.cells import is_value
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, indices_by_value
 
-MAX_SAME_PLACE_RATIO = 3e-4
+MAX_SAME_POSITION_DISTANCE_TO_RANGE = 3e-4
 """Largest distance between two measured points that count as the same position, divided by the largest range: 1 mm at 3
 m, more than the repeatability of a robot."""
 MIN_ROWS_FOR_POSITIONS = 3
 """Smallest number of rows, and of different positions, with one target name from which it counts as a moving target."""
-MAX_COINCIDENT_M = 1e-3
+MAX_COINCIDENT_DISTANCE_M = 1e-3
 """Largest distance [m] between targets that count as the same point: reflectors have diameters of 12.7 mm and more."""
 MIN_COINCIDENT_POSITIONS = 3
 """Smallest number of positions with several targets at which a note reports them."""
-MAX_COINCIDENT_NAMES = 4
+MAX_COINCIDENT_NAMES_IN_NOTE = 4
 """Largest number of names of targets at one position that a note lists."""
 UNNAMED_TARGET = "pose"
 """Name of all targets of a table without point names, until their positions are computed and numbered."""
@@ -47,7 +47,7 @@ def name_unnamed_targets(table: PointingTable, hints: Hints, file: object) -> Po
         raise UnnamedTargetsError(message, file=file)
     titles = [] if hints.station is not None else _possible_name_titles(table)
     if titles:
-        listed = listing([f"'{title}'" for title in titles], MAX_COINCIDENT_NAMES)
+        listed = listing([f"'{title}'" for title in titles], MAX_COINCIDENT_NAMES_IN_NOTE)
         message = (
             f'names no points, and {listed} may contain names; give --columns "target={titles[-1]}", or --hint '
             "station=NAME if one target moved and one set-up measured it"
@@ -72,7 +72,7 @@ def _possible_name_titles(table: PointingTable) -> list[str]:
 def name_targets_by_position(table: PointingTable, readings: Floats) -> PointingTable:
     """Table in which each position is a separate target, in place, if all rows have the same target name or none.
 
-    `readings` (n, 3) are raw ranges, azimuths and elevations [m, rad, rad] of both faces.
+    `readings` (n, 3) are raw ranges, azimuths and elevations [m, rad, rad] of n pointings on both faces.
     """
     names, stations = {*table.pointings.target}, {*table.pointings.station}
     if len(names) > 1:
@@ -99,10 +99,12 @@ def name_targets_by_position(table: PointingTable, readings: Floats) -> Pointing
 def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats) -> list[str]:
     """Note on targets with different names at the same position, as in lists that number each shot; empty without them.
 
-    `readings` (n, 3) are raw ranges, azimuths and elevations [m, rad, rad].
+    `readings` (n, 3) are raw ranges, azimuths and elevations of n pointings [m, rad, rad].
     """
     points = from_polar(readings)
-    tolerance = min(MAX_COINCIDENT_M, MAX_SAME_PLACE_RATIO * float(np.nanmax(readings[:, 0], initial=0.0)))
+    tolerance = min(
+        MAX_COINCIDENT_DISTANCE_M, MAX_SAME_POSITION_DISTANCE_TO_RANGE * float(np.nanmax(readings[:, 0], initial=0.0))
+    )
     targets, target = indices_by_value(pointings.target)
     sights = np.column_stack([indices_by_value(pointings.station)[1], target])
     complete = np.isfinite(points).all(axis=1)
@@ -115,7 +117,7 @@ def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats)
     if len(shared) < MIN_COINCIDENT_POSITIONS:
         return []
     examples = [targets[i] for i in sights[box == shared[0], 1].tolist()]
-    names = listing([f"'{quoted_text(name)}'" for name in examples], MAX_COINCIDENT_NAMES)
+    names = listing([f"'{quoted_text(name)}'" for name in examples], MAX_COINCIDENT_NAMES_IN_NOTE)
     return [
         f"separate targets have the same position at one set-up {len(shared)} times, such as {names}: if these are "
         "shots of one point, give them one name"
@@ -130,7 +132,7 @@ def _position_numbers(readings: Floats) -> Ints:
     ranges = readings[:, 0]
     longest = float(np.nanmax(ranges, initial=0.0)) or 1.0
     points = from_polar(np.stack([np.where(np.isnan(ranges), longest, ranges), *np.nan_to_num(readings[:, 1:]).T], 1))
-    scaled = points / (MAX_SAME_PLACE_RATIO * longest)
+    scaled = points / (MAX_SAME_POSITION_DISTANCE_TO_RANGE * longest)
     steps = list(product((0, -1, 1), repeat=scaled.shape[1]))
     first_positions: list[tuple[float, ...]] = []
     of_box: dict[tuple[int, ...], int] = {}  # no two places lie in one box of unit size

@@ -25,7 +25,7 @@ from ltsim.calibration.schema import (
 from ltsim.calibration.uncertainty import uncertainty_sentences
 from ltsim.core.errors import option_text
 from ltsim.core.notation import fixed_point_text, number_text
-from ltsim.core.probability import AGREEMENT_LEVEL, p_text, two_sided_p_value
+from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL, p_text, two_sided_p_value
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.recordings import Recording, Setup
 from ltsim.recordings.result_file import require_same_recording
@@ -297,7 +297,7 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     p_value = content.fit.p_value
     if (
         p_value is not None
-        and p_value < AGREEMENT_LEVEL / 2
+        and p_value < TWO_SIDED_GLOBAL_TEST_LEVEL / 2
         and not (content.noise_estimated or _agrees_with_constants(content) or _has_explaining_noise(content))
     ):
         actions.append("Run ltsim diagnose to locate the disagreement of readings and model.")

@@ -293,8 +293,8 @@ def test_settling_station_ends_where_its_parameters_say() -> None:
     values = np.array([10e-6, -5e-6, 30e-6])
     effect = StationSettling(("S1",), time_constant=300.0)
     change = effect.reading_change(SCENE, values)
-    row = int(np.argmin(np.abs(SCENE.station_time - 300.0) + 1e9 * (SCENE.station != 0)))
-    share = 1 - np.exp(-SCENE.station_time[row] / 300.0)
+    row = int(np.argmin(np.abs(SCENE.time_since_station_start - 300.0) + 1e9 * (SCENE.station != 0)))
+    share = 1 - np.exp(-SCENE.time_since_station_start[row] / 300.0)
     assert share == pytest.approx(0.632, abs=0.02)
     turned = matrix_from_rotation_vector(share * np.array([10e-6, -5e-6, 0.0])) @ SCENE.station_rotations[0]
     arm = SCENE.target_points[SCENE.target[row]] - SCENE.station_positions[0] - [0.0, 0.0, share * 30e-6]

@@ -76,7 +76,7 @@ def test_what_a_law_may_follow_is_closed_under_the_operators(sightings):
     rng = random_stream(3, "load")
     load = rng.uniform(0.0, 50.0, len(sightings))
     loaded = replace(sightings, covariates={"press_load_kn": load})
-    before = loaded.previous_pointings
+    before = loaded.previous_pointing_indices
     there = before >= 0
     followed = {f for kind in ("memory", "lag") for d in candidate_regressors(loaded)[kind] for f in d.covariates}
     for name in ("azimuth", "elevation", "distance", "press_load_kn"):
@@ -95,8 +95,10 @@ def test_what_a_law_may_follow_is_closed_under_the_operators(sightings):
 
 def test_amounts_are_those_of_the_target_measured_before(sightings):
     found = group_amounts_regressor("last-target", len(sightings.target_names)).columns(sightings)
-    rows = sightings.previous_pointings >= 0
-    np.testing.assert_array_equal(np.argmax(found[rows], axis=1), sightings.target[sightings.previous_pointings[rows]])
+    rows = sightings.previous_pointing_indices >= 0
+    np.testing.assert_array_equal(
+        np.argmax(found[rows], axis=1), sightings.target[sightings.previous_pointing_indices[rows]]
+    )
     assert not found[~rows].any()
 
 

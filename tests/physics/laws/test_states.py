@@ -25,7 +25,12 @@ from ltsim.physics.laws.states import (
     candidate_state_keys,
     state_column,
 )
-from ltsim.scene.regions import REGION_SHAPES, HallRegion, lever_weighted_region_paths, region_paths
+from ltsim.scene.regions import (
+    REGION_SHAPES,
+    HallRegion,
+    lever_weighted_path_lengths_in_regions,
+    path_lengths_in_regions,
+)
 from ltsim.scene.sightings import Sightings
 from tests.networks import network
 
@@ -110,8 +115,8 @@ def test_a_latch_holds_between_its_thresholds(sightings: Sightings) -> None:
         x = sightings.covariate_values[name]
         on = latch_regressor(name, above, below).columns(sightings)[:, 0] > 0.0
         assert on[x > above].all() and not on[x < below].any()
-        between = (x <= above) & (x >= below) & (sightings.previous_pointings >= 0)
-        np.testing.assert_array_equal(on[between], on[sightings.previous_pointings[between]])
+        between = (x <= above) & (x >= below) & (sightings.previous_pointing_indices >= 0)
+        np.testing.assert_array_equal(on[between], on[sightings.previous_pointing_indices[between]])
 
 
 def test_a_switch_is_on_from_one_edge_to_the_next(sightings: Sightings) -> None:
@@ -167,10 +172,10 @@ def test_the_lever_of_a_region_is_its_integral(sightings: Sightings, axes: str) 
     gap = places[:, :, at] - np.array(region.centre)
     w = np.exp(-0.5 * np.sum(gap**2, axis=2) / region.width**2)
     expected = np.trapezoid(w * (1.0 - s / length[:, None]), s, axis=1)
-    np.testing.assert_allclose(region.lever_weighted_paths(sightings), expected, rtol=1e-5, atol=1e-6)
-    path = region_paths(sightings, axes, np.array([region.centre]), region.width)
+    np.testing.assert_allclose(region.lever_weighted_path_lengths(sightings), expected, rtol=1e-5, atol=1e-6)
+    path = path_lengths_in_regions(sightings, axes, np.array([region.centre]), region.width)
     np.testing.assert_allclose(
-        lever_weighted_region_paths(sightings, axes, np.array([region.centre]), region.width, path)[0],
+        lever_weighted_path_lengths_in_regions(sightings, axes, np.array([region.centre]), region.width, path)[0],
         expected,
         rtol=1e-5,
         atol=1e-6,
