@@ -73,8 +73,10 @@ class AcceptancePlan:
         """
         first, second = self._test_end_points
         front = np.ones(len(first), dtype=np.int64)
-        points = from_polar(self.construction.readings(first, front, constants))
-        far_points = from_polar(self.construction.readings(second, np.where(self.is_length, 1, 2), constants))
+        points = from_polar(self.construction.readings_from_points(first, front, constants))
+        far_points = from_polar(
+            self.construction.readings_from_points(second, np.where(self.is_length, 1, 2), constants)
+        )
         errors = np.zeros((len(first), 2))
         errors[:, 0] = np.linalg.norm(far_points - points, axis=1) - np.linalg.norm(second - first, axis=1)
         errors[~self.is_length] = components_across_beam(points - far_points, first)[~self.is_length]
@@ -229,7 +231,11 @@ def point_errors_by_constant(construction: GeometricErrorModel, points: Floats, 
     """
     front = np.ones(len(points), dtype=np.int64)
     columns = [
-        (from_polar(construction.readings(points, front, s)) - from_polar(construction.readings(points, front, -s))) / 2
+        (
+            from_polar(construction.readings_from_points(points, front, s))
+            - from_polar(construction.readings_from_points(points, front, -s))
+        )
+        / 2
         for s in np.diag(prior_sigma)
     ]
     displacements = np.stack([c.ravel() for c in columns], axis=1)

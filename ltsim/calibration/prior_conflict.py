@@ -105,7 +105,7 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
             f"{name}: the readings give {with_sigma(p.value, p.sigma, p.unit)}, which contradicts "
             f"{references[k // size]} {p.prior_sigma:.3g} {p.unit}: the estimate follows the readings"
         )
-        if lengths and calibration.construction.parameters[k % size].prior_kind == "range_scale":
+        if lengths and calibration.construction.parameters[k % size].specified_quantity == "range_scale":
             sentences[-1] += " and the reference lengths: check their temperature and expansion coefficient"
     # The prior is an observation like any other: its residual has its variance less that of the estimate (Baarda).
     gain = np.where(calibration.is_fixed | freed, 0.0, 1.0 - (calibration.sigma / calibration.prior_sigma) ** 2).ravel()

@@ -58,7 +58,7 @@ def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
 
 def _line(effect: EffectDescription, name_width: int) -> str:
     """Line of the list: name, title, cause, and the package that provides an effect that is not built-in."""
-    origin = f" [{effect.external_origin}]" if effect.external_origin else ""
+    origin = f" [{effect.external_provider}]" if effect.external_provider else ""
     return f"  {effect.name:<{name_width}}  {effect.summary}{origin}"
 
 
@@ -78,7 +78,7 @@ def catalogue_entry_text(effect: EffectDescription, tables: list[Table]) -> str:
         "Stage": effect.stage,
         "Base rate": f"{effect.base_rate:g} (1 is occasional)",
         "Depends on": ", ".join(effect.covariates),
-        "Comes from": effect.external_origin,
+        "Comes from": effect.external_provider,
     }
     for name, text in sections.items():
         lines += textwrap.wrap(

@@ -49,7 +49,7 @@ class EffectDistribution:
     @property
     def is_nonnegative(self) -> Bools:
         """Mask of the parameters that are never negative, such as added variances."""
-        kinds = [p.is_positive or isinstance(self.effect, NoiseEffect) for p in self.effect.parameters]
+        kinds = [p.is_nonnegative or isinstance(self.effect, NoiseEffect) for p in self.effect.parameters]
         return np.array(kinds, dtype=bool)
 
 

@@ -19,7 +19,7 @@ from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect
-from ltsim.physics.effects.verbs import display_constants
+from ltsim.physics.effects.verbs import constants_in_display_units
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.simulation.simulator import with_certified_lengths
@@ -76,7 +76,7 @@ class InjectedEffect(Result):
     def to_json(self) -> dict[str, Any]:
         """Entry of the effect in a truth file of injections."""
         cause = self.effect
-        shape = display_constants(cause) if isinstance(cause, Effect) else {}
+        shape = constants_in_display_units(cause) if isinstance(cause, Effect) else {}
         return {
             "effect": cause.name, "words": self.request_text,
             "stations": list(cause.stations), "targets": list(cause.targets),
@@ -185,7 +185,7 @@ class Injector:
         done, instrument = effect.measured_sightings(sightings), self.adjusted_state.instrument_parameters
         errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
         construction = self.residual_space.adjustment.problem.model.construction
-        moved, plain = (construction.readings(s.local_points, s.face, errors) for s in (done, sightings))
+        moved, plain = (construction.readings_from_points(s.local_points, s.face, errors) for s in (done, sightings))
         change: Floats = effect.recorded_readings(sightings, readings + moved - plain) - readings
         return np.stack([change[:, 0], *wrap_angle(change[:, 1:]).T], axis=1)
 

@@ -56,7 +56,7 @@ def _tracker_error_distribution(
     errors = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
     for error in errors:
         with as_setup_error(f"{tracker_table_name(tracker_name)}.errors.{error}"):
-            construction.index(error)
+            construction.parameter_index(error)
     parameters = construction.parameters
     error_means = np.array([errors.get(p.name, 0.0) * p.si_per_display_unit for p in parameters])
     free = [instrument.draws and p.name not in errors for p in parameters]

@@ -8,8 +8,8 @@ from pydantic import AfterValidator, Field, StrictBool, model_validator
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS, TABLE_ANGLES
-from ltsim.physics.effects.verbs import SizedEffect, display_constants, make_effect
+from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_RANGE_ERRORS
+from ltsim.physics.effects.verbs import SizedEffect, constants_in_display_units, make_effect
 from ltsim.recordings.keys import Distinct
 from ltsim.recordings.setup import (
     MIN_SIGMA,
@@ -221,9 +221,9 @@ class Smr(TomlSection):
     """Name of the SMR for pointings whose station and target name no SMR."""
     incidence_error: bool = False
     """True for reflectors with the incidence error of `table_um`."""
-    table_um: Annotated[tuple[Finite, ...], Field(min_length=len(TABLE_ANGLES), max_length=len(TABLE_ANGLES))] = tuple(
-        round(x / MICROMETRE, 6) for x in PAPER_RANGE_ERRORS
-    )
+    table_um: Annotated[
+        tuple[Finite, ...], Field(min_length=len(INCIDENCE_TABLE_ANGLES), max_length=len(INCIDENCE_TABLE_ANGLES))
+    ] = tuple(round(x / MICROMETRE, 6) for x in PAPER_RANGE_ERRORS)
     """Range errors at the incidence angles -30, -22.5, ... +30 deg."""
     direction_deg: AngleDegrees = 0.0
     """Direction of positive incidence angles of `table_um`, as a rotation about the nest's normal; 0 is horizontal."""
@@ -397,4 +397,4 @@ class EffectEntry(PlacedEffect):
         sized = source if isinstance(source, SizedEffect) else SizedEffect(source, {})
         effect, sizes = sized.effect, dict(sized.parameter_values)
         places = {"stations": effect.stations, "targets": effect.targets}
-        return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=display_constants(effect))
+        return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=constants_in_display_units(effect))

@@ -156,7 +156,7 @@ def exact_readings(geometry: MeasurementGeometry, instrument: Floats, effect_siz
     for mistake in occurring_blunders(geometry.effects, effect_sizes):
         sightings = mistake.measured_sightings(sightings)
     errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
-    readings = geometry.construction.readings(sightings.local_points, sightings.face, errors)
+    readings = geometry.construction.readings_from_points(sightings.local_points, sightings.face, errors)
     for k in sorted(range(len(geometry.effects)), key=lambda k: geometry.effects[k].stage):
         if not isinstance(geometry.effects[k], Blunder):
             readings = readings + geometry.effects[k].reading_change(sightings, effect_sizes[k])

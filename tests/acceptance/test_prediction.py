@@ -25,7 +25,7 @@ def plan() -> AcceptancePlan:
 
 def one(plan: AcceptancePlan, name: str, size: float) -> Floats:
     values = np.zeros(plan.construction.n_parameters)
-    values[plan.construction.index(name)] = size
+    values[plan.construction.parameter_index(name)] = size
     return values
 
 

@@ -95,7 +95,10 @@ def test_one_instrument_of_two_has_priors_and_choices_of_its_own(recording: Reco
     }
     two = recording.replace(setup=type(recording.setup).model_validate(content))
     found = lt.calibrate(two, without=["vertical-index@B"], advise=False)
-    tilt, index = found.instrument_parameter_names.index("beam-tilt@A"), found.construction.index("vertical-index")
+    tilt, index = (
+        found.instrument_parameter_names.index("beam-tilt@A"),
+        found.construction.parameter_index("vertical-index"),
+    )
     assert found.prior_sigma[:, tilt] == pytest.approx([14.544e-6, 1e-6], rel=1e-4)
     assert found.is_fixed[:, index].tolist() == [False, True]
 

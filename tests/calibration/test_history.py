@@ -227,7 +227,7 @@ def before_and_after(make):
     """A recording, one of the same instrument, and one after its beam tilt has changed."""
     truth = 0.3 * PRIOR * random_stream(7, "truth").standard_normal(SIZE)
     knocked = truth.copy()
-    knocked[CONSTRUCTION.index("beam-tilt")] += 10e-6
+    knocked[CONSTRUCTION.parameter_index("beam-tilt")] += 10e-6
     return [make(v, faces=(1, 2), trial=i) for i, v in enumerate((truth, truth, knocked))]
 
 
@@ -257,8 +257,8 @@ def test_the_command_takes_each_set_up_by_itself(before_and_after, tmp_path, cap
 
 def test_half_differences_are_those_of_the_parameters(make):
     values = np.zeros(SIZE)
-    values[CONSTRUCTION.index("vertical-index")] = 12e-6
-    values[CONSTRUCTION.index("transit-offset")] = 20e-6
+    values[CONSTRUCTION.parameter_index("vertical-index")] = 12e-6
+    values[CONSTRUCTION.parameter_index("transit-offset")] = 20e-6
     recording = make(values, faces=(1, 2), noise=0.0)
     raw = two_face_pairs(recording)
     assert np.abs(raw.half_differences[:, 2]) == pytest.approx(12e-6, abs=12e-6)

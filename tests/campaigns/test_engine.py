@@ -193,7 +193,7 @@ def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Cal
         )
         block = silent.draw_batch(18, 0)
         for k in (0, 200):
-            exact = truth.construction.readings(
+            exact = truth.construction.readings_from_points(
                 truth.sightings.local_points, truth.recording.face, block.instrument_values[0, :, k]
             )
             exact = exact + effect.reading_change(truth.sightings, block.effect_values[0][:, k])

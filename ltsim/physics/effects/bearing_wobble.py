@@ -12,7 +12,10 @@ BearingMotion = Literal["tilt", "radial", "transit"]
 """Kind of motion of a bearing: tilt or run-out of the standing axis, tilt of the transit axis."""
 
 
-SLOTS_BY_MOTION = {"tilt": ("standing-tilt-x", "standing-tilt-y"), "radial": ("standing-radial-x", "standing-radial-y")}
+CHAIN_ERRORS_BY_MOTION = {
+    "tilt": ("standing-tilt-x", "standing-tilt-y"),
+    "radial": ("standing-radial-x", "standing-radial-y"),
+}
 """Errors of the kinematic chain (`error_slot`) that each kind of motion changes, along or about x and y."""
 CANDIDATE_MOTIONS: tuple[tuple[BearingMotion, int], ...] = (
     ("tilt", -1),
@@ -86,5 +89,5 @@ class BearingWobble(Effect):
         if self.kind == "transit":
             yaw = response["beam-tilt"]
             return np.stack([acts * c * yaw, acts * s * yaw], axis=2)
-        x, y = (response[slot] for slot in SLOTS_BY_MOTION[self.kind])
+        x, y = (response[key] for key in CHAIN_ERRORS_BY_MOTION[self.kind])
         return np.stack([acts * (c * x + s * y), acts * (c * y - s * x)], axis=2)

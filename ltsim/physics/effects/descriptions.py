@@ -136,7 +136,7 @@ class EffectDescription(Description):
         return f"{self.title}: {self.cause}"
 
     @property
-    def external_origin(self) -> str:
+    def external_provider(self) -> str:
         """Package that provides the effect; empty for an effect of ltsim."""
         return "" if self.origin == BUILTIN_PROVIDER else self.origin
 

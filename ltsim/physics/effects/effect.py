@@ -36,8 +36,8 @@ from ltsim.physics.effects.linear_effect import (
     CandidateNoiseEffect,
     LinearEffect as LinearEffect,
     Parameter as Parameter,
-    PriorKind as PriorKind,
     ShapeParameter as ShapeParameter,
+    SpecifiedQuantity as SpecifiedQuantity,
     axis_parameters as axis_parameters,
     design_from_displacements as design_from_displacements,
     design_from_front_face_corrections as design_from_front_face_corrections,
@@ -112,7 +112,7 @@ class Effect(CandidateEffect):
             places = [{"stations": (name,)} for name in sightings.station_names]
         elif cls.scope == "target":
             places = [{"targets": (name,)} for name in sightings.target_names]
-        grids = [[(s.name, float(v)) for v in s.grid()] for s in cls.shape_parameters]
+        grids = [[(s.name, float(v)) for v in s.grid_values()] for s in cls.shape_parameters]
         shapes: list[dict[str, Any]] = [dict(shape) for shape in product(*grids)]
         return [cls(**place, **shape) for place in places for shape in shapes]
 
@@ -203,29 +203,30 @@ class RangePowerBasis:
 
 
 @dataclass(frozen=True)
-class SlotTerm:
+class ChainErrorTerm:
     """Term of a geometric error: a parameter times a basis function, added to an error of the kinematic chain."""
 
-    slot: str
+    chain_error: str
     """Key of the error in the kinematic chain, the `error_slot` of one of its motions."""
     basis: BasisFunction = constant_basis
     """Function of the raw readings that multiplies the parameter."""
 
 
 @dataclass(frozen=True)
-class SlotEffect(Effect):
+class ChainErrorEffect(Effect):
     """Base class of geometric errors of the instrument; each parameter changes one motion of the kinematic chain.
 
     `GeometricErrorModel` evaluates the error exactly; `design` is its first-order form.
     """
 
-    terms: ClassVar[tuple[SlotTerm, ...]]
+    terms: ClassVar[tuple[ChainErrorTerm, ...]]
     """Terms of the error, one per parameter."""
 
     def design(self, sightings: Sightings) -> Floats:
         acts = self.pointing_indicator(sightings)
         columns = [
-            sightings.reading_change_by_error_slot[t.slot] * (acts * t.basis(sightings.instrument_readings))[:, None]
+            sightings.reading_change_by_error_slot[t.chain_error]
+            * (acts * t.basis(sightings.instrument_readings))[:, None]
             for t in self.terms
         ]
         return np.stack(columns, axis=2)

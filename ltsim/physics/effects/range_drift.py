@@ -21,7 +21,7 @@ class RangeDrift(Drift):
     name = "range-drift"
     stage = LightPathStage.RANGE
     observables = ("distance",)
-    slot = "range"
+    chain_error = "range"
     rate_parameter = Parameter(
         "range-drift", "um/h", "growth rate of the length by which every range is too short", 15 * SI_PER_UNIT["um/h"]
     )

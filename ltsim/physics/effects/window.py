@@ -52,7 +52,7 @@ class Window(TargetMotion):
     covariates = ("azimuth", "incidence")
     scope = "pointing"
     n_neighbour_directions = 2
-    parameters = (Parameter("thickness", "mm", "thickness of the glass", 3 * MILLIMETRE, is_positive=True),)
+    parameters = (Parameter("thickness", "mm", "thickness of the glass", 3 * MILLIMETRE, is_nonnegative=True),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
