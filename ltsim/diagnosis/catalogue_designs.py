@@ -343,7 +343,7 @@ def _with_size_raised_to_noise(
     if (
         not isinstance(effect, Effect)
         or type(effect) in ORDINARY_CALIBRATION_EFFECT_TYPES
-        or effect.stage == LightPathStage.AIR
+        or effect.light_path_stage == LightPathStage.AIR
     ):
         return effect, 1.0
     squares = np.bincount(

@@ -157,7 +157,7 @@ def exact_readings(geometry: MeasurementGeometry, instrument: Floats, effect_siz
         sightings = mistake.measured_sightings(sightings)
     errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
     readings = geometry.construction.readings_from_points(sightings.local_points, sightings.face, errors)
-    for k in sorted(range(len(geometry.effects)), key=lambda k: geometry.effects[k].stage):
+    for k in sorted(range(len(geometry.effects)), key=lambda k: geometry.effects[k].light_path_stage):
         if not isinstance(geometry.effects[k], Blunder):
             readings = readings + geometry.effects[k].reading_change(sightings, effect_sizes[k])
     return readings

@@ -33,7 +33,7 @@ class Drift(Effect):
 
     name = "drift-of-the-tests"
     number = 32
-    stage = LightPathStage.RANGE
+    light_path_stage = LightPathStage.RANGE
     parameters = (
         Parameter("creep", "um/h", "range", 5e-6 / 3600),
         Parameter("turn", "urad/h", "azimuth", 5e-6 / 3600),

@@ -22,7 +22,7 @@ class AzimuthDrift(Drift):
     """
 
     name = "azimuth-drift"
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("azimuth",)
     chain_error = "azimuth"
     rate_parameter = Parameter(

@@ -20,7 +20,7 @@ class AzimuthEccentricity(ChainErrorEffect):
     """
 
     name = "azimuth-eccentricity"
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("azimuth",)
     parameters = cos_sin_parameters("azimuth-eccentricity", "the raw azimuth", 3 * ARCSECOND, "angle")
     terms = cos_sin_terms("azimuth", 1)

@@ -19,7 +19,7 @@ class AzimuthSecondOrder(ChainErrorEffect):
     """
 
     name = "azimuth-second-order"
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("azimuth",)
     parameters = cos_sin_parameters("azimuth-second-order", "twice the raw azimuth", 3 * ARCSECOND, "angle")
     terms = cos_sin_terms("azimuth", 2)

@@ -23,7 +23,7 @@ class Backlash(Effect):
 
     name = "backlash"
     base_rate = 0.5
-    stage = LightPathStage.AXES
+    light_path_stage = LightPathStage.AXES
     observables = ("azimuth", "elevation")
     covariates = ("approach",)
     parameters = (

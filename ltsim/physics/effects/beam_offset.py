@@ -19,7 +19,7 @@ class BeamOffset(ChainErrorEffect):
     """
 
     name = "beam-offset"
-    stage = LightPathStage.OPTICS
+    light_path_stage = LightPathStage.OPTICS
     observables = ("azimuth", "elevation")
     parameters = (
         Parameter(

@@ -20,7 +20,7 @@ class BeamTilt(ChainErrorEffect):
     """
 
     name = "beam-tilt"
-    stage = LightPathStage.OPTICS
+    light_path_stage = LightPathStage.OPTICS
     observables = ("azimuth",)
     parameters = (
         Parameter("beam-tilt", "urad", "beam turned left, not square to the transit axis", 3 * ARCSECOND, "angle"),

@@ -57,7 +57,7 @@ class BearingWobble(Effect):
 
     name = "bearing-wobble"
     base_rate = 0.5
-    stage = LightPathStage.AXES
+    light_path_stage = LightPathStage.AXES
     covariates = ("azimuth", "elevation")
     parameters = (
         Parameter("wobble-cos", "urad", "tilt, cosine part: cos(n x), and sin(n x) across", 4 * MICRORADIAN),

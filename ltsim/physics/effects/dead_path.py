@@ -31,7 +31,7 @@ class DeadPath(Effect):
 
     name = "dead-path"
     base_rate = 0.5
-    stage = LightPathStage.RANGE
+    light_path_stage = LightPathStage.RANGE
     observables = ("distance",)
     covariates = ("temperature",)
     parameters = (

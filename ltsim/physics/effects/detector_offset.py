@@ -31,7 +31,7 @@ class DetectorOffset(ChainErrorEffect):
     """
 
     name = "detector-offset"
-    stage = LightPathStage.OPTICS
+    light_path_stage = LightPathStage.OPTICS
     observables = ("azimuth", "elevation")
     covariates = ("distance",)
     parameters = (

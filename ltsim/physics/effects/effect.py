@@ -77,7 +77,7 @@ class Effect(CandidateEffect):
 
     name: ClassVar[str]
     """Name of the effect in the catalogue: lower-case words joined by hyphens."""
-    stage: ClassVar[LightPathStage]
+    light_path_stage: ClassVar[LightPathStage]
     """Stage of the light path at which the effect acts."""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     """The p parameters of the effect, in which it is linear."""

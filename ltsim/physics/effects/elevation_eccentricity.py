@@ -21,7 +21,7 @@ class ElevationEccentricity(ChainErrorEffect):
     """
 
     name = "elevation-eccentricity"
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("elevation",)
     parameters = cos_sin_parameters("elevation-eccentricity", "the raw elevation", 3 * ARCSECOND, "angle")
     terms = cos_sin_terms("elevation", 1)

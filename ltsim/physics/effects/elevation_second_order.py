@@ -20,7 +20,7 @@ class ElevationSecondOrder(ChainErrorEffect):
     """
 
     name = "elevation-second-order"
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("elevation",)
     parameters = cos_sin_parameters("elevation-second-order", "twice the raw elevation", 3 * ARCSECOND, "angle")
     terms = cos_sin_terms("elevation", 2)

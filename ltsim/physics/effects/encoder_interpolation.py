@@ -54,7 +54,7 @@ class EncoderInterpolation(ChainErrorEffect):
 
     name = "encoder-interpolation"
     base_rate = 0.5
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("azimuth", "elevation")
     covariates = ("azimuth", "elevation")
     parameters = cos_sin_parameters("interpolation", "`periods` times the raw angle", MICRORADIAN)

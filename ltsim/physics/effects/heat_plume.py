@@ -59,7 +59,7 @@ class HeatPlume(WarmAirEffect):
     """Standard deviation [m] of the Gaussian temperature profile of the plume."""
 
     name = "heat-plume"
-    stage = LightPathStage.AIR
+    light_path_stage = LightPathStage.AIR
     covariates = ("azimuth", "elevation", "place")
     scope = "station"
     n_neighbour_directions = 3

@@ -39,7 +39,7 @@ class MeshExpansion(TargetMotion):
 
     name = "mesh-expansion"
     base_rate = 2.0
-    stage = LightPathStage.TARGET
+    light_path_stage = LightPathStage.TARGET
     covariates = ("time", "place")
     parameters = (Parameter("mesh-expansion", "ppm/h", "growth rate of the structure", 10 * SI_PER_UNIT["ppm/h"]),)
 

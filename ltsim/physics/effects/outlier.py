@@ -41,7 +41,7 @@ class Outlier(Effect):
 
     name = "outlier"
     base_rate = 8.0
-    stage = LightPathStage.ELECTRONICS
+    light_path_stage = LightPathStage.ELECTRONICS
     scope = "reading"
     may_recur = True
     parameters = (Parameter("outlier", "um", "correction of the range", 300 * MICROMETRE),)

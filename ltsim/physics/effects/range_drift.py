@@ -19,7 +19,7 @@ class RangeDrift(Drift):
     """
 
     name = "range-drift"
-    stage = LightPathStage.RANGE
+    light_path_stage = LightPathStage.RANGE
     observables = ("distance",)
     chain_error = "range"
     rate_parameter = Parameter(

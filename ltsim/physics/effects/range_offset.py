@@ -20,7 +20,7 @@ class RangeOffset(ChainErrorEffect):
 
     name = "range-offset"
     base_rate = 2.0
-    stage = LightPathStage.RANGE
+    light_path_stage = LightPathStage.RANGE
     observables = ("distance",)
     parameters = (
         Parameter("range-offset", "um", "length by which every range is too short", 10 * MICROMETRE, "range_offset"),

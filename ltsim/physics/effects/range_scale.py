@@ -19,7 +19,7 @@ class RangeScale(ChainErrorEffect):
     """
 
     name = "range-scale"
-    stage = LightPathStage.RANGE
+    light_path_stage = LightPathStage.RANGE
     observables = ("distance",)
     parameters = (
         Parameter("range-scale", "ppm", "fraction by which every range is read too short", 2 * PPM, "range_scale"),

@@ -95,7 +95,7 @@ class SmrIncidence(Effect):
     """Direction chi_0 [rad] around the nest's normal to which the table's positive side points."""
 
     name: ClassVar[str] = "smr-incidence"
-    stage: ClassVar[LightPathStage] = LightPathStage.TARGET
+    light_path_stage: ClassVar[LightPathStage] = LightPathStage.TARGET
     observables: ClassVar[tuple[str, ...]] = ("distance",)
     covariates: ClassVar[tuple[str, ...]] = ("incidence",)
     parameters: ClassVar[tuple[Parameter, ...]] = (

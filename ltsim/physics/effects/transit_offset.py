@@ -18,7 +18,7 @@ class TransitOffset(ChainErrorEffect):
     """
 
     name = "transit-offset"
-    stage = LightPathStage.AXES
+    light_path_stage = LightPathStage.AXES
     observables = ("distance", "elevation")
     parameters = (
         Parameter("transit-offset", "um", "transit axis in front of the standing axis", 20 * MICROMETRE, "offset"),

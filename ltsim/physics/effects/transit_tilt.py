@@ -20,7 +20,7 @@ class TransitTilt(ChainErrorEffect):
     """
 
     name = "transit-tilt"
-    stage = LightPathStage.AXES
+    light_path_stage = LightPathStage.AXES
     observables = ("azimuth",)
     parameters = (
         Parameter("transit-tilt", "urad", "transit axis not square to the standing axis", 3 * ARCSECOND, "angle"),

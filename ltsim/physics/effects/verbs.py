@@ -196,7 +196,7 @@ def add_effect(effect_class: type[AnyEffect]) -> type[AnyEffect]:
     Parameters
     ----------
     effect_class : type of Effect
-        Effect class with a name, a stage, parameters and `design`.
+        Effect class with `name`, `light_path_stage`, `parameters` and `design`.
 
     Raises
     ------

@@ -19,7 +19,7 @@ class VerticalIndex(ChainErrorEffect):
     """
 
     name = "vertical-index"
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("elevation",)
     parameters = (Parameter("vertical-index", "urad", "zero of the elevation encoder", 3 * ARCSECOND, "angle"),)
     terms = (ChainErrorTerm("elevation"),)

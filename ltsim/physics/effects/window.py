@@ -48,7 +48,7 @@ class Window(TargetMotion):
 
     name = "window"
     base_rate = 0.5
-    stage = LightPathStage.AIR
+    light_path_stage = LightPathStage.AIR
     covariates = ("azimuth", "incidence")
     scope = "pointing"
     n_neighbour_directions = 2

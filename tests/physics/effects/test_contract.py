@@ -93,7 +93,7 @@ def test_exact_form_agrees_with_first_order(kind: type[Effect]) -> None:
 
 
 @pytest.mark.parametrize(
-    "kind", [k for k in CATALOGUE if k.stage <= LightPathStage.STATION], ids=lambda kind: kind.name
+    "kind", [k for k in CATALOGUE if k.light_path_stage <= LightPathStage.STATION], ids=lambda kind: kind.name
 )
 def test_motions_take_a_high_reflector_into_account(kind: type[Effect]) -> None:
     """Two metres above its mark it sees another turn of the station than the mark would, exactly and in first order."""
