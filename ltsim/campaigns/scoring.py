@@ -137,7 +137,7 @@ class TrueParameterDistribution:
         mean, drawn = np.array([truth_distributions[name] for name in calibration.instrument_parameter_names]).T / prior
         adjustment = calibration.adjustment
         if adjustment is None or calibration.method != "network":
-            return cls(mean, drawn, calibration.arrays.bias_operator, np.zeros(0, dtype=np.int64), prior)
+            return cls(mean, drawn, calibration.arrays.negative_bias_operator, np.zeros(0, dtype=np.int64), prior)
         model, unknowns = adjustment.problem.model, adjustment.problem.unknowns
         reflectors = [
             np.linalg.solve(e.covariance_root, _true_incidence_parameters(truth) - e.mean_parameters)

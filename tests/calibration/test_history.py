@@ -84,7 +84,7 @@ def test_a_changed_parameter_is_found_and_named():
     history = CalibrationSeries.from_labelled(
         labelled([estimate(t, d, rng) for t, d in zip((truth, truth, later, later), drawn, strict=True)])
     )
-    assert [change.changed for change in history.changes()] == [(), (CONSTRUCTION.parameter_names[5],), ()]
+    assert [change.changed_parameters for change in history.changes()] == [(), (CONSTRUCTION.parameter_names[5],), ()]
     assert history.changes()[1].p_value < 1e-10
     assert history.constancy_test(5).p_value < 1e-6
     assert history.constancy_test(6).p_value > 1e-3
@@ -127,7 +127,7 @@ def test_json_holds_every_test_in_the_units_of_a_person():
     k = 4
     row, parameter = content["parameters"][k], CONSTRUCTION.parameters[k]
     assert row["sigmas"] == pytest.approx(history.sigma[:, k] / parameter.si_per_display_unit)
-    assert content["since_first"]["chi2"] == pytest.approx(history.change(0, 2).chi2)
+    assert content["change_since_first"]["chi2"] == pytest.approx(history.change(0, 2).chi2)
 
 
 def walked(trial, *, blow=0.0):
@@ -241,8 +241,8 @@ def test_the_command_follows_recordings_and_calibrations(before_and_after, tmp_p
     assert "shows no change since the first" in capsys.readouterr().out
     assert run(["history", *paths, "--fail-on-change", "--json"]) == 1
     content = json.loads(capsys.readouterr().out)
-    assert "beam-tilt" in content["changes"][1]["changed"]
-    assert content["changes"][0]["changed"] == []
+    assert "beam-tilt" in content["changes"][1]["changed_parameters"]
+    assert content["changes"][0]["changed_parameters"] == []
     assert (tmp_path / "same" / "history.svg").read_text().startswith("<?xml")
     assert run(["history", paths[0]]) == 2
     assert "at least two" in capsys.readouterr().err

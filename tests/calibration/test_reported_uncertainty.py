@@ -114,13 +114,13 @@ def test_a_rejected_fit_has_larger_standard_deviations_everywhere(plain: lt.Reco
 
 def test_an_adjustment_says_that_the_instrument_is_still_in_its_coordinates(plain: lt.Recording) -> None:
     found = lt.adjust(plain)
-    assert found.with_constants is not None
-    assert found.with_constants.p_value > 0.01 > found.fit.p_value
+    assert found.fit_with_constants is not None
+    assert found.fit_with_constants.p_value > 0.01 > found.fit.p_value
     assert not found.constants_included
     assert "its constants were not estimated" in str(found)
     corrected = lt.correct(plain, lt.calibrate(plain, advise=False))
     again = lt.adjust(corrected)
-    assert again.with_constants is None
+    assert again.fit_with_constants is None
     assert again.constants_included
 
 
@@ -141,4 +141,4 @@ def test_constants_are_compared_without_the_rejected_readings() -> None:
     readings[[20, 77, 150], 0] += [2e-3, -1.5e-3, 1e-3]
     adjusted = lt.adjust(recording.with_readings(readings), robust=True)
     assert len(adjusted.outliers) == 3
-    assert adjusted.with_constants is not None and (adjusted.with_constants.p_value or 0.0) > 0.01
+    assert adjusted.fit_with_constants is not None and (adjusted.fit_with_constants.p_value or 0.0) > 0.01

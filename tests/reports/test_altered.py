@@ -21,7 +21,7 @@ from tests.reports.test_page import Reader, parsed
 VALUES = (0, -1, 1e30, 1e-320, float("nan"), "x" * 3000, "", [], {}, None, True)
 FIT = {"chi2": 310.0, "dof": 300, "sigma0": 1.02, "p_value": 0.3, "status": "converged"}
 CHANGE = {
-    "from": "may", "to": "june", "chi2": 9.0, "dof": 2, "p_value": 0.01, "changed": ["beam-tilt"],
+    "from": "may", "to": "june", "chi2": 9.0, "dof": 2, "p_value": 0.01, "changed_parameters": ["beam-tilt"],
     "parameters": [{"name": "beam-tilt", "difference": 3.0, "sigma": 1.0, "unit": "urad", "p_value": 0.003}],
 }  # fmt: skip
 COMBINED = {"combination": {"vertical-index": 1.0, "transit-tilt": -0.4}, "value": 2.0, "sigma": 0.1, "unit": "urad"}
@@ -43,8 +43,8 @@ CONTENTS: dict[str, dict[str, Any]] = {
         "undetermined": [{"combination": {"beam-tilt": 1.0}, "gain": 0.1, "cure": "two faces"}],
         "stations": [{"name": "S1", "position_mm": [1.0, 2.0, 3.0], "rotation_quaternion": [0, 0, 0, 1]}],
         "correction": {
-            "prior_scale": 1.0, "plausible_scale": [0.5, 2.0], "uncorrected_um": 30.0, "corrected_um": 6.0,
-            "noise_um": 9.0,
+            "prior_scale": 1.0, "prior_scale_limits": [0.5, 2.0], "uncorrected_error_um": 30.0,
+            "corrected_error_um": 6.0, "noise_error_um": 9.0,
         },
         "effects": [{"effect": "air-gradient", "chi2_drop": 9.0, "n_distinguishable_parameters": 1, "n_candidates": 3,
                      "parameters": [{"name": "gradient", "value": 3.0, "sigma": 1.0, "unit": "ppm"}]}],
@@ -53,8 +53,8 @@ CONTENTS: dict[str, dict[str, Any]] = {
         "format": "ltsim-history/1", "construction": "misalignment",
         "calibrations": [{"label": "may", "fit": FIT}, {"label": "june", "fit": FIT}],
         "parameters": [{"name": "beam-tilt", "unit": "urad", "values": [1.0, 4.0], "sigmas": [0.7, 0.7], "mean": 2.5,
-                        "spread": 1.0, "constancy_test": {"chi2": 9.0, "dof": 1, "p_value": 0.003}}],
-        "changes": [CHANGE], "since_first": CHANGE,
+                        "between_calibration_sigma": 1.0, "constancy_test": {"chi2": 9.0, "dof": 1, "p_value": 0.003}}],
+        "changes": [CHANGE], "change_since_first": CHANGE,
         "events": [{"from": "may", "to": "june", "name": "beam-tilt", "difference": 3.0, "sigma": 1.0,
              "usual_step_sigma": 0.4,
                     "unit": "urad", "p_value": 0.003}],

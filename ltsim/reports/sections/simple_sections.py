@@ -324,7 +324,7 @@ def history_section(content: History, _: SectionContext) -> Section:
     """Section of the history of an instrument."""
     labels = content.labels
     content = _with_short_labels(content)
-    since, knows_usual_changes = content.since_first, len(labels) > MIN_STEPS_TO_CALL_USUAL
+    since, knows_usual_changes = content.change_since_first, len(labels) > MIN_STEPS_TO_CALL_USUAL
     has_changed = bool(content.events) if knows_usual_changes else since.p_value < FAMILY_WISE_LEVEL
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
     figure = partial(figures.parameters.history_figure, labels, content.determined_parameters)
@@ -373,7 +373,7 @@ def _with_short_labels(content: History) -> History:
             "calibrations": tuple(c.model_copy(update={"label": short[c.label]}) for c in content.calibrations),
             "changes": tuple(map(with_short_label, content.changes)),
             "events": tuple(map(with_short_label, content.events)),
-            "since_first": with_short_label(content.since_first),
+            "change_since_first": with_short_label(content.change_since_first),
         }
     )
 
@@ -383,7 +383,7 @@ def _change_summary_sentence(content: History, knows_usual_changes: bool) -> str
 
     `knows_usual_changes` is True if there are enough calibrations to compare with the usual changes of the instrument.
     """
-    since, events = content.since_first, content.events
+    since, events = content.change_since_first, content.events
     tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {p_relation_text(since.p_value)})"
     if events:
         steps = listing(list(dict.fromkeys(f"between {e.from_} and {e.to}" for e in events)))
@@ -391,10 +391,10 @@ def _change_summary_sentence(content: History, knows_usual_changes: bool) -> str
         return f"had an event (such as a service or a blow) {steps}, in {names}."
     if since.p_value >= FAMILY_WISE_LEVEL:
         between = [f"{c.from_} and {c.to}" for c in content.changes if c.p_value < FAMILY_WISE_LEVEL]
-        return f"shows no change since the first {tested}" + (
-            f", though it did between {listing(between)}." if between else "."
-        )
+        exception = f", though it did between {listing(between)}" if between else ""
+        return f"shows no change since the first {tested}{exception}."
     if knows_usual_changes:
         return f"changed no more than it usually does between calibrations {tested}."
-    phrase = f", mainly in {listing(since.changed)}" if since.changed else ", in no single parameter significantly"
-    return f"has changed since the first{phrase} {tested}."
+    names = listing(since.changed_parameters)
+    phrase = f"mainly in {names}" if names else "in no single parameter significantly"
+    return f"has changed since the first, {phrase} {tested}."
