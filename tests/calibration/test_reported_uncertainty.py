@@ -60,14 +60,14 @@ def test_the_measured_uncertainty_is_the_planned_one(hall: Path) -> None:
     assert made == pytest.approx(planned, rel=0.04)
     tasks = {
         "source": "-", "datum": names, "task": [{"name": n, "kind": "point", "targets": [n]} for n in names[:2]],
-        "monte_carlo": {"most_trials": 10_000, "digits": 1, "coverage": 0.9545},
+        "monte_carlo": {"max_trials": 10_000, "digits": 1, "coverage_probability": 0.9545},
     }  # fmt: skip
     worth = lt.uncertainty(recording, tasks)
     assert [r.expanded_uncertainty for r in worth.results] == pytest.approx(1e-3 * planned[:2].ravel(), rel=0.04)
     assert any("air" in warning for warning in worth.warnings)
-    assert worth.results[0].hidden or worth.results[1].hidden
+    assert worth.results[0].hidden_errors or worth.results[1].hidden_errors
     parts = {part.source for part in worth.results[0].budget}
-    assert not parts & {part.source for result in worth.results for part in result.hidden}
+    assert not parts & {part.error_text for result in worth.results for part in result.hidden_errors}
 
 
 def test_another_air_is_that_of_the_set_up(hall: Path) -> None:

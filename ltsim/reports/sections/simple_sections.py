@@ -130,13 +130,13 @@ def _failed_test_actions(content: Check) -> list[str]:
 def comparison_section(content: Comparison, _: SectionContext) -> Section:
     """Section of a comparison of epochs."""
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural_sort_key(d.target)))
-    moved_targets = [d.target for d in points if d.moved]
+    moved_targets, p_value = [d.target for d in points if d.moved], content.p_value
     caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
     note = (
         "dx, dy, dz: with one standard deviation; a: largest semi-axis of the 95 % confidence ellipsoid; detectable: "
         "the smallest motion that is detected with a probability of 80 %."
     )
-    shown_table = DISPLACEMENTS_TABLE.with_rows(d.row for d in points).with_columns(
+    shown_table = DISPLACEMENTS_TABLE.with_rows(d.table_row for d in points).with_columns(
         "target moved dx_um dy_um dz_um a_um detectable_um p_value"
     )
     table = table_blocks(
@@ -145,14 +145,14 @@ def comparison_section(content: Comparison, _: SectionContext) -> Section:
     facts = [
         KeyFigure("points", str(len(points))),
         KeyFigure("moved", str(len(moved_targets)), assessment_of(not moved_targets)),
-        KeyFigure("no motion, p", p_text(content.p_value), assessment_of(content.p_value >= content.level)),
+        KeyFigure("no point moved, p", p_text(p_value), assessment_of(p_value >= content.significance_level)),
         *([] if content.scale_ppm is None else [KeyFigure("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
     answer = " ".join(map(capitalised_sentence, (content.sentence, *content.notes)))
     figure = partial(figures.points.displacement_figure, content)
     picture = picture_or_note("Displacements", figure, caption, len(points))
     action = f"Inspect and re-measure these points before you use them as references: {listing(moved_targets)}."
-    if content.is_rigid_motion:
+    if content.has_common_rigid_motion:
         action = f"If the lists are in different frames, compare them with {option_text('free=True')}."
     return Section(
         "Comparison of two epochs", "Comparison", answer, assessment_of(not moved_targets), facts, [picture, *table],
@@ -236,17 +236,18 @@ def uncertainty_section(content: Uncertainty, _: SectionContext) -> Section:
     blocks.append(picture_or_note("Budget", lambda: uncertainty_budget_figure(content), caption, len(content.results)))
     blocks += table_blocks("Undetectable errors", content.table("hidden"), note=UNDETECTABLE_NOTE)
     blocks += [BulletListBlock("Warnings", content.warnings)] if content.warnings else []
-    fields = ("source", "type", "standard_uncertainty=sigma", "share=fraction of the variance")
+    fields = ("source", "evaluation_type=type", "standard_uncertainty=sigma", "variance_fraction=variance fraction")
     for r in content.results:
         head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
-        blocks += entries_table_blocks(head, [part for part in r.budget if part.share > 1e-3], *fields)
+        blocks += entries_table_blocks(head, [part for part in r.budget if part.variance_fraction > 1e-3], *fields)
     result_texts_by_judgement = {w: [r.text for r in judged_results if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
     answer = (
         "; ".join(f"{word}: {listing(names, 3)}" for word, names in result_texts_by_judgement.items() if names)
         or content.results[0].text
     )
-    facts = [KeyFigure("results", str(len(content.results))), KeyFigure("coverage", f"{100 * content.coverage:g} %")]
+    coverage = f"{100 * content.coverage_probability:g} %"
+    facts = [KeyFigure("results", str(len(content.results))), KeyFigure("coverage probability", coverage)]
     facts += [] if content.sigma0 is None else [KeyFigure("sigma0 of the adjustment", number_text(content.sigma0))]
     title = content.title or "Uncertainty of tasks"
     return Section(
@@ -264,10 +265,9 @@ def uncertainty_budget_figure(content: Uncertainty) -> Figure:
     """Figure of the uncertainty budgets of the first `MAX_BUDGET_BARS` results."""
     listed_results = content.results[:MAX_BUDGET_BARS]
     sources = dict.fromkeys(part.source for r in listed_results for part in r.budget)
-    shares = {
-        name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in listed_results] for name in sources
-    }
-    return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in listed_results], shares)
+    fractions = [{p.source: p.variance_fraction for p in r.budget} for r in listed_results]
+    fractions_by_source = {name: [fraction.get(name, 0.0) for fraction in fractions] for name in sources}
+    return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in listed_results], fractions_by_source)
 
 
 def _site_sentence(content: NextMeasurement) -> str:
