@@ -266,7 +266,9 @@ def predicted_result(
     errors = np.where(plan.is_length, prediction.expected_errors[:, 0], error_sizes)
     expanded_uncertainties = 2 * np.sqrt(np.sum(prediction.error_sigmas**2, axis=1))
     tests = tuple(
-        TestOutcome(name=t.name, group=t.group, limit_um=limit, error_um=e, expanded_um=u, pass_probability=float(p))
+        TestOutcome(
+            name=t.name, group=t.group, limit_um=limit, error_um=e, expanded_uncertainty_um=u, pass_probability=float(p)
+        )
         for t, limit, e, u, p in zip(
             plan.tests,
             *(np.asarray(x) / MICROMETRE for x in (plan.permissible_errors, errors, expanded_uncertainties)),
@@ -281,8 +283,8 @@ def predicted_result(
             name=p.name,
             unit=p.unit,
             prior_sigma=float(prior_sigmas[k] / p.si_per_display_unit),
-            smallest_failing=float(smallest[k] / p.si_per_display_unit),
-            test=first[k].name if np.isfinite(smallest[k]) else "",
+            smallest_failing_value=float(smallest[k] / p.si_per_display_unit),
+            failing_test=first[k].name if np.isfinite(smallest[k]) else "",
         )
         for k, p in enumerate(parameters)
     )
@@ -293,8 +295,8 @@ def predicted_result(
         sentence += f"; the hardest is {least_probable[1].name} ({100 * least_probable[0]:.1f} %)"
     return AcceptanceFile(
         title=acceptance_settings.title,
-        kind="predicted",
-        plan=acceptance_settings.plan_name,
+        error_origin="predicted",
+        plan_name=acceptance_settings.plan_name,
         specification=plan.specification,
         assumption=plan.specification.assumption_sentence,
         pass_probability=prediction.p_all_pass,
@@ -302,9 +304,9 @@ def predicted_result(
         groups=group_summaries(tests, prediction.pass_probability_by_group),
         tests=tests,
         sensitivities=sensitivities,
-        worst_passing=WorstPassingInstrument(
+        worst_passing_instrument=WorstPassingInstrument(
             constants={p.name: float(v / p.si_per_display_unit) for p, v in zip(parameters, values, strict=True)},
-            rms_um=rms / MICROMETRE,
-            largest_um=largest / MICROMETRE,
+            rms_point_error_um=rms / MICROMETRE,
+            largest_point_error_um=largest / MICROMETRE,
         ),
     )

@@ -126,7 +126,7 @@ def error_to_limit_figure() -> Figure:
             "group": g,
             "limit_um": 40.0,
             "error_um": 15.0 * i,
-            "expanded_um": 8.0,
+            "expanded_uncertainty_um": 8.0,
             "pass_probability": float(i < 3),
         }
         for g in groups
@@ -134,12 +134,12 @@ def error_to_limit_figure() -> Figure:
     ]
     content = AcceptanceFile.model_validate(
         {
-            "kind": "measured",
-            "plan": "mine",
+            "error_origin": "measured",
+            "plan_name": "mine",
             "specification": data_sheet("leica-at500"),
             "pass_probability": 0,
             "sentence": "",
-            "groups": [{"name": g, "tests": 4, "pass_probability": 0, "largest_limit_ratio": 1.1} for g in groups],
+            "groups": [{"name": g, "n_tests": 4, "pass_probability": 0, "largest_limit_ratio": 1.1} for g in groups],
             "tests": tests,
         }
     )

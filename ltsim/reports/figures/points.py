@@ -78,7 +78,7 @@ def error_to_limit_figure(content: AcceptanceFile) -> Figure:
     for row, name in zip(rows, group_names, strict=True):
         group_tests = [t for t in content.tests if t.group == name]
         error_ratios = np.array([t.error_um / t.limit_um for t in group_tests])
-        uncertainty_ratios = np.array([(t.expanded_um or 0.0) / t.limit_um for t in group_tests])
+        uncertainty_ratios = np.array([(t.expanded_uncertainty_um or 0.0) / t.limit_um for t in group_tests])
         heights = row + np.linspace(-GROUP_HALF_WIDTH, GROUP_HALF_WIDTH, len(group_tests)) * (len(group_tests) > 1)
         judgements = np.array(
             [

@@ -162,7 +162,7 @@ def comparison_section(content: Comparison, _: SectionContext) -> Section:
 
 def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
     """Section of acceptance tests."""
-    predicted = content.kind == "predicted"
+    predicted = content.error_origin == "predicted"
     assessment = (
         assessment_of(content.pass_probability >= MIN_PASS_PROBABILITY)
         if content.pass_probability is not None
@@ -179,27 +179,27 @@ def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
         ),
         *table_blocks("Groups", content.table("groups"), note=note),
         *entries_table_blocks(
-            "The hardest tests", hardest_tests, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um",
-            last_column, is_marked=lambda t: t.judgement == "rejected",
+            "The hardest tests", hardest_tests, "name=test", "error_um", "expanded_uncertainty_um=U (k = 2)",
+            "limit_um", last_column, is_marked=lambda t: t.judgement == "rejected",
         ),
         *entries_table_blocks(
             "Sensitivity of the tests to single constants", content.sensitivities, "name=constant",
-            "prior_sigma=usual size", "smallest_failing=detected from", "unit", "test=first failed test",
+            "prior_sigma=usual size", "smallest_failing_value=detected from", "unit", "failing_test=first failed test",
         ),
     ]  # fmt: skip
     blocks += [NoteBlock("Decision rule", content.decision_rule)] if content.decision_rule else []
-    worst_test = content.worst_passing
+    worst_test = content.worst_passing_instrument
     if worst_test is not None:
         constants = ", ".join(
             f"{name} {number_text(value, 2)}"
             for name, value in worst_test.constants.items()
             if abs(value) > MAX_ZERO_CONSTANT
         )
-        undetected_constants = [s.name for s in content.sensitivities if s.smallest_failing is None]
+        undetected_constants = [s.name for s in content.sensitivities if s.smallest_failing_value is None]
         text = f"No test detects {', '.join(undetected_constants)}. " if undetected_constants else ""
         text += (
             f"An instrument with {constants} passes every test, although points at 1.5 to 9 m have errors of "
-            f"{worst_test.rms_um:.0f} um (rms; {worst_test.largest_um:.0f} um at most)."
+            f"{worst_test.rms_point_error_um:.0f} um (rms; {worst_test.largest_point_error_um:.0f} um at most)."
         )
         blocks.append(NoteBlock("Undetected instrument errors", text))
     facts = [
@@ -207,7 +207,7 @@ def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
         KeyFigure("judgement", content.judgement, assessment)
         if content.judgement
         else KeyFigure("probability to pass", f"{100 * (content.pass_probability or 0.0):.1f} %", assessment),
-        KeyFigure("plan", content.plan),
+        KeyFigure("plan", content.plan_name),
         *([KeyFigure("limits", content.specification.name)] if content.specification.name else []),
     ]
     title = content.title or "Acceptance tests of a tracker"
