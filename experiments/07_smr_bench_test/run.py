@@ -16,8 +16,8 @@ from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
 
 def table_of(reflector: dict[str, Any]) -> Floats:
     """Range error (9,) [m] of a reflector of the file."""
-    if "table_um" in reflector:
-        return np.array(reflector["table_um"]) * MICROMETRE
+    if "range_error_table_um" in reflector:
+        return np.array(reflector["range_error_table_um"]) * MICROMETRE
     return vertex_table(reflector.get("axial_um", 0.0) * MICROMETRE, reflector.get("side_um", 0.0) * MICROMETRE)
 
 

@@ -292,7 +292,7 @@ def predicted_result(
     least_probable = min(zip(prediction.pass_probabilities, plan.tests, strict=True), key=lambda pair: pair[0])
     sentence = f"{instrument_description} passes all {len(tests)} tests with a probability of {chance}"
     if least_probable[0] < 0.9995:
-        sentence += f"; the hardest is {least_probable[1].name} ({100 * least_probable[0]:.1f} %)"
+        sentence += f"; the least probable to pass is {least_probable[1].name} ({100 * least_probable[0]:.1f} %)"
     return AcceptanceFile(
         title=acceptance_settings.title,
         error_origin="predicted",

@@ -280,7 +280,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         if count:
             undetermined = f"{len(self.undetermined)} combinations are not determined"
             held = f" ({int(self.is_fixed.sum())} held)" if self.is_fixed.any() else ""
-            lines.append(f"{count} parameters{held}, {n_determined} better known than before; {undetermined}")
+            lines.append(f"{count} parameters{held}, {n_determined} determined by the readings; {undetermined}")
         lines += [effect.sentence for effect in self.effects]
         if self.outliers:
             lines.append(f"{len(self.outliers)} outlying readings")

@@ -125,7 +125,7 @@ class CalibrationSeries(ValueEquality):
                 f"the history has {len(labelled_calibrations)} calibration(s); expected at least two to compare"
             )
         if len({c.construction.parameter_names for _, c in labelled_calibrations}) > 1:
-            raise RecordError("the calibrations hold different parameters, expected one construction for all")
+            raise RecordError("the calibrations have different instrument models; calibrate all with one construction")
         if not labelled_calibrations[0][1].construction.n_parameters:
             raise RecordError("the calibrations hold no instrument parameters, expected those of `ltsim calibrate`")
         for label, calibration in labelled_calibrations:

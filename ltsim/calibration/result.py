@@ -386,7 +386,7 @@ def _handedness_notes(adjustment: Adjustment) -> tuple[str, ...]:
 def _undetermined_height_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the targets whose height is undetermined."""
     names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.is_height_undetermined)]
-    return (f"adjusted in plan only, as no reading determines their height: {listing(names)}",) if names else ()
+    return (f"no reading determines the height of {listing(names)}: adjusted in plan only",) if names else ()
 
 
 def range_zero_notes(adjustment: Adjustment) -> tuple[str, ...]:

@@ -199,19 +199,19 @@ class ScaledPrior:
         if not (self.rejects_declared_scale or self._is_scale_estimated):
             return ""
         low, high = self.plausible_scale_limits
-        scale_phrase = f"{self.most_likely_scale:.2g} times as large is most likely ({low:.2g} to {high:.2g})"
+        factor, limits = f"{self.most_likely_scale:.2g} times", f"({low:.2g} to {high:.2g})"
         if self._exceeds_plausible_scale:
             contradict = f" and contradict each other by {self._sigma0:.2g} times their noise"
             why, cause = ", which no instrument has", "another cause explains the misfit"
             if self.most_likely_scale <= MAX_PRIOR_SCALE:
                 why, cause = contradict, "the noise is larger than declared, or a systematic effect acts"
-            scale = f"{self.most_likely_scale:.2g} times the declared priors"
-            return f"the readings require parameters {scale}{why}: {cause}, and no correction is applied"
+            need = f"the readings require parameters {factor} the declared priors"
+            return f"{need}{why}: {cause}; no correction is applied"
         if not self._is_scale_estimated:
-            return f"the readings contradict the declared priors: {scale_phrase}; the correction uses this scale"
+            return f"the readings contradict the declared priors: the correction uses sigmas {factor} as large {limits}"
         share = self._strength / (self._strength + self.most_likely_scale**-2)
         phrase = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are corrected by more than half"
-        return f"without a prior, parameters of the usual proportions and {scale_phrase}; {phrase}, the others by less"
+        return f"without a prior, sigmas {factor} as large as the usual ones are most likely {limits}; {phrase}"
 
     def estimate(self, prior_scale: float) -> Floats:
         """Estimate (parameters,) in prior sigmas, if all priors are `prior_scale` times as wide as declared."""

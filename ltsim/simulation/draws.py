@@ -25,7 +25,7 @@ from ltsim.scene.sightings import Sightings
 from ltsim.simulation.physics import reflector_error_parameters
 from ltsim.simulation.scenario import Scenario
 
-CERTIFICATE_STEP = 1e-4 * MILLIMETRE
+CERTIFICATE_ROUNDING_STEP = 1e-4 * MILLIMETRE
 """Step [m] to which a certificate rounds its reference lengths: 0.1 um."""
 
 
@@ -95,13 +95,13 @@ class StandardNormalSource:
 class _SingleTrialSource(StandardNormalSource):
     """Source of the standard normal numbers of one trial, taken from the cached draws of a batch of trials."""
 
-    batch_source: Callable[..., Floats] = standard_normal_trials
+    draw_batch_numbers: Callable[..., Floats] = standard_normal_trials
     """Function that draws the standard normal numbers of all trials of the batch."""
     trial_index: int = 0
     """Index of the trial in the batch."""
 
     def __call__(self, n_values: int, *stream_key: str | int) -> Floats:
-        return self.batch_source(n_values, *stream_key)[:, self.trial_index : self.trial_index + 1]
+        return self.draw_batch_numbers(n_values, *stream_key)[:, self.trial_index : self.trial_index + 1]
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,9 @@ class TrialDistributions:
         ]
         unit_errors = np.reshape(draws, expansion_factors.shape)
         certificate_errors = self.certificate_error_factor * lengths.certificate_sigmas[:, None] * unit_errors
-        return CERTIFICATE_STEP * np.round((true_lengths / expansion_factors + certificate_errors) / CERTIFICATE_STEP)
+        return CERTIFICATE_ROUNDING_STEP * np.round(
+            (true_lengths / expansion_factors + certificate_errors) / CERTIFICATE_ROUNDING_STEP
+        )
 
     def length_change(self, effect_values: tuple[Floats, ...]) -> Floats:
         """Change of the true reference lengths by effects with the parameters `effect_values` [SI].

@@ -247,7 +247,7 @@ def _truth_of_trial(
     trackers = scenario.trackers_in_use
     names = geometry.construction.instrument_parameter_names(tuple(trackers))
     nominal = None
-    if scenario.cmm.nominal:
+    if scenario.cmm.measures_targets:
         nominal = measure_nominal_points(
             s.target_points, s.target_names, scenario.cmm, seed, *((trial,) if trial else ())
         )

@@ -240,6 +240,6 @@ def test_a_scale_beyond_the_prior_is_not_followed_where_the_readings_contradict_
     told = information @ (6.0 * random_stream(3, "worth").standard_normal(16))
     followed, bent = ScaledPrior(information, told), ScaledPrior(information, told, sigma0=2.5)
     assert followed.shrunk_correction(by_unit)[0].any()
-    assert "the correction uses this scale" in followed.scale_sentence
+    assert "the correction uses sigmas 5.6 times as large" in followed.scale_sentence
     assert not bent.shrunk_correction(by_unit)[0].any()
     assert "contradict each other by 2.5 times their noise" in bent.scale_sentence

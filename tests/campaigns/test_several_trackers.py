@@ -43,7 +43,7 @@ def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -
 
 def test_recovery_checks_every_trackers_parameters() -> None:
     drawn = with_errors_from_prior(load_scenario("two-trackers"))
-    assert all(tracker.draws and tracker.error_factor == 1.0 for tracker in drawn.trackers_in_use.values())
+    assert all(tracker.draws_errors and tracker.error_factor == 1.0 for tracker in drawn.trackers_in_use.values())
     found = lt.recover("two-trackers", trials=12, seed=1)
     assert found.failed_checks() == [] and found.arrays.z_scores.shape == (12, 32)
     names = [p.parameter for p in found.parameters]

@@ -119,7 +119,7 @@ class BenchFile(ResultFile):
             round(float(a) / DEGREE, 3) for a in INCIDENCE_TABLE_ANGLES
         ]:
             values = ", ".join(f"{r.error_um:.2f}" for r in self.range_errors)
-            lines.append(f"for a scenario: [smr] incidence_error = true, table_um = [{values}]")
+            lines.append(f"for a scenario: [smr] incidence_error = true, range_error_table_um = [{values}]")
         for key, form in (("angle_deg", "g"), ("error_um", ".2f"), ("sigma_um", ".2f")):
             values = ", ".join(format(getattr(row, key), form) for row in self.range_errors)
             lines.append(f"{'for a recording, in [[bench]]: ' if key == 'angle_deg' else ''}{key} = [{values}]")

@@ -60,15 +60,29 @@ class BearingWobble(Effect):
     light_path_stage = LightPathStage.AXES
     covariates = ("azimuth", "elevation")
     parameters = (
-        Parameter("wobble-cos", "urad", "tilt, cosine part: cos(n x), and sin(n x) across", 4 * MICRORADIAN),
-        Parameter("wobble-sin", "urad", "tilt, sine part: -sin(n x), and cos(n x) across", 4 * MICRORADIAN),
+        Parameter(
+            "wobble-cos", "urad", "tilt A: A cos(n x) about the x axis, A sin(n x) about the y axis", 4 * MICRORADIAN
+        ),
+        Parameter(
+            "wobble-sin", "urad", "tilt B: -B sin(n x) about the x axis, B cos(n x) about the y axis", 4 * MICRORADIAN
+        ),
     )
 
     def __post_init__(self) -> None:
         if self.kind == "radial":
             run_out = (
-                Parameter("run-out-cos", "um", "shift, cosine part: cos(n x), and sin(n x) across", 8 * MICROMETRE),
-                Parameter("run-out-sin", "um", "shift, sine part: -sin(n x), and cos(n x) across", 8 * MICROMETRE),
+                Parameter(
+                    "run-out-cos",
+                    "um",
+                    "shift A: A cos(n x) along the x axis, A sin(n x) along the y axis",
+                    8 * MICROMETRE,
+                ),
+                Parameter(
+                    "run-out-sin",
+                    "um",
+                    "shift B: -B sin(n x) along the x axis, B cos(n x) along the y axis",
+                    8 * MICROMETRE,
+                ),
             )
             object.__setattr__(self, "parameters", run_out)
         else:

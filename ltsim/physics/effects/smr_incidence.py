@@ -45,7 +45,9 @@ def _ramp_parameters() -> tuple[Parameter, ...]:
     """Sizes at 30 deg of the ramps from each of `INCIDENCE_KNOT_ANGLES`, for each of `INCIDENCE_ERROR_PARTS`."""
     steps = range(len(INCIDENCE_KNOT_ANGLES), 0, -1)
     return tuple(
-        Parameter(f"{part}-{number}", "um", f"{meaning}, from {knot:g} deg on, its size at 30 deg", step * bend)
+        Parameter(
+            f"{part}-{number}", "um", f"range error at 30 deg by a ramp from {knot:g} deg, {meaning}", step * bend
+        )
         for part, meaning, bend in zip(
             INCIDENCE_ERROR_PARTS,
             _PART_DESCRIPTIONS,

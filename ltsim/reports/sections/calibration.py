@@ -314,7 +314,7 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
     rows, true_values = content.parameters, {} if truth is None else truth.instrument_values
     names = [f"{p.name}@{p.instrument}" if p.instrument else p.name for p in rows]
     true_in_display_units = [
-        true_values[n] / SI_PER_UNIT[truth.units[n]] if truth and n in true_values else None for n in names
+        true_values[n] / SI_PER_UNIT[truth.parameter_units[n]] if truth and n in true_values else None for n in names
     ]
     text = "Corrections (true value minus reading) with 95 % intervals, in units of the prior standard deviation."
     note = "Corrections, true value minus reading, +- one sigma."

@@ -33,7 +33,7 @@ def extra(recording: Recording, *effects: SmrIncidence) -> int:
 def test_it_is_estimated_where_nests_are_fixed_and_the_plan_turns_them() -> None:
     fixed = recorded()
     assert extra(fixed) == len(SmrIncidence.parameters)
-    assert extra(recorded(**{"smr.nests": "re-aimed"})) == 0
+    assert extra(recorded(**{"smr.nest_orientation": "re-aimed"})) == 0
     nowhere = {
         name: s.model_copy(update={"position_mm": None, "yaw_deg": None}) for name, s in fixed.setup.stations.items()
     }
@@ -89,7 +89,7 @@ def test_calibration_uses_the_bench_test_of_the_setup() -> None:
     """It halves what the error of reflectors adds to the variance of the lateral beam offset, at least."""
     plain = recorded()
     tested = plain.replace(setup=plain.setup.model_copy(update={"bench": (bench(),)}))
-    aimed = recorded(**{"smr.nests": "re-aimed", "smr.incidence_error": False})
+    aimed = recorded(**{"smr.nest_orientation": "re-aimed", "smr.incidence_error": False})
     variances = []
     for recording in (plain, tested, aimed):
         found = lt.calibrate(recording, advise=False)
