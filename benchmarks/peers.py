@@ -88,7 +88,10 @@ class DenseProblem:
         if key not in self._seen:
             local, *geometry = self._local(x)
             self._seen.clear()
-            self._seen[key] = (self.construction.readings(local, self.recording.face, geometry[-1]), *geometry)
+            self._seen[key] = (
+                self.construction.readings_from_points(local, self.recording.face, geometry[-1]),
+                *geometry,
+            )
         return self._seen[key]
 
     def _linearised(self, x: Floats) -> tuple[Floats, ...]:

@@ -19,12 +19,12 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS, TABLE_ANGLES
+from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_RANGE_ERRORS
 
 FULL_TURN = np.arange(0.0, 360.0, 7.5) * DEGREE
 PROBE = 90.0 * DEGREE
 """Where the probe stands, from the interferometer."""
-MIDDLE = int(np.argmin(np.abs(TABLE_ANGLES)))
+MIDDLE = int(np.argmin(np.abs(INCIDENCE_TABLE_ANGLES)))
 LOBES = (2, 3, 5)
 """Lobes of the sphere's out-of-roundness."""
 
@@ -34,7 +34,7 @@ class BenchTest:
     """What is true on the bench; SI."""
 
     table: Floats = field(default_factory=lambda: np.array(PAPER_RANGE_ERRORS))
-    """(9,) [m]: range error of the reflector (reading - truth, of the sphere's centre) at `TABLE_ANGLES`."""
+    """(9,) [m]: range error of the reflector (reading - truth, of the sphere's centre) at `INCIDENCE_TABLE_ANGLES`."""
     eccentricity: Floats = field(default_factory=lambda: np.zeros(2))
     """(2,) [m]: sphere's centre off the table's axis at 0 deg: towards the interferometer, and to the side."""
     roundness: float = 0.3 * MICROMETRE
@@ -46,13 +46,15 @@ class BenchTest:
     """[m]: one standard deviation of the probe with the table's run-out, and of the interferometer."""
 
     def __post_init__(self) -> None:
-        if len(self.table) != len(TABLE_ANGLES):
-            raise SetupError(f"the table holds {len(self.table)} errors for {len(TABLE_ANGLES)} angles; give one each")
+        if len(self.table) != len(INCIDENCE_TABLE_ANGLES):
+            raise SetupError(
+                f"the table holds {len(self.table)} errors for {len(INCIDENCE_TABLE_ANGLES)} angles; give one each"
+            )
         if len(self.probe_angles) < 3:
             raise SetupError(f"the probe is read at {len(self.probe_angles)} angles; the eccentricity needs 3 or more")
 
 
-def vertex_table(axial: float, side: float, angles: Floats = TABLE_ANGLES) -> Floats:
+def vertex_table(axial: float, side: float, angles: Floats = INCIDENCE_TABLE_ANGLES) -> Floats:
     """Range error (a,) [m] at `angles` of a vertex off the sphere's centre by `axial` and `side` [m]."""
     return eccentricity_design(angles) @ np.array([axial, side])
 
@@ -63,14 +65,14 @@ def measure_bench(bench: BenchTest, seed: int, *key: str | int) -> ReflectorBenc
     def noise(what: str, count: int) -> Floats:
         return random_stream(seed, *key, "bench", what).standard_normal(count)
 
-    lengths = bench.table + eccentricity_design(TABLE_ANGLES) @ bench.eccentricity
+    lengths = bench.table + eccentricity_design(INCIDENCE_TABLE_ANGLES) @ bench.eccentricity
     turned = bench.probe_angles - PROBE
     surface = np.stack([np.cos(turned), -np.sin(turned)], axis=1) @ bench.eccentricity
     phase = 2 * np.pi * random_stream(seed, *key, "bench", "lobes").random(len(LOBES))
     for lobes, start in zip(LOBES, phase, strict=True):
         surface = surface + bench.roundness * np.cos(lobes * turned + start)
     return ReflectorBenchReadings(
-        table_angles_of_lengths=TABLE_ANGLES,
+        table_angles_of_lengths=INCIDENCE_TABLE_ANGLES,
         lengths=lengths + bench.length_sigma * noise("length", len(lengths)),
         table_angles_of_probe=bench.probe_angles,
         probe_direction=PROBE,

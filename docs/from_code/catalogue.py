@@ -55,13 +55,16 @@ def cards(pictures: Pictures, _lines: list[str]) -> str:
 
 
 def _card(effect: EffectDescription) -> list[str]:
-    lines = ["", f"### {effect.name}", "", f"**{effect.title}**: {_text(effect.cause)}.", "", _law(effect.law), ""]
+    lines = ["", f"### {effect.name}", "", f"**{effect.title}**: {_text(effect.cause)}.", "", _law(effect.equation), ""]
     rate = f"{effect.base_rate:g} (relative frequency in service; 1 is occasional)"
     sections = [*catalogue_entry(find_effect(effect.name)).sections(), ("Base rate", rate)]
     lines += [f"{name}\n: {_text(text)}\n" for name, text in sections]
     sizes = [[f"`{p.name}`", f"{p.plausible_size:.3g}", p.unit, _text(p.meaning)] for p in effect.parameters]
     lines += ["", *markdown(["parameter", "plausible size", "unit", "meaning"], sizes)]
-    constants = [[f"`{s.name}`", f"{s.low:.4g} to {s.high:.4g}", s.unit, _text(s.meaning)] for s in effect.shape]
+    constants = [
+        [f"`{s.name}`", f"{s.lower_bound:.4g} to {s.upper_bound:.4g}", s.unit, _text(s.meaning)]
+        for s in effect.constants
+    ]
     return [*lines, "", *markdown(["constant", "searched", "unit", "meaning"], constants)]
 
 

@@ -10,14 +10,14 @@ from ltsim.adjustment.evaluation.bench import ReflectorBenchEstimates, evaluate_
 from ltsim.core.arrays import Floats
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects.smr_incidence import TABLE_ANGLES
+from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES
 from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
 
 
 def table_of(reflector: dict[str, Any]) -> Floats:
     """Range error (9,) [m] of a reflector of the file."""
-    if "table_um" in reflector:
-        return np.array(reflector["table_um"]) * MICROMETRE
+    if "range_error_table_um" in reflector:
+        return np.array(reflector["range_error_table_um"]) * MICROMETRE
     return vertex_table(reflector.get("axial_um", 0.0) * MICROMETRE, reflector.get("side_um", 0.0) * MICROMETRE)
 
 
@@ -40,7 +40,9 @@ def row_of(results: list[ReflectorBenchEstimates], table: Floats) -> dict[str, f
     def at_edge(found: list[Floats]) -> float:
         return float(np.percentile(np.abs(np.array(found) - true).max(axis=1), 95)) / MICROMETRE
 
-    vertices = [fit_vertex_offset(TABLE_ANGLES, r.range_errors, float(r.range_error_sigmas.max())) for r in results]
+    vertices = [
+        fit_vertex_offset(INCIDENCE_TABLE_ANGLES, r.range_errors, float(r.range_error_sigmas.max())) for r in results
+    ]
     return {
         "run_out_um": float(np.mean([r.run_out for r in results])) / MICROMETRE,
         "rms_uncorrected_um": rms([r.uncorrected_lengths for r in results]),
@@ -65,7 +67,10 @@ def panel(name: str, table: Floats, results: list[ReflectorBenchEstimates]) -> l
         mean, (five, ninety_five) = found.mean(axis=0), np.percentile(found, [5, 95], axis=0)
         half = 1.96 * found.std(axis=0) / np.sqrt(len(found))
         columns = np.array([mean, mean - half, mean + half, five, ninety_five]) / MICROMETRE
-        rows += [SweepPoint(a, line, name, *c) for a, c in zip(TABLE_ANGLES / DEGREE, columns.T.tolist(), strict=True)]
+        rows += [
+            SweepPoint(a, line, name, *c)
+            for a, c in zip(INCIDENCE_TABLE_ANGLES / DEGREE, columns.T.tolist(), strict=True)
+        ]
     return rows
 
 

@@ -74,13 +74,13 @@ def course(out: Path) -> None:
             write_figure(out / f"history_{label}.svg", history.plot())
         show_table(out / f"changes_{label}.csv", [
             {"from": c["from"], "to": c["to"], "chi2": round(c["chi2"], 1), "dof": c["dof"],
-             "p": f"{c['p_value']:.1e}", "changed": " ".join(c["changed"])}
-            for c in [*content["changes"], content["since_first"]]
+             "p": f"{c['p_value']:.1e}", "changed": " ".join(c["changed_parameters"])}
+            for c in [*content["changes"], content["change_since_first"]]
         ])  # fmt: skip
         show_table(out / f"course_{label}.csv", [
             {"parameter": p["name"], "unit": p["unit"],
              **{name: f"{v:.2f} +- {s:.2f}" for name, v, s in zip(EPOCHS, p["values"], p["sigmas"], strict=True)},
-             "mean": round(p["mean"], 2), "spread": round(p["spread"], 2),
+             "mean": round(p["mean"], 2), "spread": round(p["between_calibration_sigma"], 2),
              "p constant": f"{p['constancy_test']['p_value']:.1e}"}
             for p in content["parameters"]
         ])  # fmt: skip

@@ -40,7 +40,7 @@ class TestOutcome(Entry):
     error_um: Finite
     """Expected or measured error [um]; in a two-face test the distance between the points of both faces, perpendicular
     to the beam."""
-    expanded_um: OptionalFloat = None
+    expanded_uncertainty_um: OptionalFloat = None
     """Expanded uncertainty (95 %) of the error [um]; null if it was not reported."""
     pass_probability: OptionalFloat = None
     """Predicted probability that the error is within the limit; null for a measured error."""
@@ -50,7 +50,7 @@ class TestOutcome(Entry):
     @property
     def guarded_limit_ratio(self) -> float:
         """Ratio (absolute error minus expanded uncertainty) / limit; an error with a ratio above 1 is rejected."""
-        return (abs(self.error_um) - (self.expanded_um or 0.0)) / self.limit_um
+        return (abs(self.error_um) - (self.expanded_uncertainty_um or 0.0)) / self.limit_um
 
     @property
     def hardest_first_key(self) -> tuple[float, int, float]:
@@ -61,7 +61,7 @@ class TestOutcome(Entry):
         """
         share = self.guarded_limit_ratio
         if self.judgement != "rejected":
-            share += 2 * (self.expanded_um or 0.0) / self.limit_um
+            share += 2 * (self.expanded_uncertainty_um or 0.0) / self.limit_um
         return self.pass_probability or 0.0, JUDGEMENT_ORDER.index(self.judgement or "accepted"), -share
 
 
@@ -70,7 +70,7 @@ class TestGroupSummary(Entry):
 
     name: str
     """Name of the group."""
-    tests: int
+    n_tests: int
     """Number of tests in the group."""
     pass_probability: OptionalFloat = None
     """Predicted probability that the errors of all tests in the group are within their limits; null for measured
@@ -89,7 +89,7 @@ TESTS_TABLE = Table(
         name={"name": "test"},
         limit_um={"csv_format": ".6g", "display_format": ".1f"},
         error_um={"csv_format": ".6g", "display_format": ".1f"},
-        expanded_um={"name": "U_um", "csv_format": ".6g", "display_format": ".1f"},
+        expanded_uncertainty_um={"name": "U_um", "csv_format": ".6g", "display_format": ".1f"},
         pass_probability={"csv_format": ".4g"},
         judgement={"kind": "text"},
     ),
@@ -102,6 +102,7 @@ TEST_GROUPS_TABLE = Table(
     columns_of(
         TestGroupSummary,
         name={"name": "group"},
+        n_tests={"name": "tests"},
         pass_probability={"title": "all pass", "n_digits": 3},
         judgement={"kind": "text"},
         largest_limit_ratio={"display_format": ".2f"},
@@ -115,14 +116,14 @@ class ConstantSensitivity(Entry):
     name: str
     """Name of the instrument constant."""
     unit: str
-    """Unit of `prior_sigma` and `smallest_failing`."""
+    """Unit of `prior_sigma` and `smallest_failing_value`."""
     prior_sigma: Finite
     """Prior standard deviation of the instrument constant from the specification, in `unit`."""
-    smallest_failing: OptionalFloat
+    smallest_failing_value: OptionalFloat
     """Smallest absolute value of the instrument constant at which a test fails, in `unit`; null if no test depends on
     the constant."""
-    test: str
-    """Name of the test that fails at `smallest_failing`."""
+    failing_test: str
+    """Name of the test that fails at `smallest_failing_value`."""
 
 
 class WorstPassingInstrument(Entry):
@@ -130,9 +131,9 @@ class WorstPassingInstrument(Entry):
 
     constants: dict[str, Finite]
     """Instrument constants by name, in the units of the sensitivities."""
-    rms_um: Finite
+    rms_point_error_um: Finite
     """Root mean square error of points 1.5 to 9 m around the instrument, after a rigid best fit of all points."""
-    largest_um: Finite
+    largest_point_error_um: Finite
     """Largest error of a point 1.5 to 9 m around the instrument, after the rigid best fit of all points."""
 
 
@@ -144,9 +145,9 @@ class AcceptanceFile(ResultFile):
     """Format and version of this file."""
     title: str = ""
     """Title of the acceptance tests, free text."""
-    kind: Literal["predicted", "measured", "network"]
+    error_origin: Literal["predicted", "measured", "network"]
     """Origin of the test errors: predicted, measured, or taken from a network."""
-    plan: str
+    plan_name: str
     """Name of the standard, or of the file with the tests."""
     specification: Specification
     """Manufacturer's specification with the limits of the tests."""
@@ -160,7 +161,7 @@ class AcceptanceFile(ResultFile):
     """
     decision_rule: str = ""
     """Rule by which measured errors are judged, and the content of their uncertainties; empty for a prediction."""
-    unmeasured: tuple[str, ...] = ()
+    unmeasured_tests: tuple[str, ...] = ()
     """Names of the planned tests without a measured error."""
     sentence: str
     """Result of all tests in one sentence."""
@@ -172,11 +173,11 @@ class AcceptanceFile(ResultFile):
     """All tests with their errors and limits."""
     sensitivities: tuple[ConstantSensitivity, ...] = ()
     """Sensitivity of the tests to each instrument constant."""
-    worst_passing: WorstPassingInstrument | None = None
+    worst_passing_instrument: WorstPassingInstrument | None = None
     """Instrument that passes every test with the largest point errors; null if it was not searched for."""
 
     def _lines(self) -> list[str]:
-        return [f"Acceptance ({self.kind}, {self.plan}): {self.sentence}"]
+        return [f"Acceptance ({self.error_origin}, {self.plan_name}): {self.sentence}"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {
@@ -196,7 +197,7 @@ def group_summaries(
     predicted = pass_probability_by_group or {}
 
     def limit_ratio(test_outcome: TestOutcome) -> float:
-        margin = (test_outcome.expanded_um or 0.0) if predicted else 0.0
+        margin = (test_outcome.expanded_uncertainty_um or 0.0) if predicted else 0.0
         return (abs(test_outcome.error_um) + margin) / test_outcome.limit_um
 
     by_group = {
@@ -205,7 +206,7 @@ def group_summaries(
     return tuple(
         TestGroupSummary(
             name=name,
-            tests=len(entries),
+            n_tests=len(entries),
             pass_probability=predicted.get(name),
             judgement=None if predicted else joint_judgement([t.judgement for t in entries if t.judgement]),
             largest_limit_ratio=max(map(limit_ratio, entries)),
@@ -224,7 +225,7 @@ def make_test_outcome(
     sizes_um = {
         "error_um": error / MICROMETRE,
         "limit_um": limit / MICROMETRE,
-        "expanded_um": expanded_uncertainty / MICROMETRE,
+        "expanded_uncertainty_um": expanded_uncertainty / MICROMETRE,
     }
     margin = 0.0 if np.isnan(expanded_uncertainty) else expanded_uncertainty
     is_accepted, is_rejected = abs(error) + margin <= limit, abs(error) - margin > limit

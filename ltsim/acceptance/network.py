@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.acceptance.files import TestOutcome
-from ltsim.acceptance.tested_network import CENTRING_KIND, TestedNetwork
+from ltsim.acceptance.tested_network import CENTRING_CAUSE_KIND, TestedNetwork
 from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.identification.hypothesis import CauseKind
 from ltsim.adjustment.identification.recommendations import recommendations_for_causes
@@ -29,7 +29,7 @@ from ltsim.recordings.specification import Specification
 
 MAX_OUTLIER_ROUNDS = 3
 """Largest number of repeated adjustments, each without the outliers identified before."""
-TRACKER_CAUSE_KINDS: tuple[CauseKind, ...] = ("constant-drift", "noise-level", CENTRING_KIND)
+TRACKER_CAUSE_KINDS: tuple[CauseKind, ...] = ("constant-drift", "noise-level", CENTRING_CAUSE_KIND)
 """Kinds of causes of a misfit that may be errors of the tracker. Random displacements at each set-up (`centring`) have
 the same effect as errors of the tracker that repeat in all rounds."""
 
@@ -48,7 +48,7 @@ def may_be_tracker_error(cause: CauseTest) -> bool:
 
 def _treatment_text(cause: CauseTest, treatment_text: str) -> str:
     """Phrase on the treatment of an identified error: `treatment_text`, or another one for centring errors."""
-    if cause.kind != CENTRING_KIND:
+    if cause.kind != CENTRING_CAUSE_KIND:
         return treatment_text
     return treatment_text.partition(",")[0] + ", and the uncertainties of the lengths contain it"
 
@@ -57,7 +57,7 @@ def _treatment_text(cause: CauseTest, treatment_text: str) -> str:
 class NetworkTests:
     """Acceptance tests of a tracker in a network, and the errors that were identified in the recording."""
 
-    entries: tuple[TestOutcome, ...]
+    test_outcomes: tuple[TestOutcome, ...]
     """Tests of lengths and two-face differences, with their errors and limits."""
     corrected_causes: tuple[CauseTest, ...]
     """Errors in the recording that are no errors of the tracker. They are removed from the tested readings; centring
@@ -114,7 +114,7 @@ class NetworkTests:
     @property
     def action_after_rejection(self) -> str:
         """Action after a rejection: adjustment by the maker, or correction by instrument constants if it suffices."""
-        count, total = self.n_rejected_after_correction, len(self.entries)
+        count, total = self.n_rejected_after_correction, len(self.test_outcomes)
         maker = "Have the maker adjust the tracker"
         if not count:
             correction = "correct all readings by ltsim calibrate and ltsim correct"

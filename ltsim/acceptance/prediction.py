@@ -14,7 +14,7 @@ from ltsim.acceptance.files import (
     WorstPassingInstrument,
     group_summaries,
 )
-from ltsim.acceptance.spec import AcceptanceSettings, AcceptanceTest, envelope_points
+from ltsim.acceptance.spec import AcceptanceSettings, AcceptanceTest, points_around_instrument
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
@@ -73,8 +73,10 @@ class AcceptancePlan:
         """
         first, second = self._test_end_points
         front = np.ones(len(first), dtype=np.int64)
-        points = from_polar(self.construction.readings(first, front, constants))
-        far_points = from_polar(self.construction.readings(second, np.where(self.is_length, 1, 2), constants))
+        points = from_polar(self.construction.readings_from_points(first, front, constants))
+        far_points = from_polar(
+            self.construction.readings_from_points(second, np.where(self.is_length, 1, 2), constants)
+        )
         errors = np.zeros((len(first), 2))
         errors[:, 0] = np.linalg.norm(far_points - points, axis=1) - np.linalg.norm(second - first, axis=1)
         errors[~self.is_length] = components_across_beam(points - far_points, first)[~self.is_length]
@@ -89,7 +91,7 @@ class AcceptancePlan:
 
     @cached_property
     def error_sigmas(self) -> Floats:
-        """Standard deviations (tests, 2) [m] of the components of `expected_errors` due to noise of the readings."""
+        """Standard deviations (tests, 2) [m] of both components of the test errors due to noise of the readings."""
         first, second = self._test_end_points
         squares = np.zeros((len(first), 2))
         near, far = (self._point_noise(points) for points in (first, second))
@@ -143,7 +145,7 @@ class AcceptancePlan:
             expected_errors=mean_errors,
             error_sigmas=np.sqrt(variance),
             pass_probabilities=passed / n_trials,
-            p_all_pass=every / n_trials,
+            all_pass_probability=every / n_trials,
             pass_probability_by_group={name: count / n_trials for name, count in groups.items()},
         )
 
@@ -215,7 +217,7 @@ class AcceptancePrediction:
     """Standard deviations of the two components of `expected_errors` including noise, (tests, 2) [m]."""
     pass_probabilities: Floats
     """Probability that each test passes, (tests,)."""
-    p_all_pass: float
+    all_pass_probability: float
     """Probability that all tests pass."""
     pass_probability_by_group: dict[str, float]
     """Probability that all tests of a group pass, by name of the group."""
@@ -229,7 +231,11 @@ def point_errors_by_constant(construction: GeometricErrorModel, points: Floats, 
     """
     front = np.ones(len(points), dtype=np.int64)
     columns = [
-        (from_polar(construction.readings(points, front, s)) - from_polar(construction.readings(points, front, -s))) / 2
+        (
+            from_polar(construction.readings_from_points(points, front, s))
+            - from_polar(construction.readings_from_points(points, front, -s))
+        )
+        / 2
         for s in np.diag(prior_sigma)
     ]
     displacements = np.stack([c.ravel() for c in columns], axis=1)
@@ -255,12 +261,14 @@ def predicted_result(
     `prior_sigmas` (constants,) [SI] are the prior standard deviations of the instrument constants. The sentence of the
     result begins with `instrument_description`.
     """
-    values, rms, largest = plan.worst_passing_constants(prior_sigmas, envelope_points())
+    values, rms, largest = plan.worst_passing_constants(prior_sigmas, points_around_instrument())
     error_sizes = np.hypot(prediction.expected_errors[:, 0], prediction.expected_errors[:, 1])
     errors = np.where(plan.is_length, prediction.expected_errors[:, 0], error_sizes)
     expanded_uncertainties = 2 * np.sqrt(np.sum(prediction.error_sigmas**2, axis=1))
     tests = tuple(
-        TestOutcome(name=t.name, group=t.group, limit_um=limit, error_um=e, expanded_um=u, pass_probability=float(p))
+        TestOutcome(
+            name=t.name, group=t.group, limit_um=limit, error_um=e, expanded_uncertainty_um=u, pass_probability=float(p)
+        )
         for t, limit, e, u, p in zip(
             plan.tests,
             *(np.asarray(x) / MICROMETRE for x in (plan.permissible_errors, errors, expanded_uncertainties)),
@@ -275,30 +283,34 @@ def predicted_result(
             name=p.name,
             unit=p.unit,
             prior_sigma=float(prior_sigmas[k] / p.si_per_display_unit),
-            smallest_failing=float(smallest[k] / p.si_per_display_unit),
-            test=first[k].name if np.isfinite(smallest[k]) else "",
+            smallest_failing_value=float(smallest[k] / p.si_per_display_unit),
+            failing_test=first[k].name if np.isfinite(smallest[k]) else "",
         )
         for k, p in enumerate(parameters)
     )
-    chance = f"{100 * prediction.p_all_pass:.1f} %" if prediction.p_all_pass < 0.9995 else "more than 99.9 %"
+    chance = (
+        f"{100 * prediction.all_pass_probability:.1f} %"
+        if prediction.all_pass_probability < 0.9995
+        else "more than 99.9 %"
+    )
     least_probable = min(zip(prediction.pass_probabilities, plan.tests, strict=True), key=lambda pair: pair[0])
     sentence = f"{instrument_description} passes all {len(tests)} tests with a probability of {chance}"
     if least_probable[0] < 0.9995:
-        sentence += f"; the hardest is {least_probable[1].name} ({100 * least_probable[0]:.1f} %)"
+        sentence += f"; the least probable to pass is {least_probable[1].name} ({100 * least_probable[0]:.1f} %)"
     return AcceptanceFile(
         title=acceptance_settings.title,
-        kind="predicted",
-        plan=acceptance_settings.plan_name,
+        error_origin="predicted",
+        plan_name=acceptance_settings.plan_name,
         specification=plan.specification,
         assumption=plan.specification.assumption_sentence,
-        pass_probability=prediction.p_all_pass,
+        pass_probability=prediction.all_pass_probability,
         sentence=sentence,
         groups=group_summaries(tests, prediction.pass_probability_by_group),
         tests=tests,
         sensitivities=sensitivities,
-        worst_passing=WorstPassingInstrument(
+        worst_passing_instrument=WorstPassingInstrument(
             constants={p.name: float(v / p.si_per_display_unit) for p, v in zip(parameters, values, strict=True)},
-            rms_um=rms / MICROMETRE,
-            largest_um=largest / MICROMETRE,
+            rms_point_error_um=rms / MICROMETRE,
+            largest_point_error_um=largest / MICROMETRE,
         ),
     )

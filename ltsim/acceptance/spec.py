@@ -181,7 +181,7 @@ def _point_from_row(row: dict[str, str], end_name: str, line_number: int, file: 
     return coordinates[0], coordinates[1], coordinates[2]
 
 
-def envelope_points() -> Floats:
+def points_around_instrument() -> Floats:
     """Points (180, 3) [m] around an instrument, at which point errors that acceptance tests do not detect are computed.
 
     Distances are 1.5 to 9 m, elevations -50 to 50 degrees, with a point every 30 degrees of azimuth.
@@ -199,9 +199,9 @@ MAX_TRIALS = 10_000_000
 class AcceptanceSettings(TomlSection):
     """Content of an acceptance file; paths of other files are relative to it.
 
-    With `measured`, measured errors are evaluated. With `recording`, lengths between the targets of a network replace
-    calibrated lengths. With neither, the tests are predicted, for the instrument of `calibration` or for any instrument
-    that meets the specification.
+    With `measured_errors_file`, measured errors are evaluated. With `recording`, lengths between the targets of a
+    network replace calibrated lengths. With neither, the tests are predicted, for the instrument of `calibration` or
+    for any instrument that meets the specification.
     """
 
     format: Literal["ltsim-acceptance/1"] = "ltsim-acceptance/1"
@@ -210,11 +210,11 @@ class AcceptanceSettings(TomlSection):
     """Title of the acceptance tests, free text."""
     standard: StandardName | None = None
     """Standard whose built-in tests are used."""
-    lengths: str | None = None
+    additional_tests_file: str | None = None
     """CSV file of tests in addition to the built-in ones, one row for each test; required for the lengths of
     `iso-10360-10`.
     """
-    tests: str | None = None
+    tests_file: str | None = None
     """CSV file of tests in place of the built-in ones, one row for each test."""
     instrument: str | None = None
     """Name of the instrument's built-in data sheet."""
@@ -235,7 +235,7 @@ class AcceptanceSettings(TomlSection):
     """True if the readings are corrected by `calibration` before the tests, so that only its uncertainty remains."""
     recording: str | None = None
     """Path of the recording of a network that the instrument measured; its targets provide the reference lengths."""
-    measured: str | None = None
+    measured_errors_file: str | None = None
     """CSV file of measured errors with the columns test, error_um and U_um (expanded uncertainty, may be empty)."""
     trials: Annotated[int, Field(ge=1000, le=MAX_TRIALS)] = 20_000
     """Number of random draws with which the probability to pass is estimated."""
@@ -246,16 +246,18 @@ class AcceptanceSettings(TomlSection):
     def _check_complete(self) -> Self:
         if self.instrument is None and self.specification is None:
             raise ValueError("it should give instrument or the table [specification]")
-        if self.recording is None and (self.standard is None) == (self.tests is None):
+        if self.recording is None and (self.standard is None) == (self.tests_file is None):
             raise ValueError("it should give either standard or tests")
-        if self.standard == TWO_FACE_ONLY_STANDARD and self.lengths is None:
-            raise ValueError("it should give lengths = FILE, because the length tests of iso-10360-10 are not built in")
-        if self.lengths is not None and self.standard is None:
+        if self.standard == TWO_FACE_ONLY_STANDARD and self.additional_tests_file is None:
             raise ValueError(
-                "it should give lengths only with a standard; the file in tests already contains all tests"
+                "it should give additional_tests_file = FILE, because the length tests of iso-10360-10 are not built in"
             )
-        if self.recording is not None and self.measured is not None:
-            raise ValueError("it should give recording or measured, not both")
+        if self.additional_tests_file is not None and self.standard is None:
+            raise ValueError(
+                "it should give additional_tests_file only with a standard, because tests_file contains all tests"
+            )
+        if self.recording is not None and self.measured_errors_file is not None:
+            raise ValueError("it should give recording or measured_errors_file, not both")
         return self
 
     @property
@@ -271,13 +273,13 @@ class AcceptanceSettings(TomlSection):
     @property
     def plan_name(self) -> str:
         """Name of the plan of tests: the standard, or the file with the tests."""
-        return self.tests or self.standard or ""
+        return self.tests_file or self.standard or ""
 
     def make_tests(self, folder: Path) -> tuple[AcceptanceTest, ...]:
-        """Tests of the standard, of the files `lengths` or `tests` in `folder`, or of both; raises SetupError."""
+        """Tests of the standard and of the files of tests in `folder`; raises SetupError for an invalid file."""
         if self.standard is None:
-            return tuple(read_tests(folder / (self.tests or "")))
-        user_tests = [] if self.lengths is None else read_tests(folder / self.lengths)
+            return tuple(read_tests(folder / (self.tests_file or "")))
+        user_tests = [] if self.additional_tests_file is None else read_tests(folder / self.additional_tests_file)
         return (*builtin_tests(self.standard, self.height_mm / 1000, self.ranges_m), *user_tests)
 
 

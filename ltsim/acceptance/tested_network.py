@@ -20,7 +20,7 @@ from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.motions import StationMotion, TargetMotion
 from ltsim.recordings.specification import Specification
 
-CENTRING_KIND: CauseKind = "centring"
+CENTRING_CAUSE_KIND: CauseKind = "centring"
 """Kind of the cause `centring error`, which is included in the uncertainties and not removed from the readings."""
 RECORDING_CAUSE_KINDS: tuple[CauseKind, ...] = (
     "constant-offset",
@@ -99,7 +99,7 @@ class TestedNetwork:
     def is_corrected(self, cause: CauseTest) -> bool:
         """True if an error in the recording is removed from the readings, or included in uncertainties of lengths."""
         place = cause.where
-        if cause.kind == CENTRING_KIND:
+        if cause.kind == CENTRING_CAUSE_KIND:
             return bool(self.adjustment.problem.model.centring_errors)
         if cause.kind in RECORDING_CAUSE_KINDS:
             return any(

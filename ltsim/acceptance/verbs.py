@@ -44,7 +44,7 @@ MAX_TEST_DRAWS = 3e8
 """Largest product of the numbers of tests and trials in a prediction; 3e8 take 23 s."""
 MIN_MARGIN_UM = 1e-3
 """Smallest margin [um] between an error and its limit that is used as divisor; a smaller margin is replaced by it."""
-DECISION_RULE = (
+DECISION_RULE_TEXT = (
     "By ISO 14253-1, an error e with the expanded uncertainty U (95 %) is accepted if |e| + U is within its limit, "
     "rejected if |e| - U exceeds it, and otherwise undecided."
 )
@@ -75,7 +75,7 @@ def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, fold
     --------
     >>> import ltsim as lt
     >>> found = lt.accept({"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"})
-    >>> found.kind, len(found.tests)
+    >>> found.error_origin, len(found.tests)
     ('predicted', 74)
     """
     place = Path(folder)
@@ -101,14 +101,14 @@ def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) 
         recording = read(folder / acceptance_settings.recording)
         network_tests = evaluate_network(recording, limits)
         return evaluated_result(
-            network_tests.entries, acceptance_settings, recording=recording, network_tests=network_tests
+            network_tests.test_outcomes, acceptance_settings, recording=recording, network_tests=network_tests
         )
     tests = acceptance_settings.make_tests(folder)
     limits_si = limits.to_instrument(acceptance_settings.construction)
     model = construction_of_beam_origin(acceptance_settings.construction)
-    if acceptance_settings.measured is not None:
+    if acceptance_settings.measured_errors_file is not None:
         plan = AcceptancePlan(tests, model, limits, limits_si.noise)
-        errors = read_measured(folder / acceptance_settings.measured, tests, plan.permissible_errors)
+        errors = read_measured_errors(folder / acceptance_settings.measured_errors_file, tests, plan.permissible_errors)
         return evaluated_result(
             errors,
             acceptance_settings,
@@ -142,7 +142,7 @@ def _load_calibration(path: Path) -> Calibration:
 
 
 @as_setup_error()
-def read_measured(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -> list[TestOutcome]:
+def read_measured_errors(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -> list[TestOutcome]:
     """Outcomes of tests from a CSV file of measured errors with columns ``test``, ``error_um``, optionally ``U_um``.
 
     `limits` (tests,) [m] are the permissible errors of the planned tests. SetupError is raised for an unknown or
@@ -197,12 +197,12 @@ def evaluated_result(
         actions = (*network_tests.urgent_actions, *judgement_actions, *further_actions)
     content = AcceptanceFile(
         title=acceptance_settings.title,
-        kind="measured" if recording is None else "network",
-        plan=acceptance_settings.plan_name if recording is None else "own network",
+        error_origin="measured" if recording is None else "network",
+        plan_name=acceptance_settings.plan_name if recording is None else "own network",
         specification=acceptance_settings.limits,
         judgement=judgement,
-        decision_rule=DECISION_RULE if recording is None else f"{DECISION_RULE} {NETWORK_UNCERTAINTY_TEXT}",
-        unmeasured=tuple(unmeasured_tests),
+        decision_rule=DECISION_RULE_TEXT if recording is None else f"{DECISION_RULE_TEXT} {NETWORK_UNCERTAINTY_TEXT}",
+        unmeasured_tests=tuple(unmeasured_tests),
         sentence=sentence,
         next_actions=actions,
         groups=group_summaries(test_outcomes),
@@ -225,7 +225,7 @@ def _judgement_sentence(test_outcomes: Sequence[TestOutcome], n_unmeasured_tests
     judgement = next(j for j in JUDGEMENT_ORDER if numbers[j])
     worst_entry = _worst_outcome(test_outcomes, judgement)
     error_text = f"{worst_entry.error_um:.1f} um" + (
-        "" if worst_entry.expanded_um is None else f" +- {worst_entry.expanded_um:.1f} um"
+        "" if worst_entry.expanded_uncertainty_um is None else f" +- {worst_entry.expanded_uncertainty_um:.1f} um"
     )
     phrase = f"{worst_entry.name}: {error_text} where {worst_entry.limit_um:.1f} um are permitted"
     if judgement == "rejected":
@@ -237,7 +237,7 @@ def _judgement_sentence(test_outcomes: Sequence[TestOutcome], n_unmeasured_tests
         sentence += f"because the limit lies within their uncertainty; the closest is {phrase}"
     else:
         sentence = f"all {total} measured errors are within their limits"
-    n_without = sum(t.expanded_um is None for t in test_outcomes)
+    n_without = sum(t.expanded_uncertainty_um is None for t in test_outcomes)
     if n_without:
         sentence += f"; without an uncertainty and compared with their limits alone: {n_without} of {total}"
     return sentence + (f"; tests of the plan that are not measured: {n_unmeasured_tests}" if n_unmeasured_tests else "")
@@ -267,7 +267,7 @@ def _next_actions(
 def _actions_after_rejection(rejected_outcomes: Sequence[TestOutcome]) -> tuple[str, ...]:
     """Actions after a rejection; a single rejected error is to be measured again, because it may be a blunder."""
     worst = _worst_outcome(rejected_outcomes, "rejected")
-    excess = f"{abs(worst.error_um) - (worst.expanded_um or 0.0) - worst.limit_um:.1f} um"
+    excess = f"{abs(worst.error_um) - (worst.expanded_uncertainty_um or 0.0) - worst.limit_um:.1f} um"
     if len(rejected_outcomes) > 1:
         names = listing([t.name for t in rejected_outcomes], 3)
         return (f"Have the maker adjust the tracker, and repeat all tests: {names} exceed their limits.",)
@@ -289,11 +289,12 @@ def _sufficient_uncertainty_text(undecided_outcomes: Sequence[TestOutcome]) -> s
         return abs(test_outcome.limit_um - abs(test_outcome.error_um))
 
     def ratio(test_outcome: TestOutcome) -> float:
-        return (test_outcome.expanded_um or 0.0) / max(margin(test_outcome), MIN_MARGIN_UM)
+        return (test_outcome.expanded_uncertainty_um or 0.0) / max(margin(test_outcome), MIN_MARGIN_UM)
 
     beyond = [t for t in undecided_outcomes if abs(t.error_um) > t.limit_um]
     entry = min(beyond, key=ratio) if beyond else max(undecided_outcomes, key=ratio)
-    needed = f"an expanded uncertainty of {entry.name} below {margin(entry):.2g} um (it has {entry.expanded_um:.3g} um)"
+    present = f"{entry.expanded_uncertainty_um:.3g} um"
+    needed = f"an expanded uncertainty of {entry.name} below {margin(entry):.2g} um (now {present})"
     if beyond:
         return f"{needed} rejects the tracker, because this error of {abs(entry.error_um):.1f} um exceeds its limit"
     count = len(undecided_outcomes)

@@ -31,7 +31,7 @@ class UniformMotion(StationMotion):
 
     name = "station-motion"
     """Name of the effect."""
-    stage = LightPathStage.STATION
+    light_path_stage = LightPathStage.STATION
     """Part of the light path on which the effect acts."""
     covariates = ("time",)
     """Covariates on which the effect depends."""

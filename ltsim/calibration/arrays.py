@@ -75,11 +75,11 @@ class CalibrationArrays(ValueEquality):
         return np.where(self.is_prior_rejected, WIDENED_SIGMA_FACTOR, 1.0) * self.prior_sigma
 
     @property
-    def bias_operator(self) -> Floats:
-        """Matrix that maps the true parameters to the expected bias of their estimates by the prior, times -1.
+    def negative_bias_operator(self) -> Floats:
+        """Matrix B of the bias by the prior: the expected error of the estimates is -B x for the true parameters x.
 
-        The expected error of the estimates is -bias_operator @ truth. The shape is (parameters, parameters), for the
-        parameters of all instruments in units of their prior standard deviations.
+        The shape is (parameters, parameters), for the parameters of all instruments in units of their prior standard
+        deviations.
         """
         if self.null_space is not None:
             return self.null_space.T @ self.null_space
@@ -140,7 +140,7 @@ def arrays_from_file_rows(
     nominal_sigmas = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
     values = with_file_values(np.zeros(len(place)), [row.value for row in parameter_entries])
     prior = with_file_values(nominal_sigmas, [row.prior_sigma for row in parameter_entries])
-    applied_values = with_file_values(values, [row.applied for row in parameter_entries])
+    applied_values = with_file_values(values, [row.applied_value for row in parameter_entries])
     prior_covariance = np.diag(with_file_values(prior, [row.sigma for row in parameter_entries]) ** 2)
     if len(covariance):
         prior_covariance[np.ix_(flat_indices, flat_indices)] = np.array(covariance) * np.outer(factor, factor)

@@ -50,10 +50,10 @@ from ltsim.recordings.result_file import Finite, ResultFile
 
 EntryT = TypeVar("EntryT", DeterminedEntry, HarmonicEntry)
 """Type of the result entries that are made for each instrument."""
-MAX_SIGMA_RATIO_DETERMINED = 0.975
+MAX_SIGMA_TO_PRIOR_SIGMA_RATIO = 0.975
 """Ratio of the posterior to the prior standard deviation below which a parameter counts as determined: the readings
 then removed at least 5 % of the prior variance (0.975 squared is 0.95)."""
-MAX_ESTIMATED_NOISE_FRACTION = 0.9
+MAX_REDUNDANCY_FRACTION_WITH_ESTIMATED_NOISE = 0.9
 """Fraction of the total redundancy that belongs to readings with estimated noise, above which the global test is not
 valid: the estimation of the noise makes chi-square equal to the redundancy."""
 
@@ -110,7 +110,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     """True if outlying readings were excluded from the adjustment."""
     noise: tuple[NoiseRow, ...] = ()
     """Noise estimated from the readings, one entry per group of readings."""
-    with_constants: FitEntry | None = None
+    fit_with_constants: FitEntry | None = None
     """Fit in which the instrument constants are estimated too; null unless the fit without constants is rejected."""
     noise_estimated: bool = False
     """True if the adjustment used noise that was estimated from the readings."""
@@ -128,7 +128,7 @@ class Calibration(UncertaintyEntry, ResultFile):
     """Effects of the catalogue that were estimated with the parameters (`--with`)."""
     reflectors: tuple[ReflectorEntry, ...] = ()
     """Incidence errors of the reflectors in fixed nests."""
-    history_prior: bool = False
+    has_history_prior: bool = False
     """True if the prior comes from earlier calibrations."""
     notes: tuple[str, ...] = ()
     """Notes on how the result was obtained, one sentence each."""
@@ -153,7 +153,7 @@ class Calibration(UncertaintyEntry, ResultFile):
         factors = np.tile([p.si_per_display_unit for p in arrays.construction.parameters], len(arrays.instruments))
         defaults = {name: entry.get_default(call_default_factory=True) for name, entry in cls.model_fields.items()}
         fields = {name: value for name, value in defaults.items() if name not in FIELDS_NOT_COPIED} | fields
-        bayes = fields["method"] == "network" and not fields["history_prior"]
+        bayes = fields["method"] == "network" and not fields["has_history_prior"]
         applied_values = arrays.estimates if fields["correction"] is None else arrays.applied_values
         prior = estimates_with_plausible_priors if bayes else None
         derived_fields = {
@@ -273,20 +273,20 @@ class Calibration(UncertaintyEntry, ResultFile):
         fit, count = self.fit, len(self.instrument_parameter_names)
         test = f"chi2/dof {fit.chi2:.1f}/{fit.dof}"
         test += "" if fit.p_value is None else f", two-sided {p_relation_text(two_sided_p_value(fit.p_value))}"
-        n_determined = int(((self.sigma < MAX_SIGMA_RATIO_DETERMINED * self.prior_sigma) & ~self.is_fixed).sum())
+        n_determined = int(((self.sigma < MAX_SIGMA_TO_PRIOR_SIGMA_RATIO * self.prior_sigma) & ~self.is_fixed).sum())
         targets = f" and {len(self.target_names)} targets" if self.target_names else ""
         lines = [f"Calibration ({self.method}, {self.construction_name}): {fit.status}, {test}"]
         lines.append(f"{len(self.stations)} stations{targets} in {self.frame}")
         if count:
             undetermined = f"{len(self.undetermined)} combinations are not determined"
             held = f" ({int(self.is_fixed.sum())} held)" if self.is_fixed.any() else ""
-            lines.append(f"{count} parameters{held}, {n_determined} better known than before; {undetermined}")
+            lines.append(f"{count} parameters{held}, {n_determined} determined by the readings; {undetermined}")
         lines += [effect.sentence for effect in self.effects]
         if self.outliers:
             lines.append(f"{len(self.outliers)} outlying readings")
         if self.criteria is not None:
             lines.append(f"stations disagree in distances by {self.criteria.distance.text}")
-        if self.correction is not None and self.correction.uncorrected_um > 0:
+        if self.correction is not None and self.correction.uncorrected_error_um > 0:
             lines += [*([] if self.is_rejected else [self.correction.point_error_text]), *self.correction.sentences]
         return [*lines, *uncertainty_sentences(self), *self.notes, *self.warnings]
 
@@ -369,7 +369,7 @@ def _parameter_entries(arrays: CalibrationArrays, applied_values: Floats) -> tup
                 held=bool(arrays.is_fixed[i, k]),
                 prior_rejected=bool(arrays.is_prior_rejected[i, k]),
             )
-            further = {"applied": float(applied_values[i, k] / factor)} if differs else {}
+            further = {"applied_value": float(applied_values[i, k] / factor)} if differs else {}
             named = {"instrument": instrument} if is_multiple else {}
             parameter_entries.append(entry.model_copy(update={**further, **named}))
     return tuple(parameter_entries)
@@ -397,4 +397,4 @@ def _is_noise_estimated(noise: Sequence[NoiseRow]) -> bool:
     """True if the noise was estimated from the same readings, so that the global test is not valid."""
     redundancy = sum(n.redundancy for n in noise)
     redundancy_estimated = sum(n.redundancy for n in noise if n.factor_sigma is not None)
-    return redundancy_estimated > MAX_ESTIMATED_NOISE_FRACTION * redundancy
+    return redundancy_estimated > MAX_REDUNDANCY_FRACTION_WITH_ESTIMATED_NOISE * redundancy

@@ -30,7 +30,7 @@ from ltsim.solve.design import NORMAL_RANK_TOLERANCE
 
 MAX_EM_STEPS = 2000
 """Largest number of expectation-maximisation steps, which converge linearly."""
-MAX_CONVERGED_EM_CHANGE = 1e-4
+MAX_LOG_VARIANCE_CHANGE_AT_CONVERGENCE = 1e-4
 """Largest change of a log variance in one step at which the expectation-maximisation has converged."""
 
 
@@ -72,7 +72,7 @@ class ChangeEntry(ChiSquareEntry):
     """Label of the earlier calibration."""
     to: str
     """Label of the later calibration."""
-    changed: tuple[str, ...] = ()
+    changed_parameters: tuple[str, ...] = ()
     """Names of the parameters that changed significantly."""
     parameters: tuple[DifferenceEntry, ...] = ()
     """Differences of all parameters."""
@@ -125,11 +125,11 @@ class CalibrationSeries(ValueEquality):
                 f"the history has {len(labelled_calibrations)} calibration(s); expected at least two to compare"
             )
         if len({c.construction.parameter_names for _, c in labelled_calibrations}) > 1:
-            raise RecordError("the calibrations hold different parameters, expected one construction for all")
+            raise RecordError("the calibrations have different instrument models; calibrate all with one construction")
         if not labelled_calibrations[0][1].construction.n_parameters:
             raise RecordError("the calibrations hold no instrument parameters, expected those of `ltsim calibrate`")
         for label, calibration in labelled_calibrations:
-            if calibration.history_prior:
+            if calibration.has_history_prior:
                 how = f"{label} was calibrated with earlier calibrations as its prior ({option_text('prior')})"
                 raise RecordError(f"{how}; expected calibrations that are independent of each other")
         calibrations = _with_common_parameters(
@@ -200,7 +200,7 @@ class CalibrationSeries(ValueEquality):
         parameters x are drawn from the prior once for all calibrations.
         """
         remaining = np.array([e.posterior_covariance for e in self._likelihood_information])
-        pull = np.array([e.posterior_covariance @ e.information for e in self._likelihood_information])
+        pull = np.array([e.posterior_covariance @ e.information_matrix for e in self._likelihood_information])
         covariance: Floats = np.einsum("iab,jcb->iajc", pull, pull)
         for i in range(len(self)):
             covariance[i, :, i] += pull[i] @ remaining[i]
@@ -227,7 +227,7 @@ class CalibrationSeries(ValueEquality):
         ).model_dump()
         return ChangeEntry(
             **test | {"from": self.labels[earlier_index], "to": self.labels[later_index]},
-            changed=tuple(parameters[k].name for k in changed_indices),
+            changed_parameters=tuple(parameters[k].name for k in changed_indices),
             parameters=tuple(
                 DifferenceEntry(
                     name=p.name, difference=gap[k] * scale, sigma=sigma[k] * scale, unit=p.unit, p_value=chance
@@ -282,7 +282,7 @@ class CalibrationSeries(ValueEquality):
         bias it. Combinations without information keep the prior mean. A parameter without information has the prior
         standard deviation.
         """
-        information = np.array([e.information for e in self._likelihood_information])
+        information = np.array([e.information_matrix for e in self._likelihood_information])
         vectors = np.array([e.information_vector for e in self._likelihood_information])
         identity, variance = np.eye(self.construction.n_parameters), np.ones(self.construction.n_parameters)
         mean, of_mean = np.zeros(self.construction.n_parameters), identity
@@ -296,7 +296,7 @@ class CalibrationSeries(ValueEquality):
             remaining = keeps * variance + deviation @ of_mean @ np.swapaxes(deviation, 1, 2)
             spread = np.mean((single - mean) ** 2 + np.einsum("kaa->ka", remaining), axis=0)
             spread = np.maximum(spread, NORMAL_RANK_TOLERANCE)
-            settled = np.max(np.abs(np.log(spread / variance))) < MAX_CONVERGED_EM_CHANGE
+            settled = np.max(np.abs(np.log(spread / variance))) < MAX_LOG_VARIANCE_CHANGE_AT_CONVERGENCE
             variance = spread
             if settled:
                 break
@@ -321,7 +321,7 @@ class CalibrationSeries(ValueEquality):
             input_calibration.arrays.effective_prior_sigma[0],
             unit,
         )
-        covariance = np.linalg.inv(likelihood.information + np.diag(spread**-2))
+        covariance = np.linalg.inv(likelihood.information_matrix + np.diag(spread**-2))
         posterior_means = covariance @ (likelihood.information_vector + population.mean / unit * spread**-2)
         return input_calibration.with_changes(
             estimates=(posterior_means * unit)[None],

@@ -83,7 +83,7 @@ def calibrate_distance(
     adjustment = adjust(corrected_recording)
     adjustment.solution.require_success()
     propagation = ErrorPropagation(recording, model, parameter_values, estimate, adjustment)
-    added_covariance = propagation.added_covariance()
+    added_covariance = propagation.covariance_by_parameter_error()
     unknowns = adjustment.problem.unknowns
     pose = adjustment.pose_covariance
     added_pose = added_covariance[unknowns.pose_columns[:, :, None], unknowns.pose_columns[:, None, :]]
@@ -230,7 +230,7 @@ class ErrorPropagation:
         noise = self.estimate.covariance_with_observations
         return np.concatenate([noise[:, self._used_rows], noise[:, readings:]], axis=1).T
 
-    def added_covariance(self) -> Floats:
+    def covariance_by_parameter_error(self) -> Floats:
         """Part of the covariance (unknowns, unknowns) of the network that comes from the error of the parameters."""
         through = self._unknowns_per_observation @ self._parameter_design
         cross_covariance = (self._unknowns_per_observation @ self._noise_parameter_covariance) @ through.T

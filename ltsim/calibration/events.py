@@ -6,7 +6,7 @@ steps. The most significant step is removed, and the rest is tested again, so th
 
 If the days between calibrations are known, a fraction g of the variance of usual steps may grow with them (random
 walk), and the rest is the same for each step: s^2 (1 - g + g days / median days). The p-value of a step is the mean
-over the values `TIME_GROWTH_FRACTIONS` of g, weighted by the likelihood of the other steps.
+over the values `TIME_GROWING_VARIANCE_FRACTIONS` of g, weighted by the likelihood of the other steps.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ MIN_STEPS_FOR_TEST = 3
 MIN_STEPS_TO_CALL_USUAL = 5
 """Smallest number of steps between calibrations for which a report calls a step that is no event a usual one: the
 variance of the steps then has four degrees of freedom."""
-TIME_GROWTH_FRACTIONS = np.linspace(0.0, 1.0, 5)
+TIME_GROWING_VARIANCE_FRACTIONS = np.linspace(0.0, 1.0, 5)
 """Tested fractions of the variance of usual steps that grow with the days between calibrations; p-values are averaged
 over these fractions, weighted by likelihood."""
 
@@ -125,11 +125,11 @@ def _step_p_value(
     (steps,). The tested step is `step_index`, `other_steps` are the indices of the steps it is compared with.
     """
     likelihood, chance, usual = (
-        np.zeros(len(TIME_GROWTH_FRACTIONS)),
-        np.zeros(len(TIME_GROWTH_FRACTIONS)),
-        np.zeros(len(TIME_GROWTH_FRACTIONS)),
+        np.zeros(len(TIME_GROWING_VARIANCE_FRACTIONS)),
+        np.zeros(len(TIME_GROWING_VARIANCE_FRACTIONS)),
+        np.zeros(len(TIME_GROWING_VARIANCE_FRACTIONS)),
     )
-    for n, share in enumerate(TIME_GROWTH_FRACTIONS):
+    for n, share in enumerate(TIME_GROWING_VARIANCE_FRACTIONS):
         shape = 1.0 - share + share * relative_durations
         scale = _variance_by_moments(difference[other_steps], sigma[other_steps], shape[other_steps])
         variance = sigma**2 + scale * shape

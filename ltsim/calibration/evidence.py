@@ -16,21 +16,21 @@ from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE
 from ltsim.physics.effects.linear_effect import Parameter
 
-MAX_SIGMA_RATIO_COMBINATION = 0.25
+MAX_COMBINED_TO_UNCORRELATED_SIGMA_RATIO = 0.25
 """Largest ratio of the standard deviation of a reported combination to the standard deviation that it would have for
 uncorrelated estimates of its parameters: the recording determines it at least four times better than these."""
-MAX_TRUNCATION_SIGMA_RATIO = 1.2
+MAX_TRUNCATED_TO_FULL_SIGMA_RATIO = 1.2
 """Largest permitted ratio by which the standard deviation of a combination increases when its parameters with the
 smallest coefficients are omitted."""
-MIN_REFERENCE_COEFFICIENT = 0.5
+MIN_RELATIVE_REFERENCE_COEFFICIENT = 0.5
 """Coefficient, relative to the largest coefficient of a combination, above which a parameter can be the reference
 parameter with coefficient 1. The first such parameter in the order of the model is used, for example the vertical index
 rather than a harmonic of the circle."""
 RELATIVE_EFFECT_SIZES = np.array(list(probability.PRIOR_BY_RELATIVE_EFFECT_SIZE))
 """Sizes of an effect over which the evidence is averaged, relative to its plausible size."""
-LOG_SIZE_PRIOR = np.log(np.array(list(probability.PRIOR_BY_RELATIVE_EFFECT_SIZE.values())))
+LOG_EFFECT_SIZE_PRIOR = np.log(np.array(list(probability.PRIOR_BY_RELATIVE_EFFECT_SIZE.values())))
 """Logarithms of the prior probabilities of `RELATIVE_EFFECT_SIZES`."""
-MAX_SINGLE_CALL_ENTRIES = 100
+MAX_ENTRIES_FOR_SINGLE_NUMPY_CALL = 100
 """Largest number of array entries for which one NumPy call computes a log-sum-exp; for larger arrays several vectorised
 calls are faster."""
 _COSINE_PARAMETER_NAME = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
@@ -43,7 +43,7 @@ class LikelihoodInformation:
 
     posterior_covariance: Floats
     """Covariance of the estimates, shape (parameters, parameters)."""
-    information: Floats
+    information_matrix: Floats
     """Information matrix of the readings (posterior minus prior precision), shape (parameters, parameters).
 
     Combinations whose gain is below `MAX_UNINFORMATIVE_GAIN` have zero information."""
@@ -90,7 +90,7 @@ def log_marginal_likelihood(
     The likelihood exp(b'x - x'N x / 2), with the information matrix N and the information vector b, is averaged over x
     ~ N(`mean`, `prior_covariance`).
     """
-    information, vector = likelihood_information.information, likelihood_information.information_vector
+    information, vector = likelihood_information.information_matrix, likelihood_information.information_vector
     score = vector - information @ mean
     keeps = np.eye(len(score)) + information @ prior_covariance
     gain = score @ prior_covariance @ np.linalg.solve(keeps, score)
@@ -98,7 +98,7 @@ def log_marginal_likelihood(
 
 
 def forward_select(score_function: Callable[[Collection[int]], Floats], min_score: float) -> dict[int, Floats]:
-    """Index of each selected change, with the scores of all candidates at its selection; forward selection.
+    """Forward selection: index of each selected change, and the scores of all candidates when it was selected.
 
     `score_function` returns the score of each candidate change, given the indices of the changes selected so far. The
     change with the largest score is added while this score exceeds `min_score`. After each addition, every earlier
@@ -128,7 +128,7 @@ def estimates_with_plausible_priors(
         return estimates, covariance
     likelihood = likelihood_information(estimates[free_indices], covariance[block], prior_sigma[free_indices], unit)
     posterior_covariance, estimates, covariance = (
-        np.linalg.inv(likelihood.information + np.eye(len(free_indices))),
+        np.linalg.inv(likelihood.information_matrix + np.eye(len(free_indices))),
         estimates.copy(),
         covariance.copy(),
     )
@@ -161,11 +161,13 @@ def determined_combinations(
                 members = np.sort(np.argsort(-np.abs(vector) * alone)[:count])
                 weights = vector[members]
                 sigma = float(np.sqrt(weights @ block[np.ix_(members, members)] @ weights))
-                if sigma <= MAX_TRUNCATION_SIGMA_RATIO * np.sqrt(max(variance, 0.0)):
+                if sigma <= MAX_TRUNCATED_TO_FULL_SIGMA_RATIO * np.sqrt(max(variance, 0.0)):
                     break
-            if count < 2 or sigma > MAX_SIGMA_RATIO_COMBINATION * float(np.linalg.norm(weights * alone[members])):
+            if count < 2 or sigma > MAX_COMBINED_TO_UNCORRELATED_SIGMA_RATIO * float(
+                np.linalg.norm(weights * alone[members])
+            ):
                 continue
-            first = int(np.flatnonzero(np.abs(weights) > MIN_REFERENCE_COEFFICIENT * np.abs(weights).max())[0])
+            first = int(np.flatnonzero(np.abs(weights) > MIN_RELATIVE_REFERENCE_COEFFICIENT * np.abs(weights).max())[0])
             order, unit_of_first = [first, *np.delete(np.arange(count), first)], weights[first] * factor
             combination = {parameters[at[members[i]]].name: float(weights[i] / weights[first]) for i in order}
             value, sigma = float(weights @ estimates[at[members]]) / unit_of_first, sigma / abs(unit_of_first)
@@ -224,7 +226,7 @@ def harmonic_entries(parameters: Sequence[Parameter], estimates: Floats, covaria
 def log_sum_exp(logarithms: Floats, axis: int = 0) -> Floats:
     """Logarithm of the sum of the exponentials along an axis; minus infinity for an empty axis."""
     total: Floats
-    if logarithms.size <= MAX_SINGLE_CALL_ENTRIES:
+    if logarithms.size <= MAX_ENTRIES_FOR_SINGLE_NUMPY_CALL:
         total = np.logaddexp.reduce(logarithms, axis=axis)
         return total
     top = np.nan_to_num(logarithms.max(axis=axis, keepdims=True), neginf=0.0)
@@ -234,7 +236,7 @@ def log_sum_exp(logarithms: Floats, axis: int = 0) -> Floats:
 
 
 def size_weights_and_constants(
-    information_strength: Floats, sizes: Floats = RELATIVE_EFFECT_SIZES, log_size_prior: Floats = LOG_SIZE_PRIOR
+    information_strength: Floats, sizes: Floats = RELATIVE_EFFECT_SIZES, log_size_prior: Floats = LOG_EFFECT_SIZE_PRIOR
 ) -> tuple[Floats, Floats]:
     """Weights of the squared scores and additive constants in the log evidence of an effect, at each of its sizes.
 

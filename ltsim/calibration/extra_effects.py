@@ -20,15 +20,13 @@ from ltsim.core.errors import ModelError, option_text
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect, LinearEffect, Parameter, ShapeParameter
+from ltsim.physics.effects.verbs import LOCATION_FIELDS
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.sizes import displayed_sizes
 from ltsim.physics.laws.text_form import law_suffix, regressor_text
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import MAX_ALTERNATIONS
-
-LOCATION_FIELDS = ("stations", "targets")
-"""Fields of an effect that contain the stations and targets where it acts."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class RequestedEffect:
         if matching:
             return matching
         free_shapes = [s for s in self.effect.shape_parameters if s.name not in self.fixed_fields]
-        grids = product(*([(s.name, float(v)) for v in s.grid()] for s in free_shapes))
+        grids = product(*([(s.name, float(v)) for v in s.grid_values()] for s in free_shapes))
         return [self.effect.with_constants(**dict(shape)) for shape in grids]
 
 

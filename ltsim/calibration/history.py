@@ -32,7 +32,7 @@ class ParameterHistory(Entry):
     """Prior standard deviation of the parameter."""
     mean: Finite
     """Weighted mean of the estimates."""
-    spread: Finite
+    between_calibration_sigma: Finite
     """Standard deviation of the parameter from calibration to calibration, without estimation errors."""
     constancy_test: ChiSquareEntry
     """Chi-square test that the parameter is the same in all calibrations."""
@@ -116,7 +116,7 @@ class History(ResultFile):
     """Changes between successive calibrations."""
     events: tuple[EventEntry, ...] = ()
     """Significant steps of parameters; empty also if there are too few calibrations for a test."""
-    since_first: ChangeEntry
+    change_since_first: ChangeEntry
     """Change between the first and the last calibration."""
     _series: CalibrationSeries | None = PrivateAttr(None)
 
@@ -135,7 +135,7 @@ class History(ResultFile):
             constancy_test=series.constancy_test(),
             changes=tuple(series.changes()),
             events=significant_steps(series),
-            since_first=series.change(0, len(series) - 1),
+            change_since_first=series.change(0, len(series) - 1),
         )
         result._series = series
         return result
@@ -158,7 +158,7 @@ class History(ResultFile):
         return [course for course in self.parameters if course.constancy_test.dof]
 
     def _lines(self) -> list[str]:
-        since, labels = self.since_first, self.labels
+        since, labels = self.change_since_first, self.labels
         return [
             f"History: {len(labels)} calibrations, {labels[0]} to {labels[-1]}",
             f"first to last: chi2 {since.chi2:.1f}/{since.dof}, {p_relation_text(since.p_value)}",
@@ -185,12 +185,12 @@ class History(ResultFile):
 
     def _changes_table(self) -> Table:
         """Changes from each calibration to the next, and from the first to the last."""
-        candidates = [*self.changes, self.since_first] if len(self.changes) > 1 else [self.since_first]
+        candidates = [*self.changes, self.change_since_first] if len(self.changes) > 1 else [self.change_since_first]
         return INSTRUMENT_CHANGES_TABLE.with_rows(
             [
                 c.from_,
                 c.to,
-                listing(c.changed) or ("no single one" if c.p_value < FAMILY_WISE_LEVEL else ""),
+                listing(c.changed_parameters) or ("no single one" if c.p_value < FAMILY_WISE_LEVEL else ""),
                 c.chi2,
                 c.dof,
                 c.p_value,
@@ -200,7 +200,7 @@ class History(ResultFile):
 
     def _parameters_table(self) -> Table:
         return PARAMETER_HISTORIES_TABLE.with_rows(
-            [p.name, p.values[-1], p.sigmas[-1], p.unit, p.mean, p.spread, p.constancy_test.p_value]
+            [p.name, p.values[-1], p.sigmas[-1], p.unit, p.mean, p.between_calibration_sigma, p.constancy_test.p_value]
             for p in self.determined_parameters
         )
 
@@ -223,6 +223,6 @@ def _parameter_history(series: CalibrationSeries, parameter_index: int) -> Param
         sigmas=(series.sigma[:, parameter_index] / parameter.si_per_display_unit).tolist(),
         prior_sigma=series.prior_sigma[parameter_index] / parameter.si_per_display_unit,
         mean=population.mean[parameter_index] / parameter.si_per_display_unit,
-        spread=population.between_calibration_sigma[parameter_index] / parameter.si_per_display_unit,
+        between_calibration_sigma=population.between_calibration_sigma[parameter_index] / parameter.si_per_display_unit,
         constancy_test=series.constancy_test(parameter_index),
     )

@@ -72,9 +72,9 @@ def calibrate_network(
         wanted.require_estimable(recording, model)
     modes = [RangeMode()] if model.n_parameters and DISTANCE_METER_COLUMN in recording.regressor_covariates else []
     expected_prior = expected_error_sigmas(recording, model) if choose_correction else prior_sigmas(recording, model)
-    prior, history_prior = (
+    prior, has_history_prior = (
         chosen.prior_with_sigma(expected_prior, recording, model),
-        chosen.earlier_calibrations is not None,
+        chosen.earlier_calibration_prior is not None,
     )
     freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _noise_grouping(noise_from_data)
     quiet_by, noise_may_differ, tried_sets, alternates = "", True, [freed], False
@@ -101,7 +101,7 @@ def calibrate_network(
             continue
         further = (
             freed
-            if history_prior or chosen.has_no_prior or alternates or not remaining
+            if has_history_prior or chosen.has_no_prior or alternates or not remaining
             else contradicted_prior_mask(adjustment, prior)
         )
         if remaining and noise_may_differ and grouping is None and is_noise_overstated(adjustment):
@@ -125,15 +125,15 @@ def calibrate_network(
     new_fields: dict[str, Any] = {
         "prior_sigma": prior.sigma,
         "is_prior_rejected": freed,
-        "history_prior": history_prior,
+        "has_history_prior": has_history_prior,
     }
     if choose_correction:
         wider = NO_PRIOR_SIGMA_FACTOR if chosen.has_no_prior else None
-        factor = uncertainty_factor(calibration.fit, is_sigma0_credible=calibration.verdict.scale_by_sigma0)
+        factor = uncertainty_factor(calibration.fit, is_sigma0_credible=calibration.verdict.is_sigma0_credible)
         worth, applied_values = recommend_correction(
             adjustment,
             calibration.instrument_parameter_names,
-            history_prior=history_prior,
+            has_history_prior=has_history_prior,
             prior_widening_factor=wider,
             noise_factor=factor,
         )
@@ -188,7 +188,7 @@ def adjust(
         source, ideal_construction(), robust, _noise_grouping(noise_from_data), datum_names, selection=selection
     )
     tests, constants = () if selection is None else cause_tests(selection), _fit_with_constants(adjustment)
-    options = {"robust": robust, "tests": tests, "with_constants": constants}
+    options = {"robust": robust, "tests": tests, "fit_with_constants": constants}
     return with_reported_uncertainty(
         _make_calibration(source, adjustment, "adjustment", recommend_measurements=False, **options)
     )
@@ -219,7 +219,7 @@ def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
 def _uncertainty_factor_of(adjustment: Adjustment) -> float:
     """Factor on the standard deviations of a network: sigma0 if the readings contradict the model, otherwise 1."""
     return uncertainty_factor(
-        result.fit_entry(adjustment), is_sigma0_credible=result.verdict_entry(adjustment).uses_estimated_noise
+        result.fit_entry(adjustment), is_sigma0_credible=result.fit_verdict(adjustment).uses_estimated_noise
     )
 
 
@@ -322,7 +322,7 @@ def _make_calibration(
         criteria=result.criteria_entry(recording, adjustment, construction, values),
         reflectors=result.reflector_entries(adjustment),
         outliers=result.outlier_rows(adjustment),
-        verdict=VerdictEntry.from_verdict(result.verdict_entry(adjustment, fields.get("with_constants"))),
+        verdict=VerdictEntry.from_verdict(result.fit_verdict(adjustment, fields.get("fit_with_constants"))),
         noise=result.noise_rows(adjustment),
         reference_values=result.reference_value_entries(adjustment),
         undetermined_targets=adjustment.undetermined_targets,

@@ -53,7 +53,7 @@ class DistanceProblem:
         return GaugeRows.from_recording(self.recording)
 
     @cached_property
-    def set_indices(self) -> Ints:
+    def station_face_indices(self) -> Ints:
         """Index of the set (station and face) of each pointing, from 0, shape (pointings,)."""
         _, number = np.unique(2 * self.recording.station + self.recording.face - 1, return_inverse=True)
         return number.astype(np.int64)
@@ -65,7 +65,7 @@ class DistanceProblem:
         The indices (mean points, 2) are the set (station and face) and the target of each mean point.
         """
         n_targets = len(self.recording.targets)
-        key = self.set_indices * n_targets + self.recording.target
+        key = self.station_face_indices * n_targets + self.recording.target
         complete_rows = np.flatnonzero(self.recording.is_measured.all(axis=1))
         keys, inverse, repeats = np.unique(key[complete_rows], return_inverse=True, return_counts=True)
         entries = (1.0 / repeats[inverse], (inverse, complete_rows))
@@ -77,7 +77,7 @@ class DistanceProblem:
         """Indices of the first and second mean point of each distance, and the index of its pair of targets."""
         sets, target = self._averaging_matrix[1].T
         a, b = _index_pairs(
-            np.flatnonzero(sets == number) for number in range(int(self.set_indices.max(initial=-1)) + 1)
+            np.flatnonzero(sets == number) for number in range(int(self.station_face_indices.max(initial=-1)) + 1)
         )
         self._check_matrix_size(len(a))
         return a, b, target[a] * len(self.recording.targets) + target[b]
@@ -175,7 +175,10 @@ def mean_removal_matrix(distances: PairDistances) -> tuple[sp.csr_array, Floats]
 
 
 def compared_distance_indices(distances: PairDistances) -> tuple[Ints, Ints]:
-    """Indices of the first and second distance of each comparison: distances of one pair of targets in two sets."""
+    """Indices of the first and second distance of each comparison: one pair of targets, measured in two sets.
+
+    A set is the pointings of one station and face.
+    """
     order = np.argsort(distances.pair_indices, kind="stable")
     return _index_pairs(np.split(order, np.flatnonzero(np.diff(distances.pair_indices[order])) + 1))
 

@@ -20,7 +20,7 @@ MAX_NOISE_FREE_SIGMA0 = 0.1
 MAX_SIGMA0_FOR_WIDENING = 2.0
 """Largest sigma0 at which a contradicted prior is widened; above it the readings contradict each other, not only the
 prior."""
-MAX_WIDENED_FRACTION = 0.25
+MAX_WIDENED_PRIOR_FRACTION = 0.25
 """Largest fraction of an instrument's parameters whose contradicted priors are widened one by one. If more parameters
 contradict their prior, the scale of all priors is wrong, and `shrinkage` estimates this scale."""
 CORRECTED_INSTRUMENT_TEXT = "its declared correction, which leaves"
@@ -33,7 +33,7 @@ def sigma0_of_readings(adjustment: Adjustment) -> float:
     return float(np.sqrt(max(adjustment.chi2 - float(gap @ gap), 0.0) / max(adjustment.dof, 1)))
 
 
-def informative_mask(adjustment: Adjustment) -> Bools:
+def informative_parameter_mask(adjustment: Adjustment) -> Bools:
     """Mask (parameters,) of the free parameters of all instruments on which the readings have information."""
     prior, columns = adjustment.problem.prior, adjustment.problem.unknowns.instrument_columns.ravel()
     remaining = np.diag(adjustment.retained_covariance)[columns] / prior.sigma.ravel() ** 2
@@ -72,7 +72,9 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
         """
         given_changes = WIDENED_SIGMA_FACTOR * directions[list(selected_changes)]
         score, weight = score_test(
-            likelihood.information, likelihood.information_vector, np.eye(len(free)) + given_changes.T @ given_changes
+            likelihood.information_matrix,
+            likelihood.information_vector,
+            np.eye(len(free)) + given_changes.T @ given_changes,
         )
         strength = np.einsum("hi,ij,hj->h", directions, weight, directions)
         informative = (strength > MAX_UNINFORMATIVE_GAIN) & ~np.isin(np.arange(len(directions)), list(selected_changes))
@@ -82,7 +84,7 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
 
     indices = [k for k, odds in forward_select(log_odds_given, 0.0).items() if odds[k] > 0.0]
     rejected.flat[free] = directions[indices].any(axis=0)
-    return rejected & (rejected.sum(axis=1, keepdims=True) <= MAX_WIDENED_FRACTION * size)
+    return rejected & (rejected.sum(axis=1, keepdims=True) <= MAX_WIDENED_PRIOR_FRACTION * size)
 
 
 def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
@@ -107,7 +109,7 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
             f"{name}: the readings give {with_sigma(p.value, p.sigma, p.unit)}, which contradicts "
             f"{references[k // size]} {p.prior_sigma:.3g} {p.unit}: the estimate follows the readings"
         )
-        if lengths and calibration.construction.parameters[k % size].prior_kind == "range_scale":
+        if lengths and calibration.construction.parameters[k % size].specified_quantity == "range_scale":
             sentences[-1] += " and the reference lengths: check their temperature and expansion coefficient"
     # The prior is an observation like any other: its residual has its variance less that of the estimate (Baarda).
     gain = np.where(calibration.is_fixed | freed, 0.0, 1.0 - (calibration.sigma / calibration.prior_sigma) ** 2).ravel()

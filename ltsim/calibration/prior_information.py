@@ -139,7 +139,7 @@ class ParameterSelection:
     """Names of the parameters that are fixed at zero."""
     fixed_values: Mapping[str, float] = field(default_factory=dict)
     """Value of each parameter that is fixed at a value, by its name, in the parameter's display unit."""
-    earlier_calibrations: EarlierCalibrationPrior | None = None
+    earlier_calibration_prior: EarlierCalibrationPrior | None = None
     """Prior from earlier calibrations that replaces the prior of the set-up."""
     has_no_prior: bool = False
     """True if the parameters have no prior: their prior standard deviations are then `NO_PRIOR_SIGMA_FACTOR` times
@@ -155,8 +155,8 @@ class ParameterSelection:
         """Prior of a recording's instruments for this selection and given sigmas (instruments, parameters) [SI]."""
         check_prior_names(recording, construction)
         nominal_prior = ParameterPrior.from_sigmas(sigma * (NO_PRIOR_SIGMA_FACTOR if self.has_no_prior else 1.0))
-        if self.earlier_calibrations is not None:
-            nominal_prior = self.earlier_calibrations.replace_nominal_prior(
+        if self.earlier_calibration_prior is not None:
+            nominal_prior = self.earlier_calibration_prior.replace_nominal_prior(
                 nominal_prior, construction, recording.instruments
             )
 

@@ -52,7 +52,9 @@ def uncertainty_factor(fit: FitEntry, *, is_sigma0_credible: bool | None = None)
 def with_reported_uncertainty(calibration: Calibration) -> Calibration:
     """Copy of a calibration with the reported standard deviations of targets, stations and parameters."""
     verdict, adjustment = calibration.verdict, calibration.adjustment
-    factor = uncertainty_factor(calibration.fit, is_sigma0_credible=verdict.scale_by_sigma0 if verdict.case else None)
+    factor = uncertainty_factor(
+        calibration.fit, is_sigma0_credible=verdict.is_sigma0_credible if verdict.case else None
+    )
     if adjustment is None:
         return calibration
     unknowns = adjustment.problem.unknowns
@@ -139,7 +141,7 @@ def _hidden_errors(adjustment: Adjustment, covariance: Floats) -> tuple[HiddenEr
         return ()
     usual, sizes = np.sqrt(np.mean(variance[is_determined])), rms_displacements_by_shared_air_error(adjustment)
     return tuple(
-        HiddenError(source_text=name, target_error_um=size / MICROMETRE)
+        HiddenError(error_text=name, rms_target_error_um=size / MICROMETRE)
         for name, size in sorted(sizes.items(), key=lambda item: -item[1])
         if size > MIN_RELATIVE_HIDDEN_DISPLACEMENT * usual
     )
@@ -151,7 +153,7 @@ def _noise_text(adjustment: Adjustment) -> str:
     source_text = noise_origin(recording.notes)
     if rows:
         texts = [
-            f"{row.observable}{f' of {row.instrument}' if row.instrument else ''} {number_text(row.typical_sigma, 3)} "
+            f"{row.observable}{f' of {row.instrument}' if row.instrument else ''} {number_text(row.median_sigma, 3)} "
             f"{row.unit} ("
             + (f"{number_text(row.factor, 3)} times {source_text})" if row.factor_sigma else f"{source_text})")
             for row in rows

@@ -43,7 +43,7 @@ from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.physics.model.measurement import smr_radius_offsets
 from ltsim.recordings.recording import DISTANCE_METER_COLUMN, OBSERVABLES, Recording
 
-HEIGHT_COMPONENT = np.array([False, False, True])
+HEIGHT_MASK = np.array([False, False, True])
 """Mask (3,) that selects the height of a point."""
 
 
@@ -90,7 +90,7 @@ def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> t
     return tuple(
         StationPose(
             name=name,
-            position_mm=np.where(flat[i] & HEIGHT_COMPONENT, np.nan, state.station_positions[i] / MILLIMETRE).tolist(),
+            position_mm=np.where(flat[i] & HEIGHT_MASK, np.nan, state.station_positions[i] / MILLIMETRE).tolist(),
             rotation_quaternion=quaternion_from_matrix(state.station_rotations[i]).tolist(),
             sigma_position_mm=(sigma[i, :3] / MILLIMETRE).tolist(),
             sigma_rotation_arcsec=(sigma[i, 3:] / ARCSECOND).tolist(),
@@ -107,19 +107,19 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     def row(i: int, column: int, size_si: float, w: float, **other_fields: Any) -> OutlierRow:
         unit, factor = DISPLAY_UNITS[column]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
-        observable = OBSERVABLES[column]
-        named = {"row": i + 1, "station": station, "target": target, "observable": observable, "unit": unit}
+        named = {"row": i + 1, "station": station, "target": target, "observable": OBSERVABLES[column], "unit": unit}
         return OutlierRow(size=size_si / factor, w=w, **named, **other_fields)
 
     outliers = []
     for i in np.flatnonzero(adjustment.is_gross_pointing).tolist():
         k = int(np.argmax(np.abs(whitened[i])))
-        outliers.append(row(i, k, adjustment.residuals[i, k], float(whitened[i, k]), gross=True, excluded=True))
+        residual, w = adjustment.residuals[i, k], float(whitened[i, k])
+        outliers.append(row(i, k, residual, w, pointing_excluded=True, excluded=True))
     single = adjustment.is_rejected & ~adjustment.is_gross_pointing[:, None]
     single &= _has_estimated_error(adjustment, whitened)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(whitened[at[0], at[1]])):
         outliers.append(row(i, k, adjustment.residuals[i, k], float(whitened[i, k]), excluded=True))
-    flagged_readings = adjustment.flagged_readings(uses_estimated_noise=verdict_entry(adjustment).uses_estimated_noise)
+    flagged_readings = adjustment.flagged_readings(uses_estimated_noise=fit_verdict(adjustment).uses_estimated_noise)
     return (
         *outliers,
         *(
@@ -140,7 +140,7 @@ def _has_estimated_error(adjustment: Adjustment, whitened_residuals: Floats) -> 
     return ~is_unconnected[:, None] & (~lost[:, None] | (np.abs(whitened_residuals) > MAX_CHANCE_SIGMAS))
 
 
-def verdict_entry(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:
+def fit_verdict(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:
     """Verdict on which test to trust (`TWO_SIDED_GLOBAL_TEST_LEVEL`); `fit` also estimates instrument constants."""
     return verdict_on(adjustment, TWO_SIDED_GLOBAL_TEST_LEVEL, None if fit is None else (fit.chi2, fit.dof))
 
@@ -168,7 +168,7 @@ def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
                     factor=c.noise_factor,
                     factor_sigma=c.noise_factor_sigma,
                     redundancy=c.redundancy,
-                    typical_sigma=typical,
+                    median_sigma=typical,
                     unit=unit,
                 )
             )
@@ -191,7 +191,7 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry
             residual=float(test.residual[k]) / factor,
             error=float(test.error[k]) / factor,
             sigma_error=float(test.sigma_error[k]) / factor if is_tested else None,
-            minimal_detectable=float(test.minimal_detectable_errors[k]) / factor if is_tested else None,
+            minimal_detectable_error=float(test.minimal_detectable_errors[k]) / factor if is_tested else None,
             unit=unit,
             redundancy=float(test.redundancy[k]),
             w=test.normalised_error,
@@ -386,7 +386,7 @@ def _handedness_notes(adjustment: Adjustment) -> tuple[str, ...]:
 def _undetermined_height_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the targets whose height is undetermined."""
     names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.is_height_undetermined)]
-    return (f"adjusted in plan only, as no reading determines their height: {listing(names)}",) if names else ()
+    return (f"no reading determines the height of {listing(names)}: adjusted in plan only",) if names else ()
 
 
 def range_zero_notes(adjustment: Adjustment) -> tuple[str, ...]:

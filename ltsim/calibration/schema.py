@@ -88,13 +88,13 @@ class ParameterEntry(Entry):
     """True if the parameter was not estimated but fixed at this value."""
     prior_rejected: bool = False
     """True if the readings contradict the prior, so that the estimate follows the readings."""
-    applied: OptionalFloat = None
+    applied_value: OptionalFloat = None
     """Correction to apply to readings, in `unit`; null if it equals `value`."""
     instrument: str = ""
     """Name of the instrument; empty for a single unnamed one."""
 
     @property
-    def information(self) -> float:
+    def variance_reduction(self) -> float:
         """Fraction by which the readings reduce the prior variance; 1 without a prior."""
         return 1.0 if not self.prior_sigma or self.sigma is None else 1.0 - (self.sigma / self.prior_sigma) ** 2
 
@@ -165,7 +165,7 @@ class AxesEntry(Entry):
 
 
 class OutlierRow(Entry):
-    """Outlying reading; if `gross` is true, the largest residual of a pointing that was excluded as a whole."""
+    """Outlying reading, or the reading with the largest residual of a pointing that was excluded as a whole."""
 
     row: int
     """Row number of the pointing in `observations.csv`, from 1."""
@@ -183,10 +183,9 @@ class OutlierRow(Entry):
     """Normalised residual (statistic of the w-test)."""
     p_value: OptionalFloat = None
     """p-value of the w-test, or of the tau-test if the noise is estimated, corrected for the number of readings. Null
-    for excluded readings.
-    """
-    gross: bool = False
-    """True if this is the largest residual of a pointing that was excluded as a whole."""
+    for excluded readings."""
+    pointing_excluded: bool = False
+    """True if the whole pointing was excluded, of which this is the reading with the largest residual."""
     excluded: bool = False
     """True if the reading was excluded from the adjustment."""
 
@@ -209,10 +208,10 @@ class ReferenceValueEntry(Entry):
     """Error of the declared value, estimated from all other observations."""
     sigma_error: OptionalFloat = None
     """Standard deviation of the estimated error; null without redundancy."""
-    minimal_detectable: OptionalFloat = None
+    minimal_detectable_error: OptionalFloat = None
     """Smallest error that the test detects with probability 80 %."""
     unit: str
-    """Unit of `residual`, `error`, `sigma_error` and `minimal_detectable`."""
+    """Unit of `residual`, `error`, `sigma_error` and `minimal_detectable_error`."""
     redundancy: Finite
     """Redundancy number: fraction of an error of the declared value that appears in its residual."""
     w: Finite
@@ -237,10 +236,10 @@ class NoiseRow(Entry):
     """Standard deviation of the factor."""
     redundancy: Finite
     """Sum of the redundancy numbers of the group's readings."""
-    typical_sigma: Finite
+    median_sigma: Finite
     """Median of the estimated standard deviations of the readings."""
     unit: str = ""
-    """Unit of `typical_sigma`."""
+    """Unit of `median_sigma`."""
 
 
 class VerdictEntry(Entry):
@@ -250,13 +249,13 @@ class VerdictEntry(Entry):
     """Short text on the agreement or disagreement of the tests."""
     sentence: str = ""
     """Sentence with the verdict."""
-    scale_by_sigma0: bool = False
+    is_sigma0_credible: bool = False
     """True if the estimated sigma0 is more credible than the declared noise."""
 
     @classmethod
     def from_verdict(cls, verdict: Verdict) -> Self:
         """Entry of the file for a verdict."""
-        return cls(case=verdict.case.value, sentence=verdict.sentence, scale_by_sigma0=verdict.uses_estimated_noise)
+        return cls(case=verdict.case.value, sentence=verdict.sentence, is_sigma0_credible=verdict.uses_estimated_noise)
 
 
 class RecommendedCorrection(Entry):
@@ -264,16 +263,16 @@ class RecommendedCorrection(Entry):
 
     prior_scale: Positive
     """Most likely size of the parameters, relative to their prior standard deviations."""
-    plausible_scale: tuple[Positive, Positive]
+    prior_scale_limits: tuple[Positive, Positive]
     """Lower and upper limit of `prior_scale`, each with a one-sided confidence of 95 %."""
-    uncorrected_um: NotNegative
+    uncorrected_error_um: NotNegative
     """Expected rms error [um] of an uncorrected point in the frame of its set-up, from the instrument's constants
     alone."""
-    corrected_um: NotNegative
+    corrected_error_um: NotNegative
     """Expected rms error [um] of a corrected point, from the instrument's constants alone."""
-    noise_um: NotNegative = 0.0
+    noise_error_um: NotNegative = 0.0
     """Rms 3D error [um] of a new point from the noise of its reading."""
-    not_applied: tuple[str, ...] = ()
+    unapplied_parameters: tuple[str, ...] = ()
     """Names of parameters that are not applied, because held-out targets are predicted better without them."""
     sentences: tuple[str, ...] = ()
     """Sentences on the correction."""
@@ -281,13 +280,14 @@ class RecommendedCorrection(Entry):
     @property
     def point_errors_um(self) -> tuple[float, float]:
         """Expected 3D error [um] of a new point without and with the correction, with the noise of its reading."""
-        return math.hypot(self.uncorrected_um, self.noise_um), math.hypot(self.corrected_um, self.noise_um)
+        noise = self.noise_error_um
+        return math.hypot(self.uncorrected_error_um, noise), math.hypot(self.corrected_error_um, noise)
 
     @property
     def point_error_text(self) -> str:
         """Text of the error of a new point without and with the correction."""
         before, after = (number_text(error, 3) for error in self.point_errors_um)
-        noise = f"{number_text(self.noise_um, 3)} um of it is the measurement noise of that point"
+        noise = f"{number_text(self.noise_error_um, 3)} um of it is the measurement noise of that point"
         return f"expected 3D error of a new point: {before} um uncorrected, {after} um corrected ({noise})"
 
 
@@ -358,7 +358,7 @@ PARAMETERS_TABLE = Table(
     "estimates of the instrument's parameters, each in its unit",
     columns_of(
         ParameterEntry,
-        "name instrument value sigma unit prior_sigma held applied",
+        "name instrument value sigma unit prior_sigma held applied_value",
         value={"sigma_column": "sigma"},
         prior_sigma={"display_format": ".3g"},
         name={"name": "parameter"},
@@ -375,7 +375,7 @@ NOISE_TABLE = Table(
         NoiseRow,
         factor={"sigma_column": "factor_sigma"},
         redundancy={"display_format": ".1f"},
-        typical_sigma={"display_format": ".3g"},
+        median_sigma={"display_format": ".3g"},
     ),
 )
 REFLECTOR_INCIDENCE_TABLE = Table(

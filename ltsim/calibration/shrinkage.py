@@ -26,7 +26,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.remedies.detectability import MAX_EXAMINED_VARIANTS
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, GLOBAL_TEST_LEVEL
 from ltsim.calibration.evidence import cosine_sine_pairs
-from ltsim.calibration.prior_conflict import MAX_SIGMA0_FOR_WIDENING, informative_mask, sigma0_of_readings
+from ltsim.calibration.prior_conflict import MAX_SIGMA0_FOR_WIDENING, informative_parameter_mask, sigma0_of_readings
 from ltsim.calibration.schema import RecommendedCorrection
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.notation import listing
@@ -38,16 +38,16 @@ from ltsim.solve.design import to_dense
 
 PRIOR_SCALES = np.geomspace(1e-4, 1e4, 161)
 """Tested scales of the prior (factors on the declared standard deviations), in steps of 12 %."""
-MIN_LOG_LIKELIHOOD_EXCESS_REJECTED = 0.5 * float(special.chdtri(1, FAMILY_WISE_LEVEL))
+MIN_REJECTION_LOG_LIKELIHOOD_RATIO = 0.5 * float(special.chdtri(1, FAMILY_WISE_LEVEL))
 """Log-likelihood of the most likely scale of the prior minus that of the declared scale, 1, above which the declared
 scale is rejected (likelihood ratio test)."""
-MAX_LOG_LIKELIHOOD_DEFICIT_PLAUSIBLE = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_TEST_LEVEL))
+MAX_PLAUSIBLE_LOG_LIKELIHOOD_RATIO = 0.5 * float(special.chdtri(1, 2.0 * GLOBAL_TEST_LEVEL))
 """Largest difference between the log-likelihood of the most likely scale of the prior and that of another scale at
 which the other scale counts as plausible."""
 MAX_PRIOR_SCALE = 30.0
 """Largest plausible scale of the prior: no instrument exceeds its whole specification by more; a larger misfit has
 another cause."""
-MIN_RELATIVE_CORRECTION = 0.02
+MIN_APPLIED_TO_ESTIMATED_CORRECTION_RATIO = 0.02
 """Ratio of the applied to the estimated correction (rms effect on a point) below which no correction is applied."""
 MIN_HELD_OUT_IMPROVEMENT = 2.0
 """Decrease of the sum of squared held-out residuals above which a parameter is not applied; 2 is Akaike's penalty for
@@ -63,20 +63,20 @@ def recommend_correction(
     adjustment: Adjustment,
     parameter_names: Sequence[str],
     *,
-    history_prior: bool = False,
+    has_history_prior: bool = False,
     prior_widening_factor: float | None = None,
     noise_factor: float = 1.0,
 ) -> tuple[RecommendedCorrection, Floats]:
     """Recommended correction for the result, and the parameters to apply, shape (instruments, parameters) [SI].
 
     `prior_widening_factor` is the factor by which the declared prior was widened to represent no prior; the scale of
-    the prior is then always estimated. With a prior from earlier calibrations (`history_prior`) all parameters are
+    the prior is then always estimated. With a prior from earlier calibrations (`has_history_prior`) all parameters are
     applied, and the scale is at least 1. `noise_factor` multiplies the noise; it is above 1 after a rejected fit.
     """
     prior = adjustment.problem.prior
     held, mean = prior.is_fixed.ravel(), prior.mean.ravel()
     free_indices = np.flatnonzero(~held)
-    dropped_terms = np.zeros(0, dtype=np.int64) if history_prior else parameters_to_drop(adjustment, noise_factor)
+    dropped_terms = np.zeros(0, dtype=np.int64) if has_history_prior else parameters_to_drop(adjustment, noise_factor)
     used_terms = np.setdiff1d(free_indices, dropped_terms)
     root = block_diag(*prior.whitening_matrices)[np.ix_(free_indices, free_indices)]
     columns_of_free = adjustment.problem.unknowns.instrument_columns.ravel()[free_indices]
@@ -86,7 +86,7 @@ def recommend_correction(
     spread = np.linalg.inv(root)[np.ix_(used_positions, used_positions)] / unit
     scale = noise_factor * unit
     information = (precision[np.ix_(used_positions, used_positions)] - np.eye(len(used_terms))) / scale**2
-    least, is_scale_estimated = (1.0 if history_prior else 0.0), prior_widening_factor is not None
+    least, is_scale_estimated = (1.0 if has_history_prior else 0.0), prior_widening_factor is not None
     sigma0 = sigma0_of_readings(adjustment)
     evidence = ScaledPrior(
         information,
@@ -99,23 +99,23 @@ def recommend_correction(
     weighted_mean: Floats = np.asarray(np.linalg.solve(spread, mean[used_terms]), dtype=np.float64)
     applied, note = evidence.shrunk_correction(by_unit, weighted_mean)
     before, after = evidence.point_errors(by_unit, applied, weighted_mean)
-    not_applied = tuple(parameter_names[k] for k in dropped_terms)
+    unapplied_parameters = tuple(parameter_names[k] for k in dropped_terms)
     notes = [n for n in (evidence.scale_sentence, note) if n]
-    if not_applied:
-        words, plural = listing(list(map(parameter_text, not_applied))), len(not_applied) > 1
+    if unapplied_parameters:
+        words, plural = listing(list(map(parameter_text, unapplied_parameters))), len(unapplied_parameters) > 1
         terms, they = ("terms", "they are") if plural else ("term", "it is")
         notes.append(f"held-out targets are predicted better without the {terms} {words}: {they} not applied")
     applied_values = mean * held
     applied_values[used_terms] = spread @ applied
-    if not history_prior:
-        applied_values = np.where(informative_mask(adjustment) | held, applied_values, mean)
+    if not has_history_prior:
+        applied_values = np.where(informative_parameter_mask(adjustment) | held, applied_values, mean)
     correction = RecommendedCorrection(
         prior_scale=evidence.most_likely_scale,
-        plausible_scale=evidence.plausible_scale_limits,
-        uncorrected_um=before / MICROMETRE,
-        corrected_um=after / MICROMETRE,
-        noise_um=point_noise_rms(adjustment.recording, adjustment.problem.sigma) / MICROMETRE,
-        not_applied=not_applied,
+        prior_scale_limits=evidence.plausible_scale_limits,
+        uncorrected_error_um=before / MICROMETRE,
+        corrected_error_um=after / MICROMETRE,
+        noise_error_um=point_noise_rms(adjustment.recording, adjustment.problem.sigma) / MICROMETRE,
+        unapplied_parameters=unapplied_parameters,
         sentences=tuple(notes),
     )
     return correction, applied_values.reshape(prior.mean.shape)
@@ -165,7 +165,7 @@ class ScaledPrior:
     def plausible_scale_limits(self) -> tuple[float, float]:
         """Smallest and largest plausible scale of the prior."""
         near_indices = np.flatnonzero(
-            self._log_likelihoods > self._log_likelihoods[self._best_index] - MAX_LOG_LIKELIHOOD_DEFICIT_PLAUSIBLE
+            self._log_likelihoods > self._log_likelihoods[self._best_index] - MAX_PLAUSIBLE_LOG_LIKELIHOOD_RATIO
         )
         return float(self._scales[near_indices[0]]), float(self._scales[near_indices[-1]])
 
@@ -175,7 +175,7 @@ class ScaledPrior:
         nominal_index = int(np.argmin(np.abs(np.log(self._scales))))
         return bool(
             self._log_likelihoods[self._best_index] - self._log_likelihoods[nominal_index]
-            > MIN_LOG_LIKELIHOOD_EXCESS_REJECTED
+            > MIN_REJECTION_LOG_LIKELIHOOD_RATIO
         )
 
     @property
@@ -199,19 +199,19 @@ class ScaledPrior:
         if not (self.rejects_declared_scale or self._is_scale_estimated):
             return ""
         low, high = self.plausible_scale_limits
-        scale_phrase = f"{self.most_likely_scale:.2g} times as large is most likely ({low:.2g} to {high:.2g})"
+        factor, limits = f"{self.most_likely_scale:.2g} times", f"({low:.2g} to {high:.2g})"
         if self._exceeds_plausible_scale:
             contradict = f" and contradict each other by {self._sigma0:.2g} times their noise"
             why, cause = ", which no instrument has", "another cause explains the misfit"
             if self.most_likely_scale <= MAX_PRIOR_SCALE:
                 why, cause = contradict, "the noise is larger than declared, or a systematic effect acts"
-            scale = f"{self.most_likely_scale:.2g} times the declared priors"
-            return f"the readings require parameters {scale}{why}: {cause}, and no correction is applied"
+            need = f"the readings require parameters {factor} the declared priors"
+            return f"{need}{why}: {cause}; no correction is applied"
         if not self._is_scale_estimated:
-            return f"the readings contradict the declared priors: {scale_phrase}; the correction uses this scale"
+            return f"the readings contradict the declared priors: the correction uses sigmas {factor} as large {limits}"
         share = self._strength / (self._strength + self.most_likely_scale**-2)
         phrase = f"{int(np.sum(share > 0.5))} of {len(share)} combinations are corrected by more than half"
-        return f"without a prior, parameters of the usual proportions and {scale_phrase}; {phrase}, the others by less"
+        return f"without a prior, sigmas {factor} as large as the usual ones are most likely {limits}; {phrase}"
 
     def estimate(self, prior_scale: float) -> Floats:
         """Estimate (parameters,) in prior sigmas, if all priors are `prior_scale` times as wide as declared."""
@@ -232,7 +232,7 @@ class ScaledPrior:
         if full @ point_error_matrix @ (full - 2.0 * cautious) <= 0.0:
             return full, ""
         share = float(np.sqrt((cautious @ point_error_matrix @ cautious) / (full @ point_error_matrix @ full)))
-        if share < MIN_RELATIVE_CORRECTION:
+        if share < MIN_APPLIED_TO_ESTIMATED_CORRECTION_RATIO:
             return np.zeros_like(full), "no correction is applied: it is likely to increase the errors of new points"
         limit = "more is likely to increase the errors of new points"
         return cautious, f"{100 * share:.0f} % of the correction is applied: {limit}"
@@ -347,7 +347,7 @@ def parameters_to_drop(adjustment: Adjustment, noise_factor: float = 1.0) -> Int
 
 def _informative_parameter_groups(adjustment: Adjustment) -> list[Ints]:
     """Indices of each estimated parameter with information; a cosine and its sine form one group."""
-    prior, open_ = adjustment.problem.prior, informative_mask(adjustment)
+    prior, open_ = adjustment.problem.prior, informative_parameter_mask(adjustment)
     sines = {i: j for _, i, j in cosine_sine_pairs(adjustment.construction.parameter_names)}
     term_groups = [[k, sines[k]] if k in sines else [k] for k in range(prior.mean.shape[1]) if k not in sines.values()]
     terms = [[i * prior.mean.shape[1] + k for k in term] for i in range(len(prior.mean)) for term in term_groups]

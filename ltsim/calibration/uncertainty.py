@@ -9,9 +9,9 @@ from ltsim.recordings.result_file import Entry, NotNegative, Positive
 class HiddenError(Entry):
     """Error that does not change the readings, so that no standard deviation includes it."""
 
-    source_text: str
+    error_text: str
     """Text that names the error and its size."""
-    target_error_um: NotNegative
+    rms_target_error_um: NotNegative
     """Rms displacement [um] of the targets by this error, after the best rigid fit."""
 
 
@@ -68,7 +68,8 @@ def uncertainty_sentences(result: ReportedUncertainty) -> list[str]:
         )
     if result.hidden_errors:
         sizes = "; ".join(
-            f"{error.source_text}: {number_text(error.target_error_um, 2)} um (rms)" for error in result.hidden_errors
+            f"{error.error_text}: {number_text(error.rms_target_error_um, 2)} um (rms)"
+            for error in result.hidden_errors
         )
         sentences.append(
             f"The readings do not show the following errors of the targets, and the standard deviations do not include "

@@ -108,7 +108,7 @@ def calibrate(
     >>> found.fit.dof, found.fit.status
     (318, 'converged')
     >>> found.to_dataframe("parameters").columns.tolist()
-    ['parameter', 'instrument', 'value', 'sigma', 'unit', 'prior_sigma', 'held', 'applied']
+    ['parameter', 'instrument', 'value', 'sigma', 'unit', 'prior_sigma', 'held', 'applied_value']
     """
     check_mapping("hold", hold)
     check_choice("method", method, ("network", *NORM_BY_DISTANCE_METHOD))
@@ -119,10 +119,10 @@ def calibrate(
     else:
         built = _named_construction(construction, harmonics, degree)
     has_no_prior = isinstance(prior, str) and prior == NO_PRIOR_OPTION
-    earlier_calibrations = None if prior is None or has_no_prior else EarlierCalibrationPrior.from_source(prior)
+    earlier_calibration_prior = None if prior is None or has_no_prior else EarlierCalibrationPrior.from_source(prior)
     parameter_names = None if parameters is None else name_tuple(parameters)
     choice = ParameterSelection(
-        parameter_names, name_tuple(without), dict(hold or {}), earlier_calibrations, has_no_prior
+        parameter_names, name_tuple(without), dict(hold or {}), earlier_calibration_prior, has_no_prior
     )
     datum_names = None if datum is None else name_tuple(datum)
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": datum_names}
@@ -298,7 +298,7 @@ def history(
     >>> import ltsim as lt
     >>> spring, autumn = (lt.simulate("paper-workshop", seed=s).recording for s in (1, 2))
     >>> course = lt.history([spring, autumn])
-    >>> course.since_first.dof > 0
+    >>> course.change_since_first.dof > 0
     True
     """
     if isinstance(sources, Mapping):

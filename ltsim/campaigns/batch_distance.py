@@ -124,7 +124,7 @@ class BatchDistance(BatchCalibrator):
         of its set and target. In the order of the result: sets (pointings,), mask (sets, targets), weights
         (pointings,), pairs (lengths, 2).
         """
-        gauge, sets = self.distance_problem.reference_lengths, self.distance_problem.set_indices
+        gauge, sets = self.distance_problem.reference_lengths, self.distance_problem.station_face_indices
         visible, share = measured_targets_and_weights(self.truth, sets)
         return sets, visible, share, np.stack([gauge.first_targets, gauge.second_targets], axis=1).reshape(-1, 2)
 

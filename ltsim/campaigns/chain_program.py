@@ -52,7 +52,7 @@ class ChainProgram(NamedTuple):
     @classmethod
     def from_construction(cls, construction: GeometricErrorModel, readings: Floats) -> Self:
         """Chain of an error model, linearised at `readings` (pointings, 3), without motions that are always zero."""
-        slots = [term.slot for term in construction.terms]
+        slots = [term.chain_error for term in construction.terms]
         motions_by_slot = {
             m.error_key: [k for k, slot in enumerate(slots) if slot == m.error_key]
             for m in construction.kinematic_chain

@@ -288,7 +288,7 @@ def _parameter_values(
     drawn_values = np.array([p.prior_sigma for p in cause.parameters]) * random_generator.standard_normal(
         len(cause.parameters)
     )
-    positive = [p.is_positive or isinstance(cause, NoiseEffect) for p in cause.parameters]
+    positive = [p.is_nonnegative or isinstance(cause, NoiseEffect) for p in cause.parameters]
     drawn_values = np.where(positive, np.abs(drawn_values), drawn_values)
     if isinstance(cause, Blunder):
         return np.ones(len(cause.parameters))

@@ -219,7 +219,7 @@ def compute_readings(
 def backpropagate_mean_forces(
     chain: ChainProgram,
     instrument: Ints,
-    set_indices: Ints,
+    station_face_indices: Ints,
     target: Ints,
     mean_weights: Floats,
     deviation: Floats,
@@ -241,7 +241,7 @@ def backpropagate_mean_forces(
         _forward_chain(i, chain, amounts, path)
         for c in range(3):
             for t in range(trials):
-                force[c, t] = mean_weights[i] * forces[set_indices[i], target[i], c, t]
+                force[c, t] = mean_weights[i] * forces[station_face_indices[i], target[i], c, t]
         _backpropagate(i, chain, deviation[i], amounts, path, force, moment, parameter_gradient[tracker])
 
 

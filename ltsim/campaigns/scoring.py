@@ -82,7 +82,7 @@ class TrueParameter(NamedTuple):
 def true_parameters(truth: Truth) -> dict[str, TrueParameter]:
     """True parameters by name; a parameter of an effect is named ``head-sag:sag``, at a station ``head-sag:sag S2``."""
     instrument_values = {
-        name: TrueParameter(value, truth.units[name]) for name, value in truth.instrument_values.items()
+        name: TrueParameter(value, truth.parameter_units[name]) for name, value in truth.instrument_values.items()
     }
     effects = [applied.effect for applied in truth.applied_effects]
     names = effect_parameter_names((e.name, e.place_text, [p.name for p in e.parameters]) for e in effects)
@@ -137,7 +137,7 @@ class TrueParameterDistribution:
         mean, drawn = np.array([truth_distributions[name] for name in calibration.instrument_parameter_names]).T / prior
         adjustment = calibration.adjustment
         if adjustment is None or calibration.method != "network":
-            return cls(mean, drawn, calibration.arrays.bias_operator, np.zeros(0, dtype=np.int64), prior)
+            return cls(mean, drawn, calibration.arrays.negative_bias_operator, np.zeros(0, dtype=np.int64), prior)
         model, unknowns = adjustment.problem.model, adjustment.problem.unknowns
         reflectors = [
             np.linalg.solve(e.covariance_root, _true_incidence_parameters(truth) - e.mean_parameters)
@@ -202,7 +202,7 @@ def score_calibration(
         calibration.fit.dof,
         *_expected_chi2(calibration, expected),
     )
-    units = tuple(truth.units[name] for name in calibration.instrument_parameter_names)
+    units = tuple(truth.parameter_units[name] for name in calibration.instrument_parameter_names)
     factor = np.array([SI_PER_UNIT[unit] for unit in units])
     instrument = np.stack(
         [calibration.estimates.ravel() / factor, calibration.sigma.ravel() / factor, true / factor, standard]

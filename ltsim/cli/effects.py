@@ -58,27 +58,27 @@ def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
 
 def _line(effect: EffectDescription, name_width: int) -> str:
     """Line of the list: name, title, cause, and the package that provides an effect that is not built-in."""
-    origin = f" [{effect.external_origin}]" if effect.external_origin else ""
+    origin = f" [{effect.external_provider}]" if effect.external_provider else ""
     return f"  {effect.name:<{name_width}}  {effect.summary}{origin}"
 
 
 def catalogue_entry_text(effect: EffectDescription, tables: list[Table]) -> str:
     """Catalogue entry of an effect as text, with the tables of its parameters and constants."""
     lines = [f"{effect.name}: {effect.title} ({effect.group})", "", f"{effect.cause[0].upper()}{effect.cause[1:]}."]
-    lines += ["", effect.law, ""]
+    lines += ["", effect.equation, ""]
     sections = {
-        "Size": effect.size,
-        "Like": effect.like,
+        "Size": effect.typical_sizes,
+        "Like": effect.similar_effects,
         "Separate by": effect.separate_by,
-        "Valid": effect.valid,
-        "Source": effect.source,
-        "Status": effect.status,
+        "Valid": effect.validity_domain,
+        "Source": effect.literature,
+        "Status": effect.validation,
         "Acts on": effect.observables_text,
         "Scope": effect.scope,
-        "Stage": effect.stage,
+        "Stage": effect.light_path_stage,
         "Base rate": f"{effect.base_rate:g} (1 is occasional)",
         "Depends on": ", ".join(effect.covariates),
-        "Comes from": effect.external_origin,
+        "Comes from": effect.external_provider,
     }
     for name, text in sections.items():
         lines += textwrap.wrap(

@@ -208,7 +208,7 @@ def _state_without_blunders(
 def _varies_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> bool:
     """True if one of the effects lets the instrument constant `constant_name` (a name) vary during the recording."""
     laws = (VARIED_CONSTANTS_BY_RESPONSE.get(e.response.name, ()) for e in effects if isinstance(e, EmpiricalLaw))
-    drifts = (constant_names_of_slot(getattr(e, "slot", "")) for e in effects)
+    drifts = (constant_names_of_slot(getattr(e, "chain_error", "")) for e in effects)
     parameters = ([p.name for p in e.parameters] for e in effects)
     return any(constant_name in varied for varied in (*laws, *drifts, *parameters))
 

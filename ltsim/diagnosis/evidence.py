@@ -25,7 +25,7 @@ from scipy.special import log_ndtr
 from ltsim.adjustment import Adjustment
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import (
-    LOG_SIZE_PRIOR,
+    LOG_EFFECT_SIZE_PRIOR,
     RELATIVE_EFFECT_SIZES,
     log_evidence,
     log_evidence_by_size,
@@ -35,7 +35,7 @@ from ltsim.calibration.evidence import (
 from ltsim.core.arrays import Bools, Floats, Floats32, Ints, batches
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.physics.effects.linear_effect import CandidateEffect
-from ltsim.physics.effects.outlier import OBSERVABLE_COLUMN, Outlier
+from ltsim.physics.effects.outlier import READING_COLUMN_BY_OBSERVABLE, Outlier
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.solve.design import to_dense
 
@@ -146,7 +146,9 @@ def log_evidence_of_wrong_readings(
     log_prior : float
         Log prior probability that any reading is wrong. It is divided equally among all readings.
     """
-    plausible_sizes = np.concatenate([Outlier(observable=name).plausible_sizes for name in OBSERVABLE_COLUMN])
+    plausible_sizes = np.concatenate(
+        [Outlier(observable=name).plausible_sizes for name in READING_COLUMN_BY_OBSERVABLE]
+    )
     scale = (plausible_sizes / space.sigma)[space.is_used_reading]
     score, eigenvalues = residual[: len(scale)] * scale, np.maximum(redundancy[: len(scale)], 0.0) * scale**2
     log_evidences = log_evidence((score**2)[:, None], eigenvalues[:, None]) + log_prior - np.log(len(scale))
@@ -189,7 +191,7 @@ def coefficient_posterior(
     score: Floats,
     plausible_sizes: Floats,
     size_factors: Floats = RELATIVE_EFFECT_SIZES,
-    log_size_prior: Floats = LOG_SIZE_PRIOR,
+    log_size_prior: Floats = LOG_EFFECT_SIZE_PRIOR,
 ) -> tuple[Floats, Floats, float]:
     """Posterior mean (k,), covariance (k, k) and log evidence of k coefficients, averaged over size factors t.
 
@@ -262,11 +264,11 @@ def log_evidence_of_effect(effect: CandidateEffect, gram: Floats, score: Floats)
     The ratio is relative to no effect, and averaged over the sizes of the effect.
     """
     plausible_sizes = effect.plausible_sizes
-    if not any(p.is_positive for p in effect.parameters):
+    if not any(p.is_nonnegative for p in effect.parameters):
         return float(log_evidence_of_coefficients(gram, score, plausible_sizes))
     mean, covariance, total = coefficient_posterior(gram, score, plausible_sizes)
     for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
-        total += log_positivity_factor(float(m), float(np.sqrt(v))) if p.is_positive else 0.0
+        total += log_positivity_factor(float(m), float(np.sqrt(v))) if p.is_nonnegative else 0.0
     return total
 
 

@@ -71,7 +71,7 @@ class EvidenceCalculator:
         by_size: dict[int, list[int]] = {}
         moments = self.grams_and_scores(effects, conditioning_model)
         for i, (effect, (gram, score)) in enumerate(zip(effects, moments, strict=True)):
-            if any(p.is_positive for p in effect.parameters):
+            if any(p.is_nonnegative for p in effect.parameters):
                 log_evidences[i] = log_evidence_of_effect(effect, gram, score)
             else:
                 by_size.setdefault(len(score), []).append(i)

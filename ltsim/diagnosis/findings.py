@@ -38,8 +38,8 @@ from ltsim.diagnosis.sentences import (
     estimate_without_clock,
     law_sentence,
 )
-from ltsim.physics.effects.effect import Effect, SlotEffect
-from ltsim.physics.effects.linear_effect import CandidateEffect, n_constants
+from ltsim.physics.effects.effect import ChainErrorEffect, Effect
+from ltsim.physics.effects.linear_effect import CandidateEffect, n_parameters_and_constants
 from ltsim.physics.effects.outlier import Outlier
 from ltsim.physics.laws.law import EmpiricalLaw
 from ltsim.physics.laws.places import instrument_places
@@ -141,7 +141,9 @@ class SelectedModelFit:
         """
         effect, gain = self.refit.effects[effect_index], float(self.squared_residual_decreases[effect_index].sum())
         size_estimates = [size for size in self.refit.estimates[effect_index] if size.parameter in effect.parameters]
-        is_significant = isinstance(effect, EmpiricalLaw) or gain > MIN_SIGNIFICANT_SIGMAS**2 * n_constants(effect)
+        is_significant = isinstance(
+            effect, EmpiricalLaw
+        ) or gain > MIN_SIGNIFICANT_SIGMAS**2 * n_parameters_and_constants(effect)
         is_significant |= any(abs(size.value) > MIN_SIGNIFICANT_SIGMAS * size.sigma for size in size_estimates)
         p_same_scope = self.p_same_scope[effect_index]
         anywhere = FindingScope(covariates=covariate_names_in_files(effect.covariates))
@@ -286,7 +288,7 @@ class SelectedModelFit:
         for tracker in instrument_places(
             self.selection_state.searcher.space.sightings, self.selection_state.recording.instruments
         ):
-            if set(scope.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
+            if set(scope.stations) == set(tracker.stations) and isinstance(effect, ChainErrorEffect):
                 return scope.model_copy(update={"stations": (), "instruments": tracker.instruments})
         return scope
 
@@ -367,4 +369,4 @@ def _is_implausible_size(effect: CandidateEffect, estimates: Sequence[ParameterE
         abs(e.value) - 2 * e.sigma > MAX_DETECTABLE_TO_PLAUSIBLE_SIZE_RATIO * size / p.si_per_display_unit
         for e, p, size in matches
     )
-    return is_large or any(p.is_positive and e.value + 2 * e.sigma < 0.0 for e, p, _ in matches)
+    return is_large or any(p.is_nonnegative and e.value + 2 * e.sigma < 0.0 for e, p, _ in matches)

@@ -175,7 +175,7 @@ def constants_contradicting_expectation(
     estimates, estimate_covariance = adjustment.state.instrument_parameters, adjustment.covariance_of_all_instruments
     likelihood = likelihood_information(estimates.ravel(), estimate_covariance, prior.ravel(), unit.ravel())
     score_vector, log_prior = (
-        likelihood.information_vector - likelihood.information @ expectation.mean,
+        likelihood.information_vector - likelihood.information_matrix @ expectation.mean,
         log_prior_of_each_explanation("constant", len(expectation.possible_changes)),
     )
     change_directions = np.zeros((len(expectation.possible_changes), *unit.shape))
@@ -187,7 +187,7 @@ def constants_contradicting_expectation(
         """Log evidence (changes,) of each change, given that `other_changes` (their indices) are selected."""
         given_changes = change_directions[list(other_changes)]
         score, weight = score_test(
-            likelihood.information,
+            likelihood.information_matrix,
             score_vector,
             expectation.covariance + CHANGED_CONSTANT_PRIOR_VARIANCE_RATIO * given_changes.T @ given_changes,
         )
@@ -209,7 +209,7 @@ def constants_contradicting_expectation(
         return log_evidences
 
     odds_by_change = forward_select(log_evidences_given, MIN_EFFECT_LOG_EVIDENCE)
-    score, weight = score_test(likelihood.information, score_vector, expectation.covariance)
+    score, weight = score_test(likelihood.information_matrix, score_vector, expectation.covariance)
     information = change_directions @ weight @ change_directions.T
     contradictions: list[int] = []
     for k in sorted(
@@ -305,7 +305,7 @@ correspond to standard deviations that mostly agree within a factor of two."""
 class HistoryExpectation:
     """Expected constants of a recording's instruments, from earlier calibrations."""
 
-    earlier_calibrations: EarlierCalibrationPrior
+    earlier_calibration_prior: EarlierCalibrationPrior
     """Earlier calibrations of the same instruments."""
     expected_constants: ParameterPrior
     """Mean and covariance of the constants [SI]; the covariance includes their scatter between calibrations."""
@@ -334,7 +334,7 @@ class HistoryExpectation:
     def find_contradictions(self, adjustment: Adjustment) -> ContradictingConstants:
         """Instrument constants that changed after the earlier calibrations, with log evidences above the limit."""
         parameters, unit = adjustment.construction.parameters, self.specification
-        parameter_indices = [k for k, p in enumerate(parameters) if p.name in self.earlier_calibrations.parameters]
+        parameter_indices = [k for k, p in enumerate(parameters) if p.name in self.earlier_calibration_prior.parameters]
         names = [parameters[k].name for k in parameter_indices]
         covariance = [block / np.outer(u, u) for block, u in zip(self.expected_constants.covariance, unit, strict=True)]
         possible_changes: list[ConstantChange] = []
@@ -366,7 +366,7 @@ class HistoryExpectation:
         standard deviation exceeds the specification of the manufacturer. `expected_covariance` (k, k) is the expected
         covariance, `specification` (k,) [SI] the specification, and `constant_names` are the names of the constants.
         """
-        n_calibrations = self.earlier_calibrations.n_calibrations
+        n_calibrations = self.earlier_calibration_prior.n_calibrations
         if n_calibrations == 1:
             return np.zeros((len(specification), 1)), np.zeros((len(specification), 1))
         spread = self._sigmas_between_calibrations(constant_names) ** 2 / specification**2
@@ -387,12 +387,12 @@ class HistoryExpectation:
 
     def _sigmas_between_calibrations(self, constant_names: Sequence[str]) -> Floats:
         """Standard deviations (k,) [SI] of k constants between the earlier calibrations."""
-        indices = [self.earlier_calibrations.parameters.index(name) for name in constant_names]
-        return self.earlier_calibrations.between_calibration_sigma[indices]
+        indices = [self.earlier_calibration_prior.parameters.index(name) for name in constant_names]
+        return self.earlier_calibration_prior.between_calibration_sigma[indices]
 
     def _reference_phrase(self, parameter: Parameter) -> str:
         """Name for users of the earlier calibrations with which a constant is compared."""
-        n_calibrations = self.earlier_calibrations.n_calibrations
+        n_calibrations = self.earlier_calibration_prior.n_calibrations
         if n_calibrations == 1:
             return "its calibration"
         spread = self._sigmas_between_calibrations([parameter.name])[0] / parameter.si_per_display_unit

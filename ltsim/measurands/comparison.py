@@ -50,9 +50,9 @@ class Displacement(Entry):
     """Name of the target."""
     moved: bool
     """True if the displacement of the target is significant."""
-    place_mm: Vector
+    position_mm: Vector
     """Position in the first epoch [mm]."""
-    shift_um: Vector
+    displacement_um: Vector
     """Displacement, second minus first epoch [um], in the frame that the stable points define."""
     sigma_um: Vector
     """Standard deviation of each component of the displacement [um]."""
@@ -71,23 +71,23 @@ class Displacement(Entry):
     epochs have separate frames."""
 
     @property
-    def row(self) -> list[Any]:
+    def table_row(self) -> list[Any]:
         """Row of this displacement in the table displacements.csv."""
-        numbers = *self.place_mm, *self.shift_um, *self.sigma_um, *self.semi_axes_um
+        numbers = *self.position_mm, *self.displacement_um, *self.sigma_um, *self.semi_axes_um
         return [self.target, self.moved, *numbers, self.p_value, self.detectable_um[1]]
 
 
 class Comparison(ResultFile):
-    """Result of `compare`, with the content of `comparison.json`; `recording` is the source of the first epoch."""
+    """Result of `compare`, with the content of `comparison.json`; `recording` is the recording of the first epoch."""
 
     FILE: ClassVar[str] = "comparison.json"
     format: Literal["ltsim-comparison/1"] = "ltsim-comparison/1"
     """Format and version of this file."""
-    second: SourceEntry | None
-    """Source of the second epoch."""
+    second_recording: SourceEntry | None
+    """Recording of the second epoch: name, size and digest of its data; null for a list of coordinates."""
     sentence: str
     """Result in one sentence: the points that moved."""
-    level: Finite
+    significance_level: Finite
     """Significance level: probability that at least one point is reported as displaced although none is."""
     statistic: Finite
     """Chi-square of the congruence test, the global test of the hypothesis that no point is displaced."""
@@ -95,14 +95,14 @@ class Comparison(ResultFile):
     """Degrees of freedom of the global test."""
     p_value: Finite
     """p-value of the global test."""
-    p_value_after: Finite
+    p_value_without_moved_points: Finite
     """p-value of the global test of the points that are not displaced."""
     scale_ppm: OptionalFloat = None
     """Scale of the second epoch relative to the first [ppm]; null if it was not estimated."""
     notes: tuple[str, ...] = ()
     """Notes on the epochs: undetermined motions of the network, exchanged point names, a common motion of all points.
     """
-    is_rigid_motion: bool = False
+    has_common_rigid_motion: bool = False
     """True if one rigid motion of all points explains most displacements: the lists may have different frames."""
     displacements: tuple[Displacement, ...] = Field(min_length=1)
     """Displacement and test of each point that both epochs contain, in the order of the first recording."""
@@ -112,11 +112,11 @@ class Comparison(ResultFile):
             self.sentence,
             *self.notes,
             f"hypothesis of no displacement: {p_relation_text(self.p_value)} for all points, "
-            f"{p_relation_text(self.p_value_after)} for the points that did not move",
+            f"{p_relation_text(self.p_value_without_moved_points)} for the points that did not move",
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"displacements": lambda: DISPLACEMENTS_TABLE.with_rows(d.row for d in self.displacements)}
+        return {"displacements": lambda: DISPLACEMENTS_TABLE.with_rows(d.table_row for d in self.displacements)}
 
     @property
     def moved_points(self) -> tuple[str, ...]:
@@ -238,13 +238,13 @@ def congruence_test(
     )
     return Comparison(
         recording=epoch_sources[0],
-        second=epoch_sources[1],
+        second_recording=epoch_sources[1],
         sentence=_result_sentence(displacements),
-        level=alpha,
+        significance_level=alpha,
         statistic=statistic,
         dof=dof,
         p_value=float(special.chdtrc(dof, max(statistic, 0.0))),
-        p_value_after=float(special.chdtrc(remaining, max(difference.sum_of_squares(moved), 0.0)))
+        p_value_without_moved_points=float(special.chdtrc(remaining, max(difference.sum_of_squares(moved), 0.0)))
         if remaining > 0
         else 1.0,
         scale_ppm=None if scale is None else scale / PPM,
@@ -300,8 +300,8 @@ def _displacement_of_point(
     return Displacement(
         target=difference.point_names[point],
         moved=point in other_moved_points,
-        place_mm=(difference.first_epoch_points[point] / MILLIMETRE).tolist(),
-        shift_um=(shift / MICROMETRE).tolist(),
+        position_mm=(difference.first_epoch_points[point] / MILLIMETRE).tolist(),
+        displacement_um=(shift / MICROMETRE).tolist(),
         sigma_um=(np.sqrt(np.diag(covariance)) / MICROMETRE).tolist(),
         covariance_um2=(covariance / MICROMETRE**2).tolist(),
         semi_axes_um=(semi_axes / MICROMETRE).tolist(),
@@ -312,7 +312,7 @@ def _displacement_of_point(
 
 
 def _result_sentence(displacements: Sequence[Displacement]) -> str:
-    size_by_target = {d.target: float(np.linalg.norm(d.shift_um)) for d in displacements if d.moved}
+    size_by_target = {d.target: float(np.linalg.norm(d.displacement_um)) for d in displacements if d.moved}
     if not size_by_target:
         sure = max(d.detectable_um[1] for d in displacements)
         return f"no point moved; a displacement of {sure:.0f} um of any point would be detected with 80 % probability"

@@ -121,25 +121,23 @@ def _with_names_spelled_as(epoch: EpochCoordinates, names: Sequence[str]) -> tup
     return replace(epoch, names=tuple(changed.get(name, name) for name in epoch.names)), [note]
 
 
-def _with_rigid_motion_note(
-    fixed_frame_result: Comparison, compare_with_free_motions: Callable[[], Comparison]
-) -> Comparison:
+def _with_rigid_motion_note(comparison: Comparison, compare_with_free_motions: Callable[[], Comparison]) -> Comparison:
     """Comparison of lists in one frame, with a note if one rigid motion of all points explains most displacements.
 
     `compare_with_free_motions` compares the lists in separate frames, to find such a motion.
     """
-    n_points = len(fixed_frame_result.displacements)
-    if 2 * len(fixed_frame_result.moved_points) <= n_points:
-        return fixed_frame_result
+    n_points = len(comparison.displacements)
+    if 2 * len(comparison.moved_points) <= n_points:
+        return comparison
     free = compare_with_free_motions()
     if 2 * len(free.moved_points) > n_points:
-        return fixed_frame_result
+        return comparison
     moved_names_text = f": {listing(list(free.moved_points))}" if free.moved_points else ""
     note = (
         f"the points moved together, like one rigid body: aligned by {option_text('free=True')}, "
         f"{len(free.moved_points)} of {n_points} points moved{moved_names_text}"
     )
-    return fixed_frame_result.model_copy(update={"notes": (*fixed_frame_result.notes, note), "is_rigid_motion": True})
+    return comparison.model_copy(update={"notes": (*comparison.notes, note), "has_common_rigid_motion": True})
 
 
 def _compare_epochs(
@@ -327,7 +325,7 @@ def _motions_about_centre(free_motions: Floats, centre: Floats) -> Floats:
     return about
 
 
-MAX_EXCHANGE_DISTANCE = 0.1
+MAX_EXCHANGE_DISTANCE_RATIO = 0.1
 """Largest distance of two points from each other's first-epoch position at which their names count as exchanged, as a
 fraction of the distance between the two points."""
 MOTIONS_BY_RANK_DEFECT = {3: (0, 1, 2), 4: (0, 1, 2, 5), 6: tuple(range(6))}
@@ -376,7 +374,7 @@ def exchanged_name_order(difference: EpochDifference, moved_points: Sequence[int
     after = before + difference.differences.reshape(difference.n_points, -1)[moved_points]
     gaps = np.linalg.norm(after[:, None] - before[None], axis=2)
     nearest, distance = np.argmin(gaps, axis=1), np.diag(gaps)
-    taken = (nearest != np.arange(len(moved_points))) & (gaps.min(axis=1) < MAX_EXCHANGE_DISTANCE * distance)
+    taken = (nearest != np.arange(len(moved_points))) & (gaps.min(axis=1) < MAX_EXCHANGE_DISTANCE_RATIO * distance)
     places = {moved_points[i]: moved_points[nearest[i]] for i in np.flatnonzero(taken).tolist()}
     if not places or set(places) != set(places.values()):
         return None

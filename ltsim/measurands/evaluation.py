@@ -50,9 +50,9 @@ class TaskEvaluation:
     """Points of the tasks and their sources of uncertainty."""
     measurands: tuple[Measurand, ...]
     """Measurand of each task."""
-    linear: LinearUncertainty
+    linear_uncertainty: LinearUncertainty
     """Uncertainty by the law of propagation (GUM)."""
-    monte_carlo: MonteCarloUncertainty
+    monte_carlo_uncertainty: MonteCarloUncertainty
     """Uncertainty by Monte Carlo (JCGM 101)."""
     intervals_agree: Bools
     """Mask (results,): True if a result's intervals by propagation and by Monte Carlo agree (JCGM 101, clause 8)."""
@@ -79,16 +79,16 @@ class TaskEvaluation:
             if self.nonlinearity_ratios[i] > MAX_NONLINEARITY_RATIO:
                 gap = f"difference of {self.nonlinearity_ratios[i]:.2g} standard uncertainties"
                 warnings.append(f"{what}: the result is not linear within its uncertainty ({gap}); improve the network")
-            elif not self.intervals_agree[i] and self.monte_carlo.is_stable[i]:
+            elif not self.intervals_agree[i] and self.monte_carlo_uncertainty.is_stable[i]:
                 warnings.append(f"{what}: the distribution is not normal; take the interval by Monte Carlo")
-        if not self.monte_carlo.is_stable.all():
-            count = int(np.sum(~self.monte_carlo.is_stable))
-            is_limited = self.monte_carlo.n_trials + TRIALS_PER_BATCH <= self.tasks.monte_carlo.most_trials
-            remedy = "divide the tasks among task files" if is_limited else "raise most_trials"
+        if not self.monte_carlo_uncertainty.is_stable.all():
+            count = int(np.sum(~self.monte_carlo_uncertainty.is_stable))
+            is_limited = self.monte_carlo_uncertainty.n_trials + TRIALS_PER_BATCH <= self.tasks.monte_carlo.max_trials
+            remedy = "divide the tasks among task files" if is_limited else "raise max_trials"
             warnings.append(
-                f"{count} of {len(self.monte_carlo.is_stable)} results are not stable to "
+                f"{count} of {len(self.monte_carlo_uncertainty.is_stable)} results are not stable to "
                 f"{self.tasks.monte_carlo.digits} digits "
-                f"after {self.monte_carlo.n_trials} trials; {remedy}, or ask for fewer digits"
+                f"after {self.monte_carlo_uncertainty.n_trials} trials; {remedy}, or ask for fewer digits"
             )
         return warnings
 
@@ -108,19 +108,20 @@ class TaskEvaluation:
             recording=source,
             title=self.tasks.title,
             source=self.tasks.source,
-            coverage=self.tasks.monte_carlo.coverage,
-            trials=self.monte_carlo.n_trials,
+            coverage_probability=self.tasks.monte_carlo.coverage_probability,
+            trials=self.monte_carlo_uncertainty.n_trials,
             frame=frame,
             sigma0=sigma0,
             results=tuple(self._task_result(i, task, output) for i, (task, output) in enumerate(self.outputs)),
-            correlation=tuple(tuple(row) for row in self.linear.correlation.tolist()),
+            correlation=tuple(tuple(row) for row in self.linear_uncertainty.correlation.tolist()),
             warnings=tuple(self.warnings),
         )
 
     def _task_result(self, result_index: int, task: Task, task_output: TaskOutput) -> TaskResult:
-        unit, drawn = task_output.si_per_unit, self.monte_carlo
-        value, sigma = float(self.linear.values[result_index]) / unit, float(self.linear.sigma[result_index]) / unit
-        half_width = float(self.linear.expanded_uncertainty(self.tasks.monte_carlo.coverage)[result_index]) / unit
+        unit, drawn = task_output.si_per_unit, self.monte_carlo_uncertainty
+        linear, coverage_probability = self.linear_uncertainty, self.tasks.monte_carlo.coverage_probability
+        value, sigma = float(linear.values[result_index]) / unit, float(linear.sigma[result_index]) / unit
+        half_width = float(linear.expanded_uncertainty(coverage_probability)[result_index]) / unit
         tolerance, draws = task.tolerances.get(task_output.name), drawn.values[:, result_index] / unit
         return TaskResult(
             task=task.name,
@@ -134,14 +135,14 @@ class TaskEvaluation:
             monte_carlo=MonteCarloDistribution(
                 mean=float(drawn.means[result_index]) / unit,
                 standard_uncertainty=float(drawn.sigmas[result_index]) / unit,
-                symmetric=(drawn.symmetric_intervals[result_index] / unit).tolist(),
-                shortest=(drawn.shortest_intervals[result_index] / unit).tolist(),
-                stable=bool(drawn.is_stable[result_index]),
-                agrees=bool(self.intervals_agree[result_index]),
+                symmetric_interval=(drawn.symmetric_intervals[result_index] / unit).tolist(),
+                shortest_interval=(drawn.shortest_intervals[result_index] / unit).tolist(),
+                is_stable=bool(drawn.is_stable[result_index]),
+                intervals_agree=bool(self.intervals_agree[result_index]),
             ),
-            curvature=float(self.nonlinearity_ratios[result_index]),
+            nonlinearity_ratio=float(self.nonlinearity_ratios[result_index]),
             budget=self._budget_entries(result_index, sigma),
-            hidden=self._hidden_errors(result_index, unit, sigma),
+            hidden_errors=self._hidden_errors(result_index, unit, sigma),
             conformity=None
             if tolerance is None
             else evaluate_conformity(value, sigma, tolerance, self.tasks.decision, draws),
@@ -153,12 +154,12 @@ class TaskEvaluation:
         `unit` is the unit of the result in SI units, `sigma` the standard uncertainty of the result in this unit.
         """
         change_by_target = {
-            name: abs(float(self.linear.point_derivatives[result_index] @ moved)) / unit
+            name: abs(float(self.linear_uncertainty.point_derivatives[result_index] @ moved)) / unit
             for name, moved in self.inputs.rms_displacements_by_shared_air_error.items()
         }
         ranked = sorted(change_by_target, key=lambda name: -change_by_target[name])
         return tuple(
-            HiddenErrorEntry(source=name, change=change_by_target[name])
+            HiddenErrorEntry(error_text=name, result_change=change_by_target[name])
             for name in ranked
             if change_by_target[name] > MIN_RELATIVE_HIDDEN_DISPLACEMENT * sigma
         )
@@ -169,8 +170,8 @@ class TaskEvaluation:
         The fractions sum to 1. `sigma` is the standard uncertainty of the result in its unit.
         """
         shares, kinds = (
-            {name: float(share[result_index]) for name, share in self.linear.variance_by_source.items()},
-            self.linear.evaluation_types,
+            {name: float(share[result_index]) for name, share in self.linear_uncertainty.variance_by_source.items()},
+            self.linear_uncertainty.evaluation_types,
         )
         total_variance = sum(shares.values())
         ranked = [
@@ -178,8 +179,13 @@ class TaskEvaluation:
             for name in sorted(shares, key=lambda n: -shares[n])
         ]
         return tuple(
-            BudgetEntry(source=name, type=kinds[name], share=share, standard_uncertainty=float(np.sqrt(share)) * sigma)
-            for name, share in ranked
+            BudgetEntry(
+                source=name,
+                evaluation_type=kinds[name],
+                variance_fraction=fraction,
+                standard_uncertainty=float(np.sqrt(fraction)) * sigma,
+            )
+            for name, fraction in ranked
         )
 
 
@@ -209,10 +215,10 @@ def _evaluate_tasks(task_inputs: TaskInputs, tasks: Tasks) -> TaskEvaluation:
     """Results of tasks on points with the sources of uncertainty in `task_inputs`."""
     _require_few_results(tasks)
     measurands = tuple(Measurand.from_task(task, task_inputs.target_names, task_inputs.points) for task in tasks.task)
-    stretch = thermal_expansion_of_part(tasks.growth)
+    stretch = thermal_expansion_of_part(tasks.part_expansion)
     linear = propagate(task_inputs, measurands, stretch)
     drawn = run_monte_carlo(task_inputs, measurands, stretch, tasks.monte_carlo, linear)
     gap = nonlinearity_differences(task_inputs, measurands, tasks.monte_carlo.seed)
     curved = gap / np.where(linear.sigma > 0, linear.sigma, np.inf)
-    agrees = drawn.intervals_agree(linear, tasks.monte_carlo.coverage)
+    agrees = drawn.intervals_agree(linear, tasks.monte_carlo.coverage_probability)
     return TaskEvaluation(tasks, task_inputs, measurands, linear, drawn, agrees, curved)

@@ -34,7 +34,7 @@ from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smr_names
 
-SIGMA_OF_UNIT_SIZE = {
+SIGMA_PER_SIZE_BY_DISTRIBUTION = {
     "normal": 1.0,
     "rectangular": 1 / np.sqrt(3),
     "triangular": 1 / np.sqrt(6),
@@ -260,7 +260,7 @@ def air_uncertainty_sources(
 
 
 def _reduce_variates(variate_response: Floats) -> Floats:
-    """Displacements by at most as many independent random variables as coordinates, with the covariance of the input.
+    """Displacements [m] with the same covariance by at most as many independent random variables as coordinates.
 
     `variate_response` (coordinates, random variables) holds the displacements [m] by one standard deviation of each
     random variable.
@@ -274,12 +274,12 @@ def _type_b_source(
     adjustment: Adjustment, point_derivatives: Floats, type_b_entry: TypeBEffect, entry_number: int
 ) -> UncertaintySource:
     effect, sizes = _effect_and_sizes(adjustment.recording, type_b_entry, entry_number)
-    sigma = sizes * SIGMA_OF_UNIT_SIZE[type_b_entry.distribution]
+    sigma = sizes * SIGMA_PER_SIZE_BY_DISTRIBUTION[type_b_entry.distribution]
     problem = adjustment.problem
     rows, columns = np.nonzero(problem.is_used_reading)
     design = (effect.design(adjustment.sightings) * sigma)[rows, columns]
     whitened_design = design / problem.sigma[rows, columns][:, None]
-    group = _group_of_pointing(adjustment.recording, type_b_entry.shared)[rows]
+    group = _group_of_pointing(adjustment.recording, type_b_entry.draw_shared_by)[rows]
     response = np.zeros((point_derivatives.shape[1], int(group.max(initial=0)) + 1, design.shape[1]))
     for g in np.unique(group):
         mine = np.flatnonzero(group == g)
@@ -287,10 +287,9 @@ def _type_b_source(
     gauge = problem.gauge_rows
     lengths = effect.gauge_design(gauge.first_targets, gauge.second_targets, adjustment.state.target_points) * sigma
     if np.any(lengths):
-        if type_b_entry.shared != "all":
-            raise SetupError(
-                f'type_b.{entry_number}.shared: {type_b_entry.effect} acts on known lengths, expected shared = "all"'
-            )
+        if type_b_entry.draw_shared_by != "all":
+            key, effect_name = f"type_b.{entry_number}.draw_shared_by", type_b_entry.effect
+            raise SetupError(f'{key} must be "all" for {effect_name}, because it changes reference lengths')
         response[:, 0] += point_derivatives[len(rows) : len(rows) + len(gauge)].T @ gauge.decorrelate(lengths)
     if not np.any(response):
         raise SetupError(f"type_b.{entry_number}: {type_b_entry.effect} acts on no reading that the tasks depend on")
@@ -334,7 +333,7 @@ def _effect_and_sizes(recording: Recording, type_b_entry: TypeBEffect, entry_num
 def _group_of_pointing(recording: Recording, draw_scope: str) -> Ints:
     """Group number of each pointing, shape (pointings,); the pointings of a group share one random draw.
 
-    `draw_scope` is the entry `shared` of the task file: `all`, `station`, `instrument`, `target` or `pointing`.
+    `draw_scope` is the entry `draw_shared_by` of the task file: `all`, `station`, `instrument`, `target` or `pointing`.
     """
     return {
         "all": np.zeros(len(recording), dtype=np.int64),

@@ -83,7 +83,7 @@ class Measurand(ValueEquality):
             return _outputs_in_mm(
                 *(f"{name}.{part}" for name in self.task.targets for part in ("dx", "dy", "dz", "distance"))
             )
-        scale = [TaskOutput("scale", "ppm", PPM)] if self.task.scale else []
+        scale = [TaskOutput("scale", "ppm", PPM)] if self.task.align_with_scale else []
         return [*_outputs_in_mm("x", "y", "z"), *_outputs_in_degrees("turn-x", "turn-y", "turn-z"), *scale]
 
     def values(self, points: Floats, length_ratio: Floats | float = 1.0) -> Floats:
@@ -101,7 +101,7 @@ class Measurand(ValueEquality):
         if kind == "rod":
             way = scaled_points[..., 1, :] - scaled_points[..., 0, :]
             along = way / np.linalg.norm(way, axis=-1, keepdims=True)
-            return scaled_points[..., 1, :] + self.task.beyond_mm * MILLIMETRE * along
+            return scaled_points[..., 1, :] + self.task.tip_distance_mm * MILLIMETRE * along
         if kind == "distance":
             return np.linalg.norm(scaled_points[..., 1, :] - scaled_points[..., 0, :], axis=-1)[..., None]
         if kind == "angle":
@@ -126,7 +126,7 @@ class Measurand(ValueEquality):
         change[:, columns] = (stepped_values[:n_coordinates] - stepped_values[n_coordinates:]).T / (2 * DIFFERENCE_STEP)
         return change
 
-    def scale_derivatives(self, points: Floats, length_ratio: float = 1.0) -> Floats:
+    def length_ratio_derivatives(self, points: Floats, length_ratio: float = 1.0) -> Floats:
         """Derivative of the results with respect to the thermal length ratio of the part, shape (results,) [SI]."""
         scales = np.array([length_ratio + DIFFERENCE_STEP, length_ratio - DIFFERENCE_STEP])
         stepped_values = self.values(np.broadcast_to(points, (2, *points.shape)), scales)
@@ -153,9 +153,9 @@ class Measurand(ValueEquality):
     def _fit(self, feature_points: Floats) -> Floats:
         task = self.task
         nominal = np.array([task.nominal_mm[name] for name in task.targets]) * MILLIMETRE
-        if task.kind == "deviation" and not task.fit:
+        if task.kind == "deviation" and not task.align:
             return _difference_components(feature_points - nominal)
-        rotation, shift, scale = align_with_scale(nominal, feature_points, estimates_scale=task.scale)
+        rotation, shift, scale = align_with_scale(nominal, feature_points, estimates_scale=task.align_with_scale)
         if task.kind == "deviation":
             back = (
                 np.einsum("...ji,...nj->...ni", rotation, feature_points - shift[..., None, :]) / scale[..., None, None]
@@ -164,7 +164,7 @@ class Measurand(ValueEquality):
         from scipy.spatial.transform import Rotation  # slow to load
 
         turn = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec().reshape(shift.shape)
-        ratio = [scale[..., None] - 1.0] if task.scale else []
+        ratio = [scale[..., None] - 1.0] if task.align_with_scale else []
         return np.concatenate([shift, turn, *ratio], axis=-1)
 
 

@@ -73,7 +73,7 @@ class LinearUncertainty(ValueEquality):
     """Type of evaluation (GUM) of each source, ``A`` or ``B``, by the name of the source."""
     point_derivatives: Floats
     """Derivative of the results with respect to the coordinates of the points, shape (results, coordinates) [SI]."""
-    scale_derivatives: Floats
+    length_ratio_derivatives: Floats
     """Derivative of each result with respect to the thermal length ratio of the part, shape (results,) [SI]."""
 
     @property
@@ -100,7 +100,9 @@ def propagate(
     points = task_inputs.points
     result_values = np.concatenate([m.values(points, thermal_expansion.length_ratio) for m in measurands])
     by_points = np.concatenate([m.point_derivatives(points, thermal_expansion.length_ratio) for m in measurands])
-    by_stretch = np.concatenate([m.scale_derivatives(points, thermal_expansion.length_ratio) for m in measurands])
+    by_stretch = np.concatenate(
+        [m.length_ratio_derivatives(points, thermal_expansion.length_ratio) for m in measurands]
+    )
     covariance = np.zeros((len(result_values), len(result_values)))
     shares: dict[str, Floats] = {}
     kinds: dict[str, Literal["A", "B"]] = {}
@@ -151,7 +153,7 @@ def nonlinearity_differences(task_inputs: TaskInputs, measurands: Sequence[Measu
 
 TRIALS_PER_BATCH = 10_000
 """Number of trials in a batch; the stability of the results is checked after each batch."""
-MIN_TOLERANCE_RATIO = 5.0
+MIN_TOLERANCE_TO_ERROR_RATIO = 5.0
 """Smallest ratio of the numerical tolerance of a result to its numerical error at which intervals are compared (JCGM
 101, clause 8.2)."""
 INTEGRATION_STEP = 0.05
@@ -186,7 +188,7 @@ class MonteCarloUncertainty(ValueEquality):
     limits, because the number of trials is finite."""
     is_stable: Bools
     """Mask (results,) of the results that are stable to the requested number of digits."""
-    tolerances: Floats
+    numerical_tolerances: Floats
     """Numerical tolerance of each result, shape (results,): half a unit in the last requested digit of its standard
     uncertainty (JCGM 101, clause 7.9.2)."""
 
@@ -203,7 +205,7 @@ class MonteCarloUncertainty(ValueEquality):
         """
         expanded = linear_uncertainty.expanded_uncertainty(coverage_probability)
         limits = np.stack([linear_uncertainty.values - expanded, linear_uncertainty.values + expanded], axis=1)
-        allowed = self.tolerances + self.numerical_errors
+        allowed = self.numerical_tolerances + self.numerical_errors
         return np.all(np.abs(limits - self.symmetric_intervals) <= allowed[:, None], axis=1)
 
 
@@ -219,10 +221,10 @@ def run_monte_carlo(
     Trials are added until the numerical error of each result is a fifth of its numerical tolerance, or until the
     largest number of trials in `monte_carlo_settings` is reached.
     """
-    exact = _linear_statistics(task_inputs, linear_uncertainty, monte_carlo_settings.coverage)
+    exact = _linear_statistics(task_inputs, linear_uncertainty, monte_carlo_settings.coverage_probability)
     samples: list[Floats] = []
     figures: list[Floats] = []
-    max_trials = min(monte_carlo_settings.most_trials, MAX_TRIALS_TIMES_RESULTS // len(linear_uncertainty.values))
+    max_trials = min(monte_carlo_settings.max_trials, MAX_TRIALS_TIMES_RESULTS // len(linear_uncertainty.values))
     max_batches = max(max_trials // TRIALS_PER_BATCH, 1)
     uncertain = (
         linear_uncertainty.sigma > 0
@@ -230,18 +232,18 @@ def run_monte_carlo(
     power = np.floor(np.log10(np.where(uncertain, linear_uncertainty.sigma, 1.0))) - (monte_carlo_settings.digits - 1)
     tolerance = np.where(uncertain, 0.5 * 10.0**power, 0.0)
     error = np.full((4, len(linear_uncertainty.values)), np.inf)
-    while len(samples) < max_batches and not np.all(MIN_TOLERANCE_RATIO * error <= tolerance):
+    while len(samples) < max_batches and not np.all(MIN_TOLERANCE_TO_ERROR_RATIO * error <= tolerance):
         shift, grown = _draw_errors(task_inputs, thermal_expansion, monte_carlo_settings.seed, len(samples))
         by_line = (
             linear_uncertainty.values
             + shift @ linear_uncertainty.point_derivatives.T
-            + np.outer(grown, linear_uncertainty.scale_derivatives)
+            + np.outer(grown, linear_uncertainty.length_ratio_derivatives)
         )
         points = task_inputs.points + shift.reshape(TRIALS_PER_BATCH, *task_inputs.points.shape)
         samples.append(_evaluate_results(measurands, points, thermal_expansion.length_ratio + grown))
         figures.append(
-            _batch_statistics(samples[-1], monte_carlo_settings.coverage)
-            - _batch_statistics(by_line, monte_carlo_settings.coverage)
+            _batch_statistics(samples[-1], monte_carlo_settings.coverage_probability)
+            - _batch_statistics(by_line, monte_carlo_settings.coverage_probability)
         )
         if len(samples) > 1:
             error = 2.0 * np.std(figures, axis=0, ddof=1) / np.sqrt(len(figures))
@@ -252,10 +254,10 @@ def run_monte_carlo(
         means=mean,
         sigmas=sigma,
         symmetric_intervals=np.stack([low, high], axis=1),
-        shortest_intervals=shortest_intervals(all_results, monte_carlo_settings.coverage),
+        shortest_intervals=shortest_intervals(all_results, monte_carlo_settings.coverage_probability),
         numerical_errors=error[2:].max(axis=0),
         is_stable=np.all(error <= tolerance, axis=0),
-        tolerances=tolerance,
+        numerical_tolerances=tolerance,
     )
 
 

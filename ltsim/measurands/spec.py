@@ -33,7 +33,7 @@ TaskKind = Literal[
 """Kind of measurand of a task."""
 NonEmptyNames = Annotated[tuple[str, ...], Field(min_length=1)]
 """Names, at least one."""
-CoverageLevel = Annotated[float, Field(gt=0.5, lt=1.0)]
+CoverageProbability = Annotated[float, Field(gt=0.5, lt=1.0)]
 """Coverage probability, above 0.5 and below 1."""
 N_TARGETS_BY_KIND = {"point": 1, "rod": 2, "distance": 2, "angle": 3}
 """Number of targets of a task, for the kinds of task that need a fixed number."""
@@ -63,7 +63,7 @@ class Task(TomlSection):
     reflectors. `distance` takes two targets, `angle` three, with the vertex as second. Features are fitted by least
     squares. `transformation` and `pose` align `nominal_mm` to the targets by least squares; the results of `pose` are
     position and rotation of a part. `deviation` compares each target with its nominal point, after this alignment or
-    (``fit = false``) without it.
+    (``align = false``) without it.
     """
 
     name: str
@@ -74,11 +74,11 @@ class Task(TomlSection):
     """Names of the targets, in the order that the kind requires."""
     nominal_mm: dict[str, Vector] = Field(default_factory=dict)
     """Nominal points by target, for `transformation`, `pose` and `deviation`."""
-    fit: bool = True
+    align: bool = True
     """True if nominal points and targets are aligned before deviations are computed."""
-    scale: bool = False
+    align_with_scale: bool = False
     """True if the alignment includes a scale."""
-    beyond_mm: Finite = 0.0
+    tip_distance_mm: Finite = 0.0
     """Distance from the second reflector of a rod to the tip of the rod."""
     radius_offset_mm: Finite = 0.0
     """Length that is added to the fitted radius of a circle, sphere or cylinder, such as the SMR radius."""
@@ -92,8 +92,8 @@ class Task(TomlSection):
             raise ValueError(f"it should name {n_required} targets for a {self.kind}")
         if len(set(self.targets)) < len(self.targets):
             raise ValueError("it should name each target once")
-        if (self.kind == "rod") != (self.beyond_mm != 0):
-            raise ValueError("it should give beyond_mm (not 0) for a rod, and for no other kind")
+        if (self.kind == "rod") != (self.tip_distance_mm != 0):
+            raise ValueError("it should give tip_distance_mm (not 0) for a rod, and for no other kind")
         if self.kind in ("transformation", "pose", "deviation"):
             missing = [name for name in self.targets if name not in self.nominal_mm]
             if missing:
@@ -114,7 +114,7 @@ class TypeBEffect(TomlSection):
     sizes: dict[str, Positive] = Field(default_factory=dict)
     """Standard deviation (half-width, if the distribution is not normal) of the effect's parameters by name, in display
     units."""
-    shared: Literal["all", "station", "instrument", "target", "pointing"] = "all"
+    draw_shared_by: Literal["all", "station", "instrument", "target", "pointing"] = "all"
     """Pointings that share one random draw: all, those of one station, instrument or target, or each pointing alone."""
     stations: DistinctValues[str] = ()
     """Names of the stations where the effect acts; empty for all."""
@@ -144,11 +144,11 @@ class PartExpansion(TomlSection):
 class MonteCarloSettings(TomlSection):
     """Settings of the Monte Carlo simulation (JCGM 101), which ends when all results are stable to `digits` digits."""
 
-    coverage: CoverageLevel = 0.95
+    coverage_probability: CoverageProbability = 0.95
     """Coverage probability of the intervals."""
     digits: Annotated[int, Field(ge=1, le=2)] = 2
     """Number of significant digits of the standard uncertainty to which the results must be stable."""
-    most_trials: Annotated[int, Field(ge=10_000, le=5_000_000)] = 100_000
+    max_trials: Annotated[int, Field(ge=10_000, le=5_000_000)] = 100_000
     """Largest number of trials."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Seed of the random draws."""
@@ -159,7 +159,7 @@ class DecisionRule(TomlSection):
 
     rule: Literal["guarded", "simple"] = "guarded"
     """Acceptance limits: tolerance limits reduced by a guard band (`guarded`), or the tolerance limits (`simple`)."""
-    risk: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.05
+    consumer_risk: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.05
     """Permitted probability that an accepted result does not conform; it determines the guard band."""
 
 
@@ -185,7 +185,7 @@ class Tasks(TomlSection):
     air: AirUncertainty | None = None
     """Uncertainty of the air for long ranges, without the properties for which `type_b` has an effect; default the
     recording's table `[air]`."""
-    growth: PartExpansion | None = None
+    part_expansion: PartExpansion | None = None
     """Thermal expansion of the part from the reference temperature to the measurement."""
     monte_carlo: MonteCarloSettings = MonteCarloSettings()
     """Options of the Monte Carlo simulation (JCGM 101)."""

@@ -77,13 +77,13 @@ class MonteCarloDistribution(Entry):
     """Mean of the result over the trials."""
     standard_uncertainty: NonNegativeFloat
     """Standard deviation of the result over the trials."""
-    symmetric: tuple[float, float]
+    symmetric_interval: tuple[float, float]
     """Limits of the probabilistically symmetric coverage interval."""
-    shortest: tuple[float, float]
+    shortest_interval: tuple[float, float]
     """Limits of the shortest coverage interval."""
-    stable: bool
+    is_stable: bool
     """True if the result is stable to the requested number of digits."""
-    agrees: bool
+    intervals_agree: bool
     """True if the interval by propagation agrees with that by Monte Carlo (JCGM 101, clause 8)."""
 
 
@@ -92,9 +92,9 @@ class BudgetEntry(Entry):
 
     source: str
     """Name of the source of uncertainty."""
-    type: Literal["A", "B"]
+    evaluation_type: Literal["A", "B"]
     """Type of the evaluation by the GUM: A by statistics, B by other means."""
-    share: float
+    variance_fraction: float
     """Fraction of the variance of the result, 0 to 1."""
     standard_uncertainty: NonNegativeFloat
     """Standard uncertainty of the result from this source, in the unit of the result."""
@@ -103,9 +103,9 @@ class BudgetEntry(Entry):
 class HiddenErrorEntry(Entry):
     """Error that does not change the readings, so that the uncertainty does not include it."""
 
-    source: str
+    error_text: str
     """Description of the error with its size."""
-    change: NonNegativeFloat
+    result_change: NonNegativeFloat
     """Absolute change of the result by this error, in the unit of the result."""
 
 
@@ -120,13 +120,13 @@ class Conformity(Entry):
     """Decision rule of the task file."""
     guard_band: float
     """Width of the guard band: distance of the acceptance limit from the tolerance limit, inside the tolerance."""
-    probability: float
+    conformity_probability: float
     """Probability that the true value lies within the tolerance."""
     judgement: Literal["accepted", "rejected", "undecided"]
     """Decision: `accepted` within the tolerance limits reduced by the guard bands, `rejected` outside the tolerance
     limits extended by the guard bands, else `undecided`.
     """
-    wrong: float
+    wrong_decision_probability: float
     """Probability that the decision is wrong."""
 
 
@@ -151,11 +151,11 @@ class TaskResult(Entry):
     """Expanded uncertainty of the result for the coverage probability."""
     monte_carlo: MonteCarloDistribution
     """Distribution by Monte Carlo."""
-    curvature: float
+    nonlinearity_ratio: float
     """Difference of the result between the exact and the linearised adjustment, divided by its standard uncertainty."""
     budget: tuple[BudgetEntry, ...] = Field(min_length=1)
     """Contributions of the sources to the uncertainty, the largest first."""
-    hidden: tuple[HiddenErrorEntry, ...] = ()
+    hidden_errors: tuple[HiddenErrorEntry, ...] = ()
     """Errors that change the result noticeably but no reading, the largest first; the uncertainty does not include
     them."""
     conformity: Conformity | None = None
@@ -173,14 +173,14 @@ class TaskResult(Entry):
         largest, drawn = self.budget[0], self.monte_carlo
         numbers = self.value, self.standard_uncertainty, self.expanded_uncertainty
         judgement = self.conformity.judgement if self.conformity else ""
-        monte_carlo = drawn.standard_uncertainty, *drawn.symmetric, drawn.agrees, judgement
+        monte_carlo = drawn.standard_uncertainty, *drawn.symmetric_interval, drawn.intervals_agree, judgement
         return [
             self.task,
             self.name,
             self.unit,
             *numbers,
             *monte_carlo,
-            f"{largest.source} ({100 * largest.share:.0f} %)",
+            f"{largest.source} ({100 * largest.variance_fraction:.0f} %)",
         ]
 
 
@@ -194,7 +194,7 @@ class Uncertainty(ResultFile):
     """Title of the tasks, free text."""
     source: str
     """Name of the recording or scenario."""
-    coverage: float
+    coverage_probability: float
     """Coverage probability of all intervals."""
     trials: int
     """Number of Monte Carlo trials."""
@@ -212,31 +212,34 @@ class Uncertainty(ResultFile):
     def _lines(self) -> list[str]:
         lines = [r.text for r in self.results[:MAX_SUMMARY_RESULTS]]
         n_more = len(self.results) - len(lines)
-        head = f"{len(self.results)} results, {100 * self.coverage:g} % intervals, {self.trials} trials"
+        head = f"{len(self.results)} results, {100 * self.coverage_probability:g} % intervals, {self.trials} trials"
         return [head, *lines, *([f"and {n_more} more: to_dataframe()"] if n_more > 0 else [])]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         budget_rows = [(r, p) for r in self.results for p in r.budget]
         task_rows: list[tuple[Any, ...]] = [
-            (r.task, r.name, p.source, p.type, r.unit, p.share, p.standard_uncertainty) for r, p in budget_rows
+            (r.task, r.name, p.source, p.evaluation_type, r.unit, p.variance_fraction, p.standard_uncertainty)
+            for r, p in budget_rows
         ]
         task_rows += [
-            (r.task, r.name, p.source, NOT_INCLUDED_TEXT, r.unit, None, p.change)
+            (r.task, r.name, p.error_text, NOT_INCLUDED_TEXT, r.unit, None, p.result_change)
             for r in self.results
-            for p in r.hidden
+            for p in r.hidden_errors
         ]
         return {
             "results": lambda: RESULTS_TABLE.with_rows(r.table_row for r in self.results),
             "budget": lambda: BUDGET_TABLE.with_rows(task_rows),
             "conformity": self._conformity_table,
             "hidden": lambda: HIDDEN_ERRORS_TABLE.with_rows(
-                [r.task, r.name, part.source, part.change, r.unit] for r in self.results for part in r.hidden
+                [r.task, r.name, part.error_text, part.result_change, r.unit]
+                for r in self.results
+                for part in r.hidden_errors
             ),
         }
 
     def _conformity_table(self) -> Table:
         return CONFORMITY_TABLE.with_rows(
-            [r.task, r.name, c.lower, c.upper, c.guard_band, r.unit, 100 * c.probability, c.judgement]
+            [r.task, r.name, c.lower, c.upper, c.guard_band, r.unit, 100 * c.conformity_probability, c.judgement]
             for r in self.results
             if (c := r.conformity)
         )
@@ -266,7 +269,7 @@ def evaluate_conformity(
         probability = float(special.ndtr((upper - result_value) / sigma) - special.ndtr((lower - result_value) / sigma))
     else:
         probability = float(lower <= result_value <= upper)
-    guard = float(-special.ndtri(decision_rule.risk)) * sigma if decision_rule.rule == "guarded" else 0.0
+    guard = float(-special.ndtri(decision_rule.consumer_risk)) * sigma if decision_rule.rule == "guarded" else 0.0
     judgement: Literal["accepted", "rejected", "undecided"] = "undecided"
     wrong = min(probability, 1.0 - probability)
     if lower + guard <= result_value <= upper - guard:
@@ -278,9 +281,9 @@ def evaluate_conformity(
         upper=tolerance.upper,
         rule=decision_rule.rule,
         guard_band=guard,
-        probability=probability,
+        conformity_probability=probability,
         judgement=judgement,
-        wrong=wrong,
+        wrong_decision_probability=wrong,
     )
 
 

@@ -335,7 +335,7 @@ def _unit_error_displacements(
     second_response[:, count + lengths : len(columns_used)] = 0.0
     second_response -= by_parameter @ np.hstack([answer[:, columns_used], answer @ errors])
     labels = np.where(is_used % 3 == 0, RANGE_NOISE_GROUP, ANGLE_NOISE_GROUP).tolist() + [GAUGE_LENGTHS_GROUP] * lengths
-    labels += [PARAMETER_GROUPS[p.prior_kind] for p in construction.parameters]
+    labels += [PARAMETER_GROUPS[p.specified_quantity] for p in construction.parameters]
     labels += [REFLECTORS_GROUP] * n_extra
     return (first_response, second_response), labels + [e.name for e in unmodelled_effects for _ in e.parameters]
 

@@ -25,7 +25,7 @@ from ltsim.scene.sightings import Sightings
 from ltsim.simulation.physics import reflector_error_parameters
 from ltsim.simulation.scenario import Scenario
 
-CERTIFICATE_STEP = 1e-4 * MILLIMETRE
+CERTIFICATE_ROUNDING_STEP = 1e-4 * MILLIMETRE
 """Step [m] to which a certificate rounds its reference lengths: 0.1 um."""
 
 
@@ -38,9 +38,9 @@ class EffectDistribution:
 
     effect: Effect
     """Effect of the catalogue, with the stations and targets where it acts."""
-    mean_values: Floats
+    parameter_means: Floats
     """Mean of each parameter of the effect, shape (parameters,) [SI]."""
-    value_sigmas: Floats
+    parameter_sigmas: Floats
     """Standard deviation of each parameter of the effect, shape (parameters,) [SI]; 0 for a declared value."""
     occurrence_number: int = 1
     """Number of this effect, from 1, among the scenario's entries of the same effect at the same stations and
@@ -49,7 +49,7 @@ class EffectDistribution:
     @property
     def is_nonnegative(self) -> Bools:
         """Mask of the parameters that are never negative, such as added variances."""
-        kinds = [p.is_positive or isinstance(self.effect, NoiseEffect) for p in self.effect.parameters]
+        kinds = [p.is_nonnegative or isinstance(self.effect, NoiseEffect) for p in self.effect.parameters]
         return np.array(kinds, dtype=bool)
 
 
@@ -95,13 +95,13 @@ class StandardNormalSource:
 class _SingleTrialSource(StandardNormalSource):
     """Source of the standard normal numbers of one trial, taken from the cached draws of a batch of trials."""
 
-    batch_source: Callable[..., Floats] = standard_normal_trials
+    draw_batch_numbers: Callable[..., Floats] = standard_normal_trials
     """Function that draws the standard normal numbers of all trials of the batch."""
     trial_index: int = 0
     """Index of the trial in the batch."""
 
     def __call__(self, n_values: int, *stream_key: str | int) -> Floats:
-        return self.batch_source(n_values, *stream_key)[:, self.trial_index : self.trial_index + 1]
+        return self.draw_batch_numbers(n_values, *stream_key)[:, self.trial_index : self.trial_index + 1]
 
 
 @dataclass(frozen=True)
@@ -182,8 +182,8 @@ class TrialDistributions:
 
     def _draw_effect_values(self, distribution: EffectDistribution, normal_source: StandardNormalSource) -> Floats:
         """True parameters of the effect `distribution`, shape (parameters, trials) [SI]."""
-        effect_values = np.repeat(distribution.mean_values[:, None], len(normal_source.trials), axis=1)
-        for k in np.flatnonzero(distribution.value_sigmas):
+        effect_values = np.repeat(distribution.parameter_means[:, None], len(normal_source.trials), axis=1)
+        for k in np.flatnonzero(distribution.parameter_sigmas):
             key = (
                 distribution.effect.name,
                 distribution.effect.place_text,
@@ -191,7 +191,7 @@ class TrialDistributions:
                 distribution.effect.parameters[k].name,
             )
             drawn = normal_source(1, "effect", *key)[0]
-            effect_values[k] += distribution.value_sigmas[k] * (
+            effect_values[k] += distribution.parameter_sigmas[k] * (
                 np.abs(drawn) if distribution.is_nonnegative[k] else drawn
             )
         return effect_values
@@ -241,7 +241,9 @@ class TrialDistributions:
         ]
         unit_errors = np.reshape(draws, expansion_factors.shape)
         certificate_errors = self.certificate_error_factor * lengths.certificate_sigmas[:, None] * unit_errors
-        return CERTIFICATE_STEP * np.round((true_lengths / expansion_factors + certificate_errors) / CERTIFICATE_STEP)
+        return CERTIFICATE_ROUNDING_STEP * np.round(
+            (true_lengths / expansion_factors + certificate_errors) / CERTIFICATE_ROUNDING_STEP
+        )
 
     def length_change(self, effect_values: tuple[Floats, ...]) -> Floats:
         """Change of the true reference lengths by effects with the parameters `effect_values` [SI].

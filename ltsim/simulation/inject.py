@@ -19,7 +19,7 @@ from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.effect import Blunder, Effect, NoiseEffect
 from ltsim.physics.effects.linear_effect import CandidateEffect
-from ltsim.physics.effects.verbs import display_constants
+from ltsim.physics.effects.verbs import constants_in_display_units
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
 from ltsim.simulation.simulator import with_certified_lengths
@@ -30,7 +30,7 @@ NONCENTRALITY_TOLERANCE = 1e-4
 """Relative difference between the effect's noncentrality and the requested one below which the scaling ends."""
 MAX_SCALING_STEPS = 60
 """Largest number of iterations in the scaling of an effect to the requested noncentrality."""
-MAX_CHANGE_SIGMAS = 30.0
+MAX_CHANGE_SIGMAS_PER_ROOT_NONCENTRALITY = 30.0
 """Largest permitted change of a reading by an injected effect, in standard deviations of the reading, divided by the
 square root of the requested noncentrality. An effect that needs a larger change counts as absorbed by the unknowns."""
 
@@ -41,7 +41,7 @@ class InjectedEffect(Result):
 
     effect: CandidateEffect
     """Effect of the catalogue, with the stations and targets where it acts."""
-    request_text: str
+    effect_text: str
     """Specification of the effect as the user wrote it, such as `range-offset:S3`."""
     parameter_values: Floats
     """Values of the parameters of the effect, shape (parameters,) [SI]."""
@@ -57,7 +57,7 @@ class InjectedEffect(Result):
             f"{p.name} {value / p.si_per_display_unit:.4g} {p.unit}".rstrip() for p, value in self._parameter_entries()
         )
         place = f" at {self.effect.place_text}" if self.effect.place_text else ""
-        return [f"Injected: {self.request_text}{place}: {sizes_text}; noncentrality {self.noncentrality:.3g}"]
+        return [f"Injected: {self.effect_text}{place}: {sizes_text}; noncentrality {self.noncentrality:.3g}"]
 
     def _parameter_entries(self) -> list[tuple[Any, float]]:
         return list(zip(self.effect.parameters, self.parameter_values.tolist(), strict=True))
@@ -76,9 +76,9 @@ class InjectedEffect(Result):
     def to_json(self) -> dict[str, Any]:
         """Entry of the effect in a truth file of injections."""
         cause = self.effect
-        shape = display_constants(cause) if isinstance(cause, Effect) else {}
+        shape = constants_in_display_units(cause) if isinstance(cause, Effect) else {}
         return {
-            "effect": cause.name, "words": self.request_text,
+            "effect": cause.name, "words": self.effect_text,
             "stations": list(cause.stations), "targets": list(cause.targets),
             "observables": list(cause.observables), "covariates": list(cause.covariates), "shape": shape,
             "parameters": self.table().json_rows(),
@@ -151,7 +151,7 @@ class DetectionCurve(Result):
         reported = ", ".join(self.effects_without_injection) or "nothing"
         lines = [f"{self.effect_text}, injected into the recording; findings without the injection: {reported}"]
         return lines + [
-            f"noncentrality {row['noncentrality']:.0f}: detected {row['detections']}, placed {row['placed']}, "
+            f"noncentrality {row['noncentrality']:.0f}: detected {row['detections']}, located {row['placed']}, "
             f"named {row['named']} of {row['injections']}"
             for row in self.rows
         ]
@@ -185,7 +185,7 @@ class Injector:
         done, instrument = effect.measured_sightings(sightings), self.adjusted_state.instrument_parameters
         errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
         construction = self.residual_space.adjustment.problem.model.construction
-        moved, plain = (construction.readings(s.local_points, s.face, errors) for s in (done, sightings))
+        moved, plain = (construction.readings_from_points(s.local_points, s.face, errors) for s in (done, sightings))
         change: Floats = effect.recorded_readings(sightings, readings + moved - plain) - readings
         return np.stack([change[:, 0], *wrap_angle(change[:, 1:]).T], axis=1)
 
@@ -228,7 +228,7 @@ class Injector:
         """
         if isinstance(effect, Blunder):
             raise ModelError(f"{effect.name} has no size; leave out the noncentrality")
-        factor, bound = 1.0, MAX_CHANGE_SIGMAS * np.sqrt(noncentrality_goal)
+        factor, bound = 1.0, MAX_CHANGE_SIGMAS_PER_ROOT_NONCENTRALITY * np.sqrt(noncentrality_goal)
         for _ in range(MAX_SCALING_STEPS):
             noncentrality = self.noncentrality(effect, factor * effect_sizes)
             if not noncentrality > 0.0 or (
@@ -254,11 +254,11 @@ class Injector:
         return float(np.nanmax(np.abs(reading_changes) / self.residual_space.sigma, initial=0.0))
 
     def inject(
-        self, effect: CandidateEffect, effect_sizes: Floats, request_text: str, random_generator: np.random.Generator
+        self, effect: CandidateEffect, effect_sizes: Floats, effect_text: str, random_generator: np.random.Generator
     ) -> tuple[Recording, InjectedEffect]:
         """Recording with an injected effect, and the entry of the effect for the truth file.
 
-        `effect_sizes` (parameters,) [SI] are the effect's parameters, `request_text` is its specification. The
+        `effect_sizes` (parameters,) [SI] are the effect's parameters, `effect_text` is its specification. The
         generator draws the noise of an effect on the noise.
         """
         if isinstance(effect, NoiseEffect):
@@ -271,7 +271,7 @@ class Injector:
         lengths = self.length_change(effect, effect_sizes)
         if effect_sizes.any() and not (np.nan_to_num(change).any() or lengths.any()):
             raise ModelError(
-                f"{request_text}: changes no reading; give measured stations or targets, after the time if there is one"
+                f"{effect_text}: changes no reading; give measured stations or targets, after the time if there is one"
             )
         if lengths.any():
             gauge = self.residual_space.adjustment.problem.gauge_rows
@@ -287,7 +287,7 @@ class Injector:
             zip(("distance_um", "azimuth_urad", "elevation_urad"), largest.tolist(), strict=True)
         )
         return injected_recording, InjectedEffect(
-            effect, request_text, effect_sizes, self.noncentrality(effect, effect_sizes), largest_by_observable
+            effect, effect_text, effect_sizes, self.noncentrality(effect, effect_sizes), largest_by_observable
         )
 
     def with_recording(self, recording: Recording) -> Self:

@@ -39,7 +39,7 @@ def unit_of_scenario_key(scenario: Scenario, dotted_key: str) -> str:
     try:
         if parents[-1:] == ["errors"] or parents[-2:] == ["prior", "parameters"]:
             built = make_scenario_construction(scenario)
-            return built.parameters[built.index(last)].unit
+            return built.parameters[built.parameter_index(last)].unit
         if parents[:1] == ["effects"] and parents[2:] in (["values"], ["shape"]):
             kind = find_effect(scenario.effects[int(parents[1]) - 1].name)
             parameters = kind.parameters if parents[2] == "values" else kind.shape_parameters

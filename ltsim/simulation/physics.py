@@ -56,10 +56,10 @@ def _tracker_error_distribution(
     errors = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
     for error in errors:
         with as_setup_error(f"{tracker_table_name(tracker_name)}.errors.{error}"):
-            construction.index(error)
+            construction.parameter_index(error)
     parameters = construction.parameters
     error_means = np.array([errors.get(p.name, 0.0) * p.si_per_display_unit for p in parameters])
-    free = [instrument.draws and p.name not in errors for p in parameters]
+    free = [instrument.draws_errors and p.name not in errors for p in parameters]
     prior = np.array([p.prior_sigma_from(instrument.prior) for p in parameters])
     return error_means, np.where(free, instrument.error_factor * prior, 0.0)
 
@@ -100,8 +100,8 @@ def scenario_effects(scenario: Scenario) -> tuple[Effect, ...]:
 
 
 def reflector_error_parameters(scenario: Scenario) -> Floats:
-    """Parameters [SI] of the effect `smr-incidence` for the range errors `smr.table_um` of a scenario."""
-    table = tuple(x * MICROMETRE for x in scenario.smr.table_um)
+    """Parameters [SI] of the effect `smr-incidence` for the range errors `smr.range_error_table_um` of a scenario."""
+    table = tuple(x * MICROMETRE for x in scenario.smr.range_error_table_um)
     return SmrIncidence(table=table, direction=scenario.smr.direction_deg * DEGREE).parameters_from_table
 
 

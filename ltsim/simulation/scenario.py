@@ -12,6 +12,7 @@ from pydantic import Field
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import SetupError, as_setup_error
 from ltsim.core.results import Result
+from ltsim.physics.effects.dead_path import AIR_TEMPERATURE_COLUMN
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import SizedEffect, make_effect
 from ltsim.recordings.air import AirUncertainty
@@ -38,8 +39,6 @@ from ltsim.simulation.sections import (
 
 SCENARIO_FORMAT = "ltsim-scenario/1"
 """Format and version of a scenario file."""
-AIR_TEMPERATURE_COLUMN = "air_temperature_c"
-"""Column of a simulated recording with the temperature of the air."""
 MIN_TARGETS = 3
 """Smallest number of targets in a scenario, including those of the gauge."""
 MAX_NAMES_IN_ERROR = 12

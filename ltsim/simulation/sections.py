@@ -8,8 +8,8 @@ from pydantic import AfterValidator, Field, StrictBool, model_validator
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS, TABLE_ANGLES
-from ltsim.physics.effects.verbs import SizedEffect, display_constants, make_effect
+from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_RANGE_ERRORS
+from ltsim.physics.effects.verbs import SizedEffect, constants_in_display_units, make_effect
 from ltsim.recordings.keys import DistinctValues
 from ltsim.recordings.setup import (
     MIN_SIGMA,
@@ -205,7 +205,7 @@ class ScenarioInstrument(TomlSection):
         return self
 
     @property
-    def draws(self) -> bool:
+    def draws_errors(self) -> bool:
         """True if the instrument errors without a given value are drawn."""
         return self.errors.get("draw") is True
 
@@ -213,20 +213,20 @@ class ScenarioInstrument(TomlSection):
 class Smr(TomlSection):
     """Reflectors: orientation of their nests, and their range error as a function of the incidence angle."""
 
-    nests: Literal["re-aimed", "fixed"] = "re-aimed"
+    nest_orientation: Literal["re-aimed", "fixed"] = "re-aimed"
     """Orientation of the nests: re-aimed at each station before its pointings, or fixed."""
     acceptance_deg: Annotated[float, Field(gt=0, le=90)] = 30.0
     """Largest incidence angle at which the beam is returned."""
     reflector: str | None = None
     """Name of the SMR for pointings whose station and target name no SMR."""
     incidence_error: bool = False
-    """True for reflectors with the incidence error of `table_um`."""
-    table_um: Annotated[tuple[Finite, ...], Field(min_length=len(TABLE_ANGLES), max_length=len(TABLE_ANGLES))] = tuple(
-        round(x / MICROMETRE, 6) for x in PAPER_RANGE_ERRORS
-    )
+    """True for reflectors with the incidence error of `range_error_table_um`."""
+    range_error_table_um: Annotated[
+        tuple[Finite, ...], Field(min_length=len(INCIDENCE_TABLE_ANGLES), max_length=len(INCIDENCE_TABLE_ANGLES))
+    ] = tuple(round(x / MICROMETRE, 6) for x in PAPER_RANGE_ERRORS)
     """Range errors at the incidence angles -30, -22.5, ... +30 deg."""
     direction_deg: AngleDegrees = 0.0
-    """Direction of positive incidence angles of `table_um`, as a rotation about the nest's normal; 0 is horizontal."""
+    """Direction of positive incidence angles of the table: rotation about the nest's normal from the horizontal."""
 
 
 class CoordinateMeasuringMachine(TomlSection):
@@ -236,11 +236,11 @@ class CoordinateMeasuringMachine(TomlSection):
     """Constant part of the maximum permissible error."""
     length_divisor_mm: Positive = 300.0
     """Divisor of the length L in the maximum permissible error."""
-    coverage: Positive = 2.0
+    coverage_factor: Positive = 2.0
     """Ratio of the maximum permissible error to the standard deviation of a measured length."""
     noise_factor: NonNegative = 1.0
     """Ratio of the true to the specified standard deviation of a measured length."""
-    nominal: bool = False
+    measures_targets: bool = False
     """True if the machine also measured the targets; `ltsim simulate --nominal FILE` writes their coordinates for
     `ltsim verify`."""
 
@@ -289,7 +289,7 @@ class ScenarioGauge(TomlSection):
 
     targets: tuple[str, ...] = ("T25", "T26", "T27", "T28")
     """Names of the reflectors of the gauge."""
-    reading: Literal["columns", "rows"] = "columns"
+    table_reading_order: Literal["columns", "rows"] = "columns"
     """Order in which Table 2 of Sensors 2021, 21, 7479 is read, because the printed table is misaligned."""
     distance: tuple[GaugeLength, ...] = ()
     """Lengths that determine the gauge's shape, tables `[[gauge.distance]]`; default: Sensors 2021, 21, 7479."""
@@ -357,7 +357,7 @@ class PlannedTarget(TomlSection):
     nest_normal: Vector | None = None
     """Normal of the target's fixed nest; default the direction to the centre of the stations."""
     reaimed: bool | None = None
-    """True if the reflector is turned towards each station; default by `smr.nests`."""
+    """True if the reflector is turned towards each station; default by `smr.nest_orientation`."""
     reflector: str | None = None
     """Name of the SMR at this target, a table `[reflectors.NAME]`; default `smr.reflector`."""
 
@@ -397,4 +397,4 @@ class EffectEntry(PlacedEffect):
         sized = source if isinstance(source, SizedEffect) else SizedEffect(source, {})
         effect, sizes = sized.effect, dict(sized.parameter_values)
         places = {"stations": effect.stations, "targets": effect.targets}
-        return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=display_constants(effect))
+        return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=constants_in_display_units(effect))

@@ -156,8 +156,8 @@ def exact_readings(geometry: MeasurementGeometry, instrument: Floats, effect_siz
     for mistake in occurring_blunders(geometry.effects, effect_sizes):
         sightings = mistake.measured_sightings(sightings)
     errors = instrument[0] if len(instrument) == 1 else instrument[sightings.instrument]
-    readings = geometry.construction.readings(sightings.local_points, sightings.face, errors)
-    for k in sorted(range(len(geometry.effects)), key=lambda k: geometry.effects[k].stage):
+    readings = geometry.construction.readings_from_points(sightings.local_points, sightings.face, errors)
+    for k in sorted(range(len(geometry.effects)), key=lambda k: geometry.effects[k].light_path_stage):
         if not isinstance(geometry.effects[k], Blunder):
             readings = readings + geometry.effects[k].reading_change(sightings, effect_sizes[k])
     return readings
@@ -247,7 +247,7 @@ def _truth_of_trial(
     trackers = scenario.trackers_in_use
     names = geometry.construction.instrument_parameter_names(tuple(trackers))
     nominal = None
-    if scenario.cmm.nominal:
+    if scenario.cmm.measures_targets:
         nominal = measure_nominal_points(
             s.target_points, s.target_names, scenario.cmm, seed, *((trial,) if trial else ())
         )

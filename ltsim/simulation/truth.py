@@ -17,7 +17,7 @@ from ltsim.core.results import Table, number_columns, text_columns
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT, permitted_units_text
 from ltsim.geometry.rigid import quaternion_from_matrix
 from ltsim.physics.effects.effect import Effect
-from ltsim.physics.effects.verbs import display_constants, make_effect
+from ltsim.physics.effects.verbs import constants_in_display_units, make_effect
 from ltsim.recordings.files import quoted_text, write_text
 from ltsim.recordings.result_file import Entry, Finite, Quaternion, ResultFile, Vector, read_result
 
@@ -141,7 +141,7 @@ class TrueEffect(Entry):
             effect=effect.name,
             stations=effect.stations,
             targets=effect.targets,
-            shape=display_constants(effect),
+            shape=constants_in_display_units(effect),
             parameters=tuple(
                 TrueParameterValue(name=p.name, value=value / p.si_per_display_unit, unit=p.unit)
                 for p, value in zip(effect.parameters, values, strict=True)
@@ -199,13 +199,13 @@ class Truth(ResultFile):
     """True poses of the stations."""
     targets: tuple[TruePoint, ...] = Field(min_length=1)
     """True positions of the targets."""
-    nominal: tuple[TruePoint, ...] | None = None
+    nominal_points: tuple[TruePoint, ...] | None = None
     """Positions of the targets measured by a coordinate measuring machine."""
     _arrays: TruthArrays | None = PrivateAttr(None)
 
     @model_validator(mode="after")
     def _effects_and_nominal_points_exist(self) -> Self:
-        if self.nominal is not None and [p.name for p in self.nominal] != [p.name for p in self.targets]:
+        if self.nominal_points is not None and [p.name for p in self.nominal_points] != [p.name for p in self.targets]:
             raise ValueError("the names of the nominal points differ from those of the targets, or have another order")
         try:
             for entry in self.effects:
@@ -230,7 +230,7 @@ class Truth(ResultFile):
         nominal = (
             {}
             if truth_arrays.nominal_points is None
-            else {"nominal": _point_entries(targets, truth_arrays.nominal_points)}
+            else {"nominal_points": _point_entries(targets, truth_arrays.nominal_points)}
         )
         made = cls.model_validate(
             {
@@ -269,7 +269,7 @@ class Truth(ResultFile):
                 target_points=_entry_positions(self.targets),
                 instrument_values={p.qualified_name: p.si_value for p in self.parameters},
                 effects=tuple(entry.to_applied_effect() for entry in self.effects),
-                nominal_points=None if self.nominal is None else _entry_positions(self.nominal),
+                nominal_points=None if self.nominal_points is None else _entry_positions(self.nominal_points),
             )
         return self._arrays
 
@@ -294,7 +294,7 @@ class Truth(ResultFile):
         return self.arrays.instrument_values
 
     @property
-    def units(self) -> dict[str, str]:
+    def parameter_units(self) -> dict[str, str]:
         """Display unit of each instrument parameter, by the name of the parameter."""
         return {p.qualified_name: p.unit for p in self.parameters}
 
@@ -353,6 +353,6 @@ def nominal_csv(truth: Truth) -> str:
 
     ModelError is raised for a scenario without a measuring machine.
     """
-    if truth.nominal is None:
-        raise ModelError("the scenario has no nominal points; set nominal = true in its table [cmm]")
-    return NOMINAL_TABLE.with_rows([p.name, *p.position_mm] for p in truth.nominal).csv_text()
+    if truth.nominal_points is None:
+        raise ModelError("the scenario has no nominal points; set measures_targets = true in its table [cmm]")
+    return NOMINAL_TABLE.with_rows([p.name, *p.position_mm] for p in truth.nominal_points).csv_text()

@@ -32,7 +32,7 @@ PAPER_TABLE_2_LENGTHS = MappingProxyType(
     }
 )
 """Lengths [mm] between the targets 25-26, 25-27, 25-28, 26-27, 26-28 and 27-28 in Table 2 of Sensors 2021, 21, 7479,
-for each order in which this table can be read (`ScenarioGauge.reading`)."""
+for each order in which this table can be read (`ScenarioGauge.table_reading_order`)."""
 MAX_RELATIVE_LENGTH_ERROR = 1e-7
 """Largest relative difference between the declared lengths of a gauge and the lengths of the rigid frame that fits
 them. If it is exceeded, the declared lengths contradict each other."""
@@ -83,7 +83,7 @@ def _declared_lengths(gauge: ScenarioGauge, target_pairs: list[tuple[int, int]])
         if len(names) != 4:
             message = "the built-in gauge has four; give the lengths of another gauge as [[gauge.distance]]"
             raise SetupError(f"gauge.targets: has {len(names)} reflectors, but {message}")
-        return list(PAPER_TABLE_2_LENGTHS[gauge.reading])
+        return list(PAPER_TABLE_2_LENGTHS[gauge.table_reading_order])
     certificates: dict[frozenset[str], float] = {}
     for i, line in enumerate(gauge.distance):
         key = frozenset((line.from_, line.to))
@@ -139,7 +139,7 @@ def gauge_points_in_workshop(gauge: ScenarioGauge, gauge_frame: GaugeFrame, work
 def measured_length_sigmas(measuring_machine: CoordinateMeasuringMachine, lengths: Floats) -> Floats:
     """Standard deviation [m] of each length: the machine's maximum permissible error divided by its coverage factor."""
     largest = measuring_machine.constant_um + lengths / MILLIMETRE / measuring_machine.length_divisor_mm
-    return largest * MICROMETRE / measuring_machine.coverage
+    return largest * MICROMETRE / measuring_machine.coverage_factor
 
 
 def measure_nominal_points(
@@ -154,8 +154,8 @@ def measure_nominal_points(
     The maximum permissible error of a length L is A + L / K. The part A is a random error, half of whose variance is at
     either end of the length. The part L / K is a scale error of each axis.
     """
-    random = measuring_machine.constant_um * MICROMETRE / measuring_machine.coverage / np.sqrt(2.0)
-    scale = MICROMETRE / MILLIMETRE / measuring_machine.length_divisor_mm / measuring_machine.coverage
+    random = measuring_machine.constant_um * MICROMETRE / measuring_machine.coverage_factor / np.sqrt(2.0)
+    scale = MICROMETRE / MILLIMETRE / measuring_machine.length_divisor_mm / measuring_machine.coverage_factor
     axes = scale * random_stream(seed, *stream_key, "cmm", "axes").standard_normal(3)
     draws = np.array([random_stream(seed, *stream_key, "cmm", "point", name).standard_normal(3) for name in names])
     centre = points.mean(axis=0)
@@ -221,7 +221,7 @@ def _nest_normals_and_flags(scenario: Scenario, position: Floats, points: Floats
         declared += [None] * len(scenario.gauge.targets)
     normal = np.array(normals, dtype=np.float64).reshape(-1, 3)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    usual = scenario.smr.nests == "re-aimed"
+    usual = scenario.smr.nest_orientation == "re-aimed"
     reaimed = np.array([usual if value is None else value for value in declared], dtype=bool)
     open_ = ~reaimed & ~np.isfinite(normal[:, 0])
     if open_.any():

@@ -67,7 +67,7 @@ def _written(recording: object, folder: Path) -> Path:
 
 
 def test_measured_errors_are_judged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    text = 'tests = "plan.csv"\ninstrument = "leica-at500"\nmeasured = "found.csv"'
+    text = 'tests_file = "plan.csv"\ninstrument = "leica-at500"\nmeasured_errors_file = "found.csv"'
     file = write(tmp_path, text, plan=PLAN, found="test,error_um,U_um\nbar,-12.5,4\nball,30,2\n")
     assert run(["accept", str(file)]) == 0
     assert "All 2 measured errors are within their limits" in capsys.readouterr().out
@@ -126,7 +126,7 @@ def test_one_judgement_in_json_terminal_page_and_status(
     errors: str, judgement: str, headline: str, action: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """By ISO 14253-1; the limit of the bar is 45.7 um."""
-    text = 'tests = "plan.csv"\ninstrument = "leica-at500"\nmeasured = "found.csv"'
+    text = 'tests_file = "plan.csv"\ninstrument = "leica-at500"\nmeasured_errors_file = "found.csv"'
     file, out = write(tmp_path, text, plan=PLAN, found=f"test,error_um,U_um\n{errors}"), tmp_path / "out"
     assert run(["accept", str(file), "--out", str(out)]) == (judgement != "accepted")
     said = capsys.readouterr().out
@@ -151,7 +151,7 @@ def test_tables_with_semicolons_and_decimal_commas_are_read(tmp_path: Path) -> N
     for bar, mark, comma in (("-12.5", ",", "."), ("-12,5", ";", ",")):
         plan = "# drawn up by hand\n" + PLAN.replace(",", mark).replace("1150", f"1150{comma}25")
         errors = mark.join(("test", "error_um", "U_um")) + f"\nbar{mark}{bar}{mark}4\n\nball{mark}30{mark}2\n"
-        text = 'tests = "plan.csv"\ninstrument = "leica-at500"\nmeasured = "found.csv"'
+        text = 'tests_file = "plan.csv"\ninstrument = "leica-at500"\nmeasured_errors_file = "found.csv"'
         file = write(tmp_path, text, plan=plan, found=errors)
         answers.append(lt.accept(file).model_dump(exclude={"recording"}))
     assert answers[0] == answers[1]
@@ -175,21 +175,21 @@ range_um_per_m = 0
         (PERMITS_NOTHING.format(range=0, transverse=1), PLAN, "", "not be 0 in both range_um and range_um_per_m"),
         (PERMITS_NOTHING.format(range=1, transverse=0), PLAN, "", "0 in both transverse_um and transverse_um_per_m"),
         ('instrument = "leica-at5"\nstandard = "asme-b89.4.19-2006"', PLAN, "", "did you mean leica-at500"),
-        ('instrument = "leica-at500"\ntests = "plan.csv"', PLAN.replace("two-face", "face"), "", "kind is 'face'"),
+        ('instrument = "leica-at500"\ntests_file = "plan.csv"', PLAN.replace("two-face", "face"), "", "kind is 'face'"),
         (
-            'instrument = "leica-at500"\ntests = "plan.csv"',
+            'instrument = "leica-at500"\ntests_file = "plan.csv"',
             PLAN.replace("3000,1150", "3000,x"),
             "",
             "row 2, column y2_mm: found 'x', expected a number",
         ),
         (
-            'instrument = "leica-at500"\ntests = "plan.csv"',
+            'instrument = "leica-at500"\ntests_file = "plan.csv"',
             PLAN.replace("2000,0", "0,0"),
             "",
             "vertical axis of the instrument",
         ),
         (
-            'instrument = "leica-at500"\ntests = "plan.csv"\nmeasured = "found.csv"',
+            'instrument = "leica-at500"\ntests_file = "plan.csv"\nmeasured_errors_file = "found.csv"',
             PLAN,
             "test,error_um\nbat,1\n",
             "row 2: there is no test called 'bat'; did you mean bar",
@@ -209,8 +209,10 @@ def test_lengths_of_a_standard_that_no_open_text_has(tmp_path: Path, capsys: pyt
     text = 'standard = "iso-10360-10"\ninstrument = "leica-at500"'
     assert run(["accept", str(write(tmp_path, text))]) == 2
     said = capsys.readouterr().err
-    assert said.endswith("it should give lengths = FILE, because the length tests of iso-10360-10 are not built in\n")
-    assert run(["accept", str(write(tmp_path, f'{text}\nlengths = "plan.csv"', plan=PLAN))]) == 0
+    assert said.endswith(
+        "it should give additional_tests_file = FILE, because the length tests of iso-10360-10 are not built in\n"
+    )
+    assert run(["accept", str(write(tmp_path, f'{text}\nadditional_tests_file = "plan.csv"', plan=PLAN))]) == 0
     assert "passes all 20 tests" in capsys.readouterr().out
 
 
@@ -227,7 +229,9 @@ def test_network_method(tmp_path: Path) -> None:
     assert good.judgement in ("accepted", "undecided")
     assert bad.judgement == "rejected" and "exceed their limits" in bad.sentence
     assert "two-face" in {g.name for g in bad.groups if g.judgement == "rejected"}
-    assert np.isfinite([np.nan if t.expanded_um is None else t.expanded_um for t in good.tests]).all()
+    assert np.isfinite(
+        [np.nan if t.expanded_uncertainty_um is None else t.expanded_uncertainty_um for t in good.tests]
+    ).all()
     assert "without an uncertainty" not in good.sentence and good.decision_rule.startswith("By ISO 14253-1, an error e")
     assert " two-face: " in bad.sentence and " +- 0.0 um where " in bad.sentence
     assert bad.next_actions == (
@@ -253,7 +257,7 @@ def test_uncertainty_of_a_network_length_holds_over_many_networks():
     short, long = [], []
     for seed in range(12):
         recording, truth = lt.simulate("paper-workshop", seed=seed)
-        own = evaluate_network(recording, sheet).entries
+        own = evaluate_network(recording, sheet).test_outcomes
         ends = {target: truth.target_points[recording.targets.index(target)] for target in recording.targets}
         adjusted = adjust(recording, declared_construction(recording))
         placed = dict(zip(recording.targets, adjusted.state.target_points, strict=True))
@@ -263,7 +267,7 @@ def test_uncertainty_of_a_network_length_holds_over_many_networks():
             first, second = found.name.removeprefix("S1: ").split(" to ")
             true = np.linalg.norm(ends[second] - ends[first])
             estimated = np.linalg.norm(placed[second] - placed[first])
-            (short if true < 2.5 else long).append((estimated - true) / (1e-6 * found.expanded_um / 2))
+            (short if true < 2.5 else long).append((estimated - true) / (1e-6 * found.expanded_uncertainty_um / 2))
     for z in (short, long):
         assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15), len(z)
 
@@ -278,7 +282,9 @@ def test_uncertainty_of_a_network_length_is_that_of_the_whole_normal_matrix():
     points, at = found.state.target_points, found.problem.unknowns.target_columns
     sheet = Specification(transverse_um=15, transverse_um_per_m=6, range_um=20, range_um_per_m=1)
     stated = {
-        e.name: 1e-6 * e.expanded_um for e in evaluate_network(recording, sheet).entries if e.expanded_um is not None
+        e.name: 1e-6 * e.expanded_uncertainty_um
+        for e in evaluate_network(recording, sheet).test_outcomes
+        if e.expanded_uncertainty_um is not None
     }
     for a, b in ((0, 1), (0, 12), (5, 20)):
         along = (points[b] - points[a]) / np.linalg.norm(points[b] - points[a])
@@ -308,9 +314,13 @@ def test_errors_of_the_recording_are_no_errors_of_the_tracker(cause: str):
     assert clean.corrected_causes == clean.uncorrected_causes == ()
     assert len(faulty.corrected_causes) == 1 and faulty.sentences[0].startswith(cause)
     assert faulty.sentences[0].endswith("This is not an error of the tracker, and it is removed before the tests.")
-    assert not [t.name for t in faulty.entries if t.judgement == "rejected"]
-    lengths = [(a, b) for a, b in zip(clean.entries, faulty.entries, strict=True) if b.expanded_um is not None]
-    assert max(abs(b.error_um - a.error_um) / (b.expanded_um or np.nan) for a, b in lengths) < 1.0
+    assert not [t.name for t in faulty.test_outcomes if t.judgement == "rejected"]
+    lengths = [
+        (a, b)
+        for a, b in zip(clean.test_outcomes, faulty.test_outcomes, strict=True)
+        if b.expanded_uncertainty_um is not None
+    ]
+    assert max(abs(b.error_um - a.error_um) / (b.expanded_uncertainty_um or np.nan) for a, b in lengths) < 1.0
     assert faulty.further_actions(is_rejected=False)[0].startswith(("Check the SMR", "Inspect the nest"))
 
 
@@ -321,7 +331,7 @@ def test_possible_error_of_the_tracker_remains_in_the_tests():
     tests = evaluate_network(recording.with_readings(readings), LIMITS)
     assert tests.corrected_causes == () and tests.tracker_causes[0].where.stations == ("S2",)
     assert "possibly an error of the tracker, and it remains in the tests" in tests.sentences[0]
-    rejected = [t.name for t in tests.entries if t.judgement == "rejected"]
+    rejected = [t.name for t in tests.test_outcomes if t.judgement == "rejected"]
     assert {name.partition(":")[0] for name in rejected} == {"S2"}
     assert 0 < tests.n_rejected_after_correction <= len(rejected)
     assert "Corrections by ltsim calibrate do not suffice" in tests.action_after_rejection
@@ -331,9 +341,11 @@ def test_centring_is_in_the_uncertainty_of_a_network_length():
     """A declared displacement of each reflector at each set-up is no error of the tracker: U holds it at both ends."""
     recording, _ = lt.simulate("paper-workshop-two-face", seed=4)
     setup = recording.setup.model_copy(update={"centring": (CentringUncertainty(sigma_mm=0.1),)})
-    entries = evaluate_network(recording.replace(setup=setup), LIMITS).entries
-    expanded = np.array([t.expanded_um for t in entries if t.group != "two-face"])
-    assert max(t.expanded_um or 0.0 for t in entries if t.group == "two-face") < 0.1, "it is the same in both faces"
+    entries = evaluate_network(recording.replace(setup=setup), LIMITS).test_outcomes
+    expanded = np.array([t.expanded_uncertainty_um for t in entries if t.group != "two-face"])
+    assert max(t.expanded_uncertainty_um or 0.0 for t in entries if t.group == "two-face") < 0.1, (
+        "it is the same in both faces"
+    )
     assert np.all(expanded >= 2 * np.sqrt(2) * 100) and np.all(expanded < 2 * np.sqrt(2) * 100 * 1.5)
 
 
@@ -342,8 +354,12 @@ def test_uncertainty_of_a_two_face_error_is_that_of_what_is_not_the_tracker():
     recording, _ = lt.simulate(lt.scenario("paper-workshop-two-face", GOOD_TRACKER), seed=4)
 
     def expanded(tested: Recording) -> dict[str, float]:
-        entries = evaluate_network(tested, LIMITS).entries
-        return {t.name: t.expanded_um for t in entries if t.group == "two-face" and t.expanded_um is not None}
+        entries = evaluate_network(tested, LIMITS).test_outcomes
+        return {
+            t.name: t.expanded_uncertainty_um
+            for t in entries
+            if t.group == "two-face" and t.expanded_uncertainty_um is not None
+        }
 
     clean = expanded(recording)
     assert len(clean) == 140 and set(clean.values()) == {0.0}
@@ -363,7 +379,11 @@ def test_uncertainty_of_a_two_face_error_is_that_of_what_is_not_the_tracker():
     moment = float(recording.time[shots].mean())
     moved = adjust(recording, declared_construction(recording), effects=[TargetMoved((), ("T06",), time=moment)])
     entries = TestedNetwork(moved, 1.0).test_outcomes(LIMITS)
-    corrected = {t.name: t.expanded_um or 0.0 for t in entries if t.group == "two-face" and (t.expanded_um or 0) > 0.1}
+    corrected = {
+        t.name: t.expanded_uncertainty_um or 0.0
+        for t in entries
+        if t.group == "two-face" and (t.expanded_uncertainty_um or 0) > 0.1
+    }
     assert corrected.keys() == {"S3: T06 two-face"}
     columns = moved.problem.unknowns.effect_columns
     design = np.asarray(moved.solution.system.design)
@@ -378,8 +398,8 @@ def test_outlying_readings_are_neither_adjusted_nor_tested():
     readings = recording.readings.copy()
     readings[(recording.station == 3) & (recording.target == 9), 0] += 1e-3
     tests = evaluate_network(recording.with_readings(readings), LIMITS)
-    assert not [t.name for t in tests.entries if t.judgement == "rejected"]
-    assert not [t.name for t in tests.entries if t.name == "S4: T10" or "S4: T10 to" in t.name]
+    assert not [t.name for t in tests.test_outcomes if t.judgement == "rejected"]
+    assert not [t.name for t in tests.test_outcomes if t.name == "S4: T10" or "S4: T10 to" in t.name]
     assert "Pointings with outliers are not tested: S4 to T10 (row" in " ".join(tests.sentences)
 
 

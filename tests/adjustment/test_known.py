@@ -242,7 +242,7 @@ def test_calibration_keeps_its_lengths_and_its_table_is_saved() -> None:
     assert all(e["excluded"] and e["unit"] == "mm" for e in entries)
     assert len(content["reference_values"]) == 3 * len(SIX) + 6
     others = [e for e in content["reference_values"] if e["kind"] == "point" and not e["excluded"]]
-    assert all(0.0 < e["redundancy"] < 1.0 and e["minimal_detectable"] > 0.0 for e in others)
+    assert all(0.0 < e["redundancy"] < 1.0 and e["minimal_detectable_error"] > 0.0 for e in others)
 
 
 @pytest.mark.parametrize("size", family([0.3, 200.0, 1.0, 10.0], 2))

@@ -159,13 +159,13 @@ def test_the_budget_names_what_lengths_share_and_adds_up(tmp_path: Path) -> None
     lt.write(recording, tmp_path / "rec")
     assert lt.read(tmp_path / "rec").setup == recording.setup
     task = {"name": "far", "kind": "distance", "targets": ["T01", "T20"]}
-    tables = {"format": TASKS_FORMAT, "source": "", "task": [task], "monte_carlo": {"most_trials": 10_000}}
+    tables = {"format": TASKS_FORMAT, "source": "", "task": [task], "monte_carlo": {"max_trials": 10_000}}
     found = evaluate_tasks(recording, validate_tasks(tables, "tasks"))
-    shares = found.linear.variance_by_source
+    shares = found.linear_uncertainty.variance_by_source
     assert {"known lengths", "expansion of steel", "expansion of invar", "temperature of the gauge"} <= set(shares)
-    assert found.linear.evaluation_types["expansion of steel"] == "B"
+    assert found.linear_uncertainty.evaluation_types["expansion of steel"] == "B"
     total = sum(share[0] for share in shares.values())
-    assert total == pytest.approx(found.linear.covariance[0, 0], rel=1e-9)
+    assert total == pytest.approx(found.linear_uncertainty.covariance[0, 0], rel=1e-9)
     adjusted = found.inputs.point_source
     names = [adjusted.recording.targets.index(name) for name in ("T01", "T20")]
     arm = adjusted.state.target_points[names[0]] - adjusted.state.target_points[names[1]]

@@ -103,7 +103,7 @@ def test_a_point_of_directions_alone_has_a_place_in_plan_and_no_height() -> None
     assert np.all(np.abs(spire[:2] - 1e3 * plan) < 5 * spire[3:5])
     assert np.isnan(spire[[2, 5]]).all()
     assert not calibration.undetermined_targets
-    assert "adjusted in plan only, as no reading determines their height: SPIRE" in calibration.notes
+    assert "no reading determines the height of SPIRE: adjusted in plan only" in calibration.notes
 
 
 def test_readings_of_a_tripod_beside_its_mark_are_mended_with_its_size_told() -> None:

@@ -101,7 +101,7 @@ def test_a_network_that_nothing_holds_in_the_frame_of_the_normals_is_refused(kno
 def test_levels_hold_it_where_the_normals_are_vertical() -> None:
     up = {f"targets__T{i:02d}__nest_normal": [0, 0, 1] for i in range(1, 25)}
     levels = {f"stations__S{i}__levelled": True for i in range(1, 6)}
-    upright = scenario(**up, **levels, smr__nests="re-aimed", gauge__nest_normal=[0, 0, 1])
+    upright = scenario(**up, **levels, smr__nest_orientation="re-aimed", gauge__nest_normal=[0, 0, 1])
     recording, truth = lt.simulate(upright, seed=3)
     found = adjust(recording)
     assert 0.8 < found.sigma0 < 1.2 and not found.is_gross_pointing.any()
@@ -197,7 +197,7 @@ def test_what_is_missing_is_told_in_a_sentence(spoil: Any, sentence: str, tmp_pa
         ({"reference_radius_mm": "none"}, "set reference_radius_mm"),
         ({"smr__reflector": "huge"}, r"there is no table \[reflectors.huge\]"),
         ({"smr__reflector": "none"}, r"targets.T\d+.reflector is missing"),
-        ({"smr__nests": "re-aimed"}, r"targets.T\d+.nest_normal is missing"),
+        ({"smr__nest_orientation": "re-aimed"}, r"targets.T\d+.nest_normal is missing"),
     ],
 )
 def test_a_scenario_says_what_its_balls_lack(changes: dict[str, Any], sentence: str) -> None:

@@ -71,7 +71,7 @@ def make() -> Make:
                 known = true + noise * GAUGE_SIGMA * rng.standard_normal()
                 ends = {"from": names[i], "to": names[j]}
                 lengths.append(GaugeDistance(**ends, length_mm=1e3 * known, sigma_mm=1e3 * GAUGE_SIGMA))
-        readings = built.readings(local, face, values)
+        readings = built.readings_from_points(local, face, values)
         recording = Recording(
             setup=Setup(gauge=Gauge(distance=tuple(lengths))),
             stations=tuple(f"S{s + 1}" for s in range(len(STATIONS))),

@@ -71,7 +71,7 @@ def test_a_calibration_as_prior_is_as_if_both_had_been_measured(recording: Recor
     told = [np.linalg.inv(c.covariance / unit) for c in (first, second)]
     both = np.linalg.inv(told[0] + told[1] - np.eye(16))
     values = both @ sum(n @ (c.estimates[0] / c.prior_sigma[0]) for n, c in zip(told, (first, second), strict=True))
-    assert chained.history_prior
+    assert chained.has_history_prior
     assert np.sqrt(np.diag(both)) == pytest.approx(chained.sigma[0] / first.prior_sigma[0], rel=1e-3)
     gap = (values * first.prior_sigma[0] - chained.estimates[0]) / chained.sigma[0]
     assert np.max(np.abs(gap)) < 0.05
@@ -95,7 +95,10 @@ def test_one_instrument_of_two_has_priors_and_choices_of_its_own(recording: Reco
     }
     two = recording.replace(setup=type(recording.setup).model_validate(content))
     found = lt.calibrate(two, without=["vertical-index@B"], advise=False)
-    tilt, index = found.instrument_parameter_names.index("beam-tilt@A"), found.construction.index("vertical-index")
+    tilt, index = (
+        found.instrument_parameter_names.index("beam-tilt@A"),
+        found.construction.parameter_index("vertical-index"),
+    )
     assert found.prior_sigma[:, tilt] == pytest.approx([14.544e-6, 1e-6], rel=1e-4)
     assert found.is_fixed[:, index].tolist() == [False, True]
 
@@ -142,7 +145,7 @@ def test_the_command_line_has_the_same_choices(recording: Recording, tmp_path: P
     assert set(held) == {"beam-tilt", "elevation-second-order-cos", "elevation-second-order-sin"}
     assert held["beam-tilt"] == pytest.approx(2.5)
     again = lt.calibrate(tmp_path / "rec", prior=tmp_path / "first", advise=False)
-    assert again.history_prior
+    assert again.has_history_prior
     assert not again.is_fixed.any()
     capsys.readouterr()
     assert run(["calibrate", str(tmp_path / "rec"), "--parameters", "vertical-index,beam-offset"]) == 0

@@ -26,7 +26,7 @@ def wide() -> ParameterSelection:
     """Priors so wide that they say next to nothing."""
     covariance = np.diag((WIDER * SIGMA) ** 2)[None]
     return ParameterSelection(
-        earlier_calibrations=EarlierCalibrationPrior(
+        earlier_calibration_prior=EarlierCalibrationPrior(
             "dh",
             BUILT.parameter_names,
             ("",),

@@ -226,9 +226,9 @@ def test_outliers_are_listed_and_gross_rows_left_out(make) -> None:
     swap = readings[[3, 4]]
     readings[[3, 4]] = swap[::-1]
     found = calibrate_network(recording.with_readings(readings), recommend_measurements=False)
-    gross = {(o.row, o.gross) for o in found.outliers if o.gross}
+    gross = {(o.row, o.pointing_excluded) for o in found.outliers if o.pointing_excluded}
     assert gross == {(4, True), (5, True)}
-    single = next(o for o in found.outliers if not o.gross)
+    single = next(o for o in found.outliers if not o.pointing_excluded)
     assert (single.row, single.station, single.observable, single.unit) == (17, "S1", "distance", "mm")
     assert single.size == pytest.approx(0.08, abs=0.02)
 

@@ -84,7 +84,7 @@ def test_a_changed_parameter_is_found_and_named():
     history = CalibrationSeries.from_labelled(
         labelled([estimate(t, d, rng) for t, d in zip((truth, truth, later, later), drawn, strict=True)])
     )
-    assert [change.changed for change in history.changes()] == [(), (CONSTRUCTION.parameter_names[5],), ()]
+    assert [change.changed_parameters for change in history.changes()] == [(), (CONSTRUCTION.parameter_names[5],), ()]
     assert history.changes()[1].p_value < 1e-10
     assert history.constancy_test(5).p_value < 1e-6
     assert history.constancy_test(6).p_value > 1e-3
@@ -127,7 +127,7 @@ def test_json_holds_every_test_in_the_units_of_a_person():
     k = 4
     row, parameter = content["parameters"][k], CONSTRUCTION.parameters[k]
     assert row["sigmas"] == pytest.approx(history.sigma[:, k] / parameter.si_per_display_unit)
-    assert content["since_first"]["chi2"] == pytest.approx(history.change(0, 2).chi2)
+    assert content["change_since_first"]["chi2"] == pytest.approx(history.change(0, 2).chi2)
 
 
 def walked(trial, *, blow=0.0):
@@ -227,7 +227,7 @@ def before_and_after(make):
     """A recording, one of the same instrument, and one after its beam tilt has changed."""
     truth = 0.3 * PRIOR * random_stream(7, "truth").standard_normal(SIZE)
     knocked = truth.copy()
-    knocked[CONSTRUCTION.index("beam-tilt")] += 10e-6
+    knocked[CONSTRUCTION.parameter_index("beam-tilt")] += 10e-6
     return [make(v, faces=(1, 2), trial=i) for i, v in enumerate((truth, truth, knocked))]
 
 
@@ -241,8 +241,8 @@ def test_the_command_follows_recordings_and_calibrations(before_and_after, tmp_p
     assert "shows no change since the first" in capsys.readouterr().out
     assert run(["history", *paths, "--fail-on-change", "--json"]) == 1
     content = json.loads(capsys.readouterr().out)
-    assert "beam-tilt" in content["changes"][1]["changed"]
-    assert content["changes"][0]["changed"] == []
+    assert "beam-tilt" in content["changes"][1]["changed_parameters"]
+    assert content["changes"][0]["changed_parameters"] == []
     assert (tmp_path / "same" / "history.svg").read_text().startswith("<?xml")
     assert run(["history", paths[0]]) == 2
     assert "at least two" in capsys.readouterr().err
@@ -257,8 +257,8 @@ def test_the_command_takes_each_set_up_by_itself(before_and_after, tmp_path, cap
 
 def test_half_differences_are_those_of_the_parameters(make):
     values = np.zeros(SIZE)
-    values[CONSTRUCTION.index("vertical-index")] = 12e-6
-    values[CONSTRUCTION.index("transit-offset")] = 20e-6
+    values[CONSTRUCTION.parameter_index("vertical-index")] = 12e-6
+    values[CONSTRUCTION.parameter_index("transit-offset")] = 20e-6
     recording = make(values, faces=(1, 2), noise=0.0)
     raw = two_face_pairs(recording)
     assert np.abs(raw.half_differences[:, 2]) == pytest.approx(12e-6, abs=12e-6)

@@ -60,14 +60,14 @@ def test_the_measured_uncertainty_is_the_planned_one(hall: Path) -> None:
     assert made == pytest.approx(planned, rel=0.04)
     tasks = {
         "source": "-", "datum": names, "task": [{"name": n, "kind": "point", "targets": [n]} for n in names[:2]],
-        "monte_carlo": {"most_trials": 10_000, "digits": 1, "coverage": 0.9545},
+        "monte_carlo": {"max_trials": 10_000, "digits": 1, "coverage_probability": 0.9545},
     }  # fmt: skip
     worth = lt.uncertainty(recording, tasks)
     assert [r.expanded_uncertainty for r in worth.results] == pytest.approx(1e-3 * planned[:2].ravel(), rel=0.04)
     assert any("air" in warning for warning in worth.warnings)
-    assert worth.results[0].hidden or worth.results[1].hidden
+    assert worth.results[0].hidden_errors or worth.results[1].hidden_errors
     parts = {part.source for part in worth.results[0].budget}
-    assert not parts & {part.source for result in worth.results for part in result.hidden}
+    assert not parts & {part.error_text for result in worth.results for part in result.hidden_errors}
 
 
 def test_another_air_is_that_of_the_set_up(hall: Path) -> None:
@@ -114,13 +114,13 @@ def test_a_rejected_fit_has_larger_standard_deviations_everywhere(plain: lt.Reco
 
 def test_an_adjustment_says_that_the_instrument_is_still_in_its_coordinates(plain: lt.Recording) -> None:
     found = lt.adjust(plain)
-    assert found.with_constants is not None
-    assert found.with_constants.p_value > 0.01 > found.fit.p_value
+    assert found.fit_with_constants is not None
+    assert found.fit_with_constants.p_value > 0.01 > found.fit.p_value
     assert not found.constants_included
     assert "its constants were not estimated" in str(found)
     corrected = lt.correct(plain, lt.calibrate(plain, advise=False))
     again = lt.adjust(corrected)
-    assert again.with_constants is None
+    assert again.fit_with_constants is None
     assert again.constants_included
 
 
@@ -141,4 +141,4 @@ def test_constants_are_compared_without_the_rejected_readings() -> None:
     readings[[20, 77, 150], 0] += [2e-3, -1.5e-3, 1e-3]
     adjusted = lt.adjust(recording.with_readings(readings), robust=True)
     assert len(adjusted.outliers) == 3
-    assert adjusted.with_constants is not None and (adjusted.with_constants.p_value or 0.0) > 0.01
+    assert adjusted.fit_with_constants is not None and (adjusted.fit_with_constants.p_value or 0.0) > 0.01

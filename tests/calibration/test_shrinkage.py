@@ -104,8 +104,8 @@ def test_the_expected_error_of_a_new_point_is_right_on_average() -> None:
         by_value = point_error_matrix(found.adjustment)
         gap = found.estimates[0] - truth.state.instrument_parameters[0]
         seen.append(gap @ by_value @ gap)
-        told.append((1e-6 * found.correction.corrected_um) ** 2)
-        assert found.correction.corrected_um < found.correction.uncorrected_um
+        told.append((1e-6 * found.correction.corrected_error_um) ** 2)
+        assert found.correction.corrected_error_um < found.correction.uncorrected_error_um
     assert np.sqrt(np.mean(seen) / np.mean(told)) == pytest.approx(1.0, abs=0.35)
 
 
@@ -120,8 +120,8 @@ def test_an_error_of_a_new_point_says_the_noise_of_its_reading() -> None:
     stated = point_noise_rms(recording, recording.sigma())
     free = 1 - 6 / (3 * len(recording.targets))  # a rigid fit of each station takes six of its numbers
     assert np.sqrt(np.mean(np.square(seen))) == pytest.approx(stated * np.sqrt(free), rel=0.05)
-    assert found.correction.noise_um == pytest.approx(1e6 * stated)
-    both = np.hypot(found.correction.corrected_um, found.correction.noise_um)
+    assert found.correction.noise_error_um == pytest.approx(1e6 * stated)
+    both = np.hypot(found.correction.corrected_error_um, found.correction.noise_error_um)
     assert f"{number_text(both, 3)} um corrected (" in repr(found)
 
 
@@ -161,10 +161,10 @@ def test_a_term_that_only_local_errors_feign_is_not_applied() -> None:
         readings[rows, 1] += size / readings[rows, 0]
     found = lt.calibrate(recording.with_readings(readings), advise=False)
     assert found.correction is not None
-    assert found.correction.not_applied
-    words = parameter_text(found.correction.not_applied[0])
+    assert found.correction.unapplied_parameters
+    words = parameter_text(found.correction.unapplied_parameters[0])
     assert any("predicted better without the term" in s and words in s for s in found.correction.sentences)
-    at = [found.instrument_parameter_names.index(name) for name in found.correction.not_applied]
+    at = [found.instrument_parameter_names.index(name) for name in found.correction.unapplied_parameters]
     assert np.all(found.applied_values[0, at] == 0.0)
     assert np.any(found.estimates[0, at] != 0.0)
 
@@ -240,6 +240,6 @@ def test_a_scale_beyond_the_prior_is_not_followed_where_the_readings_contradict_
     told = information @ (6.0 * random_stream(3, "worth").standard_normal(16))
     followed, bent = ScaledPrior(information, told), ScaledPrior(information, told, sigma0=2.5)
     assert followed.shrunk_correction(by_unit)[0].any()
-    assert "the correction uses this scale" in followed.scale_sentence
+    assert "the correction uses sigmas 5.6 times as large" in followed.scale_sentence
     assert not bent.shrunk_correction(by_unit)[0].any()
     assert "contradict each other by 2.5 times their noise" in bent.scale_sentence

@@ -54,7 +54,7 @@ def test_noise_of_each_observable_is_found_and_written(spoiled) -> None:
     for name, truth in (("distance", 2.0), ("azimuth", 1.0), ("elevation", 1.0)):
         assert abs(rows[name]["factor"] - truth) < 3.5 * rows[name]["factor_sigma"]
     stated = np.median(spoiled.sigma()[:, 0])
-    assert rows["distance"]["typical_sigma"] == pytest.approx(rows["distance"]["factor"] * stated * 1e3, rel=0.01)
+    assert rows["distance"]["median_sigma"] == pytest.approx(rows["distance"]["factor"] * stated * 1e3, rel=0.01)
     assert rows["distance"]["unit"] == "mm"
     assert found.fit.sigma0 == pytest.approx(1.0, abs=0.03)
     plain = calibrate_network(spoiled, recommend_measurements=False)
@@ -94,7 +94,7 @@ def test_the_verdict_is_written_where_tests_conflict(make) -> None:
     quiet = quiet.replace(setup=setup)
     said = calibrate_network(quiet, recommend_measurements=False, choose_correction=False).content()["verdict"]
     assert said["case"] == "smaller noise"
-    assert said["scale_by_sigma0"] is True
+    assert said["is_sigma0_credible"] is True
     found = calibrate_network(quiet, recommend_measurements=False)
     assert any("the noise was estimated instead" in note for note in found.notes)
     assert {n.observable: round(3 * n.factor) for n in found.noise} == dict.fromkeys(OBSERVABLES, 1)
@@ -206,7 +206,7 @@ def test_desy_noise_and_the_nest_that_moved(shared: Path) -> None:
     found = calibrate_network(recording, recommend_measurements=False, robust=True, noise_from_data=True)
     noise = {n.observable: n for n in found.noise}
     assert noise["distance"].factor < 0.6
-    assert noise["azimuth"].typical_sigma == pytest.approx(0.41, abs=0.08)
-    assert noise["elevation"].typical_sigma == pytest.approx(0.56, abs=0.08)
+    assert noise["azimuth"].median_sigma == pytest.approx(0.41, abs=0.08)
+    assert noise["elevation"].median_sigma == pytest.approx(0.56, abs=0.08)
     assert "K6" in found.undetermined_targets  # its two faces differ by 32 um in range, and nothing else measured it
     assert {(81, "distance"), (82, "distance")} <= {(o.row, o.observable) for o in found.outliers if o.excluded}

@@ -16,7 +16,7 @@ def test_an_undetermined_parameter_is_not_applied_and_is_named(
     recording = recording.replace(setup=recording.setup.model_copy(update={"gauge": None}))
     calibration = lt.calibrate(recording, advise=False)
     scale = calibration.construction.parameter_names.index("range-scale")
-    assert calibration.parameters[scale].information < 0.01
+    assert calibration.parameters[scale].variance_reduction < 0.01
     assert calibration.applied_values[0, scale] == 0.0
     assert abs(calibration.applied_values[0]).max() > 0.0
     lt.write(recording, tmp_path / "rec")

@@ -118,7 +118,7 @@ def test_a_trial_written_and_calibrated_is_its_row(method: str, geometry: Any, t
 
 def test_nothing_that_is_never_negative_is_drawn_so() -> None:
     """a8a5717 drew glass of negative thickness in half of the trials of a campaign."""
-    is_nonnegative = [k for k in CATALOGUE if issubclass(k, NoiseEffect) or any(p.is_positive for p in k.parameters)]
+    is_nonnegative = [k for k in CATALOGUE if issubclass(k, NoiseEffect) or any(p.is_nonnegative for p in k.parameters)]
     assert {"window", "noise-level"} <= {kind.name for kind in is_nonnegative}
     for kind in is_nonnegative:
         truth = make_cell_truth(with_effect(kind.name), 6)
@@ -143,7 +143,7 @@ def test_drawn_noise_levels_widen_single_trials() -> None:
 def test_stated_errors_are_not_drawn() -> None:
     truth = make_cell_truth(scenario(instrument={"preset": "paper", "errors": {"draw": True, "beam-tilt": 7.0}}), 6)
     block = truth.draw_batch(6, 0)
-    place = truth.construction.index("beam-tilt")
+    place = truth.construction.parameter_index("beam-tilt")
     assert np.all(block.instrument_values[0, place] == 7e-6)
     assert block.instrument_values[0, 0].std() > 0
 

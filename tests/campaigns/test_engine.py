@@ -33,7 +33,7 @@ class Drift(Effect):
 
     name = "drift-of-the-tests"
     number = 32
-    stage = LightPathStage.RANGE
+    light_path_stage = LightPathStage.RANGE
     parameters = (
         Parameter("creep", "um/h", "range", 5e-6 / 3600),
         Parameter("turn", "urad/h", "azimuth", 5e-6 / 3600),
@@ -193,7 +193,7 @@ def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Cal
         )
         block = silent.draw_batch(18, 0)
         for k in (0, 200):
-            exact = truth.construction.readings(
+            exact = truth.construction.readings_from_points(
                 truth.sightings.local_points, truth.recording.face, block.instrument_values[0, :, k]
             )
             exact = exact + effect.reading_change(truth.sightings, block.effect_values[0][:, k])

@@ -38,7 +38,7 @@ def test_points_and_readings_are_those_of_the_construction(
     compute_points(truth.chain_program(truth.construction), truth.recording.instrument, deviation, values, points)
     for k in range(0, TRIALS_PER_STREAM, 50):
         raw = truth.recording.readings + deviation[:, :, k]
-        exact = built.readings(truth.sightings.local_points, truth.recording.face, values[0, :, k])
+        exact = built.readings_from_points(truth.sightings.local_points, truth.recording.face, values[0, :, k])
         gap = raw - exact
         gap[:, 1:] = wrap_angle(gap[:, 1:])
         assert np.abs(deviation[:, :, k]).max() > 1e-5
@@ -55,7 +55,9 @@ def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[.
     )
     deviation = truth._exact_deviations(values)
     for k in range(0, TRIALS_PER_STREAM, 50):
-        exact = truth.construction.readings(truth.sightings.local_points, truth.recording.face, values[0, :, k])
+        exact = truth.construction.readings_from_points(
+            truth.sightings.local_points, truth.recording.face, values[0, :, k]
+        )
         gap = truth.recording.readings + deviation[:, :, k] - exact
         gap[:, 1:] = wrap_angle(gap[:, 1:])
         assert np.abs(gap).max() < 1e-13

@@ -32,7 +32,7 @@ def test_batches_are_the_single_calibrators_and_scatter_as_predicted() -> None:
     assert max(engine.largest_solver_difference(block, k, found) for k in (0, 100)) < 2e-4
     z = ((found.instrument_values - block.instrument_values) / found.instrument_sigmas[:, :, None])[0]
     np.testing.assert_allclose(z.std(axis=1), 1.0, atol=0.16)
-    scale = truth.construction.index("range-scale")
+    scale = truth.construction.parameter_index("range-scale")
     assert (
         found.instrument_sigmas[0, scale] < 0.8 * truth.distributions.instrument_sigmas[0, scale]
     )  # the bars tell something

@@ -32,7 +32,7 @@ class SlowWarp(Effect):
     """Elevation creeps with time: an effect of this session, without a card or a package."""
 
     name = "slow-warp"
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     parameters = (Parameter("rate", "urad/h", "elevation", 20e-6 / 3600),)
 
     def design(self, sightings: Sightings) -> np.ndarray:

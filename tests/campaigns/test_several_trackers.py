@@ -37,13 +37,13 @@ def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -
     assert engine.largest_solver_difference(block, int(np.argmin(found.status_indices)), found) < 1e-3
     labels = parameter_labels(truth.construction, truth.recording.instruments, ())
     columns = parameter_value_columns(labels, found.estimates[0], "estimate")
-    tilt = truth.construction.index("beam-tilt")
+    tilt = truth.construction.parameter_index("beam-tilt")
     np.testing.assert_allclose(columns["estimate:beam-tilt@B"], found.instrument_values[1, tilt] * 1e6)
 
 
 def test_recovery_checks_every_trackers_parameters() -> None:
     drawn = with_errors_from_prior(load_scenario("two-trackers"))
-    assert all(tracker.draws and tracker.error_factor == 1.0 for tracker in drawn.trackers_in_use.values())
+    assert all(tracker.draws_errors and tracker.error_factor == 1.0 for tracker in drawn.trackers_in_use.values())
     found = lt.recover("two-trackers", trials=12, seed=1)
     assert found.failed_checks() == [] and found.arrays.z_scores.shape == (12, 32)
     names = [p.parameter for p in found.parameters]

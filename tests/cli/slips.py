@@ -162,7 +162,7 @@ kind = "plane"
 targets = ["T01", "T02", "T03", "T04", "T05"]
 
 [monte_carlo]
-most_trials = 10000
+max_trials = 10000
 """
 ACCEPTANCE = 'format = "ltsim-acceptance/1"\nstandard = "asme-b89.4.19-2006"\ninstrument = "leica-at500"\n'
 SCENARIO = """format = "ltsim-scenario/1"

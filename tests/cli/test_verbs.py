@@ -163,7 +163,7 @@ def test_simulate_is_reproducible_and_can_be_shown(capsys, tmp_path: Path) -> No
 def test_nominal_points_are_asked_for_in_vain(capsys, tmp_path: Path) -> None:
     out, cmm = str(tmp_path / "rec"), str(tmp_path / "cmm.csv")
     assert run(["simulate", "paper-workshop", "--out", out, "--nominal", cmm]) == 2
-    assert "nominal = true" in capsys.readouterr().err
+    assert "measures_targets = true" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

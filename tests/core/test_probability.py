@@ -66,7 +66,7 @@ def test_a_calibration_estimates_noise_that_is_stated_too_large(
     assert "times as much as declared: the noise was estimated instead" in said.err
     assert "the global test does not apply" in said.out and "two-sided p <" not in said.out
     worth = json.loads((tmp_path / "out" / "calibration.json").read_text())["correction"]
-    assert worth["noise_um"] == pytest.approx(11.5, rel=0.1)  # of the noise that the readings have
+    assert worth["noise_error_um"] == pytest.approx(11.5, rel=0.1)  # of the noise that the readings have
 
 
 def simulated(folder: Path, factor: float) -> None:

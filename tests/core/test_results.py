@@ -273,7 +273,7 @@ def test_a_coordinate_that_rounds_to_zero_has_no_sign() -> None:
 
 
 def test_a_copy_of_an_entry_refuses_a_name_that_is_no_field() -> None:
-    entry = VerdictEntry(case="clean", sentence="", scale_by_sigma0=False)
+    entry = VerdictEntry(case="clean", sentence="", is_sigma0_credible=False)
     assert entry.with_values(sentence="x").sentence == "x"
     with pytest.raises(TypeError, match="VerdictEntry has no field sentense"):
         entry.with_values(sentense="x")

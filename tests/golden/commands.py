@@ -148,7 +148,7 @@ kind = "plane"
 targets = ["T17", "T18", "T19", "T20", "T21"]
 
 [monte_carlo]
-most_trials = 20000
+max_trials = 20000
 """
 ACCEPTANCE = """format = "ltsim-acceptance/1"
 standard = "asme-b89.4.19-2006"

@@ -60,9 +60,9 @@ def test_a_point_that_moved_is_named_and_no_other() -> None:
     found = compare_adjustments(first, epoch(2, ("T06", shift)), same_instrument=True)
     assert found.moved_points == ("T06",)
     told = found.displacements[5]
-    gap = told.shift_um - 1e6 * np.array(shift)
+    gap = told.displacement_um - 1e6 * np.array(shift)
     assert gap @ np.linalg.solve(told.covariance_um2, gap) < 16.3  # 99.9 % of three directions
-    assert found.p_value_after > 0.001
+    assert found.p_value_without_moved_points > 0.001
     assert "T06" in found.sentence
 
 
@@ -138,14 +138,14 @@ def test_lists_in_different_frames_are_recognised(tmp_path: Path, capsys: pytest
     first = listed(tmp_path / "first.csv", POINTS)
     second = listed(tmp_path / "second.csv", moved @ turn.T + [100.0, 50.0, -20.0])
     found = lt.compare(first, second)
-    assert found.is_rigid_motion and len(found.moved_points) == 7
+    assert found.has_common_rigid_motion and len(found.moved_points) == 7
     assert "aligned by free=True, 1 of 7 points moved: R3" in found.notes[-1]
     run(["compare", str(first), str(second)])
     printed = capsys.readouterr().out
     assert "compare them with --free" in printed and "re-measure" not in printed
-    assert not lt.compare(first, second, free=True).is_rigid_motion
+    assert not lt.compare(first, second, free=True).has_common_rigid_motion
     scattered = POINTS + np.random.default_rng(5).normal(0.0, 1.0, POINTS.shape)
-    assert not lt.compare(first, listed(tmp_path / "third.csv", scattered)).is_rigid_motion
+    assert not lt.compare(first, listed(tmp_path / "third.csv", scattered)).has_common_rigid_motion
 
 
 def test_names_may_differ_in_case_blanks_and_zeros(tmp_path: Path) -> None:

@@ -38,10 +38,10 @@ TASKS: dict[str, Any] = {
         {"name": "wall", "kind": "plane", "targets": ["T01", "T02", "T09", "T12", "T17", "T20"]},
     ],
     "type_b": [
-        {"effect": "station-weather", "shared": "station", "distribution": "rectangular"},
-        {"effect": "smr-centring", "shared": "target", "sizes": {"vertex-axial": 5.0}},
+        {"effect": "station-weather", "draw_shared_by": "station", "distribution": "rectangular"},
+        {"effect": "smr-centring", "draw_shared_by": "target", "sizes": {"vertex-axial": 5.0}},
     ],
-    "monte_carlo": {"digits": 1, "most_trials": 20_000},
+    "monte_carlo": {"digits": 1, "max_trials": 20_000},
 }
 
 
@@ -62,8 +62,8 @@ def test_the_results_and_trials_of_an_evaluation_are_bounded(monkeypatch: pytest
     with pytest.raises(ModelError, match="the tasks have 1001 results, expected at most 1000: divide them"):
         evaluate_tasks(recording, tasks(task=lengths))
     monkeypatch.setattr("ltsim.measurands.propagation.MAX_TRIALS_TIMES_RESULTS", 20_000)
-    few = evaluate_tasks(recording, tasks(task=lengths[:2], monte_carlo={"digits": 2, "most_trials": 5_000_000}))
-    assert few.monte_carlo.n_trials == 10_000
+    few = evaluate_tasks(recording, tasks(task=lengths[:2], monte_carlo={"digits": 2, "max_trials": 5_000_000}))
+    assert few.monte_carlo_uncertainty.n_trials == 10_000
     assert any("divide the tasks among task files" in warning for warning in few.warnings)
     with pytest.raises(SetupError, match=r"type_b .*at most 200"):
         tasks(type_b=[{"effect": "range-step"}] * 201)
@@ -73,7 +73,10 @@ def test_observed_sources_add_up_to_the_covariance_of_the_adjustment() -> None:
     inputs = evaluated().inputs
     evaluation_types = {source.name: source.evaluation_type for source in inputs.sources}
     assert evaluation_types["distance readings"] == "A" and evaluation_types[PRIOR_SOURCE] == "B"
-    in_adjustment = {name for name, kind in evaluation_types.items() if kind == "A"} | {PRIOR_SOURCE, LENGTHS_SOURCE}
+    in_adjustment = {name for name, kind in evaluation_types.items() if kind == "A"} | {
+        PRIOR_SOURCE,
+        LENGTHS_SOURCE,
+    }
     own = np.sum([source.covariance for source in inputs.sources if source.name in in_adjustment], axis=0)
     for i, name in enumerate(inputs.target_names):
         block = inputs.point_source.target_covariance[inputs.point_source.recording.targets.index(name)]
@@ -111,10 +114,10 @@ def test_a_datum_of_targets_reaches_the_points() -> None:
 
 def test_budgets_add_up_and_both_ways_agree() -> None:
     found = evaluated()
-    total = np.sum(list(found.linear.variance_by_source.values()), axis=0)
-    assert np.allclose(total, np.diag(found.linear.covariance), rtol=1e-9)
+    total = np.sum(list(found.linear_uncertainty.variance_by_source.values()), axis=0)
+    assert np.allclose(total, np.diag(found.linear_uncertainty.covariance), rtol=1e-9)
     regular = [output.unit == "mm" and "ness" not in output.name for _, output in found.outputs]
-    assert np.allclose((found.monte_carlo.sigmas / found.linear.sigma)[regular], 1.0, atol=0.03)
+    assert np.allclose((found.monte_carlo_uncertainty.sigmas / found.linear_uncertainty.sigma)[regular], 1.0, atol=0.03)
     assert found.nonlinearity_ratios[regular].max() < 0.05
 
 
@@ -158,7 +161,7 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
 
 def test_the_tip_of_a_rod_is_worth_what_its_lever_says() -> None:
     """A tip b past the second of two balls d apart: (1 + b/d) of the second's error less b/d of the first's across."""
-    task = Task(name="tip", kind="rod", targets=("A", "B"), beyond_mm=300.0)
+    task = Task(name="tip", kind="rod", targets=("A", "B"), tip_distance_mm=300.0)
     points = np.array([[0.0, 0.0, 0.0], [0.6, 0.0, 0.0]])
     tip = Measurand.from_task(task, ("A", "B"), points)
     assert np.allclose(tip.values(points), [0.9, 0.0, 0.0])
@@ -176,10 +179,10 @@ def test_long_ranges_have_the_air_in_their_budget() -> None:
     length = tasks(task=TASKS["task"][:1], type_b=[])
     assert not names & {source.name for source in TaskInputs.from_recording(near, length).sources}
     found = evaluate_tasks(far, length)
-    assert names <= set(found.linear.variance_by_source)
+    assert names <= set(found.linear_uncertainty.variance_by_source)
     assert "0.5 K along the beams" in found.warnings[0]
-    along = 0.5 * 0.95e-6 * found.linear.values[0]
-    assert 0.3 * along < np.sqrt(found.linear.variance_by_source["temperature of the air"][0]) < 3.0 * along
+    along = 0.5 * 0.95e-6 * found.linear_uncertainty.values[0]
+    assert 0.3 * along < np.sqrt(found.linear_uncertainty.variance_by_source["temperature of the air"][0]) < 3.0 * along
     stated = TaskInputs.from_recording(far, tasks(task=TASKS["task"][:1], type_b=TASKS["type_b"][:1]))
     assert {"gradient of the air", "turbulence"} == names & {source.name for source in stated.sources}
     calm = {"temperature_k": 0.0, "gradient_k_per_m": 0.0, "turbulence_um2_per_m3": 0.0}
@@ -219,7 +222,7 @@ def test_a_normal_linear_task_is_never_told_otherwise_by_the_noise_of_trials(dig
             inputs, [measurand], thermal_expansion_of_part(None), MonteCarloSettings(digits=digits, seed=seed), linear
         )
         assert found.is_stable.all(), seed
-        assert np.all(5 * found.numerical_errors <= found.tolerances), seed
+        assert np.all(5 * found.numerical_errors <= found.numerical_tolerances), seed
         assert found.intervals_agree(linear, 0.95).all(), seed
 
 
@@ -247,14 +250,14 @@ def test_the_shortest_interval_of_a_skew_distribution_is_shorter() -> None:
 def test_conformity() -> None:
     limits = ToleranceLimits(lower=0.0, upper=10.0)
     at_limit = evaluate_conformity(10.0, 1.0, limits, DecisionRule(rule="simple"))
-    assert at_limit.probability == pytest.approx(0.5, abs=1e-6)
+    assert at_limit.conformity_probability == pytest.approx(0.5, abs=1e-6)
     assert at_limit.judgement == "accepted"
-    guarded = evaluate_conformity(9.0, 1.0, limits, DecisionRule(risk=0.05))
+    guarded = evaluate_conformity(9.0, 1.0, limits, DecisionRule(consumer_risk=0.05))
     assert guarded.guard_band == pytest.approx(1.645, abs=1e-3)
     assert guarded.judgement == "undecided"
-    inside = evaluate_conformity(10.0 - 1.645, 1.0, limits, DecisionRule(risk=0.05))
+    inside = evaluate_conformity(10.0 - 1.645, 1.0, limits, DecisionRule(consumer_risk=0.05))
     assert inside.judgement == "accepted"
-    assert inside.wrong == pytest.approx(0.05, abs=1e-3)
+    assert inside.wrong_decision_probability == pytest.approx(0.05, abs=1e-3)
     assert evaluate_conformity(12.0, 1.0, limits, DecisionRule()).judgement == "rejected"
 
 
@@ -267,11 +270,13 @@ def test_the_part_is_brought_to_its_reference_temperature() -> None:
     recording, _ = network(seed=3)
     plain = evaluate_tasks(recording, tasks(type_b=[]))
     growth = {"expansion_per_k": 20e-6, "measured_c": 25.0, "sigma_expansion_per_k": 1e-6, "sigma_temperature_k": 0.5}
-    grown = evaluate_tasks(recording, tasks(type_b=[], growth=growth))
-    length = plain.linear.values[0]
-    assert grown.linear.values[0] == pytest.approx(length / (1 + 5 * 20e-6), rel=1e-12)
-    assert grown.linear.variance_by_source["expansion of the part"][0] == pytest.approx((length * 5e-6) ** 2, rel=1e-3)
-    assert grown.linear.variance_by_source["temperature of the part"][0] == pytest.approx(
+    grown = evaluate_tasks(recording, tasks(type_b=[], part_expansion=growth))
+    length = plain.linear_uncertainty.values[0]
+    assert grown.linear_uncertainty.values[0] == pytest.approx(length / (1 + 5 * 20e-6), rel=1e-12)
+    assert grown.linear_uncertainty.variance_by_source["expansion of the part"][0] == pytest.approx(
+        (length * 5e-6) ** 2, rel=1e-3
+    )
+    assert grown.linear_uncertainty.variance_by_source["temperature of the part"][0] == pytest.approx(
         (length * 1e-5) ** 2, rel=1e-3
     )
 

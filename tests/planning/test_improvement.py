@@ -34,7 +34,7 @@ def test_expected_criteria_agree_with_simulated_calibrations() -> None:
     expected = CriteriaPredictor.from_information(information, [effect]).expected_criteria(
         {"angle errors": 0.5, "range-cyclic": 0.5}
     )
-    scale = np.array([0.5 if p.prior_kind == "angle" else 1.0 for p in construction.parameters])
+    scale = np.array([0.5 if p.specified_quantity == "angle" else 1.0 for p in construction.parameters])
     clean = made.noise_free_recording(construction)
     size = 0.5 * np.array([p.prior_sigma for p in effect.parameters])
     found = []

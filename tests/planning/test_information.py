@@ -146,7 +146,7 @@ def test_an_effect_in_the_batch_is_what_it_would_be_as_a_parameter() -> None:
     )
     own = np.linalg.inv(out.information[0])[-1, -1] * RangeOffset.parameters[0].prior_sigma ** 2
     whole = LayoutInformation.from_survey(made)
-    at = whole.construction.index("range-offset")
+    at = whole.construction.parameter_index("range-offset")
     without_prior = 1 / whole.instrument_covariance[at, at] - 1 / whole.prior_sigma[at] ** 2
     assert own == pytest.approx(1 / without_prior, rel=1e-8)
 

@@ -31,7 +31,7 @@ def test_report_and_text_give_the_same_instrument(text, report):
     assert one.fit.status == other.fit.status == "converged"
     assert other.instruments == ("Leica AT960-930",)
     assert np.all(np.abs(one.estimates - other.estimates) < 2.5 * one.sigma)
-    tilt = one.construction.index("beam-tilt")
+    tilt = one.construction.parameter_index("beam-tilt")
     assert one.estimates[0, tilt] > 4 * one.sigma[0, tilt]
 
 

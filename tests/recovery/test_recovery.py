@@ -138,7 +138,7 @@ def test_errors_are_drawn_whatever_the_scenario_says() -> None:
     fixed = scenario.model_copy(
         update={"instrument": scenario.instrument.model_copy(update={"errors": {"beam-tilt": 900.0}})}
     )
-    assert with_errors_from_prior(fixed).instrument.draws
+    assert with_errors_from_prior(fixed).instrument.draws_errors
     assert "beam-tilt" not in with_errors_from_prior(fixed).instrument.errors
 
 

@@ -107,7 +107,13 @@ def history_figure() -> Figure:
     labels = ("2021-09", "2021-10", MARKUP)
     values = np.array([1.0, 2.0, 1.5])
     test = ChiSquareEntry(chi2=1.0, dof=2, p_value=0.6)
-    told = {"unit": "urad", "sigmas": (0.3, 0.3, 0.3), "mean": 1.5, "spread": 0.5, "constancy_test": test}
+    told = {
+        "unit": "urad",
+        "sigmas": (0.3, 0.3, 0.3),
+        "mean": 1.5,
+        "between_calibration_sigma": 0.5,
+        "constancy_test": test,
+    }
     courses = [ParameterHistory(name=f"parameter-{i}", values=tuple(values * (i + 1)), **told) for i in range(3)]
     return estimates.history_figure(labels, courses)
 
@@ -120,7 +126,7 @@ def error_to_limit_figure() -> Figure:
             "group": g,
             "limit_um": 40.0,
             "error_um": 15.0 * i,
-            "expanded_um": 8.0,
+            "expanded_uncertainty_um": 8.0,
             "pass_probability": float(i < 3),
         }
         for g in groups
@@ -128,12 +134,12 @@ def error_to_limit_figure() -> Figure:
     ]
     content = AcceptanceFile.model_validate(
         {
-            "kind": "measured",
-            "plan": "mine",
+            "error_origin": "measured",
+            "plan_name": "mine",
             "specification": data_sheet("leica-at500"),
             "pass_probability": 0,
             "sentence": "",
-            "groups": [{"name": g, "tests": 4, "pass_probability": 0, "largest_limit_ratio": 1.1} for g in groups],
+            "groups": [{"name": g, "n_tests": 4, "pass_probability": 0, "largest_limit_ratio": 1.1} for g in groups],
             "tests": tests,
         }
     )
@@ -203,11 +209,19 @@ def displacement_figure() -> Figure:
     names = ["T1", "T1", "T1", "T1", "T1", MARKUP]
     told = {"sigma_um": (1, 1, 1), "covariance_um2": np.eye(3).tolist(), "p_value": 0.5, "detectable_um": (1, 2)}
     displacements = [
-        {"target": name, "moved": i in (0, 5), "place_mm": (1e3 * place).tolist(), "shift_um": (20 * shift).tolist(),
-         "semi_axes_um": (15, 15, 15), **told}
+        {"target": name, "moved": i in (0, 5), "position_mm": (1e3 * place).tolist(),
+         "displacement_um": (20 * shift).tolist(), "semi_axes_um": (15, 15, 15), **told}
         for i, (name, place, shift) in enumerate(zip(names, *draws, strict=True))
     ]  # fmt: skip
-    whole = {"second": None, "sentence": "", "level": 0.05, "statistic": 1, "dof": 1, "p_value": 1, "p_value_after": 1}
+    whole = {
+        "second_recording": None,
+        "sentence": "",
+        "significance_level": 0.05,
+        "statistic": 1,
+        "dof": 1,
+        "p_value": 1,
+        "p_value_without_moved_points": 1,
+    }
     return points.displacement_figure(Comparison.model_validate({**whole, "displacements": displacements}))
 
 

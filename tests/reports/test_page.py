@@ -412,7 +412,7 @@ def test_the_agreement_after_a_correction_is_not_that_of_the_calibration_alone(t
 
 
 def test_a_calibration_with_a_corrected_error_is_not_called_consistent(tmp_path: Path) -> None:
-    content = adjust(samples.recording()).model_copy(update={"with_constants": None})
+    content = adjust(samples.recording()).model_copy(update={"fit_with_constants": None})
     content = content.model_copy(update={"fit": content.fit.model_copy(update={"p_value": 0.4})})
     where = CausePlace(stations=("S2",))
     fault = CauseTest(kind="constant-offset", acts_on="distance", where=where, statistic=99.0, dof=1, sigma=0.1)

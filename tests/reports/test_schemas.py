@@ -82,7 +82,7 @@ def test_a_damaged_calibration_gets_one_sentence(change: Any, words: str, tmp_pa
     [
         ("1e999", "the number 1e999"),
         ("Infinity", "the number Infinity"),
-        ("[]", "since_first|cells"),
+        ("[]", "change_since_first|cells"),
         ("7", "cells|sin"),
     ],
 )
@@ -90,7 +90,7 @@ def test_other_damaged_files_get_one_sentence(name: str, text: str, words: str, 
     FOLDERS[name](tmp_path / "made")
     file = tmp_path / "made" / name
     content = json.loads(file.read_text())
-    key = "since_first" if name == "history.json" else "cells"
+    key = "change_since_first" if name == "history.json" else "cells"
     whole = json.dumps(content)
     file.write_text(whole.replace(json.dumps(content[key]), text))
     with pytest.raises(LtsimError, match=words) as caught:
@@ -100,12 +100,12 @@ def test_other_damaged_files_get_one_sentence(name: str, text: str, words: str, 
 
 ACCEPT: dict[str, Any] = {
     "format": "ltsim-accept/1",
-    "kind": "measured",
-    "plan": "plan.csv",
+    "error_origin": "measured",
+    "plan_name": "plan.csv",
     "specification": {"transverse_um": 1, "transverse_um_per_m": 1, "range_um": 1, "range_um_per_m": 1},
     "pass_probability": 1,
     "sentence": "all errors are within their limits",
-    "groups": [{"name": "bar", "tests": 1, "pass_probability": 1, "largest_limit_ratio": 0.5}],
+    "groups": [{"name": "bar", "n_tests": 1, "pass_probability": 1, "largest_limit_ratio": 0.5}],
     "tests": [{"name": "bar", "group": "bar", "limit_um": 10, "error_um": 5, "pass_probability": 1}],
 }
 

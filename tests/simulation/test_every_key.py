@@ -22,7 +22,7 @@ HERE = Path("scenario.toml")
 RICH: dict[str, Any] = {
     "work.faces": 2,
     "instrument.errors": {"draw": True},
-    "smr.nests": "fixed",
+    "smr.nest_orientation": "fixed",
     "smr.incidence_error": True,
     "smr.acceptance_deg": 70.0,
     "stations.S2.levelled": True,
@@ -61,7 +61,7 @@ ELSEWHERE = {
     "base": "tables of another scenario stand in its place when the file is read",
     "workshop.size_mm": "bounds places, and is drawn",
     "workshop.shadow_cone_deg": "for plans and pictures",
-    "cmm.nominal": "asks for another file",
+    "cmm.measures_targets": "asks for another file",
     "instrument.harmonics": "of the construction dh alone",
     "instrument.degree": "of the construction dh alone",
     "stations.S2.instrument": "needs a tracker of that name",
@@ -133,7 +133,7 @@ def test_what_a_recording_does_not_show_is_a_key(key: str) -> None:
 
 
 def test_a_setting_that_finds_nothing_to_act_on_is_said() -> None:
-    aimed = change_scenario(SCENARIO, {"smr.nests": "re-aimed", "smr.incidence_error": True}, HERE)
+    aimed = change_scenario(SCENARIO, {"smr.nest_orientation": "re-aimed", "smr.incidence_error": True}, HERE)
     assert any("smr-incidence" in note for note in simulate(aimed, 5)[0].notes)
     with pytest.raises(LtsimError, match="is used at no station"):
         change_scenario(SCENARIO, {"instruments.B": {}}, HERE)

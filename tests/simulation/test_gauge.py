@@ -28,7 +28,7 @@ PLACE = (750.0, 750.0, 260.0)
 
 @pytest.mark.parametrize("reading", ["columns", "rows"])
 def test_both_readings_of_table_2_are_realised(reading: str) -> None:
-    frame = make_gauge_frame(ScenarioGauge.model_validate({"position_mm": PLACE, "reading": reading}))
+    frame = make_gauge_frame(ScenarioGauge.model_validate({"position_mm": PLACE, "table_reading_order": reading}))
     np.testing.assert_allclose(frame.lengths * 1e3, PAPER_TABLE_2_LENGTHS[reading], atol=1e-7)
 
 
@@ -37,7 +37,7 @@ def test_by_columns_the_gauge_is_a_flat_near_parallelogram_by_rows_it_is_not() -
     assert np.sqrt(np.mean(flat.points[:, 2] ** 2)) == pytest.approx(0.55e-3, abs=0.1e-3)
     middles = 0.5 * (flat.points[1] + flat.points[2]), 0.5 * (flat.points[0] + flat.points[3])
     assert np.linalg.norm(middles[0] - middles[1]) == pytest.approx(1.6e-3, abs=0.3e-3)
-    solid = make_gauge_frame(ScenarioGauge(position_mm=PLACE, reading="rows"))
+    solid = make_gauge_frame(ScenarioGauge(position_mm=PLACE, table_reading_order="rows"))
     assert np.sqrt(np.mean(solid.points[:, 2] ** 2)) > 0.02
 
 

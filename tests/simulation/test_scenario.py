@@ -68,7 +68,7 @@ def test_a_file_may_say_only_what_differs_from_a_built_in_one(write: Write) -> N
 def test_a_short_file_has_defaults(write: Write) -> None:
     scenario = load_scenario(write(MINIMAL))
     assert scenario.instrument.prior == PAPER_PRIOR
-    assert scenario.smr.nests == "re-aimed"
+    assert scenario.smr.nest_orientation == "re-aimed"
     assert scenario.gauge is None
 
 

@@ -95,7 +95,10 @@ def test_recording_and_truth_say_which_tracker_stood_where(tmp_path: Path) -> No
     back = read_truth(tmp_path / "truth.json")
     assert back.instruments == truth.instruments
     assert [t.stations for t in back.instruments] == [("S1", "S3"), ("S2", "S4")]
-    assert back.instrument_values == pytest.approx(truth.instrument_values) and back.units == truth.units
+    assert (
+        back.instrument_values == pytest.approx(truth.instrument_values)
+        and back.parameter_units == truth.parameter_units
+    )
 
 
 def test_the_scenario_survives_its_file(tmp_path: Path) -> None:

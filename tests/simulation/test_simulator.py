@@ -240,7 +240,7 @@ def test_the_gauge_is_larger_in_the_warm_workshop_than_on_its_certificate() -> N
 def test_the_same_seed_is_the_same_instrument_in_workshop_and_laboratory() -> None:
     workshop, laboratory = (simulate(load_scenario(n), 9)[1] for n in ("paper-workshop", "paper-laboratory"))
     assert workshop.instrument_values == laboratory.instrument_values
-    assert laboratory.arrays.nominal_points is not None and workshop.nominal is None
+    assert laboratory.arrays.nominal_points is not None and workshop.nominal_points is None
     assert 0.1e-6 < np.abs(laboratory.arrays.nominal_points - laboratory.target_points).max() < 8e-6
 
 
@@ -308,7 +308,7 @@ def test_recordings_survive_being_written(tmp_path: Any) -> None:
 
 def test_an_effect_without_anything_to_act_on_is_told() -> None:
     """No thermometer in the recording, and reflectors that face the beam."""
-    smr = PAPER.smr.model_copy(update={"nests": "re-aimed", "incidence_error": True})
+    smr = PAPER.smr.model_copy(update={"nest_orientation": "re-aimed", "incidence_error": True})
     entries = [{"name": "dead-path", "draw": True}, {"name": "gauge-scale", "draw": True}]
     recording, _ = simulate(with_(PAPER, effects=entries).model_copy(update={"smr": smr}), 1)
     assert recording.notes[-2:] == ("dead-path changes no reading here", "smr-incidence changes no reading here")

@@ -31,7 +31,11 @@ def test_round_trip(truth: Truth, tmp_path: Path) -> None:
     for name in ("station_positions", "station_rotations", "target_points"):
         np.testing.assert_allclose(getattr(again, name), getattr(truth, name), rtol=0, atol=1e-14)
     assert again.instrument_values == pytest.approx(truth.instrument_values, rel=1e-14)
-    assert (again.stations, again.targets, again.units) == (truth.stations, truth.targets, truth.units)
+    assert (again.stations, again.targets, again.parameter_units) == (
+        truth.stations,
+        truth.targets,
+        truth.parameter_units,
+    )
     assert [a.name for a in again.effects] == ["station-settling", "azimuth-harmonic", "smr-incidence"]
     for one, other in zip(again.applied_effects, truth.applied_effects, strict=True):
         assert one.effect == other.effect
@@ -60,7 +64,7 @@ def test_nominal_points_are_what_verification_reads(tmp_path: Path) -> None:
 
 
 def test_no_nominal_points_without_a_machine(truth: Truth) -> None:
-    with pytest.raises(ModelError, match="nominal = true"):
+    with pytest.raises(ModelError, match="measures_targets = true"):
         nominal_csv(truth)
 
 
@@ -72,7 +76,7 @@ def test_no_nominal_points_without_a_machine(truth: Truth) -> None:
         ({"noise_factor": "loud"}, "noise_factor"),
         ({"parameters": [{"name": "a", "value": 1.0, "unit": "furlong"}]}, "'furlong' is not a unit"),
         ({"effects": [{"effect": "ghost"}]}, "no effect called 'ghost'"),
-        ({"nominal": [{"name": "X", "position_mm": [0, 0, 0]}]}, "differ from those of the targets"),
+        ({"nominal_points": [{"name": "X", "position_mm": [0, 0, 0]}]}, "differ from those of the targets"),
     ],
 )
 def test_wrong_files_get_one_sentence(change: dict[str, object], message: str, truth: Truth, tmp_path: Path) -> None:

@@ -110,7 +110,7 @@ def test_fixed_nests_aimed_at_the_stations_serve_all_of_them() -> None:
 
 
 def test_fixed_nests_square_to_the_walls_lose_reflectors_and_the_table_says_which() -> None:
-    square = changed(load_scenario("paper-workshop-re-aimed"), "smr", nests="fixed")
+    square = changed(load_scenario("paper-workshop-re-aimed"), "smr", nest_orientation="fixed")
     table = make_visibility(square)
     assert np.all(table.reason_codes[~table.is_visible] == InvisibilityReason.ACCEPTANCE)
     assert 20 < np.sum(~table.is_visible) < 140
@@ -135,7 +135,7 @@ def test_an_obstacle_hides_what_is_behind_it() -> None:
 def test_laboratory_has_17_reflectors_on_a_table_at_20_degrees() -> None:
     laboratory = load_scenario("paper-laboratory")
     layout = planned_layout(laboratory)
-    assert laboratory.workshop.temperature_c == 20.0 and laboratory.cmm.nominal
+    assert laboratory.workshop.temperature_c == 20.0 and laboratory.cmm.measures_targets
     assert len(layout.target_names) == 17 and len(layout.station_names) == 5
     assert np.all(np.ptp(layout.target_points, axis=0) < [1.2, 1.2, 0.61])
     assert make_visibility(laboratory).is_visible.all()

@@ -22,7 +22,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.notation import with_sigma
 from ltsim.core.results import Table, columns_of, number_columns
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects.smr_incidence import TABLE_ANGLES
+from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES
 from ltsim.recordings.files import read_text
 from ltsim.recordings.result_file import Entry, Finite, ResultFile
 
@@ -116,9 +116,11 @@ class BenchFile(ResultFile):
             f"{self.vertex_side} to the side",
             f"remaining error, which no offset explains (smr-incidence): {self.unexplained_rms_um:.2f} um rms",
         ]
-        if [round(r.angle_deg, 3) for r in self.range_errors] == [round(float(a) / DEGREE, 3) for a in TABLE_ANGLES]:
+        if [round(r.angle_deg, 3) for r in self.range_errors] == [
+            round(float(a) / DEGREE, 3) for a in INCIDENCE_TABLE_ANGLES
+        ]:
             values = ", ".join(f"{r.error_um:.2f}" for r in self.range_errors)
-            lines.append(f"for a scenario: [smr] incidence_error = true, table_um = [{values}]")
+            lines.append(f"for a scenario: [smr] incidence_error = true, range_error_table_um = [{values}]")
         for key, form in (("angle_deg", "g"), ("error_um", ".2f"), ("sigma_um", ".2f")):
             values = ", ".join(format(getattr(row, key), form) for row in self.range_errors)
             lines.append(f"{'for a recording, in [[bench]]: ' if key == 'angle_deg' else ''}{key} = [{values}]")

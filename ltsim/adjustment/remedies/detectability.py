@@ -213,7 +213,7 @@ def calibrated_effect_detectability(adjustment: Adjustment, effect: Effect) -> E
     A diagnosis does not test such an effect. Its detectable size is the size at which the estimate of its parameter
     differs significantly from zero.
     """
-    indices = [adjustment.construction.index(p.name) for p in effect.parameters]
+    indices = [adjustment.construction.parameter_index(p.name) for p in effect.parameters]
     block, prior = (
         adjustment.first_instrument_covariance[np.ix_(indices, indices)],
         adjustment.problem.prior.sigma[0][indices],

@@ -13,12 +13,12 @@ from ltsim.physics.effects.catalogue import (
     catalogue_entry as catalogue_entry,
 )
 from ltsim.physics.effects.effect import (
+    ChainErrorEffect as ChainErrorEffect,
     Effect as Effect,
     LightPathStage as LightPathStage,
     NoiseEffect as NoiseEffect,
     Parameter as Parameter,
     ShapeParameter as ShapeParameter,
-    SlotEffect as SlotEffect,
 )
 
 EFFECT_NAMES_BY_GROUP = {
@@ -75,7 +75,7 @@ ORDINARY_CALIBRATION_EFFECT_NAMES = (
 MISALIGNMENT_EFFECTS = tuple(
     effect
     for name in ORDINARY_CALIBRATION_EFFECT_NAMES.split()
-    if isinstance(effect := find_effect(name)(), SlotEffect)
+    if isinstance(effect := find_effect(name)(), ChainErrorEffect)
 )
 """Effects of the ordinary calibration. Their 16 parameters, which include range zero and range scale, are those of the
 geometric-misalignment model.

@@ -35,7 +35,7 @@ class AirGradient(WarmAirEffect):
     """Position of the weather sensor: at one height in the hall, or on the tracker head."""
 
     name = "air-gradient"
-    stage = LightPathStage.AIR
+    light_path_stage = LightPathStage.AIR
     covariates = ("height", "distance")
     parameters = (Parameter("air-gradient", "K/m", "rise of the temperature with the height", 1.0),)
 

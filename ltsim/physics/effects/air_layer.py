@@ -46,7 +46,7 @@ class AirLayer(WarmAirEffect):
     """Width [m] of the transition between the two temperatures."""
 
     name = "air-layer"
-    stage = LightPathStage.AIR
+    light_path_stage = LightPathStage.AIR
     covariates = ("height",)
     parameters = (Parameter("layer-step", "K", "temperature of the layer minus that of the air below", 4.0),)
     shape_parameters = (

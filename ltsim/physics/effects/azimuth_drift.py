@@ -22,9 +22,9 @@ class AzimuthDrift(Drift):
     """
 
     name = "azimuth-drift"
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("azimuth",)
-    slot = "azimuth"
+    chain_error = "azimuth"
     rate_parameter = Parameter(
         "azimuth-drift", "urad/h", "growth rate of the azimuth correction", 20 * SI_PER_UNIT["urad/h"]
     )

@@ -1,9 +1,9 @@
 from ltsim.core.units import ARCSECOND
 from ltsim.physics.effects.circles import cos_sin_parameters, cos_sin_terms
-from ltsim.physics.effects.effect import LightPathStage, SlotEffect
+from ltsim.physics.effects.effect import ChainErrorEffect, LightPathStage
 
 
-class AzimuthEccentricity(SlotEffect):
+class AzimuthEccentricity(ChainErrorEffect):
     """Eccentricity of the azimuth circle: the circle rotates off its centre, one period per turn.
 
     Delta_azimuth = A1 cos(x) + B1 sin(x), x the raw azimuth; the amplitude is the eccentricity divided by the circle's
@@ -20,7 +20,7 @@ class AzimuthEccentricity(SlotEffect):
     """
 
     name = "azimuth-eccentricity"
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("azimuth",)
     parameters = cos_sin_parameters("azimuth-eccentricity", "the raw azimuth", 3 * ARCSECOND, "angle")
     terms = cos_sin_terms("azimuth", 1)

@@ -19,7 +19,7 @@ class AzimuthHarmonic(CircleHarmonic):
     """
 
     name = "azimuth-harmonic"
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("azimuth",)
     covariates = ("azimuth",)
     parameters = cos_sin_parameters("azimuth-harmonic", "`order` times the raw azimuth", 2 * MICRORADIAN)

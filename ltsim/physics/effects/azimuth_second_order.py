@@ -1,9 +1,9 @@
 from ltsim.core.units import ARCSECOND
 from ltsim.physics.effects.circles import cos_sin_parameters, cos_sin_terms
-from ltsim.physics.effects.effect import LightPathStage, SlotEffect
+from ltsim.physics.effects.effect import ChainErrorEffect, LightPathStage
 
 
-class AzimuthSecondOrder(SlotEffect):
+class AzimuthSecondOrder(ChainErrorEffect):
     """Second-order error of the azimuth circle: the scale is stretched and compressed twice per turn.
 
     Delta_azimuth = A2 cos(2 x) + B2 sin(2 x), x the raw azimuth. The error is the same on both faces, so that two-face
@@ -19,7 +19,7 @@ class AzimuthSecondOrder(SlotEffect):
     """
 
     name = "azimuth-second-order"
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("azimuth",)
     parameters = cos_sin_parameters("azimuth-second-order", "twice the raw azimuth", 3 * ARCSECOND, "angle")
     terms = cos_sin_terms("azimuth", 2)

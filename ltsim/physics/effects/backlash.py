@@ -23,7 +23,7 @@ class Backlash(Effect):
 
     name = "backlash"
     base_rate = 0.5
-    stage = LightPathStage.AXES
+    light_path_stage = LightPathStage.AXES
     observables = ("azimuth", "elevation")
     covariates = ("approach",)
     parameters = (
@@ -34,7 +34,7 @@ class Backlash(Effect):
     def design(self, sightings: Sightings) -> Floats:
         half_slack = -0.5 * sightings.approach_signs * self.pointing_indicator(sightings)[:, None]
         columns = [
-            sightings.reading_change_by_error_key[slot] * half_slack[:, [i]]
-            for i, slot in enumerate(("azimuth", "elevation"))
+            sightings.reading_change_by_error_key[circle] * half_slack[:, [i]]
+            for i, circle in enumerate(("azimuth", "elevation"))
         ]
         return np.stack(columns, axis=2)

@@ -1,8 +1,8 @@
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, SlotTerm
+from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, LightPathStage, Parameter
 
 
-class BeamOffset(SlotEffect):
+class BeamOffset(ChainErrorEffect):
     """Beam offset: the beam does not pass through the intersection of the axes.
 
     The corrections are constant lengths across the beam: D_t = f b_y to the left and D_v = f b_z upward, with the
@@ -19,7 +19,7 @@ class BeamOffset(SlotEffect):
     """
 
     name = "beam-offset"
-    stage = LightPathStage.OPTICS
+    light_path_stage = LightPathStage.OPTICS
     observables = ("azimuth", "elevation")
     parameters = (
         Parameter(
@@ -27,4 +27,4 @@ class BeamOffset(SlotEffect):
         ),
         Parameter("beam-offset-vertical", "um", "beam above the centre", 20 * MICROMETRE, "offset"),
     )
-    terms = (SlotTerm("beam-lateral"), SlotTerm("beam-vertical"))
+    terms = (ChainErrorTerm("beam-lateral"), ChainErrorTerm("beam-vertical"))

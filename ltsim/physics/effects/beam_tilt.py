@@ -1,8 +1,8 @@
 from ltsim.core.units import ARCSECOND
-from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, SlotTerm
+from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, LightPathStage, Parameter
 
 
-class BeamTilt(SlotEffect):
+class BeamTilt(ChainErrorEffect):
     """Beam tilt: the beam is not perpendicular to the transit axis (horizontal collimation error).
 
     Delta_azimuth = f c / cos(el) at the elevation el, with the tilt c of the beam and f = +1 on face 1 and -1 on face
@@ -20,9 +20,9 @@ class BeamTilt(SlotEffect):
     """
 
     name = "beam-tilt"
-    stage = LightPathStage.OPTICS
+    light_path_stage = LightPathStage.OPTICS
     observables = ("azimuth",)
     parameters = (
         Parameter("beam-tilt", "urad", "beam turned left, not square to the transit axis", 3 * ARCSECOND, "angle"),
     )
-    terms = (SlotTerm("beam-tilt"),)
+    terms = (ChainErrorTerm("beam-tilt"),)

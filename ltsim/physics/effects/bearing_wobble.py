@@ -12,7 +12,10 @@ BearingMotion = Literal["tilt", "radial", "transit"]
 """Kind of motion of a bearing: tilt or run-out of the standing axis, tilt of the transit axis."""
 
 
-SLOTS_BY_MOTION = {"tilt": ("standing-tilt-x", "standing-tilt-y"), "radial": ("standing-radial-x", "standing-radial-y")}
+CHAIN_ERRORS_BY_MOTION = {
+    "tilt": ("standing-tilt-x", "standing-tilt-y"),
+    "radial": ("standing-radial-x", "standing-radial-y"),
+}
 """Errors of the kinematic chain (`error_key`) that each kind of motion changes, along or about x and y."""
 CANDIDATE_MOTIONS: tuple[tuple[BearingMotion, int], ...] = (
     ("tilt", -1),
@@ -54,18 +57,32 @@ class BearingWobble(Effect):
 
     name = "bearing-wobble"
     base_rate = 0.5
-    stage = LightPathStage.AXES
+    light_path_stage = LightPathStage.AXES
     covariates = ("azimuth", "elevation")
     parameters = (
-        Parameter("wobble-cos", "urad", "tilt, cosine part: cos(n x), and sin(n x) across", 4 * MICRORADIAN),
-        Parameter("wobble-sin", "urad", "tilt, sine part: -sin(n x), and cos(n x) across", 4 * MICRORADIAN),
+        Parameter(
+            "wobble-cos", "urad", "tilt A: A cos(n x) about the x axis, A sin(n x) about the y axis", 4 * MICRORADIAN
+        ),
+        Parameter(
+            "wobble-sin", "urad", "tilt B: -B sin(n x) about the x axis, B cos(n x) about the y axis", 4 * MICRORADIAN
+        ),
     )
 
     def __post_init__(self) -> None:
         if self.kind == "radial":
             run_out = (
-                Parameter("run-out-cos", "um", "shift, cosine part: cos(n x), and sin(n x) across", 8 * MICROMETRE),
-                Parameter("run-out-sin", "um", "shift, sine part: -sin(n x), and cos(n x) across", 8 * MICROMETRE),
+                Parameter(
+                    "run-out-cos",
+                    "um",
+                    "shift A: A cos(n x) along the x axis, A sin(n x) along the y axis",
+                    8 * MICROMETRE,
+                ),
+                Parameter(
+                    "run-out-sin",
+                    "um",
+                    "shift B: -B sin(n x) along the x axis, B cos(n x) along the y axis",
+                    8 * MICROMETRE,
+                ),
             )
             object.__setattr__(self, "parameters", run_out)
         else:
@@ -86,5 +103,5 @@ class BearingWobble(Effect):
         if self.kind == "transit":
             yaw = response["beam-tilt"]
             return np.stack([acts * c * yaw, acts * s * yaw], axis=2)
-        x, y = (response[slot] for slot in SLOTS_BY_MOTION[self.kind])
+        x, y = (response[key] for key in CHAIN_ERRORS_BY_MOTION[self.kind])
         return np.stack([acts * (c * x + s * y), acts * (c * y - s * x)], axis=2)

@@ -241,8 +241,8 @@ def invalid_effect_reason(effect_class: object) -> str:
         return f"its class lacks {', '.join(missing_methods)}"
     if not EFFECT_NAME_PATTERN.fullmatch(getattr(effect_class, "name", "")) or effect_class.name == "unknown":
         return f"its name '{getattr(effect_class, 'name', '')}' must be lower-case words joined by '-'"
-    if not isinstance(getattr(effect_class, "stage", None), LightPathStage) or not effect_class.parameters:
-        return "its class lacks a stage or parameters"
+    if not isinstance(getattr(effect_class, "light_path_stage", None), LightPathStage) or not effect_class.parameters:
+        return "its class lacks a light_path_stage or parameters"
     if not (isinstance(effect_class.base_rate, int | float) and 0.0 < effect_class.base_rate < math.inf):
         return f"its base_rate is {effect_class.base_rate!r}, expected a positive number"
     units = {p.name: p.unit for p in effect_class.parameters} | {s.name: s.unit for s in effect_class.shape_parameters}

@@ -7,7 +7,7 @@ from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 
-TEMPERATURE_COLUMN = "air_temperature_c"
+AIR_TEMPERATURE_COLUMN = "air_temperature_c"
 """Name of the column of a recording with the air temperature [C] of each pointing."""
 MIN_TEMPERATURE_RANGE = 0.05
 """Difference [K] between the highest and the lowest temperature in a recording, up to which the effect is not tried
@@ -15,7 +15,7 @@ because it cannot be estimated."""
 
 
 class DeadPath(Effect):
-    """Dead path: a part of the reference path inside the head warms up with the air, without correction.
+    """Dead path: a part of the reference path inside the head warms up with the air, and ranges are not corrected.
 
     Delta_d = k (T - T_0), T the recorded air temperature, T_0 the one at the first pointing. For an interferometer
     k = -beta D_0, with beta = 0.955 ppm/K the change of the refractive index of air and D_0 the length of the path. For
@@ -31,7 +31,7 @@ class DeadPath(Effect):
 
     name = "dead-path"
     base_rate = 0.5
-    stage = LightPathStage.RANGE
+    light_path_stage = LightPathStage.RANGE
     observables = ("distance",)
     covariates = ("temperature",)
     parameters = (
@@ -41,7 +41,7 @@ class DeadPath(Effect):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """List of this effect if the recorded temperature varies; otherwise empty, and a diagnosis does not try it."""
-        temperature = sightings.covariates.get(TEMPERATURE_COLUMN)
+        temperature = sightings.covariates.get(AIR_TEMPERATURE_COLUMN)
         varies = (
             temperature is not None
             and np.isfinite(temperature).any()
@@ -50,7 +50,7 @@ class DeadPath(Effect):
         return [cls()] if varies else []
 
     def design(self, sightings: Sightings) -> Floats:
-        temperature = sightings.covariates.get(TEMPERATURE_COLUMN, np.full(len(sightings), np.nan))
+        temperature = sightings.covariates.get(AIR_TEMPERATURE_COLUMN, np.full(len(sightings), np.nan))
         ordered = temperature[sightings.measurement_order]
         is_measured = ordered[np.isfinite(ordered)]
         temperature_change = np.nan_to_num(temperature - (is_measured[0] if len(is_measured) else 0.0))

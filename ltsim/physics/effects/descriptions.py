@@ -32,7 +32,7 @@ class ParameterDescription(Description):
     meaning: str
     """Definition of the parameter."""
     plausible_size: float
-    """Size in a bad but plausible instrument or hall, in this unit."""
+    """Size in a bad but plausible instrument or hall, in `unit`."""
 
     @classmethod
     def from_parameter(cls, parameter: Parameter) -> Self:
@@ -50,16 +50,22 @@ class ConstantDescription(Description):
     """Unit in which the constant is displayed."""
     meaning: str
     """Definition of the constant."""
-    low: float
-    """Lower bound of the search, in this unit."""
-    high: float
-    """Upper bound of the search, in this unit."""
+    lower_bound: float
+    """Lower bound of the search, in `unit`."""
+    upper_bound: float
+    """Upper bound of the search, in `unit`."""
 
     @classmethod
     def from_constant(cls, constant: ShapeParameter) -> Self:
         """Description of a constant."""
-        low, high = (bound / SI_PER_UNIT[constant.unit] for bound in (constant.lower_bound, constant.upper_bound))
-        return cls(name=constant.name, unit=constant.unit, meaning=constant.description, low=low, high=high)
+        lower, upper = (bound / SI_PER_UNIT[constant.unit] for bound in (constant.lower_bound, constant.upper_bound))
+        return cls(
+            name=constant.name, unit=constant.unit, meaning=constant.description, lower_bound=lower, upper_bound=upper
+        )
+
+
+SECTION_FIELDS = ("typical_sizes", "similar_effects", "separate_by", "validity_domain", "literature", "validation")
+"""Names of the fields of a description that contain the texts of `DOCSTRING_SECTIONS`, in the order of the sections."""
 
 
 class EffectDescription(Description):
@@ -69,28 +75,28 @@ class EffectDescription(Description):
     """Name of the effect."""
     group: str
     """Group in the catalogue."""
-    origin: str
-    """Package that provides the effect."""
+    provider: str
+    """Name and version of the package that provides the effect; `ltsim` for a built-in effect."""
     title: str
     """Name of the physical cause."""
     cause: str
     """Description of the physical cause."""
-    law: str
+    equation: str
     """Equation of the effect with its sign."""
-    size: str
+    typical_sizes: str
     """Sizes in a good and in a bad instrument or hall."""
-    like: str
+    similar_effects: str
     """Effects with similar residuals, with the correlation of the residuals in the reference workshop for one face and
     for two faces."""
     separate_by: str
-    """Measurements that distinguish the effect from these."""
-    valid: str
+    """Measurements that distinguish the effect from similar effects."""
+    validity_domain: str
     """Domain in which the equation holds."""
-    source: str
-    """Literature."""
-    status: str
-    """Validation of the equation."""
-    stage: str
+    literature: str
+    """Publications from which the equation and the sizes are taken."""
+    validation: str
+    """Tests by which the equation was validated."""
+    light_path_stage: str
     """Stage of the light path on which the effect acts."""
     scope: str
     """Set of pointings that share the parameters of the effect."""
@@ -99,13 +105,13 @@ class EffectDescription(Description):
     covariates: tuple[str, ...]
     """Quantities on which the effect depends."""
     base_rate: float
-    """Relative frequency in service; 1 is occasional."""
+    """Relative frequency of the effect in practice; 1 is occasional."""
     meaning: str
-    """Summary in one sentence."""
+    """Title and physical cause in one sentence."""
     parameters: tuple[ParameterDescription, ...]
-    """Parameters, which a calibration estimates."""
-    shape: tuple[ConstantDescription, ...]
-    """Constants, for which a diagnosis searches."""
+    """Parameters of the effect, which a calibration estimates."""
+    constants: tuple[ConstantDescription, ...]
+    """Constants of the effect, for which a diagnosis searches."""
 
     @classmethod
     def from_listed_effect(cls, listed_effect: ListedEffect) -> Self:
@@ -115,19 +121,19 @@ class EffectDescription(Description):
         return cls(
             name=effect.name,
             group=listed_effect.group,
-            origin=listed_effect.provider,
+            provider=listed_effect.provider,
             title=entry.title,
             cause=entry.cause_description,
-            law=entry.equation,
-            **{name.lower().replace(" ", "_"): text for name, text in entry.sections()},
-            stage=effect.stage.name.lower(),
+            equation=entry.equation,
+            **dict(zip(SECTION_FIELDS, entry.section_texts, strict=True)),
+            light_path_stage=effect.light_path_stage.name.lower(),
             scope=effect.scope,
             observables=effect.observables,
             covariates=effect.covariates,
             base_rate=effect.base_rate,
             meaning=(inspect.getdoc(effect) or "").partition("\n")[0],
             parameters=tuple(ParameterDescription.from_parameter(p) for p in effect.parameters),
-            shape=tuple(ConstantDescription.from_constant(s) for s in effect.shape_parameters),
+            constants=tuple(ConstantDescription.from_constant(s) for s in effect.shape_parameters),
         )
 
     @property
@@ -136,13 +142,13 @@ class EffectDescription(Description):
         return f"{self.title}: {self.cause}"
 
     @property
-    def external_origin(self) -> str:
-        """Package that provides the effect; empty for an effect of ltsim."""
-        return "" if self.origin == BUILTIN_PROVIDER else self.origin
+    def external_provider(self) -> str:
+        """Name and version of the package that provides the effect; empty for a built-in effect of ltsim."""
+        return "" if self.provider == BUILTIN_PROVIDER else self.provider
 
     @property
     def observables_text(self) -> str:
-        """Observables as a list."""
+        """Names of the observables that the effect changes, separated by commas."""
         return ", ".join(self.observables)
 
 
@@ -176,10 +182,10 @@ EFFECT_CONSTANTS_TABLE = Table(
         *text_columns(effect="name of the effect"),
         *columns_of(
             ConstantDescription,
-            "name low high unit meaning",
+            "name lower_bound upper_bound unit meaning",
             name={"name": "constant"},
-            low={"title": "searched from", "display_format": ".4g"},
-            high={"title": "to", "display_format": ".4g"},
+            lower_bound={"title": "searched from", "display_format": ".4g"},
+            upper_bound={"title": "to", "display_format": ".4g"},
         ),
     ),
 )
@@ -202,6 +208,8 @@ class EffectList(Result):
                 (e.name, p.name, p.plausible_size, p.unit, p.meaning) for e in self.descriptions for p in e.parameters
             ),
             "constants": lambda: EFFECT_CONSTANTS_TABLE.with_rows(
-                (e.name, s.name, s.low, s.high, s.unit, s.meaning) for e in self.descriptions for s in e.shape
+                (e.name, s.name, s.lower_bound, s.upper_bound, s.unit, s.meaning)
+                for e in self.descriptions
+                for s in e.constants
             ),
         }

@@ -2,7 +2,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, SlotTerm
+from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, LightPathStage, Parameter
 
 
 def beam_deviation_basis(readings: Floats) -> Floats:
@@ -13,8 +13,8 @@ def beam_deviation_basis(readings: Floats) -> Floats:
     return np.full(len(readings), 0.5)
 
 
-class DetectorOffset(SlotEffect):
-    """Null offset of the tracking detector: the return spot is held off centre, so the beam misses the vertex.
+class DetectorOffset(ChainErrorEffect):
+    """Null offset of the tracking detector: the return spot is held off centre, and the beam misses the vertex.
 
     The corrections are lengths across the beam: D_t = f eps_y / 2 to the left and D_v = f eps_z / 2 upward, with the
     offset (eps_y, eps_z) of the return spot and f = +1 on face 1 and -1 on face 2. The effect equals a beam offset of
@@ -31,11 +31,14 @@ class DetectorOffset(SlotEffect):
     """
 
     name = "detector-offset"
-    stage = LightPathStage.OPTICS
+    light_path_stage = LightPathStage.OPTICS
     observables = ("azimuth", "elevation")
     covariates = ("distance",)
     parameters = (
         Parameter("detector-offset-lateral", "um", "null offset along the transit axis", 20 * MICROMETRE),
         Parameter("detector-offset-vertical", "um", "null offset across the transit axis", 20 * MICROMETRE),
     )
-    terms = (SlotTerm("beam-lateral", beam_deviation_basis), SlotTerm("beam-vertical", beam_deviation_basis))
+    terms = (
+        ChainErrorTerm("beam-lateral", beam_deviation_basis),
+        ChainErrorTerm("beam-vertical", beam_deviation_basis),
+    )

@@ -36,8 +36,8 @@ from ltsim.physics.effects.linear_effect import (
     CandidateNoiseEffect,
     LinearEffect as LinearEffect,
     Parameter as Parameter,
-    PriorKind as PriorKind,
     ShapeParameter as ShapeParameter,
+    SpecifiedQuantity as SpecifiedQuantity,
     axis_parameters as axis_parameters,
     design_from_displacements as design_from_displacements,
     design_from_front_face_corrections as design_from_front_face_corrections,
@@ -71,13 +71,13 @@ class Effect(CandidateEffect):
     """Names of the stations at which the effect acts; empty for all."""
     targets: tuple[str, ...] = ()
     """Names of the targets at which the effect acts; empty for all."""
-    size_factor: float = field(default=1.0, kw_only=True)
+    plausible_size_factor: float = field(default=1.0, kw_only=True)
     """Factor on the plausible sizes of the parameters; it exceeds 1 for instruments that are less accurate than a
     tracker."""
 
     name: ClassVar[str]
     """Name of the effect in the catalogue: lower-case words joined by hyphens."""
-    stage: ClassVar[LightPathStage]
+    light_path_stage: ClassVar[LightPathStage]
     """Stage of the light path at which the effect acts."""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     """The p parameters of the effect, in which it is linear."""
@@ -98,8 +98,8 @@ class Effect(CandidateEffect):
 
     @property
     def plausible_sizes(self) -> Floats:
-        """Plausible sizes (p,) of the p parameters [SI], times `size_factor`."""
-        return self.size_factor * super().plausible_sizes
+        """Plausible sizes (p,) of the p parameters [SI], times `plausible_size_factor`."""
+        return self.plausible_size_factor * super().plausible_sizes
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
@@ -112,7 +112,7 @@ class Effect(CandidateEffect):
             places = [{"stations": (name,)} for name in sightings.station_names]
         elif cls.scope == "target":
             places = [{"targets": (name,)} for name in sightings.target_names]
-        grids = [[(s.name, float(v)) for v in s.grid()] for s in cls.shape_parameters]
+        grids = [[(s.name, float(v)) for v in s.grid_values()] for s in cls.shape_parameters]
         shapes: list[dict[str, Any]] = [dict(shape) for shape in product(*grids)]
         return [cls(**place, **shape) for place in places for shape in shapes]
 
@@ -203,29 +203,30 @@ class RangePowerBasis:
 
 
 @dataclass(frozen=True)
-class SlotTerm:
+class ChainErrorTerm:
     """Term of a geometric error: a parameter times a basis function, added to an error of the kinematic chain."""
 
-    slot: str
+    chain_error: str
     """Key of the error in the kinematic chain, the `error_key` of one of its motions."""
     basis: BasisFunction = constant_basis
     """Function of the raw readings that multiplies the parameter."""
 
 
 @dataclass(frozen=True)
-class SlotEffect(Effect):
+class ChainErrorEffect(Effect):
     """Base class of geometric errors of the instrument; each parameter changes one motion of the kinematic chain.
 
     `GeometricErrorModel` evaluates the error exactly; `design` is its first-order form.
     """
 
-    terms: ClassVar[tuple[SlotTerm, ...]]
+    terms: ClassVar[tuple[ChainErrorTerm, ...]]
     """Terms of the error, one per parameter."""
 
     def design(self, sightings: Sightings) -> Floats:
         acts = self.pointing_indicator(sightings)
         columns = [
-            sightings.reading_change_by_error_key[t.slot] * (acts * t.basis(sightings.instrument_readings))[:, None]
+            sightings.reading_change_by_error_key[t.chain_error]
+            * (acts * t.basis(sightings.instrument_readings))[:, None]
             for t in self.terms
         ]
         return np.stack(columns, axis=2)

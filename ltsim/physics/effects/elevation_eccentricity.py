@@ -1,9 +1,9 @@
 from ltsim.core.units import ARCSECOND
 from ltsim.physics.effects.circles import cos_sin_parameters, cos_sin_terms
-from ltsim.physics.effects.effect import LightPathStage, SlotEffect
+from ltsim.physics.effects.effect import ChainErrorEffect, LightPathStage
 
 
-class ElevationEccentricity(SlotEffect):
+class ElevationEccentricity(ChainErrorEffect):
     """Eccentricity of the elevation circle: the circle rotates off its centre, one period per turn.
 
     The correction of the raw elevation x is C1 cos(x) + D1 sin(x), in front-face values Delta_elevation = C1 cos(el) +
@@ -21,7 +21,7 @@ class ElevationEccentricity(SlotEffect):
     """
 
     name = "elevation-eccentricity"
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("elevation",)
     parameters = cos_sin_parameters("elevation-eccentricity", "the raw elevation", 3 * ARCSECOND, "angle")
     terms = cos_sin_terms("elevation", 1)

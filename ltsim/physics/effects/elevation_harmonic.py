@@ -19,7 +19,7 @@ class ElevationHarmonic(CircleHarmonic):
     """
 
     name = "elevation-harmonic"
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("elevation",)
     covariates = ("elevation",)
     parameters = cos_sin_parameters("elevation-harmonic", "`order` times the raw elevation", 2 * MICRORADIAN)

@@ -1,9 +1,9 @@
 from ltsim.core.units import ARCSECOND
 from ltsim.physics.effects.circles import cos_sin_parameters, cos_sin_terms
-from ltsim.physics.effects.effect import LightPathStage, SlotEffect
+from ltsim.physics.effects.effect import ChainErrorEffect, LightPathStage
 
 
-class ElevationSecondOrder(SlotEffect):
+class ElevationSecondOrder(ChainErrorEffect):
     """Second-order error of the elevation circle: the scale is stretched and compressed twice per turn.
 
     The correction of the raw elevation x is C2 cos(2 x) + D2 sin(2 x), in front-face values Delta_elevation = f C2
@@ -20,7 +20,7 @@ class ElevationSecondOrder(SlotEffect):
     """
 
     name = "elevation-second-order"
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("elevation",)
     parameters = cos_sin_parameters("elevation-second-order", "twice the raw elevation", 3 * ARCSECOND, "angle")
     terms = cos_sin_terms("elevation", 2)

@@ -3,7 +3,7 @@ from typing import Literal, Self
 
 from ltsim.core.units import MICRORADIAN
 from ltsim.physics.effects.circles import cos_sin_parameters, cos_sin_terms
-from ltsim.physics.effects.effect import LightPathStage, SlotEffect, SlotTerm
+from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, LightPathStage
 from ltsim.scene.sightings import Sightings
 
 CANDIDATE_SIGNAL_PERIODS = (
@@ -29,7 +29,7 @@ whole fractions of a degree."""
 
 
 @dataclass(frozen=True)
-class EncoderInterpolation(SlotEffect):
+class EncoderInterpolation(ChainErrorEffect):
     """Interpolation error of an encoder: the signal between two lines of the scale is not an exact sine.
 
     Delta = A cos(N x) + B sin(N x) on one circle, with x its raw reading and N = 1e3 to 1e5 the signal periods per
@@ -54,7 +54,7 @@ class EncoderInterpolation(SlotEffect):
 
     name = "encoder-interpolation"
     base_rate = 0.5
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("azimuth", "elevation")
     covariates = ("azimuth", "elevation")
     parameters = cos_sin_parameters("interpolation", "`periods` times the raw angle", MICRORADIAN)
@@ -64,7 +64,7 @@ class EncoderInterpolation(SlotEffect):
         object.__setattr__(self, "covariates", (self.circle,))
 
     @property
-    def terms(self) -> tuple[SlotTerm, ...]:  # type: ignore[override]
+    def terms(self) -> tuple[ChainErrorTerm, ...]:  # type: ignore[override]
         return cos_sin_terms(self.circle, self.periods)
 
     @classmethod

@@ -29,7 +29,7 @@ class FaceConfusion(Blunder):
     """Face, 1 or 2, whose pointings are stored as the other face."""
 
     name = "face-confusion"
-    stage = LightPathStage.ELECTRONICS
+    light_path_stage = LightPathStage.ELECTRONICS
     observables = ("azimuth", "elevation")
     covariates = ("face",)
     scope = "station"

@@ -22,7 +22,7 @@ class GaugeScale(Effect):
     """
 
     name = "gauge-scale"
-    stage = LightPathStage.TARGET
+    light_path_stage = LightPathStage.TARGET
     observables = ()
     covariates = ("temperature",)
     parameters = (Parameter("gauge-scale", "ppm", "fraction by which every known length is too short", 20 * PPM),)

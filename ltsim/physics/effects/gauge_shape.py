@@ -32,7 +32,7 @@ class GaugeShape(Effect):
     """Index of the target in the network whose nest moved."""
 
     name = "gauge-shape"
-    stage = LightPathStage.TARGET
+    light_path_stage = LightPathStage.TARGET
     observables = ()
     covariates = ("place",)
     scope = "target"

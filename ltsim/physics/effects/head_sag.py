@@ -21,7 +21,7 @@ class HeadSag(Effect):
     """
 
     name = "head-sag"
-    stage = LightPathStage.AXES
+    light_path_stage = LightPathStage.AXES
     observables = ("elevation",)
     covariates = ("elevation",)
     parameters = (Parameter("sag", "urad", "droop of a level beam", 5 * MICRORADIAN),)

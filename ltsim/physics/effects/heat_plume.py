@@ -9,13 +9,13 @@ from ltsim.physics.effects.rays import TemperatureField, WarmAirEffect, relative
 from ltsim.scene.regions import HallRegion, candidate_regions
 from ltsim.scene.sightings import Sightings
 
-N_CANDIDATE_AZIMUTHS = 8
+N_CANDIDATE_PLUME_AZIMUTHS = 8
 """Number of azimuths of the directions from a station or target to candidate centres of plumes."""
-CANDIDATE_ELEVATIONS = (-0.6, 0.0, 0.6)
+CANDIDATE_PLUME_ELEVATIONS = (-0.6, 0.0, 0.6)
 """Elevations [rad] of the directions to candidate centres of plumes, in addition to zenith and nadir."""
 PLUME_DISTANCES_FROM_STATION = 0.5
 """Distance [m] of candidate centres of plumes from a station."""
-CENTRE_REFINEMENT_SHIFTS = (0.2, 0.08)
+PLUME_CENTRE_SHIFTS = (0.2, 0.08)
 """Shifts [m] of the centre of a plume that a local search tries."""
 STATION_PLUME_RADIUS = 0.25
 """Radius [m] of candidate plumes near a station."""
@@ -59,11 +59,11 @@ class HeatPlume(WarmAirEffect):
     """Standard deviation [m] of the Gaussian temperature profile of the plume."""
 
     name = "heat-plume"
-    stage = LightPathStage.AIR
+    light_path_stage = LightPathStage.AIR
     covariates = ("azimuth", "elevation", "place")
     scope = "station"
     n_neighbour_directions = 3
-    parameters = (Parameter("plume-temperature", "K", "temperature excess of the centre", 5.0, is_positive=True),)
+    parameters = (Parameter("plume-temperature", "K", "temperature excess of the centre", 5.0, is_nonnegative=True),)
     shape_parameters = (
         ShapeParameter(
             "radius", "m", "standard deviation of the warm ball", 0.1, 1.0, has_logarithmic_grid=True, n_grid_values=4
@@ -77,9 +77,11 @@ class HeatPlume(WarmAirEffect):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Plumes that a diagnosis tries: around every station and target, and on a grid over the hall."""
-        angles = np.linspace(0.0, 2 * np.pi, N_CANDIDATE_AZIMUTHS, endpoint=False)
+        angles = np.linspace(0.0, 2 * np.pi, N_CANDIDATE_PLUME_AZIMUTHS, endpoint=False)
         directions = [
-            (np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)) for a in angles for e in CANDIDATE_ELEVATIONS
+            (np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e))
+            for a in angles
+            for e in CANDIDATE_PLUME_ELEVATIONS
         ]
         offsets = [
             _rounded_to_mm(PLUME_DISTANCES_FROM_STATION * np.array(direction))
@@ -100,9 +102,7 @@ class HeatPlume(WarmAirEffect):
         """Copies of this plume with a shifted centre, for a local search."""
         if self.targets:
             return []
-        offsets = [
-            sign * step * axis for step in CENTRE_REFINEMENT_SHIFTS for axis in np.eye(3) for sign in (1.0, -1.0)
-        ]
+        offsets = [sign * step * axis for step in PLUME_CENTRE_SHIFTS for axis in np.eye(3) for sign in (1.0, -1.0)]
         return [self.with_constants(offset=_rounded_to_mm(np.array(self.offset) + move)) for move in offsets]
 
     @property

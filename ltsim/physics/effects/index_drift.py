@@ -23,9 +23,9 @@ class IndexDrift(Drift):
 
     name = "index-drift"
     base_rate = 2.0
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("elevation",)
-    slot = "elevation"
+    chain_error = "elevation"
     rate_parameter = Parameter("index-drift", "urad/h", "growth rate of the index error", 20 * SI_PER_UNIT["urad/h"])
     amplitude_parameter = Parameter(
         "index-drift-amplitude", "urad", "index error at the start, which then decays", 20 * MICRORADIAN

@@ -20,8 +20,8 @@ from ltsim.core.units import ARCSECOND, MILLIMETRE, PPM, SI_PER_UNIT
 from ltsim.recordings.setup import Prior
 from ltsim.scene.sightings import Sightings
 
-PriorKind = Literal["angle", "offset", "range_scale", "range_offset"]
-"""Entry of an instrument's specification that gives prior standard deviations of parameters."""
+SpecifiedQuantity = Literal["angle", "offset", "range_scale", "range_offset"]
+"""Quantity for which an instrument's specification states a standard deviation, the prior one of parameters."""
 
 
 @dataclass(frozen=True)
@@ -36,30 +36,30 @@ class Parameter:
     prior_sigma: float
     """Prior standard deviation [SI] if the specification of the instrument gives none; also the plausible size of the
     parameter in a search."""
-    prior_kind: PriorKind | None = None
-    """Entry of the instrument's specification from which the prior standard deviation is taken (an angle, an offset).
+    specified_quantity: SpecifiedQuantity | None = None
+    """Quantity of the instrument's specification whose standard deviation is the prior one, such as an angle.
 
     If None, the prior standard deviation is `prior_sigma`.
     """
-    is_positive: bool = False
-    """True for a quantity that is never negative, such as a thickness."""
+    is_nonnegative: bool = False
+    """True if the parameter is never negative, such as a thickness."""
 
     def prior_sigma_from(self, prior: Prior) -> float:
-        """Prior standard deviation [SI] from the specification `prior`, by default the parameter's `prior_sigma`."""
+        """Prior standard deviation [SI] from the specification `prior`, or `prior_sigma` if it states none."""
         if self.name in prior.parameters:
             return prior.parameters[self.name] * self.si_per_display_unit
-        if self.prior_kind is None:
+        if self.specified_quantity is None:
             return self.prior_sigma
         return {
             "angle": prior.angle_arcsec * ARCSECOND,
             "offset": prior.offset_mm * MILLIMETRE,
             "range_scale": prior.range_scale_ppm * PPM,
             "range_offset": prior.range_offset_mm * MILLIMETRE,
-        }[self.prior_kind]
+        }[self.specified_quantity]
 
     @property
     def si_per_display_unit(self) -> float:
-        """Display unit in SI units, such as 1e-6 for um."""
+        """Value of the display unit in SI units, such as 1e-6 for um."""
         return SI_PER_UNIT[self.unit]
 
 
@@ -94,7 +94,7 @@ class ShapeParameter:
     has_reciprocal_grid: bool = False
     """True if the grid of the search is evenly spaced in the reciprocal."""
 
-    def grid(self) -> Floats:
+    def grid_values(self) -> Floats:
         """Values (n_grid_values,) [SI] between the bounds that a search tries.
 
         They are evenly spaced in the value, in its logarithm (`has_logarithmic_grid`), or in its reciprocal
@@ -108,7 +108,7 @@ class ShapeParameter:
 
     def neighbouring_grid_interval(self, value: float) -> tuple[float, float]:
         """Interval (lower, upper) [SI] from one grid step below `value` to one grid step above, within the bounds."""
-        grid = np.sort(self.grid())
+        grid = np.sort(self.grid_values())
         if len(grid) < 2:
             return value, value
         i = int(np.clip(np.searchsorted(grid, value), 1, len(grid) - 1))
@@ -121,7 +121,7 @@ class ShapeParameter:
 class Linearisation(NamedTuple):
     """Change of the readings by an effect at given parameter values, with its derivatives."""
 
-    shift: Floats
+    reading_change: Floats
     """Change (n, 3) of the raw readings of n pointings."""
     parameter_derivatives: Floats
     """Derivative (n, 3, p) of the change of the readings of n pointings with respect to the p parameters."""
@@ -185,7 +185,7 @@ class LinearEffect(Protocol):
 
     @property
     def place_text(self) -> str:
-        """Names of the stations and targets at which the effect acts, separated by commas; empty for all."""
+        """Names of the stations and targets at which the effect acts, separated by commas; empty if it acts at all."""
         return ",".join(self.stations + self.targets)
 
     def pointing_indicator(self, sightings: Sightings) -> Floats:
@@ -213,7 +213,7 @@ class CandidateEffect(LinearEffect, Protocol):
     """Interface of an effect that a search compares with other candidates; it may have nonlinear constants."""
 
     shape_parameters: ClassVar[tuple[ShapeParameter, ...]] = ()
-    """Constants that enter nonlinearly; each is a field of the instance."""
+    """Constants on which the effect depends nonlinearly; each is a field of the instance."""
     n_neighbour_directions: ClassVar[int] = 1
     """Number of constants, or of coordinates, that `neighbours` varies independently of each other."""
 
@@ -228,7 +228,7 @@ class CandidateEffect(LinearEffect, Protocol):
         """Names of the quantities on which the effect depends, such as `time` or `azimuth`."""
 
     def neighbours(self, sightings: Sightings) -> Sequence[Self]:
-        """Similar effects for a local search, which are tried only if this effect is significant."""
+        """Similar effects, with slightly changed constants, that a search tries if this effect is significant."""
         return ()
 
     @property
@@ -241,11 +241,11 @@ class CandidateEffect(LinearEffect, Protocol):
 
     @property
     def source_position_axes(self) -> str:
-        """Axes of the coordinates of `source_position`."""
+        """Axes of the coordinates of `source_position`, such as `xyz`."""
         return "xyz"[: len(self.source_position)]
 
     def centred_at(self, centre: tuple[float, ...]) -> Self:
-        """Copy of the effect with its region of the hall centred at `centre` [m]; without a region, the effect."""
+        """Copy of the effect with its region of the hall centred at `centre` [m]; the effect itself if it has none."""
         return self
 
     def with_constants(self, **constants: Any) -> Self:
@@ -317,9 +317,9 @@ def design_from_displacements(sightings: Sightings, displacement: Floats) -> Flo
     return change
 
 
-def n_constants(effect: CandidateEffect) -> int:
-    """Number of constants of an effect: its parameters, and the numbers among its fields for shape and position."""
-    constants = (value for name, value in vars(effect).items() if name != "size_factor")
+def n_parameters_and_constants(effect: CandidateEffect) -> int:
+    """Number of parameters of an effect plus the number of constants (of shape and position) among its fields."""
+    constants = (value for name, value in vars(effect).items() if name != "plausible_size_factor")
     return len(effect.parameters) + sum(np.size(value) for value in constants if _is_number(value))
 
 

@@ -10,7 +10,7 @@ from ltsim.physics.effects.motions import TargetMotion
 from ltsim.physics.effects.places import first_pointing_time
 from ltsim.scene.sightings import Sightings
 
-EXPANSION_WEIGHTS = {"uniform": np.ones(3), "vertical": np.array([0.0, 0.0, 1.0])}
+AXIS_WEIGHTS_BY_EXPANSION_MODE = {"uniform": np.ones(3), "vertical": np.array([0.0, 0.0, 1.0])}
 """Weights of the thermal expansion along x, y and z, by the name of the mode of expansion."""
 
 
@@ -39,7 +39,7 @@ class MeshExpansion(TargetMotion):
 
     name = "mesh-expansion"
     base_rate = 2.0
-    stage = LightPathStage.TARGET
+    light_path_stage = LightPathStage.TARGET
     covariates = ("time", "place")
     parameters = (Parameter("mesh-expansion", "ppm/h", "growth rate of the structure", 10 * SI_PER_UNIT["ppm/h"]),)
 
@@ -51,4 +51,4 @@ class MeshExpansion(TargetMotion):
     def displacement(self, sightings: Sightings) -> Floats:
         time_since_start = self.pointing_indicator(sightings) * (sightings.time - first_pointing_time(sightings))
         relative_position = sightings.target_points[sightings.target] - sightings.target_points.mean(axis=0)
-        return (time_since_start[:, None] * relative_position * EXPANSION_WEIGHTS[self.mode])[:, :, None]
+        return (time_since_start[:, None] * relative_position * AXIS_WEIGHTS_BY_EXPANSION_MODE[self.mode])[:, :, None]

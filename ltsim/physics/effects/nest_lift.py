@@ -40,7 +40,7 @@ class NestLift(TargetMotion):
 
     name = "nest-lift"
     base_rate = 2.0
-    stage = LightPathStage.TARGET
+    light_path_stage = LightPathStage.TARGET
     covariates = ("place",)
     scope = "pointing"
     may_recur = True

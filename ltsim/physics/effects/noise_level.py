@@ -28,7 +28,7 @@ class NoiseLevel(NoiseEffect):
     sheet, which differ from the scatter of the readings in most recordings. It is an expert judgement, as all prior
     probabilities of causes."""
     min_relative_size = -0.95
-    stage = LightPathStage.NOISE
+    light_path_stage = LightPathStage.NOISE
     parameters = (
         Parameter("noise-distance", "", "variance added to the ranges, divided by the declared variance", 1.0),
         Parameter("noise-azimuth", "", "variance added to the azimuths, divided by the declared variance", 1.0),

@@ -12,7 +12,7 @@ Observable = Literal["distance", "azimuth", "elevation"]
 """Name of an observable."""
 
 
-OBSERVABLE_COLUMN: dict[Observable, int] = {"distance": 0, "azimuth": 1, "elevation": 2}
+READING_COLUMN_BY_OBSERVABLE: dict[Observable, int] = {"distance": 0, "azimuth": 1, "elevation": 2}
 """Column of each observable in the array of readings."""
 MAX_SEARCHED_POINTINGS = 1500
 """Number of pointings above which a search has no candidates for single outliers; the w-test of an adjustment detects
@@ -41,7 +41,7 @@ class Outlier(Effect):
 
     name = "outlier"
     base_rate = 8.0
-    stage = LightPathStage.ELECTRONICS
+    light_path_stage = LightPathStage.ELECTRONICS
     scope = "reading"
     may_recur = True
     parameters = (Parameter("outlier", "um", "correction of the range", 300 * MICROMETRE),)
@@ -61,10 +61,12 @@ class Outlier(Effect):
             ((sightings.station_names[s],), (sightings.target_names[t],))
             for s, t in zip(sightings.station, sightings.target, strict=True)
         ]
-        return [cls(*place, row, o) for o in OBSERVABLE_COLUMN for row, place in enumerate(places)]
+        return [cls(*place, row, o) for o in READING_COLUMN_BY_OBSERVABLE for row, place in enumerate(places)]
 
     def design(self, sightings: Sightings) -> Floats:
         design = np.zeros((len(sightings), 3, 1))
         if self.row < len(sightings):
-            design[self.row, OBSERVABLE_COLUMN[self.observable], 0] = -self.pointing_indicator(sightings)[self.row]
+            design[self.row, READING_COLUMN_BY_OBSERVABLE[self.observable], 0] = -self.pointing_indicator(sightings)[
+                self.row
+            ]
         return design

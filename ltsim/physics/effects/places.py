@@ -113,7 +113,7 @@ class Drift(Effect):
 
     covariates = ("time",)
     shape_parameters = (WARM_UP_TIME_CONSTANT_PARAMETER,)
-    slot: ClassVar[str]
+    chain_error: ClassVar[str]
     """Key of the error of the kinematic chain that drifts, such as `azimuth`."""
     rate_parameter: ClassVar[Parameter]
     """Parameter of the laws of time that are linear (``visit`` and ``linear``): correction per time."""
@@ -139,9 +139,9 @@ class Drift(Effect):
         linear. In a recording without times, row numbers replace time.
         """
         span = float(np.ptp(sightings.time))
-        times = [t for t in WARM_UP_TIME_CONSTANT_PARAMETER.grid().tolist() if t <= MAX_TIME_CONSTANT_RATIO * span] or [
-            share * span for share in SHORT_RECORDING_TIME_CONSTANT_FRACTIONS
-        ]
+        times = [
+            t for t in WARM_UP_TIME_CONSTANT_PARAMETER.grid_values().tolist() if t <= MAX_TIME_CONSTANT_RATIO * span
+        ] or [share * span for share in SHORT_RECORDING_TIME_CONSTANT_FRACTIONS]
         names = sightings.station_names if len(sightings.station_names) > 1 else ()
         linear = [cls(law=law) for law in (cls.candidate_linear_laws if names else cls.candidate_linear_laws[:1])]
         single_station_drifts = [cls((name,), law="visit") for name in names if cls.tries_single_stations]
@@ -157,5 +157,5 @@ class Drift(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         drift_per_unit = self.pointing_indicator(sightings) * self.time_law_values(sightings)
-        column: Floats = sightings.reading_change_by_error_key[self.slot] * drift_per_unit[:, None]
+        column: Floats = sightings.reading_change_by_error_key[self.chain_error] * drift_per_unit[:, None]
         return column[:, :, None]

@@ -48,7 +48,7 @@ class RangeCyclic(Effect):
     """Unit length L [m], the period of the error in the range."""
 
     name = "range-cyclic"
-    stage = LightPathStage.RANGE
+    light_path_stage = LightPathStage.RANGE
     observables = ("distance",)
     covariates = ("distance",)
     parameters = (

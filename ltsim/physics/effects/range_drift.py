@@ -19,9 +19,9 @@ class RangeDrift(Drift):
     """
 
     name = "range-drift"
-    stage = LightPathStage.RANGE
+    light_path_stage = LightPathStage.RANGE
     observables = ("distance",)
-    slot = "range"
+    chain_error = "range"
     rate_parameter = Parameter(
         "range-drift", "um/h", "growth rate of the length by which every range is too short", 15 * SI_PER_UNIT["um/h"]
     )

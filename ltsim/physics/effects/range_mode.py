@@ -24,7 +24,7 @@ class RangeMode(Effect):
     """
 
     name = "range-mode"
-    stage = LightPathStage.RANGE
+    light_path_stage = LightPathStage.RANGE
     observables = ("distance",)
     covariates = (DISTANCE_METER_COLUMN,)
     parameters = (

@@ -1,8 +1,8 @@
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, SlotTerm
+from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, LightPathStage, Parameter
 
 
-class RangeOffset(SlotEffect):
+class RangeOffset(ChainErrorEffect):
     """Range zero error: the bird-bath distance or the offset of the absolute distance meter is wrong.
 
     Delta_d = rho_0: all ranges have the same error, on both faces.
@@ -20,9 +20,9 @@ class RangeOffset(SlotEffect):
 
     name = "range-offset"
     base_rate = 2.0
-    stage = LightPathStage.RANGE
+    light_path_stage = LightPathStage.RANGE
     observables = ("distance",)
     parameters = (
         Parameter("range-offset", "um", "length by which every range is too short", 10 * MICROMETRE, "range_offset"),
     )
-    terms = (SlotTerm("range"),)
+    terms = (ChainErrorTerm("range"),)

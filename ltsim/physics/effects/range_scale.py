@@ -1,8 +1,8 @@
 from ltsim.core.units import PPM
-from ltsim.physics.effects.effect import LightPathStage, Parameter, RangePowerBasis, SlotEffect, SlotTerm
+from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, LightPathStage, Parameter, RangePowerBasis
 
 
-class RangeScale(SlotEffect):
+class RangeScale(ChainErrorEffect):
     """Range scale error: the laser frequency or a common refractive index of the air is wrong.
 
     Delta_d = s d, the same on both faces. Air enters with 0.955 ppm/K, -0.268 ppm/hPa and 0.0085 ppm/%RH (633 nm, 20
@@ -19,9 +19,9 @@ class RangeScale(SlotEffect):
     """
 
     name = "range-scale"
-    stage = LightPathStage.RANGE
+    light_path_stage = LightPathStage.RANGE
     observables = ("distance",)
     parameters = (
         Parameter("range-scale", "ppm", "fraction by which every range is read too short", 2 * PPM, "range_scale"),
     )
-    terms = (SlotTerm("range", RangePowerBasis()),)
+    terms = (ChainErrorTerm("range", RangePowerBasis()),)

@@ -28,7 +28,7 @@ class RangeStep(Effect):
     """Time [s] of the step."""
 
     name = "range-step"
-    stage = LightPathStage.RANGE
+    light_path_stage = LightPathStage.RANGE
     observables = ("distance",)
     covariates = ("time",)
     scope = "station"

@@ -23,7 +23,7 @@ class ReflectorConstant(Effect):
 
     name = "reflector-constant"
     base_rate = 2.0
-    stage = LightPathStage.RANGE
+    light_path_stage = LightPathStage.RANGE
     observables = ("distance",)
     scope = "station"
     parameters = (

@@ -22,7 +22,7 @@ class RefractivityDrift(Effect):
 
     name = "refractivity-drift"
     base_rate = 2.0
-    stage = LightPathStage.AIR
+    light_path_stage = LightPathStage.AIR
     observables = ("distance",)
     covariates = ("time", "distance")
     parameters = (

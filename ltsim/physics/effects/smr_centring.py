@@ -47,7 +47,7 @@ class SmrCentring(Effect):
     """
 
     name = "smr-centring"
-    stage = LightPathStage.TARGET
+    light_path_stage = LightPathStage.TARGET
     covariates = ("incidence", "place")
     scope = "target"
     may_recur = True

@@ -25,7 +25,7 @@ class SmrDihedral(Effect):
 
     name = "smr-dihedral"
     base_rate = 0.5
-    stage = LightPathStage.TARGET
+    light_path_stage = LightPathStage.TARGET
     observables = ("azimuth", "elevation")
     covariates = ("distance", "place")
     scope = "target"

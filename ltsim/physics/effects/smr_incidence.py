@@ -10,52 +10,59 @@ from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
 
-TABLE_ANGLES = np.arange(-30.0, 30.1, 7.5) * DEGREE
+INCIDENCE_TABLE_ANGLES = np.arange(-30.0, 30.1, 7.5) * DEGREE
 """Incidence angles [rad] of a table of range errors of a reflector, as in fig. 9 of Sensors 2021, 21, 7479."""
 MAX_INCIDENCE = 30.0 * DEGREE
 """Largest incidence angle [rad] in a table of range errors."""
 PAPER_RANGE_ERRORS = tuple(x * MICROMETRE for x in (13.0, 8.6, 4.9, 3.4, 2.9, 3.1, 3.6, 5.8, 8.2))
-"""Range errors (reading - true range) [m] at `TABLE_ANGLES`, with the size and asymmetry of fig. 9 of Sensors 2021, 21,
-7479."""
-KNOT_ANGLES = TABLE_ANGLES[len(TABLE_ANGLES) // 2 : -1]
-"""Incidence angles (4,) [rad] at which the slope of the range error may change: the angles of `TABLE_ANGLES` from 0 up,
-except the last."""
-EVEN_SLOPE_SIGMA = 1.5 * MICROMETRE
+"""Range errors (reading - true range) [m] at `INCIDENCE_TABLE_ANGLES`, with the size and asymmetry of fig. 9 of Sensors
+2021, 21, 7479."""
+INCIDENCE_KNOT_ANGLES = INCIDENCE_TABLE_ANGLES[len(INCIDENCE_TABLE_ANGLES) // 2 : -1]
+"""Incidence angles (4,) [rad] at which the slope of the range error may change: the angles of `INCIDENCE_TABLE_ANGLES`
+from 0 up, except the last."""
+EVEN_SLOPE_CHANGE_SIGMA = 1.5 * MICROMETRE
 """Prior standard deviation [m] of a change of slope in the part of the incidence error that is the same for all
 directions (even part), expressed as its contribution to the error 7.5 deg further. At 30 deg the even part then has a
 standard deviation of 8.2 um; in `PAPER_RANGE_ERRORS` it is 7.7 um."""
-ODD_SLOPE_SIGMA = 0.6 * MICROMETRE
+ODD_SLOPE_CHANGE_SIGMA = 0.6 * MICROMETRE
 """Prior standard deviation [m] of a change of slope in each part of the incidence error that is opposite for opposite
 directions (odd part), expressed as its contribution to the error 7.5 deg further. At 30 deg an odd part then has a
 standard deviation of 3.3 um; in `PAPER_RANGE_ERRORS` it is 2.4 um."""
-THREEFOLD_SIGMA = 5 * MICROMETRE
+THREEFOLD_PART_SIGMA = 5 * MICROMETRE
 """Prior standard deviation [m] of the part of the incidence error with three periods per turn around the nest's normal,
 which comes from the three mirrors."""
-AZIMUTHAL_PARTS = ("even", "cos", "sin")
+INCIDENCE_ERROR_PARTS = ("even", "cos", "sin")
 """Parts of the incidence error by their dependence on the direction of incidence: none, its cosine, its sine."""
 _PART_DESCRIPTIONS = (
     "the same for all directions",
     "to the horizontal side, opposite on the other",
     "to the upper side, opposite below",
 )
-"""Descriptions for users of the directions of incidence in which each of `AZIMUTHAL_PARTS` changes the range."""
+"""Descriptions for users of the directions of incidence in which each of `INCIDENCE_ERROR_PARTS` changes the range."""
 
 
 def _ramp_parameters() -> tuple[Parameter, ...]:
-    """Parameters of `AZIMUTHAL_PARTS`: for each of `KNOT_ANGLES` the size at 30 deg of a ramp from this angle."""
-    steps = range(len(KNOT_ANGLES), 0, -1)
+    """Sizes at 30 deg of the ramps from each of `INCIDENCE_KNOT_ANGLES`, for each of `INCIDENCE_ERROR_PARTS`."""
+    steps = range(len(INCIDENCE_KNOT_ANGLES), 0, -1)
     return tuple(
-        Parameter(f"{part}-{number}", "um", f"{meaning}, from {knot:g} deg on, its size at 30 deg", step * bend)
-        for part, meaning, bend in zip(
-            AZIMUTHAL_PARTS, _PART_DESCRIPTIONS, (EVEN_SLOPE_SIGMA, ODD_SLOPE_SIGMA, ODD_SLOPE_SIGMA), strict=True
+        Parameter(
+            f"{part}-{number}", "um", f"range error at 30 deg by a ramp from {knot:g} deg, {meaning}", step * bend
         )
-        for number, knot, step in zip(("first", "second", "third", "fourth"), KNOT_ANGLES / DEGREE, steps, strict=True)
+        for part, meaning, bend in zip(
+            INCIDENCE_ERROR_PARTS,
+            _PART_DESCRIPTIONS,
+            (EVEN_SLOPE_CHANGE_SIGMA, ODD_SLOPE_CHANGE_SIGMA, ODD_SLOPE_CHANGE_SIGMA),
+            strict=True,
+        )
+        for number, knot, step in zip(
+            ("first", "second", "third", "fourth"), INCIDENCE_KNOT_ANGLES / DEGREE, steps, strict=True
+        )
     )
 
 
 def _ramp_values(incidence: Floats) -> Floats:
     """Values (n, 4) of four ramps at n incidence angles (n,) [rad]: 0 up to the ramp's knot angle, 1 from 30 deg on."""
-    return np.clip((incidence[:, None] - KNOT_ANGLES) / (MAX_INCIDENCE - KNOT_ANGLES), 0.0, 1.0)
+    return np.clip((incidence[:, None] - INCIDENCE_KNOT_ANGLES) / (MAX_INCIDENCE - INCIDENCE_KNOT_ANGLES), 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -83,29 +90,34 @@ class SmrIncidence(Effect):
     """
 
     table: tuple[float, ...] = ()
-    """Range errors (reading - true range) [m] at `TABLE_ANGLES`, relative to any zero. If empty, the parameters alone
-    define the error.
+    """Range errors (reading - true range) [m] at `INCIDENCE_TABLE_ANGLES`, relative to any zero. If empty, only the
+    parameters define the error.
     """
     direction: float = 0.0
     """Direction chi_0 [rad] around the nest's normal to which the table's positive side points."""
 
     name: ClassVar[str] = "smr-incidence"
-    stage: ClassVar[LightPathStage] = LightPathStage.TARGET
+    light_path_stage: ClassVar[LightPathStage] = LightPathStage.TARGET
     observables: ClassVar[tuple[str, ...]] = ("distance",)
     covariates: ClassVar[tuple[str, ...]] = ("incidence",)
     parameters: ClassVar[tuple[Parameter, ...]] = (
         *_ramp_parameters(),
         Parameter(
-            "threefold-cos", "um", "cosine part of the error of three mirrors, amplitude at 30 deg", THREEFOLD_SIGMA
+            "threefold-cos",
+            "um",
+            "cosine part of the error of three mirrors, amplitude at 30 deg",
+            THREEFOLD_PART_SIGMA,
         ),
         Parameter(
-            "threefold-sin", "um", "sine part of the error of three mirrors, amplitude at 30 deg", THREEFOLD_SIGMA
+            "threefold-sin", "um", "sine part of the error of three mirrors, amplitude at 30 deg", THREEFOLD_PART_SIGMA
         ),
     )
 
     def __post_init__(self) -> None:
-        if self.table and len(self.table) != len(TABLE_ANGLES):
-            raise ModelError(f"smr-incidence.table has {len(self.table)} values, expected {len(TABLE_ANGLES)}")
+        if self.table and len(self.table) != len(INCIDENCE_TABLE_ANGLES):
+            raise ModelError(
+                f"smr-incidence.table has {len(self.table)} values, expected {len(INCIDENCE_TABLE_ANGLES)}"
+            )
 
     @classmethod
     def range_correction_design(cls, incidence: Floats, direction: Floats) -> Floats:
@@ -127,10 +139,10 @@ class SmrIncidence(Effect):
         """Parameters (14,) [m] with the same range corrections as `table`; zeros without a table."""
         if not self.table:
             return np.zeros(len(self.parameters))
-        middle_index = len(TABLE_ANGLES) // 2
+        middle_index = len(INCIDENCE_TABLE_ANGLES) // 2
         upper = np.array(self.table[middle_index + 1 :]) - self.table[middle_index]
         lower = np.array(self.table[:middle_index][::-1]) - self.table[middle_index]
-        at_knots = _ramp_values(np.append(KNOT_ANGLES[1:], MAX_INCIDENCE))
+        at_knots = _ramp_values(np.append(INCIDENCE_KNOT_ANGLES[1:], MAX_INCIDENCE))
         even, odd = np.linalg.solve(at_knots, 0.5 * np.stack([upper + lower, upper - lower], axis=1)).T
         odds = odd * np.cos(self.direction), odd * np.sin(self.direction)
         return -np.concatenate([even, *odds, np.zeros(2)])

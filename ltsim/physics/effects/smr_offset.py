@@ -26,7 +26,7 @@ class SmrOffset(TargetMotion):
     """
 
     name = "smr-offset"
-    stage = LightPathStage.TARGET
+    light_path_stage = LightPathStage.TARGET
     covariates = ("incidence", "place")
     scope = "station"
     parameters = (Parameter("radius-difference", "mm", "radius of the SMR minus the declared radius", 5 * MILLIMETRE),)

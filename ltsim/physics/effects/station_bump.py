@@ -32,7 +32,7 @@ class StationBump(StationMotion):
 
     name = "station-bump"
     base_rate = 4.0
-    stage = LightPathStage.STATION
+    light_path_stage = LightPathStage.STATION
     covariates = ("time",)
     scope = "station"
     parameters = (

@@ -25,7 +25,7 @@ class StationLevelling(StationMotion):
     """
 
     name = "station-levelling"
-    stage = LightPathStage.STATION
+    light_path_stage = LightPathStage.STATION
     observables = ("azimuth", "elevation")
     covariates = ("place",)
     scope = "station"

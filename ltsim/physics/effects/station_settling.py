@@ -36,7 +36,7 @@ class StationSettling(StationMotion):
 
     name = "station-settling"
     base_rate = 2.0
-    stage = LightPathStage.STATION
+    light_path_stage = LightPathStage.STATION
     covariates = ("time",)
     scope = "station"
     parameters = (

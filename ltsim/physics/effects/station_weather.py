@@ -20,7 +20,7 @@ class StationWeather(Effect):
 
     name = "station-weather"
     base_rate = 2.0
-    stage = LightPathStage.AIR
+    light_path_stage = LightPathStage.AIR
     observables = ("distance",)
     covariates = ("distance",)
     scope = "station"

@@ -43,7 +43,7 @@ class TargetMoved(TargetMotion):
 
     name = "target-moved"
     base_rate = 4.0
-    stage = LightPathStage.TARGET
+    light_path_stage = LightPathStage.TARGET
     covariates = ("time",)
     scope = "target"
     may_recur = True

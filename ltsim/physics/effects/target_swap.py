@@ -26,7 +26,7 @@ class TargetSwap(Blunder):
     """
 
     name = "target-swap"
-    stage = LightPathStage.ELECTRONICS
+    light_path_stage = LightPathStage.ELECTRONICS
     covariates = ("place",)
     scope = "pointing"
     parameters = (Parameter("swapped", "", "1 for exchanged targets", 1.0),)

@@ -32,7 +32,7 @@ class TimingLag(Effect):
 
     name = "timing-lag"
     base_rate = 0.5
-    stage = LightPathStage.ELECTRONICS
+    light_path_stage = LightPathStage.ELECTRONICS
     covariates = ("time", "approach")
     parameters = (
         Parameter("lag-distance", "ms", "delay of the range", 0.3e-3),

@@ -1,8 +1,8 @@
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, SlotTerm
+from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, LightPathStage, Parameter
 
 
-class TransitOffset(SlotEffect):
+class TransitOffset(ChainErrorEffect):
     """Transit offset: the transit axis does not intersect the standing axis.
 
     Delta_d = f tau cos(el), Delta_elevation = -f tau sin(el) / d, at the elevation el and the range d, with the offset
@@ -18,9 +18,9 @@ class TransitOffset(SlotEffect):
     """
 
     name = "transit-offset"
-    stage = LightPathStage.AXES
+    light_path_stage = LightPathStage.AXES
     observables = ("distance", "elevation")
     parameters = (
         Parameter("transit-offset", "um", "transit axis in front of the standing axis", 20 * MICROMETRE, "offset"),
     )
-    terms = (SlotTerm("transit-offset"),)
+    terms = (ChainErrorTerm("transit-offset"),)

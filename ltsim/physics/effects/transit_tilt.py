@@ -1,8 +1,8 @@
 from ltsim.core.units import ARCSECOND
-from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, SlotTerm
+from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, LightPathStage, Parameter
 
 
-class TransitTilt(SlotEffect):
+class TransitTilt(ChainErrorEffect):
     """Transit tilt: the transit axis is not perpendicular to the standing axis.
 
     Delta_azimuth = -f kappa tan(el) at the elevation el, with the tilt kappa of the transit axis and f = +1 on face 1
@@ -20,9 +20,9 @@ class TransitTilt(SlotEffect):
     """
 
     name = "transit-tilt"
-    stage = LightPathStage.AXES
+    light_path_stage = LightPathStage.AXES
     observables = ("azimuth",)
     parameters = (
         Parameter("transit-tilt", "urad", "transit axis not square to the standing axis", 3 * ARCSECOND, "angle"),
     )
-    terms = (SlotTerm("transit-tilt"),)
+    terms = (ChainErrorTerm("transit-tilt"),)

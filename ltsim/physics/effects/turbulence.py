@@ -24,7 +24,7 @@ class Turbulence(NoiseEffect):
     """
 
     name = "turbulence"
-    stage = LightPathStage.AIR
+    light_path_stage = LightPathStage.AIR
     covariates = ("distance",)
     parameters = (
         Parameter(

@@ -10,11 +10,11 @@ from ltsim.physics.effects import CATALOGUE, find_effect
 from ltsim.physics.effects.descriptions import EffectDescription, EffectList
 from ltsim.physics.effects.effect import Effect as AnyEffect, LinearEffect
 
-PLACE_FIELDS = ("stations", "targets")
-"""Fields of an effect with the names of the stations and targets where it acts."""
-COMMON_FIELDS = {f.name for f in dataclasses.fields(AnyEffect)}
+LOCATION_FIELDS = ("stations", "targets")
+"""Names of the fields of an effect that contain the stations and targets where it acts."""
+COMMON_EFFECT_FIELDS = {f.name for f in dataclasses.fields(AnyEffect)}
 """Names of the fields that every effect has; further fields of an effect are its constants."""
-MAX_SIMULATED_BOUND_RATIO = 100.0
+MAX_FACTOR_BEYOND_SEARCH_BOUNDS = 100.0
 """Factor by which a constant of a simulated effect (a length or time) may lie outside the bounds of a search for the
 constant."""
 
@@ -64,7 +64,7 @@ def Effect(  # noqa: N802 - it stands for a class of the catalogue
     >>> lt.Effect("index-drift", stations="S3", law="visit").stations
     ('S3',)
     """
-    places = dict(zip(PLACE_FIELDS, (name_tuple(stations), name_tuple(targets)), strict=True))
+    places = dict(zip(LOCATION_FIELDS, (name_tuple(stations), name_tuple(targets)), strict=True))
     name_by_key = {key.replace("_", "-"): key for key in constants}
     sized = {
         p.name: name_by_key[key]
@@ -99,7 +99,7 @@ def make_effect(name: str, places: Mapping[str, tuple[str, ...]], constants: Map
     for an invalid value.
     """
     kind = find_effect(name)
-    fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in COMMON_FIELDS}
+    fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in COMMON_EFFECT_FIELDS}
     units = {s.name: SI_PER_UNIT[s.unit] for s in kind.shape_parameters}
     si_constants: dict[str, Any] = {}
     for key, value in constants.items():
@@ -127,7 +127,10 @@ def _check_constants(effect: AnyEffect) -> None:
             raise ModelError(f"{effect.name}.{field.name} is {value!r}, expected one of {', '.join(map(str, choices))}")
     for shape in effect.shape_parameters:
         value, unit = getattr(effect, shape.name), SI_PER_UNIT[shape.unit]
-        low, high = shape.lower_bound / MAX_SIMULATED_BOUND_RATIO, shape.upper_bound * MAX_SIMULATED_BOUND_RATIO
+        low, high = (
+            shape.lower_bound / MAX_FACTOR_BEYOND_SEARCH_BOUNDS,
+            shape.upper_bound * MAX_FACTOR_BEYOND_SEARCH_BOUNDS,
+        )
         if (
             isinstance(value, float)
             and (shape.has_logarithmic_grid or shape.has_reciprocal_grid)
@@ -151,10 +154,10 @@ def _constant_in_si(key: str, value: Any, default: Any, unit: float) -> Any:
     return value * unit if isinstance(default, float) else value
 
 
-def display_constants(effect: AnyEffect) -> dict[str, Any]:
+def constants_in_display_units(effect: AnyEffect) -> dict[str, Any]:
     """Constants of an effect by name, in display units, as `make_effect` takes them."""
     units = {s.name: SI_PER_UNIT[s.unit] for s in effect.shape_parameters}
-    names = [f.name for f in dataclasses.fields(effect) if f.name not in COMMON_FIELDS]
+    names = [f.name for f in dataclasses.fields(effect) if f.name not in COMMON_EFFECT_FIELDS]
     value_by_name = {name: getattr(effect, name) for name in names}
     return {name: value / units[name] if name in units else value for name, value in value_by_name.items()}
 
@@ -193,7 +196,7 @@ def add_effect(effect_class: type[AnyEffect]) -> type[AnyEffect]:
     Parameters
     ----------
     effect_class : type of Effect
-        Effect class with a name, a stage, parameters and `design`.
+        Effect class with `name`, `light_path_stage`, `parameters` and `design`.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 from ltsim.core.units import ARCSECOND
-from ltsim.physics.effects.effect import LightPathStage, Parameter, SlotEffect, SlotTerm
+from ltsim.physics.effects.effect import ChainErrorEffect, ChainErrorTerm, LightPathStage, Parameter
 
 
-class VerticalIndex(SlotEffect):
+class VerticalIndex(ChainErrorEffect):
     """Vertical index error: the zero of the elevation circle is wrong, or the beam tilts upward.
 
     Delta_elevation = f phi_0, with the index error phi_0 and f = +1 on face 1 and -1 on face 2. It is the same for all
@@ -19,7 +19,7 @@ class VerticalIndex(SlotEffect):
     """
 
     name = "vertical-index"
-    stage = LightPathStage.ENCODERS
+    light_path_stage = LightPathStage.ENCODERS
     observables = ("elevation",)
     parameters = (Parameter("vertical-index", "urad", "zero of the elevation encoder", 3 * ARCSECOND, "angle"),)
-    terms = (SlotTerm("elevation"),)
+    terms = (ChainErrorTerm("elevation"),)

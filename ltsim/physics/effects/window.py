@@ -48,11 +48,11 @@ class Window(TargetMotion):
 
     name = "window"
     base_rate = 0.5
-    stage = LightPathStage.AIR
+    light_path_stage = LightPathStage.AIR
     covariates = ("azimuth", "incidence")
     scope = "pointing"
     n_neighbour_directions = 2
-    parameters = (Parameter("thickness", "mm", "thickness of the glass", 3 * MILLIMETRE, is_positive=True),)
+    parameters = (Parameter("thickness", "mm", "thickness of the glass", 3 * MILLIMETRE, is_nonnegative=True),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

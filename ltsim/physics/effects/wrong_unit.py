@@ -35,7 +35,7 @@ class WrongUnit(Blunder):
     """Name of the wrong unit or convention, a key of `UNIT_ERRORS_BY_NAME`."""
 
     name = "wrong-unit"
-    stage = LightPathStage.ELECTRONICS
+    light_path_stage = LightPathStage.ELECTRONICS
     scope = "station"
     parameters = (Parameter("mistaken", "", "1 for a wrong unit", 1.0),)
 

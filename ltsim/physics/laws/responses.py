@@ -17,7 +17,7 @@ from ltsim.core.units import ARCSECOND, MICROMETRE, PPM, SI_PER_UNIT
 from ltsim.physics.effects import MISALIGNMENT_EFFECTS
 from ltsim.physics.effects.air_gradient import AirGradient
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
-from ltsim.physics.effects.effect import SlotTerm
+from ltsim.physics.effects.effect import ChainErrorTerm
 from ltsim.physics.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.physics.effects.linear_effect import design_from_displacements, design_from_front_face_corrections
 from ltsim.physics.effects.motions import station_motion_design
@@ -67,7 +67,7 @@ class Response:
         return unit, scale / SI_PER_UNIT[unit]
 
 
-_SLOT_RESPONSES = {
+_CHAIN_ERROR_RESPONSES = {
     "elevation": Response("vertical index", "urad", PLAUSIBLE_ANGLE_ERROR, ("elevation",)),
     "transit-offset": Response("transit offset", "um", PLAUSIBLE_LENGTH_ERROR),
     "transit-tilt": Response("transit tilt", "urad", PLAUSIBLE_ANGLE_ERROR, ("azimuth",)),
@@ -127,12 +127,15 @@ def constant_names_of_slot(slot: str) -> tuple[str, ...]:
     `slot` is the key of the error (`error_key`).
     """
     return tuple(
-        p.name for e in MISALIGNMENT_EFFECTS for p, t in zip(e.parameters, e.terms, strict=True) if t == SlotTerm(slot)
+        p.name
+        for e in MISALIGNMENT_EFFECTS
+        for p, t in zip(e.parameters, e.terms, strict=True)
+        if t == ChainErrorTerm(slot)
     )
 
 
 VARIED_CONSTANTS_BY_RESPONSE = (
-    {response.name: constant_names_of_slot(slot) for slot, response in _SLOT_RESPONSES.items()}
+    {response.name: constant_names_of_slot(slot) for slot, response in _CHAIN_ERROR_RESPONSES.items()}
     | {response.name: tuple(p.name for p in effect.parameters) for response, effect in _ECCENTRICITY_RESPONSES.items()}
     | {"distance": constant_names_of_slot("range"), _RANGE_SCALE_RESPONSE.name: ("range-scale",)}
 )
@@ -171,7 +174,7 @@ def _multi_observable_design(sightings: Sightings, response: Response) -> Floats
     return np.concatenate(component_designs, axis=2)
 
 
-def _slot_design(sightings: Sightings, slot: str) -> Floats:
+def _chain_error_design(sightings: Sightings, slot: str) -> Floats:
     """Change (n, 3, 1) of the readings of n pointings per unit of the kinematic chain's error with the key `slot`."""
     return sightings.reading_change_by_error_key[slot][:, :, None]
 
@@ -214,7 +217,7 @@ def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
     derivatives: list[tuple[Response, ResponseDesignFunction]] = [
         *((response, partial(_observable_design, observable=response.name)) for response in _READING_RESPONSES),
         *((response, partial(_multi_observable_design, response=response)) for response in _MULTI_OBSERVABLE_RESPONSES),
-        *((response, partial(_slot_design, slot=slot)) for slot, response in _SLOT_RESPONSES.items()),
+        *((response, partial(_chain_error_design, slot=slot)) for slot, response in _CHAIN_ERROR_RESPONSES.items()),
         *((response, effect.design) for response, effect in _ECCENTRICITY_RESPONSES.items()),
         (_RANGE_SCALE_RESPONSE, _range_scale_design),
         (_STAND_TILT_RESPONSE, lambda s: station_motion_design(s)[:, :, 3:5]),

@@ -17,14 +17,14 @@ from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.azimuth_second_order import AzimuthSecondOrder
 from ltsim.physics.effects.effect import (
     BasisFunction,
+    ChainErrorEffect,
+    ChainErrorTerm,
     HarmonicBasis,
     Parameter,
     RangePowerBasis,
-    SlotEffect,
-    SlotTerm,
     constant_basis,
 )
-from ltsim.physics.effects.linear_effect import PriorKind
+from ltsim.physics.effects.linear_effect import SpecifiedQuantity
 from ltsim.physics.effects.range_offset import RangeOffset
 from ltsim.physics.effects.range_scale import RangeScale
 from ltsim.physics.effects.transit_offset import TransitOffset
@@ -36,8 +36,8 @@ MAX_NEWTON_STEPS = 12
 """Largest number of Newton steps in the inversion of the kinematic chain."""
 NEWTON_TOLERANCE = 1e-14
 """Size of a Newton step [m, rad] below which the inversion of the kinematic chain ends."""
-FINAL_STEP_THRESHOLD = 1e-11
-"""Size of a Newton step [m, rad] after which one last step with the exact derivative leaves only rounding errors."""
+NEWTON_FINAL_STEP_THRESHOLD = 1e-11
+"""Size of a Newton step [m, rad] below which one last step with the exact derivative leaves only rounding errors."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class GeometricErrorModel:
     kinematic_chain: kinematics.KinematicChain
     parameters: tuple[Parameter, ...]
     """Error parameters of the instrument."""
-    terms: tuple[SlotTerm, ...]
+    terms: tuple[ChainErrorTerm, ...]
     """Terms, one per parameter: the error of the chain that the parameter changes, and its basis function."""
 
     @property
@@ -66,7 +66,7 @@ class GeometricErrorModel:
         marks = [f"@{name}" if name and len(instruments) > 1 else "" for name in instruments]
         return tuple(name + mark for mark in marks for name in self.parameter_names)
 
-    def index(self, name: str) -> int:
+    def parameter_index(self, name: str) -> int:
         """Index, among `parameters`, of the parameter with the name `name`."""
         if name not in self.parameter_names:
             raise unknown_name_error("instrument parameter", name, self.parameter_names)
@@ -79,16 +79,16 @@ class GeometricErrorModel:
         return replace(self, parameters=parameters, terms=terms)
 
     @cached_property
-    def _chain_with_reading_slots(self) -> tuple[kinematics.KinematicChain, tuple[str, ...]]:
+    def _chain_with_reading_errors(self) -> tuple[kinematics.KinematicChain, tuple[str, ...]]:
         """Kinematic chain with an error in each motion that depends on a reading, and keys of the three errors."""
-        zero_reading, chain, slots = np.zeros((1, 3)), list(self.kinematic_chain), []
+        zero_reading, chain, error_keys = np.zeros((1, 3)), list(self.kinematic_chain), []
         functions = [m.nominal_amount for m in self.kinematic_chain]
         for column in range(3):
             unit_reading = np.eye(3)[[column]]
             place = [f is not None and f(unit_reading)[0] != f(zero_reading)[0] for f in functions].index(True)
-            slots.append(chain[place].error_key or f"reading-{column}")
-            chain[place] = replace(chain[place], error_key=slots[-1])
-        return tuple(chain), tuple(slots)
+            error_keys.append(chain[place].error_key or f"reading-{column}")
+            chain[place] = replace(chain[place], error_key=error_keys[-1])
+        return tuple(chain), tuple(error_keys)
 
     def basis_values(self, readings: Floats) -> Floats:
         """Value (n, p) of the basis function of each of p parameters at n raw readings (n, 3)."""
@@ -98,31 +98,31 @@ class GeometricErrorModel:
         return bases.T
 
     @cached_property
-    def _reading_dependent_terms(self) -> list[tuple[int, SlotTerm]]:
+    def _reading_dependent_terms(self) -> list[tuple[int, ChainErrorTerm]]:
         """Indices and terms of the parameters whose basis function depends on the readings."""
         return [(k, term) for k, term in enumerate(self.terms) if term.basis is not constant_basis]
 
-    def errors_by_slot(self, readings: Floats, parameter_values: Floats) -> dict[str, Floats]:
-        """Errors (n,) or one number [m, rad] of the chain's motions by key, at n raw readings (n, 3).
+    def chain_errors(self, readings: Floats, parameter_values: Floats) -> dict[str, Floats]:
+        """Errors (n,) or one number [m, rad] of the kinematic chain's motions, by key, at n raw readings (n, 3).
 
-        `parameter_values` (p,) or (n, p) [SI] are the values of the p parameters, common or separate for each reading.
+        Keys are the `error_slot` of the motions. `parameter_values` (p,), or (n, p) for each reading, are in SI units.
         """
-        error_by_slot: dict[str, Floats] = {}
+        errors: dict[str, Floats] = {}
         for term, value in zip(self.terms, parameter_values.T, strict=True):
             amount = value if term.basis is constant_basis else term.basis(readings) * value
-            error_by_slot[term.slot] = error_by_slot[term.slot] + amount if term.slot in error_by_slot else amount
-        return error_by_slot
+            errors[term.chain_error] = errors[term.chain_error] + amount if term.chain_error in errors else amount
+        return errors
 
     def _errors_from_basis_values(self, basis_values: Floats, parameter_values: Floats) -> dict[str, Floats]:
         """Errors (n,) of the chain's motions by key, from values (n, p) of the basis functions of p parameters."""
-        error_by_slot: dict[str, Floats] = {}
+        errors: dict[str, Floats] = {}
         for term, amount in zip(self.terms, (basis_values * parameter_values).T, strict=True):
-            error_by_slot[term.slot] = error_by_slot[term.slot] + amount if term.slot in error_by_slot else amount
-        return error_by_slot
+            errors[term.chain_error] = errors[term.chain_error] + amount if term.chain_error in errors else amount
+        return errors
 
     def points_from_readings(self, readings: Floats, values: Floats) -> Floats:
         """Points (n, 3) [m] in the instrument frame from n raw readings (n, 3) and parameter `values` [SI]; exact."""
-        errors = self.errors_by_slot(readings, values)
+        errors = self.chain_errors(readings, values)
         return kinematics.points_from_raw_readings(self.kinematic_chain, readings, errors)
 
     def linearise(self, readings: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
@@ -130,17 +130,17 @@ class GeometricErrorModel:
 
         The derivative by the readings neglects that the basis functions depend on them: a relative error of 1e-5.
         """
-        (chain, slots_of_readings), bases = self._chain_with_reading_slots, self.basis_values(readings)
-        slots = {term.slot for term in self.terms} | set(slots_of_readings)
+        (chain, reading_error_keys), bases = self._chain_with_reading_errors, self.basis_values(readings)
+        error_keys = {term.chain_error for term in self.terms} | set(reading_error_keys)
         errors = self._errors_from_basis_values(bases, values)
-        p, by_slot = kinematics.points_and_error_derivatives(chain, readings, errors, slots)
-        by_reading = np.stack([by_slot[slot] for slot in slots_of_readings], axis=2)
+        p, by_error = kinematics.points_and_error_derivatives(chain, readings, errors, error_keys)
+        by_reading = np.stack([by_error[key] for key in reading_error_keys], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(readings), 3, 0))
-        by_value = np.stack([by_slot[term.slot] for term in self.terms], axis=2)
+        by_value = np.stack([by_error[term.chain_error] for term in self.terms], axis=2)
         return p, by_reading, by_value * bases[:, None, :]
 
-    def readings(self, points: Floats, face: Ints, parameter_values: Floats) -> Floats:
+    def readings_from_points(self, points: Floats, face: Ints, parameter_values: Floats) -> Floats:
         """Raw readings (n, 3) in the faces `face` (n,) of n points (n, 3) [m] in the instrument frame; exact."""
         raw = self._invert_chain(points, face, parameter_values, NEWTON_TOLERANCE)
         raw[:, 1] = wrap_angle(raw[:, 1])
@@ -168,7 +168,7 @@ class GeometricErrorModel:
 
     def readings_and_design(self, points: Floats, face: Ints, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Readings (n, 3) of n points (n, 3) [m], and derivatives by points (n, 3, 3) and p parameters (n, 3, p)."""
-        raw = self._invert_chain(points, face, values, FINAL_STEP_THRESHOLD)
+        raw = self._invert_chain(points, face, values, NEWTON_FINAL_STEP_THRESHOLD)
         reached, by_reading, by_value = self.linearise(raw, values)
         by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         raw = raw + np.einsum("nij,nj->ni", by_point, points - reached)
@@ -182,7 +182,7 @@ class GeometricErrorModel:
         return by_point, -by_point @ by_value
 
 
-def misalignment_construction(effects: Iterable[SlotEffect] = MISALIGNMENT_EFFECTS) -> GeometricErrorModel:
+def misalignment_construction(effects: Iterable[ChainErrorEffect] = MISALIGNMENT_EFFECTS) -> GeometricErrorModel:
     """Geometric error model of a tracker with the source in the head; by default with all 16 misalignments."""
     chosen = tuple(effects)
     return GeometricErrorModel(
@@ -193,13 +193,13 @@ def misalignment_construction(effects: Iterable[SlotEffect] = MISALIGNMENT_EFFEC
     )
 
 
-UNIT_AND_SIGMA_BY_PRIOR_KIND: dict[str, tuple[str, float]] = {
+UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY: dict[str, tuple[str, float]] = {
     "offset": ("um", 20 * MICROMETRE),
     "angle": ("urad", 3 * ARCSECOND),
     "range_offset": ("um", 10 * MICROMETRE),
     "range_scale": ("ppm", 2 * PPM),
 }
-"""Display unit and prior standard deviation [SI] of a parameter, by the kind of specification that applies to it."""
+"""Display unit and prior standard deviation [SI] of a parameter, by the specified quantity to which it belongs."""
 COEFFICIENT_SUFFIXES = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
 """Suffixes of the names of the coefficients of a rotary joint's error function: constant, sines and cosines."""
 DH_JOINT_ERRORS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
@@ -209,7 +209,7 @@ MAX_HARMONIC_ORDER = 4
 MAX_POLYNOMIAL_DEGREE = 9
 """Highest degree of the polynomials of the range in the Denavit-Hartenberg model."""
 
-DH_MISALIGNMENTS: dict[str, PriorKind] = {
+SPECIFIED_QUANTITY_BY_DH_COEFFICIENT: dict[str, SpecifiedQuantity] = {
     "J1.dX_c": "offset",
     "T.dX_0": "offset",
     "T.dY_0": "offset",
@@ -220,8 +220,8 @@ DH_MISALIGNMENTS: dict[str, PriorKind] = {
     "T.dZ_0": "range_offset",
     "T.dZ_1": "range_scale",
 }
-"""D-H coefficients that represent the misalignments of a tracker with its source in the head, and the kind of
-specification that applies to each.
+"""Quantity of the instrument's specification that limits a coefficient of the Denavit-Hartenberg model, by the name of
+the coefficient. The coefficients are those that represent the misalignments of a tracker with its source in the head.
 """
 
 _RANGE_SCALE_LENGTH = 5.0
@@ -236,11 +236,11 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
     max_order : int
         Highest order of the harmonics of the rotary joints, 0 to 4.
     degree : int
-        Degree of the polynomials of the range axis in the range.
+        Degree of the polynomials in the range that describe the error motions of the range axis.
     unphysical_sigma : float
-        Prior standard deviation of the coefficients that are not in `DH_MISALIGNMENTS`, divided by 5 um or 1 arcsec.
-        These coefficients have no physical cause, and most of them have the effect of others (`DH_CHAIN`). The prior
-        keeps them near zero.
+        Prior standard deviation of coefficients that are not in `SPECIFIED_QUANTITY_BY_DH_COEFFICIENT`, divided by 5 um
+        or 1 arcsec. They have no physical cause, and most of them change the readings in the same way as other
+        coefficients (`DH_CHAIN`). The prior keeps them near zero.
 
     Notes
     -----
@@ -249,22 +249,21 @@ def dh_construction(max_order: int = 2, degree: int = 2, *, unphysical_sigma: fl
     """
     joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in DH_JOINT_ERRORS]
     waves = range(2 * max_order + 1)
-    rows = [(slot, COEFFICIENT_SUFFIXES[k], _joint_basis(column, k), 1.0) for slot, column in joints for k in waves]
+    rows = [(key, COEFFICIENT_SUFFIXES[k], _joint_basis(column, k), 1.0) for key, column in joints for k in waves]
     rows += [
         (f"T.{motion}", str(k), RangePowerBasis(k), _RANGE_SCALE_LENGTH**-k)
         for motion in DH_JOINT_ERRORS
         for k in range(degree + 1)
     ]
     parameters, terms = [], []
-    for slot, end, basis, scale in rows:
-        name = f"{slot}_{end}"
-        kind = DH_MISALIGNMENTS.get(name)
-        penalised = ("urad", ARCSECOND) if ".e" in slot else ("um", 5 * MICROMETRE)
-        unit, sigma = (
-            UNIT_AND_SIGMA_BY_PRIOR_KIND[kind] if kind else (penalised[0], unphysical_sigma * penalised[1] * scale)
-        )
-        parameters.append(Parameter(name, unit, f"coefficient {name} of eq. 8", sigma, kind))
-        terms.append(SlotTerm(slot, basis))
+    for key, end, basis, scale in rows:
+        name = f"{key}_{end}"
+        quantity = SPECIFIED_QUANTITY_BY_DH_COEFFICIENT.get(name)
+        unit, size = ("urad", ARCSECOND) if ".e" in key else ("um", 5 * MICROMETRE)
+        unspecified = unit, unphysical_sigma * size * scale
+        unit, sigma = UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY[quantity] if quantity else unspecified
+        parameters.append(Parameter(name, unit, f"coefficient {name} of eq. 8", sigma, quantity))
+        terms.append(ChainErrorTerm(key, basis))
     return GeometricErrorModel("dh", kinematics.DH_CHAIN, tuple(parameters), tuple(terms))
 
 
@@ -274,7 +273,7 @@ def _joint_basis(column: int, basis_number: int) -> BasisFunction:
     return HarmonicBasis("sin" if basis_number % 2 else "cos", column, order) if basis_number else constant_basis
 
 
-SHARED_EFFECTS: tuple[SlotEffect, ...] = (
+EFFECTS_OF_BOTH_DESIGNS: tuple[ChainErrorEffect, ...] = (
     RangeOffset(),
     RangeScale(),
     TransitOffset(),
@@ -283,8 +282,8 @@ SHARED_EFFECTS: tuple[SlotEffect, ...] = (
     AzimuthEccentricity(),
     AzimuthSecondOrder(),
 )
-"""Effects of trackers both with the source in the head and with a steering mirror; the keys of the errors are equal."""
-MIRROR_PARAMETERS: tuple[tuple[str, PriorKind, HarmonicBasis | None, str], ...] = (
+"""Geometric errors of trackers of both designs, source in the head and steering mirror, with equal error keys."""
+MIRROR_PARAMETERS: tuple[tuple[str, SpecifiedQuantity, HarmonicBasis | None, str], ...] = (
     ("mirror-offset", "offset", None, "mirror in front of the transit axis, along its normal"),
     ("mirror-tilt", "angle", None, "angle from the transit axis to the plane of the mirror, positive to the left"),
     ("cover-forward", "offset", None, "beam forward of the standing axis, turning with the head"),
@@ -303,20 +302,20 @@ MIRROR_PARAMETERS: tuple[tuple[str, PriorKind, HarmonicBasis | None, str], ...] 
     ("elevation-second-order-cos", "angle", HarmonicBasis("cos", 2, 1.0), "cosine of twice the mirror's angle"),
     ("elevation-second-order-sin", "angle", HarmonicBasis("sin", 2, 1.0), "sine of twice the mirror's angle"),
 )
-"""Misalignments of mirror, axes, cover plate and beam: name, kind of prior, harmonic of the elevation, description. A
-parameter without a harmonic is the error with its name in `STEERING_MIRROR_CHAIN`. Harmonics are functions of the
-mirror's angle, which is half the raw elevation.
+"""Misalignments of mirror, axes, cover plate and beam: name, specified quantity, harmonic, description. A parameter
+without a harmonic is the error with its name in `STEERING_MIRROR_CHAIN`. Harmonics are functions of the mirror's angle,
+which is half the raw elevation.
 """
 
 
 def steering_mirror_construction() -> GeometricErrorModel:
     """Geometric error model of a tracker with a beam-steering mirror, with 21 parameters."""
-    parameters = [p for effect in SHARED_EFFECTS for p in effect.parameters]
-    terms = [t for effect in SHARED_EFFECTS for t in effect.terms]
+    parameters = [p for effect in EFFECTS_OF_BOTH_DESIGNS for p in effect.parameters]
+    terms = [t for effect in EFFECTS_OF_BOTH_DESIGNS for t in effect.terms]
     for name, kind, lobe, meaning in MIRROR_PARAMETERS:
-        unit, sigma = UNIT_AND_SIGMA_BY_PRIOR_KIND[kind]
+        unit, sigma = UNIT_AND_SIGMA_BY_SPECIFIED_QUANTITY[kind]
         parameters.append(Parameter(name, unit, meaning, sigma, kind))
-        terms.append(SlotTerm("elevation", lobe) if lobe else SlotTerm(name))
+        terms.append(ChainErrorTerm("elevation", lobe) if lobe else ChainErrorTerm(name))
     return GeometricErrorModel("steering-mirror", kinematics.STEERING_MIRROR_CHAIN, tuple(parameters), tuple(terms))
 
 

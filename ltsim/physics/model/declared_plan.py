@@ -12,26 +12,27 @@ from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.rigid import VERTICAL, align_rigidly, rotation_about_z, smallest_rotation
 from ltsim.recordings.recording import Recording
 
-MAX_AXIS_SPREAD = 5 * DEGREE
+MAX_STANDING_AXIS_SPREAD = 5 * DEGREE
 """Largest angle [rad] between the standing axes of the instruments and their mean direction, up to which all
 instruments count as upright."""
 MIN_PLAN_POSITIONS = 3
 """Smallest number of approximate station positions that determine the rotation from floor plan to network frame."""
 PLAN_DIRECTION_SIGMA = 3 * DEGREE
-"""Accuracy [rad] of directions on a floor plan. A smaller rotation between floor plan and network counts as none."""
+"""Standard deviation [rad] of directions on a floor plan. A smaller rotation between floor plan and network counts as
+none."""
 
 
 @dataclass(frozen=True, eq=False)
 class DeclaredPlan:
     """Floor plan of a set-up: approximate positions and yaws of S stations, of which k have a position."""
 
-    has_control: bool
+    has_control_points: bool
     """True if a target has known coordinates: the frame of the plan is then the network frame."""
-    placed_stations: list[int]
+    placed_station_indices: list[int]
     """Indices (k,) of the stations with an approximate position."""
-    positions: Floats
-    """Approximate positions (k, 3) [m]."""
-    yaws: tuple[float | None, ...]
+    placed_station_positions: Floats
+    """Approximate positions (k, 3) [m] of these stations."""
+    station_yaws: tuple[float | None, ...]
     """Approximate yaw [deg] of each station (S,); None if it is not declared."""
 
     @classmethod
@@ -40,26 +41,27 @@ class DeclaredPlan:
         setups = [recording.station_setup(name) for name in recording.stations]
         places = [setup.position_mm for setup in setups]
         return cls(
-            has_control=any(recording.target_setup(name).known_mm is not None for name in recording.targets),
-            placed_stations=[i for i, place in enumerate(places) if place is not None],
-            positions=np.array([place for place in places if place is not None]).reshape(-1, 3) * MILLIMETRE,
-            yaws=tuple(setup.yaw_deg for setup in setups),
+            has_control_points=any(recording.target_setup(name).known_mm is not None for name in recording.targets),
+            placed_station_indices=[i for i, place in enumerate(places) if place is not None],
+            placed_station_positions=np.array([place for place in places if place is not None]).reshape(-1, 3)
+            * MILLIMETRE,
+            station_yaws=tuple(setup.yaw_deg for setup in setups),
         )
 
     @property
     def determines_rotation(self) -> bool:
         """True if the plan determines its rotation to the network frame."""
-        is_placed = len(self.placed_stations) >= MIN_PLAN_POSITIONS
-        return self.has_control or is_placed or any(yaw is not None for yaw in self.yaws)
+        is_placed = len(self.placed_station_indices) >= MIN_PLAN_POSITIONS
+        return self.has_control_points or is_placed or any(yaw is not None for yaw in self.station_yaws)
 
-    def rotation(self, station_positions: Floats, station_rotations: Floats) -> Floats:
+    def rotation_to_network(self, station_positions: Floats, station_rotations: Floats) -> Floats:
         """Rotation (3, 3) from the frame of the plan to the network frame.
 
         The rotation is computed from the approximate positions of three or more stations that are not collinear,
         otherwise from their yaws. It is the identity for a set-up with control points, and for one without positions
         and yaws. `station_positions` (S, 3) [m] and `station_rotations` (S, 3, 3) are the poses in the network frame.
         """
-        if self.has_control:
+        if self.has_control_points:
             return np.eye(3)
         turn = self._rotation_from_positions(station_positions, station_rotations)
         if turn is None:
@@ -73,12 +75,12 @@ class DeclaredPlan:
 
         For upright instruments the vertical is that of their standing axes, because it is far more accurate.
         """
-        if len(self.placed_stations) < MIN_PLAN_POSITIONS:
+        if len(self.placed_station_indices) < MIN_PLAN_POSITIONS:
             return None
-        axis = station_rotations[self.placed_stations, :, 2].mean(axis=0)
-        level, here, plan = np.eye(3), station_positions[self.placed_stations], self.positions
+        axis = station_rotations[self.placed_station_indices, :, 2].mean(axis=0)
+        level, here, plan = np.eye(3), station_positions[self.placed_station_indices], self.placed_station_positions
         length = np.linalg.norm(axis)
-        if length > np.cos(MAX_AXIS_SPREAD):
+        if length > np.cos(MAX_STANDING_AXIS_SPREAD):
             level = smallest_rotation(axis / length, VERTICAL)
             here, plan = here @ level.T * [1.0, 1.0, 0.0], plan * [1.0, 1.0, 0.0]
         try:
@@ -91,7 +93,7 @@ class DeclaredPlan:
         """Mean (3, 3) of the rotations that follow from the yaw [deg] of each upright station; None without yaws."""
         station_rotations_to_plan = [
             r @ rotation_about_z(yaw * DEGREE).T
-            for yaw, r in zip(self.yaws, station_rotations, strict=True)
+            for yaw, r in zip(self.station_yaws, station_rotations, strict=True)
             if yaw is not None
         ]
         if not station_rotations_to_plan:

@@ -24,7 +24,7 @@ from ltsim.scene.sightings import Sightings
 
 INCIDENCE_EFFECT = SmrIncidence()
 """Effect with the range error as a function of the angle of incidence."""
-MIN_BENCH_SIGMA = 1e-3 * MICROMETRE
+MIN_BENCH_TEST_SIGMA = 1e-3 * MICROMETRE
 """Smallest standard deviation [m] of a range error from a bench test: a tenth of the resolution of interferometers. It
 replaces smaller declared values."""
 
@@ -136,7 +136,7 @@ def incidence_prior_from_bench_test(bench_test: BenchTest | None) -> tuple[Float
     direction = np.where(angle < 0.0, np.pi, 0.0) + bench_test.direction_deg * DEGREE
     terms = -SmrIncidence.range_correction_design(np.abs(angle) * DEGREE, direction)
     is_used = np.arange(len(angle)) != middle_index
-    spread = np.maximum(sigma[is_used, None] * MICROMETRE, MIN_BENCH_SIGMA)
+    spread = np.maximum(sigma[is_used, None] * MICROMETRE, MIN_BENCH_TEST_SIGMA)
     sensitivity = (terms - terms[middle_index])[is_used] @ root / spread
     whitened = ((error - error[middle_index]) * MICROMETRE)[is_used] / spread[:, 0]
     contraction = np.linalg.inv(np.linalg.cholesky(np.eye(len(mean)) + sensitivity.T @ sensitivity))

@@ -36,7 +36,7 @@ def sightings_at_state(recording: Recording, state: NetworkState) -> Sightings:
     """
     plan = DeclaredPlan.from_recording(recording)
     return _sightings_with_rotated_nests(
-        recording, state, plan.rotation(state.station_positions, state.station_rotations)
+        recording, state, plan.rotation_to_network(state.station_positions, state.station_rotations)
     )
 
 
@@ -246,12 +246,12 @@ class MeasurementModel:
 
     def _with_effect_data(self, geometry: Sightings, state: NetworkState, readings: Floats) -> Sightings:
         """Sightings `geometry` with nest normals in the network frame and with raw readings (n, 3) of n pointings."""
-        turn = self._declared_plan.rotation(state.station_positions, state.station_rotations)
+        turn = self._declared_plan.rotation_to_network(state.station_positions, state.station_rotations)
         return replace(geometry, nest_normals=geometry.nest_normals @ turn.T, encoder_readings=readings)
 
     def _instrument_readings(self, geometry: Sightings, state: NetworkState) -> Floats:
         """Raw readings (n, 3) of n pointings with the errors of the instrument, but without additional effects."""
-        return self.construction.readings(
+        return self.construction.readings_from_points(
             geometry.local_points, geometry.face, self._instrument_parameter_values(state)
         )
 
@@ -328,7 +328,7 @@ class MeasurementModel:
         if self.extra_effects:
             extra = zip(self.extra_effects, self._values_by_effect(state.extra_parameters), strict=True)
             parts = [effect.linearise(sightings, values) for effect, values in extra]
-            raw = raw + np.sum([part.shift for part in parts], axis=0)
+            raw = raw + np.sum([part.reading_change for part in parts], axis=0)
             by_extra = np.concatenate([part.parameter_derivatives for part in parts], axis=2)
             for further in (part.geometry_derivatives for part in parts if part.geometry_derivatives is not None):
                 by_target, by_pose = by_target + further[0], by_pose + further[1]

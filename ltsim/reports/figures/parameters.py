@@ -159,7 +159,7 @@ def history_figure(names: Sequence[str], parameter_histories: Sequence[Parameter
     labels = [style.shortened_name(name, 24) for name in distinct_labels(names)]
     positions = np.arange(len(labels))
     for ax, course in zip(panels.ravel(), parameter_histories, strict=False):
-        band = (course.mean - course.spread, course.mean + course.spread)
+        band = (course.mean - course.between_calibration_sigma, course.mean + course.between_calibration_sigma)
         ax.axhspan(*band, color=style.BAND_COLOUR, linewidth=0, zorder=0, label="mean ± spread between calibrations")
         ax.axhline(0.0, color=style.GREY, linewidth=0.7, zorder=1)
         half_widths = 1.96 * np.array(course.sigmas)

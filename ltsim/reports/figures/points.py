@@ -22,7 +22,7 @@ def displacement_figure(comparison: Comparison) -> Figure:
     """
     points = comparison.displacements
     positions, shifts, semi_axes = (
-        np.array([getattr(d, name) for d in points]) for name in ("place_mm", "shift_um", "semi_axes_um")
+        np.array([getattr(d, name) for d in points]) for name in ("position_mm", "displacement_um", "semi_axes_um")
     )
     moved, names = np.array([d.moved for d in points], dtype=bool), [d.target for d in points]
     figure = style.new_figure(3.0)
@@ -78,7 +78,7 @@ def error_to_limit_figure(content: AcceptanceFile) -> Figure:
     for row, name in zip(rows, group_names, strict=True):
         group_tests = [t for t in content.tests if t.group == name]
         error_ratios = np.array([t.error_um / t.limit_um for t in group_tests])
-        uncertainty_ratios = np.array([(t.expanded_um or 0.0) / t.limit_um for t in group_tests])
+        uncertainty_ratios = np.array([(t.expanded_uncertainty_um or 0.0) / t.limit_um for t in group_tests])
         heights = row + np.linspace(-GROUP_HALF_WIDTH, GROUP_HALF_WIDTH, len(group_tests)) * (len(group_tests) > 1)
         judgements = np.array(
             [

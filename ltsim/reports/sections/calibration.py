@@ -214,7 +214,7 @@ def _larger_noise_sentence(content: Calibration) -> str:
 
 def _agrees_with_constants(content: Calibration) -> bool:
     """True if the readings scatter no more than declared in a fit that also estimates the instrument's constants."""
-    fit = content.with_constants
+    fit = content.fit_with_constants
     if fit is None:
         return False
     agrees = global_test_verdict(fit.chi2, fit.dof, fit.p_value)[0]
@@ -223,7 +223,7 @@ def _agrees_with_constants(content: Calibration) -> bool:
 
 def _global_tests_text(content: Calibration) -> str:
     """Text on the global tests with and without estimated instrument constants; empty if they were not compared."""
-    fit = content.with_constants
+    fit = content.fit_with_constants
     if fit is None:
         return ""
     with_them, without = (global_test_verdict(f.chi2, f.dof, f.p_value)[1] for f in (fit, content.fit))
@@ -241,7 +241,7 @@ def _key_figures(content: Calibration, *, has_agreement: bool) -> list[KeyFigure
         KeyFigure("degrees of freedom", str(fit.dof)),
         KeyFigure("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]
-    if has_agreement and content.correction is not None and content.correction.uncorrected_um > 0:
+    if has_agreement and content.correction is not None and content.correction.uncorrected_error_um > 0:
         expected = f"{number_text(content.correction.point_errors_um[1], 3)} um"
         facts.append(KeyFigure("expected 3D error of a new point, corrected", expected))
     return facts
@@ -262,7 +262,7 @@ def _warning_blocks(content: Calibration, *, has_converged: bool, agrees: bool) 
         blocks.append(NoteBlock("Verdict", verdict))
     lines = uncertainty_sentences(content)
     blocks += [BulletListBlock("Uncertainty", lines)] if lines else []
-    if content.correction is not None and content.correction.uncorrected_um > 0:
+    if content.correction is not None and content.correction.uncorrected_error_um > 0:
         lines = [*([content.correction.point_error_text] if agrees else []), *content.correction.sentences]
         if lines:
             blocks.append(BulletListBlock("Benefit of the calibration", [capitalised_sentence(line) for line in lines]))
@@ -279,9 +279,9 @@ def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
     if not content.constants_included and {"length", "point"} & {entry.kind for entry in content.reference_values}:
         note += " Reference values are tested in a fit that also estimates the instrument's constants."
     sorted_values = sorted(content.reference_values, key=lambda entry: (not entry.excluded, -entry.w))
-    fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
+    fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable_error=detectable")
     return entries_table_blocks(
-        "Fit of the reference values", sorted_values, *fields, "redundancy", "w", "excluded", note=note
+        "Fit of the reference values", sorted_values, *fields, "unit", "redundancy", "w", "excluded", note=note
     )
 
 
@@ -292,7 +292,7 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     if remaining:
         reading_names = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
         actions.append(f"Measure again, or reject with {option_text('robust=True')}: {reading_names}.")
-    if content.with_constants is not None:
+    if content.fit_with_constants is not None:
         actions.append("Estimate and remove the instrument's constants with ltsim calibrate.")
     p_value = content.fit.p_value
     if (
@@ -301,7 +301,7 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
         and not (content.noise_estimated or _agrees_with_constants(content) or _has_explaining_noise(content))
     ):
         actions.append("Run ltsim diagnose to locate the disagreement of readings and model.")
-    if content.verdict.scale_by_sigma0 and not (content.noise or _agrees_with_constants(content)):
+    if content.verdict.is_sigma0_credible and not (content.noise or _agrees_with_constants(content)):
         actions.append(f"If the noise is not known, estimate it from the data: {option_text('noise_from_data=True')}.")
     measurements = dict.fromkeys(e.measurement for e in content.undetermined if e.measurement)
     actions += [f"To determine the open parameters: {measurement}." for measurement in list(measurements)[:3]]
@@ -314,14 +314,14 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
     rows, true_values = content.parameters, {} if truth is None else truth.instrument_values
     names = [f"{p.name}@{p.instrument}" if p.instrument else p.name for p in rows]
     true_in_display_units = [
-        true_values[n] / SI_PER_UNIT[truth.units[n]] if truth and n in true_values else None for n in names
+        true_values[n] / SI_PER_UNIT[truth.parameter_units[n]] if truth and n in true_values else None for n in names
     ]
     text = "Corrections (true value minus reading) with 95 % intervals, in units of the prior standard deviation."
     note = "Corrections, true value minus reading, +- one sigma."
-    if any(p.applied is not None for p in rows):
+    if any(p.applied_value is not None for p in rows):
         note += " Applied: correction with the prior scaled to the readings, and 0 for parameters that are not applied."
     undetermined = [
-        n for n, p in zip(names, rows, strict=True) if not p.held and p.information < MAX_UNINFORMATIVE_GAIN
+        n for n, p in zip(names, rows, strict=True) if not p.held and p.variance_reduction < MAX_UNINFORMATIVE_GAIN
     ]
     if undetermined:
         note += f" Not determined by the recording, so that the prior remains: {listing(undetermined, 6)}."

@@ -188,8 +188,12 @@ def coordinates_tables(
 
     A coordinate with the standard deviation 0 defines the frame: a dash stands for its uncertainty.
     """
-    expanded_um = [[None if value is None or value == 0 else 2e3 * value for value in sigma] for *_, sigma in entries]
-    table_rows = [[name, *point, *expanded] for (name, point, _), expanded in zip(entries, expanded_um, strict=True)]
+    expanded_uncertainty_um = [
+        [None if value is None or value == 0 else 2e3 * value for value in sigma] for *_, sigma in entries
+    ]
+    table_rows = [
+        [name, *point, *expanded] for (name, point, _), expanded in zip(entries, expanded_uncertainty_um, strict=True)
+    ]
     exact = [name for name, _, sigma in entries if any(value == 0 for value in sigma)]
     note = f"U: expanded uncertainty, k = 2. {note}"
     if exact:

@@ -130,13 +130,13 @@ def _failed_test_actions(content: Check) -> list[str]:
 def comparison_section(content: Comparison, _: SectionContext) -> Section:
     """Section of a comparison of epochs."""
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural_sort_key(d.target)))
-    moved_targets = [d.target for d in points if d.moved]
+    moved_targets, p_value = [d.target for d in points if d.moved], content.p_value
     caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
     note = (
         "dx, dy, dz: with one standard deviation; a: largest semi-axis of the 95 % confidence ellipsoid; detectable: "
         "the smallest motion that is detected with a probability of 80 %."
     )
-    shown_table = DISPLACEMENTS_TABLE.with_rows(d.row for d in points).with_columns(
+    shown_table = DISPLACEMENTS_TABLE.with_rows(d.table_row for d in points).with_columns(
         "target moved dx_um dy_um dz_um a_um detectable_um p_value"
     )
     table = table_blocks(
@@ -145,14 +145,14 @@ def comparison_section(content: Comparison, _: SectionContext) -> Section:
     facts = [
         KeyFigure("points", str(len(points))),
         KeyFigure("moved", str(len(moved_targets)), assessment_of(not moved_targets)),
-        KeyFigure("no motion, p", p_text(content.p_value), assessment_of(content.p_value >= content.level)),
+        KeyFigure("no point moved, p", p_text(p_value), assessment_of(p_value >= content.significance_level)),
         *([] if content.scale_ppm is None else [KeyFigure("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
     answer = " ".join(map(capitalised_sentence, (content.sentence, *content.notes)))
     figure = partial(figures.points.displacement_figure, content)
     picture = picture_or_note("Displacements", figure, caption, len(points))
     action = f"Inspect and re-measure these points before you use them as references: {listing(moved_targets)}."
-    if content.is_rigid_motion:
+    if content.has_common_rigid_motion:
         action = f"If the lists are in different frames, compare them with {option_text('free=True')}."
     return Section(
         "Comparison of two epochs", "Comparison", answer, assessment_of(not moved_targets), facts, [picture, *table],
@@ -162,7 +162,7 @@ def comparison_section(content: Comparison, _: SectionContext) -> Section:
 
 def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
     """Section of acceptance tests."""
-    predicted = content.kind == "predicted"
+    predicted = content.error_origin == "predicted"
     assessment = (
         assessment_of(content.pass_probability >= MIN_PASS_PROBABILITY)
         if content.pass_probability is not None
@@ -179,27 +179,27 @@ def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
         ),
         *table_blocks("Groups", content.table("groups"), note=note),
         *entries_table_blocks(
-            "The hardest tests", hardest_tests, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um",
-            last_column, is_marked=lambda t: t.judgement == "rejected",
+            "The hardest tests", hardest_tests, "name=test", "error_um", "expanded_uncertainty_um=U (k = 2)",
+            "limit_um", last_column, is_marked=lambda t: t.judgement == "rejected",
         ),
         *entries_table_blocks(
             "Sensitivity of the tests to single constants", content.sensitivities, "name=constant",
-            "prior_sigma=usual size", "smallest_failing=detected from", "unit", "test=first failed test",
+            "prior_sigma=usual size", "smallest_failing_value=detected from", "unit", "failing_test=first failed test",
         ),
     ]  # fmt: skip
     blocks += [NoteBlock("Decision rule", content.decision_rule)] if content.decision_rule else []
-    worst_test = content.worst_passing
+    worst_test = content.worst_passing_instrument
     if worst_test is not None:
         constants = ", ".join(
             f"{name} {number_text(value, 2)}"
             for name, value in worst_test.constants.items()
             if abs(value) > MAX_ZERO_CONSTANT
         )
-        undetected_constants = [s.name for s in content.sensitivities if s.smallest_failing is None]
+        undetected_constants = [s.name for s in content.sensitivities if s.smallest_failing_value is None]
         text = f"No test detects {', '.join(undetected_constants)}. " if undetected_constants else ""
         text += (
             f"An instrument with {constants} passes every test, although points at 1.5 to 9 m have errors of "
-            f"{worst_test.rms_um:.0f} um (rms; {worst_test.largest_um:.0f} um at most)."
+            f"{worst_test.rms_point_error_um:.0f} um (rms; {worst_test.largest_point_error_um:.0f} um at most)."
         )
         blocks.append(NoteBlock("Undetected instrument errors", text))
     facts = [
@@ -207,7 +207,7 @@ def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
         KeyFigure("judgement", content.judgement, assessment)
         if content.judgement
         else KeyFigure("probability to pass", f"{100 * (content.pass_probability or 0.0):.1f} %", assessment),
-        KeyFigure("plan", content.plan),
+        KeyFigure("plan", content.plan_name),
         *([KeyFigure("limits", content.specification.name)] if content.specification.name else []),
     ]
     title = content.title or "Acceptance tests of a tracker"
@@ -236,17 +236,18 @@ def uncertainty_section(content: Uncertainty, _: SectionContext) -> Section:
     blocks.append(picture_or_note("Budget", lambda: uncertainty_budget_figure(content), caption, len(content.results)))
     blocks += table_blocks("Undetectable errors", content.table("hidden"), note=UNDETECTABLE_NOTE)
     blocks += [BulletListBlock("Warnings", content.warnings)] if content.warnings else []
-    fields = ("source", "type", "standard_uncertainty=sigma", "share=fraction of the variance")
+    fields = ("source", "evaluation_type=type", "standard_uncertainty=sigma", "variance_fraction=variance fraction")
     for r in content.results:
         head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
-        blocks += entries_table_blocks(head, [part for part in r.budget if part.share > 1e-3], *fields)
+        blocks += entries_table_blocks(head, [part for part in r.budget if part.variance_fraction > 1e-3], *fields)
     result_texts_by_judgement = {w: [r.text for r in judged_results if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
     answer = (
         "; ".join(f"{word}: {listing(names, 3)}" for word, names in result_texts_by_judgement.items() if names)
         or content.results[0].text
     )
-    facts = [KeyFigure("results", str(len(content.results))), KeyFigure("coverage", f"{100 * content.coverage:g} %")]
+    coverage = f"{100 * content.coverage_probability:g} %"
+    facts = [KeyFigure("results", str(len(content.results))), KeyFigure("coverage probability", coverage)]
     facts += [] if content.sigma0 is None else [KeyFigure("sigma0 of the adjustment", number_text(content.sigma0))]
     title = content.title or "Uncertainty of tasks"
     return Section(
@@ -264,10 +265,9 @@ def uncertainty_budget_figure(content: Uncertainty) -> Figure:
     """Figure of the uncertainty budgets of the first `MAX_BUDGET_BARS` results."""
     listed_results = content.results[:MAX_BUDGET_BARS]
     sources = dict.fromkeys(part.source for r in listed_results for part in r.budget)
-    shares = {
-        name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in listed_results] for name in sources
-    }
-    return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in listed_results], shares)
+    fractions = [{p.source: p.variance_fraction for p in r.budget} for r in listed_results]
+    fractions_by_source = {name: [fraction.get(name, 0.0) for fraction in fractions] for name in sources}
+    return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in listed_results], fractions_by_source)
 
 
 def _site_sentence(content: NextMeasurement) -> str:
@@ -323,7 +323,7 @@ def history_section(content: History, _: SectionContext) -> Section:
     """Section of the history of an instrument."""
     labels = content.labels
     content = _with_short_labels(content)
-    since, knows_usual_changes = content.since_first, len(labels) > MIN_STEPS_TO_CALL_USUAL
+    since, knows_usual_changes = content.change_since_first, len(labels) > MIN_STEPS_TO_CALL_USUAL
     has_changed = bool(content.events) if knows_usual_changes else since.p_value < FAMILY_WISE_LEVEL
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
     figure = partial(figures.parameters.history_figure, labels, content.determined_parameters)
@@ -372,7 +372,7 @@ def _with_short_labels(content: History) -> History:
             "calibrations": tuple(c.model_copy(update={"label": short[c.label]}) for c in content.calibrations),
             "changes": tuple(map(with_short_label, content.changes)),
             "events": tuple(map(with_short_label, content.events)),
-            "since_first": with_short_label(content.since_first),
+            "change_since_first": with_short_label(content.change_since_first),
         }
     )
 
@@ -382,7 +382,7 @@ def _change_summary_sentence(content: History, knows_usual_changes: bool) -> str
 
     `knows_usual_changes` is True if there are enough calibrations to compare with the usual changes of the instrument.
     """
-    since, events = content.since_first, content.events
+    since, events = content.change_since_first, content.events
     tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {p_relation_text(since.p_value)})"
     if events:
         steps = listing(list(dict.fromkeys(f"between {e.from_} and {e.to}" for e in events)))
@@ -390,10 +390,10 @@ def _change_summary_sentence(content: History, knows_usual_changes: bool) -> str
         return f"had an event (such as a service or a blow) {steps}, in {names}."
     if since.p_value >= FAMILY_WISE_LEVEL:
         between = [f"{c.from_} and {c.to}" for c in content.changes if c.p_value < FAMILY_WISE_LEVEL]
-        return f"shows no change since the first {tested}" + (
-            f", though it did between {listing(between)}." if between else "."
-        )
+        exception = f", though it did between {listing(between)}" if between else ""
+        return f"shows no change since the first {tested}{exception}."
     if knows_usual_changes:
         return f"changed no more than it usually does between calibrations {tested}."
-    phrase = f", mainly in {listing(since.changed)}" if since.changed else ", in no single parameter significantly"
-    return f"has changed since the first{phrase} {tested}."
+    names = listing(since.changed_parameters)
+    phrase = f"mainly in {names}" if names else "in no single parameter significantly"
+    return f"has changed since the first, {phrase} {tested}."

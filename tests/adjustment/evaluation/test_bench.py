@@ -46,7 +46,7 @@ def test_the_table_comes_back_within_its_uncertainty(tmp_path: Path) -> None:
 def test_the_command_writes_what_it_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["bench", str(SAMPLE), "--out", str(tmp_path / "out")]) == 0
     shown = capsys.readouterr().out
-    assert "table_um = [10.27" in shown
+    assert "range_error_table_um = [10.27" in shown
     content = json.loads((tmp_path / "out" / "bench.json").read_text())
     assert content["table"][0]["error_um"] == pytest.approx(10.27, abs=0.005)
     assert run(["bench", str(SAMPLE), "--json"]) == 0

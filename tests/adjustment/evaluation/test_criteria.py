@@ -32,7 +32,7 @@ def network(values: np.ndarray, noise: float = 0.0, *, faces: tuple[int, ...] = 
     rows = [(s, t, f) for s in range(3) for t in range(6) for f in faces]
     station, target, face = np.array(rows).T
     local = np.array([matrix_from_rotation_vector(POSES[s][1]).T @ (TARGETS[t] - POSES[s][0]) for s, t, _ in rows])
-    readings = misalignment_construction().readings(local, face, values)
+    readings = misalignment_construction().readings_from_points(local, face, values)
     readings += noise * rng.standard_normal(readings.shape)
     ones = np.ones(len(rows), dtype=np.int64)
     return Recording(
@@ -52,7 +52,7 @@ def parameters(**values: float) -> np.ndarray:
     construction = misalignment_construction()
     vector = np.zeros(construction.n_parameters)
     for name, value in values.items():
-        vector[construction.index(name.replace("_", "-"))] = value
+        vector[construction.parameter_index(name.replace("_", "-"))] = value
     return vector
 
 

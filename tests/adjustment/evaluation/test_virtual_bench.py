@@ -9,7 +9,7 @@ from experiments.virtual_bench import FULL_TURN, MIDDLE, BenchTest, measure_benc
 from ltsim.adjustment.evaluation.bench import evaluate_reflector_bench, fit_vertex_offset
 from ltsim.core.errors import SetupError
 from ltsim.core.units import MICROMETRE
-from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS, TABLE_ANGLES
+from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_RANGE_ERRORS
 
 PAPER = np.array(PAPER_RANGE_ERRORS) - PAPER_RANGE_ERRORS[MIDDLE]
 
@@ -23,7 +23,7 @@ def quiet(**changes: object) -> BenchTest:
 def test_a_turned_point_changes_the_length_as_a_rotation_says() -> None:
     point, far = np.array([30e-6, -20e-6]), 2.0
     lengths = []
-    for alpha in TABLE_ANGLES:
+    for alpha in INCIDENCE_TABLE_ANGLES:
         turn = np.array([[np.cos(alpha), -np.sin(alpha)], [np.sin(alpha), np.cos(alpha)]])
         lengths.append(far - (turn @ point)[0])
     record = measure_bench(quiet(table=np.zeros(9), eccentricity=point), 1)
@@ -67,11 +67,14 @@ def test_stated_sigmas_cover_the_spread() -> None:
 
 
 def test_a_vertex_off_centre_is_named() -> None:
-    found = fit_vertex_offset(TABLE_ANGLES, vertex_table(-97e-6, 26e-6), 0.14e-6)
+    found = fit_vertex_offset(INCIDENCE_TABLE_ANGLES, vertex_table(-97e-6, 26e-6), 0.14e-6)
     assert found.axial_offset == pytest.approx(-97e-6, abs=1e-12)
     assert found.side_offset == pytest.approx(26e-6, abs=1e-12)
     assert found.unexplained_rms < 1e-12
-    assert fit_vertex_offset(TABLE_ANGLES, np.array(PAPER_RANGE_ERRORS), 0.14e-6).unexplained_rms > 0.2 * MICROMETRE
+    assert (
+        fit_vertex_offset(INCIDENCE_TABLE_ANGLES, np.array(PAPER_RANGE_ERRORS), 0.14e-6).unexplained_rms
+        > 0.2 * MICROMETRE
+    )
 
 
 def test_impossible_benches_are_refused_in_a_sentence() -> None:

@@ -42,7 +42,7 @@ Status: not validated.
 def made(name: str, doc: str = CARD, **attributes: object) -> type[Effect]:
     base = {
         "name": name,
-        "stage": LightPathStage.RANGE,
+        "light_path_stage": LightPathStage.RANGE,
         "parameters": (Parameter("c", "um", "cold", 1e-6),),
         "__doc__": doc,
     }
@@ -87,7 +87,7 @@ def test_what_ships_is_found_without_looking_for_packages() -> None:
         (Path, "not a class derived from lt.Effect"),
         (made("backlash"), "ltsim has an effect 'backlash' already"),
         (made("Cold"), "lower-case words"),
-        (made("cold", parameters=()), "lacks a stage or parameters"),
+        (made("cold", parameters=()), "lacks a light_path_stage or parameters"),
         (made("cold", base_rate=0.0), "its base_rate is 0.0, expected a positive number"),
         (made("cold", parameters=(Parameter("c", "furlong", "", 1.0),)), "the unit 'furlong' of c is none of um, mm"),
         (made("cold", CARD.replace("Valid: in winter.\n", "")), "the sections Size, Like"),

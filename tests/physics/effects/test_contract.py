@@ -13,7 +13,7 @@ from ltsim import effects
 from ltsim.core.errors import ModelError
 from ltsim.physics.effects import CATALOGUE, NoiseEffect, catalogue_entry, find_effect
 from ltsim.physics.effects.catalogue import NO_MEASUREMENT_PHRASE
-from ltsim.physics.effects.effect import Blunder, Effect, LightPathStage, SlotEffect
+from ltsim.physics.effects.effect import Blunder, ChainErrorEffect, Effect, LightPathStage
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import OBSERVABLES
 from tests.physics.effects.scenes import all_candidates, chosen, samples, scene
@@ -93,7 +93,7 @@ def test_exact_form_agrees_with_first_order(kind: type[Effect]) -> None:
 
 
 @pytest.mark.parametrize(
-    "kind", [k for k in CATALOGUE if k.stage <= LightPathStage.STATION], ids=lambda kind: kind.name
+    "kind", [k for k in CATALOGUE if k.light_path_stage <= LightPathStage.STATION], ids=lambda kind: kind.name
 )
 def test_motions_take_a_high_reflector_into_account(kind: type[Effect]) -> None:
     """Two metres above its mark it sees another turn of the station than the mark would, exactly and in first order."""
@@ -151,13 +151,14 @@ def test_shapes_lie_between_their_bounds(kind: type[Effect]) -> None:
             assert low <= value <= high
 
 
-@pytest.mark.parametrize("kind", [k for k in CATALOGUE if issubclass(k, SlotEffect)], ids=lambda kind: kind.name)
-def test_first_order_agrees_with_the_exact_chain(kind: type[SlotEffect]) -> None:
+@pytest.mark.parametrize("kind", [k for k in CATALOGUE if issubclass(k, ChainErrorEffect)], ids=lambda kind: kind.name)
+def test_first_order_agrees_with_the_exact_chain(kind: type[ChainErrorEffect]) -> None:
     for effect in samples(kind, SCENE):
-        assert isinstance(effect, SlotEffect)
+        assert isinstance(effect, ChainErrorEffect)
         values = 0.01 * prior(effect)
         exact = (
-            misalignment_construction([effect]).readings(SCENE.local_points, SCENE.face, values) - SCENE.raw_readings
+            misalignment_construction([effect]).readings_from_points(SCENE.local_points, SCENE.face, values)
+            - SCENE.raw_readings
         )
         exact[:, 1] = (exact[:, 1] + np.pi) % (2 * np.pi) - np.pi
         linear = effect.design(SCENE) @ values

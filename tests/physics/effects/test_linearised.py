@@ -37,7 +37,7 @@ CASES = [
 def test_derivatives_at_large_values_are_those_of_the_change(effect: LinearEffect, values: np.ndarray) -> None:
     here = sightings()
     found = effect.linearise(here, values)
-    assert np.array_equal(found.shift, effect.reading_change(here, values))
+    assert np.array_equal(found.reading_change, effect.reading_change(here, values))
     for k, step in enumerate(np.eye(len(values)) * STEP):
         change = effect.reading_change(here, values + step) - effect.reading_change(here, values - step)
         change[:, 1:] = wrap_angle(change[:, 1:])

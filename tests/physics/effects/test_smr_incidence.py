@@ -5,7 +5,7 @@ import pytest
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects.smr_incidence import MAX_INCIDENCE, PAPER_RANGE_ERRORS, TABLE_ANGLES, SmrIncidence
+from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, MAX_INCIDENCE, PAPER_RANGE_ERRORS, SmrIncidence
 from ltsim.scene.sightings import Sightings
 
 NORMAL = np.array([1.0, 0.0, 0.0])
@@ -42,7 +42,7 @@ def signed(angles: Floats) -> tuple[Floats, Floats]:
 
 def test_table_has_the_size_and_asymmetry_of_the_paper() -> None:
     table = np.array(PAPER_RANGE_ERRORS) / MICROMETRE
-    middle = np.abs(TABLE_ANGLES) < 8 * DEGREE
+    middle = np.abs(INCIDENCE_TABLE_ANGLES) < 8 * DEGREE
     assert table[middle].mean() == pytest.approx(3.0, abs=0.5)
     assert table.max() == table[0] == pytest.approx(13.0)
     assert np.all(table[:4] > table[:4:-1])
@@ -50,21 +50,21 @@ def test_table_has_the_size_and_asymmetry_of_the_paper() -> None:
 
 
 NONE = np.zeros(len(SmrIncidence.parameters))
-CENTRE = len(TABLE_ANGLES) // 2
+CENTRE = len(INCIDENCE_TABLE_ANGLES) // 2
 FROM_CENTRE = np.array(PAPER_RANGE_ERRORS) - PAPER_RANGE_ERRORS[CENTRE]
 
 
 def test_the_table_is_met_at_its_own_angles_less_its_value_at_normal_incidence() -> None:
-    scene = sightings(*signed(TABLE_ANGLES))
+    scene = sightings(*signed(INCIDENCE_TABLE_ANGLES))
     change = SmrIncidence(table=PAPER_RANGE_ERRORS).reading_change(scene, NONE)
     np.testing.assert_allclose(change[:, 0], FROM_CENTRE, atol=1e-12)
     assert not change[:, 1:].any()
 
 
 def test_every_table_is_a_set_of_parameters() -> None:
-    table = tuple(np.random.default_rng(5).normal(0.0, 8e-6, len(TABLE_ANGLES)).tolist())
-    effect, chi = SmrIncidence(table=table, direction=0.7), signed(TABLE_ANGLES)[1]
-    scene = sightings(np.abs(TABLE_ANGLES), chi + 0.7)
+    table = tuple(np.random.default_rng(5).normal(0.0, 8e-6, len(INCIDENCE_TABLE_ANGLES)).tolist())
+    effect, chi = SmrIncidence(table=table, direction=0.7), signed(INCIDENCE_TABLE_ANGLES)[1]
+    scene = sightings(np.abs(INCIDENCE_TABLE_ANGLES), chi + 0.7)
     change = SmrIncidence().reading_change(scene, effect.parameters_from_table)[:, 0]
     np.testing.assert_allclose(change, np.array(table) - table[CENTRE], atol=1e-12)
     np.testing.assert_array_equal(change, effect.reading_change(scene, NONE)[:, 0])
@@ -81,7 +81,7 @@ def test_the_paper_table_is_a_typical_draw_of_the_prior() -> None:
 
 def test_direction_turns_the_table_around_the_nest() -> None:
     chi = 0.7
-    incidence, direction = signed(TABLE_ANGLES)
+    incidence, direction = signed(INCIDENCE_TABLE_ANGLES)
     turned = SmrIncidence(table=PAPER_RANGE_ERRORS, direction=chi).reading_change(
         sightings(incidence, direction + chi), NONE
     )
@@ -99,11 +99,11 @@ def test_across_the_plane_only_the_even_part_is_left() -> None:
 def test_the_error_is_linear_between_the_angles_and_stays_beyond_the_edge() -> None:
     fine = np.linspace(-40, 40, 321) * DEGREE
     error = SmrIncidence(table=PAPER_RANGE_ERRORS).reading_change(sightings(*signed(fine)), NONE)[:, 0]
-    np.testing.assert_allclose(error, np.interp(fine, TABLE_ANGLES, FROM_CENTRE), atol=1e-12)
+    np.testing.assert_allclose(error, np.interp(fine, INCIDENCE_TABLE_ANGLES, FROM_CENTRE), atol=1e-12)
 
 
 def test_reaimed_reflectors_have_no_error() -> None:
-    scene = sightings(*signed(TABLE_ANGLES), reaimed=True)
+    scene = sightings(*signed(INCIDENCE_TABLE_ANGLES), reaimed=True)
     assert not SmrIncidence(table=PAPER_RANGE_ERRORS).reading_change(scene, np.ones(len(NONE))).any()
 
 

@@ -69,7 +69,7 @@ class Design:
     gauge_by_target: Floats
 
     def column(self, *names: str) -> Floats:
-        return self.instrument[:, [dh_construction().index(name) for name in names]]
+        return self.instrument[:, [dh_construction().parameter_index(name) for name in names]]
 
     @property
     def gauge(self) -> tuple[Floats, Floats]:

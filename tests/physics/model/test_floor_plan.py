@@ -53,13 +53,16 @@ def test_incidences_are_those_of_the_room(stated: set[str]) -> None:
 def test_a_frame_that_is_the_plan_s_is_left_alone() -> None:
     recording, _ = recording_with(position_mm=None, yaw_deg=None)
     stations = np.stack([rotation_about_z(float(y)) for y in YAWS])
-    np.testing.assert_array_equal(DeclaredPlan.from_recording(recording).rotation(STATIONS, stations), np.eye(3))
+    np.testing.assert_array_equal(
+        DeclaredPlan.from_recording(recording).rotation_to_network(STATIONS, stations), np.eye(3)
+    )
 
 
 def test_without_a_plan_nothing_is_turned() -> None:
     recording, state = recording_with()
     np.testing.assert_array_equal(
-        DeclaredPlan.from_recording(recording).rotation(state.station_positions, state.station_rotations), np.eye(3)
+        DeclaredPlan.from_recording(recording).rotation_to_network(state.station_positions, state.station_rotations),
+        np.eye(3),
     )
 
 
@@ -67,7 +70,7 @@ def test_rough_places_do_not_lean_the_room() -> None:
     """Heights that are rough by a decimetre turn nothing but the yaw: instruments on tripods know the vertical."""
     recording, truth = simulate(load_scenario("paper-workshop"), seed=1)
     first = truth.station_rotations[0]
-    turn = DeclaredPlan.from_recording(recording).rotation(
+    turn = DeclaredPlan.from_recording(recording).rotation_to_network(
         (truth.station_positions - truth.station_positions[0]) @ first, first.T @ truth.station_rotations
     )
     leaned = (first @ turn)[2, 2]

@@ -7,7 +7,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects.smr_incidence import PAPER_RANGE_ERRORS, TABLE_ANGLES, SmrIncidence
+from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_RANGE_ERRORS, SmrIncidence
 from ltsim.physics.model.construction import ideal_construction
 from ltsim.physics.model.incidence import incidence_errors, incidence_prior_from_bench_test
 from ltsim.physics.model.measurement import MeasurementModel
@@ -22,7 +22,7 @@ def recorded(**changes: object) -> Recording:
 
 
 def bench(sigma: float = 0.2, **settings: object) -> BenchTest:
-    angles = tuple((TABLE_ANGLES / DEGREE).tolist())
+    angles = tuple((INCIDENCE_TABLE_ANGLES / DEGREE).tolist())
     return BenchTest(angle_deg=angles, error_um=tuple(TABLE.tolist()), sigma_um=(sigma,) * len(angles), **settings)
 
 
@@ -33,7 +33,7 @@ def extra(recording: Recording, *effects: SmrIncidence) -> int:
 def test_it_is_estimated_where_nests_are_fixed_and_the_plan_turns_them() -> None:
     fixed = recorded()
     assert extra(fixed) == len(SmrIncidence.parameters)
-    assert extra(recorded(**{"smr.nests": "re-aimed"})) == 0
+    assert extra(recorded(**{"smr.nest_orientation": "re-aimed"})) == 0
     nowhere = {
         name: s.model_copy(update={"position_mm": None, "yaw_deg": None}) for name, s in fixed.setup.stations.items()
     }
@@ -62,7 +62,7 @@ def test_each_reflector_has_an_error_of_its_own() -> None:
 def test_a_bench_test_is_met_within_its_uncertainty_and_leaves_what_it_did_not_see() -> None:
     mean, root = incidence_prior_from_bench_test(bench(direction_deg=20.0))
     truth = SmrIncidence(table=PAPER_RANGE_ERRORS, direction=20.0 * DEGREE).parameters_from_table
-    angles = np.abs(TABLE_ANGLES), np.where(TABLE_ANGLES < 0, np.pi, 0.0) + 20.0 * DEGREE
+    angles = np.abs(INCIDENCE_TABLE_ANGLES), np.where(INCIDENCE_TABLE_ANGLES < 0, np.pi, 0.0) + 20.0 * DEGREE
     seen = SmrIncidence.range_correction_design(*angles)
     np.testing.assert_allclose(seen @ mean, seen @ truth, atol=0.5e-6)
     assert np.sqrt(np.sum((seen @ root) ** 2, axis=1)).max() < 0.5e-6
@@ -74,7 +74,9 @@ def test_a_bench_test_from_any_zero_conditions_the_prior_exactly() -> None:
     """Mean and covariance are those of Bayes' rule written out, without roots."""
     test = bench(1.5)
     mean, root = incidence_prior_from_bench_test(test.model_copy(update={"error_um": tuple((TABLE + 40.0).tolist())}))
-    terms = -SmrIncidence.range_correction_design(np.abs(TABLE_ANGLES), np.where(TABLE_ANGLES < 0, np.pi, 0.0))
+    terms = -SmrIncidence.range_correction_design(
+        np.abs(INCIDENCE_TABLE_ANGLES), np.where(INCIDENCE_TABLE_ANGLES < 0, np.pi, 0.0)
+    )
     rows, gap = np.delete(terms - terms[4], 4, axis=0), np.delete(TABLE - TABLE[4], 4) * MICROMETRE
     prior = np.diag(SmrIncidence().plausible_sizes ** 2)
     gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + np.eye(8) * (1.5 * MICROMETRE) ** 2)
@@ -87,7 +89,7 @@ def test_calibration_uses_the_bench_test_of_the_setup() -> None:
     """It halves what the error of reflectors adds to the variance of the lateral beam offset, at least."""
     plain = recorded()
     tested = plain.replace(setup=plain.setup.model_copy(update={"bench": (bench(),)}))
-    aimed = recorded(**{"smr.nests": "re-aimed", "smr.incidence_error": False})
+    aimed = recorded(**{"smr.nest_orientation": "re-aimed", "smr.incidence_error": False})
     variances = []
     for recording in (plain, tested, aimed):
         found = lt.calibrate(recording, advise=False)

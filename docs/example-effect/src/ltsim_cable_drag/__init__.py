@@ -22,7 +22,7 @@ class CableDrag(Effect):
     """A twist of the instrument that grows with the turn of its head."""
 
     name = "cable-drag"
-    stage = LightPathStage.AXES
+    light_path_stage = LightPathStage.AXES
     observables = ("azimuth",)
     covariates = ("azimuth",)
     parameters = (Parameter("cable-drag", "ppm", "twist of the instrument over the turn of its head", 5e-6),)
