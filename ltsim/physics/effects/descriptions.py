@@ -12,7 +12,7 @@ from pydantic import ConfigDict
 from ltsim.core.descriptions import DescribedModel
 from ltsim.core.results import Result, Table, columns_of, text_columns
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.physics.effects.catalogue import BUILTIN_PROVIDER, ListedEffect, catalogue_entry
+from ltsim.physics.effects.catalogue import BUILTIN_PROVIDER, DOCSTRING_SECTIONS, ListedEffect, catalogue_entry
 from ltsim.physics.effects.effect import Parameter, ShapeParameter
 
 
@@ -119,7 +119,7 @@ class EffectDescription(Description):
             title=entry.title,
             cause=entry.cause_description,
             law=entry.equation,
-            **{name.lower().replace(" ", "_"): text for name, text in entry.sections()},
+            **{_section_field(name): text for name, text in entry.sections()},
             stage=effect.stage.name.lower(),
             scope=effect.scope,
             observables=effect.observables,
@@ -129,6 +129,20 @@ class EffectDescription(Description):
             parameters=tuple(ParameterDescription.from_parameter(p) for p in effect.parameters),
             shape=tuple(ConstantDescription.from_constant(s) for s in effect.shape_parameters),
         )
+
+    @property
+    def labelled_texts(self) -> tuple[tuple[str, str], ...]:
+        """Pairs (label, text) below the equation: sections of the catalogue entry, then properties of the class."""
+        pairs = (
+            *((section, getattr(self, _section_field(section))) for section in DOCSTRING_SECTIONS),
+            ("Acts on", self.observables_text),
+            ("Scope", self.scope),
+            ("Stage", self.stage),
+            ("Base rate", f"{self.base_rate:g} (relative frequency in service; 1 is occasional)"),
+            ("Depends on", ", ".join(self.covariates)),
+            ("Comes from", self.external_origin),
+        )
+        return tuple((label, text) for label, text in pairs if text)
 
     @property
     def summary(self) -> str:
@@ -144,6 +158,11 @@ class EffectDescription(Description):
     def observables_text(self) -> str:
         """Observables as a list."""
         return ", ".join(self.observables)
+
+
+def _section_field(section: str) -> str:
+    """Name of the field of `EffectDescription` with the text of a section: `separate_by` for `Separate by`."""
+    return section.lower().replace(" ", "_")
 
 
 CATALOGUE_TABLE = Table(
