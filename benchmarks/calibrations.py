@@ -186,7 +186,7 @@ def other_paths() -> None:
     apart = max(absolute.largest_solver_difference(block, k, settled) for k in range(8))
     programmed = seconds(lambda: absolute.calibrate(block, some), 3) / len(some)
     alone = seconds(lambda: absolute.serial_calibrator.calibrate(block, np.array([0])), 3)
-    campaign = CampaignFile(format="ltsim-campaign/1", trials=256, geometry="per-trial", verify=0)
+    campaign = CampaignFile(format="ltsim-campaign/1", trials=256, geometry="per-trial", verified_trials_per_shard=0)
     task = ShardTask(campaign, load_scenario("paper-workshop"), "", 0, 0)
     own = seconds(lambda: make_shard_rows(task), 3) / campaign.trials
     shared = ShardTask(CampaignFile(format="ltsim-campaign/1", trials=4096), load_scenario("paper-workshop"), "", 0, 0)

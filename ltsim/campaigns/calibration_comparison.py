@@ -76,14 +76,14 @@ def compare_calibrations(
     calibrations: Calibration | Mapping[str, Calibration],
     validation_scenario: str | Path,
     *,
-    applied: bool = False,
+    uses_applied_corrections: bool = False,
     seed: int = 0,
     trial: int = 0,
 ) -> NewPointErrors:
     """Comparison of calibrations of one simulated recording at points that were not used for calibration.
 
     The same instruments with the same errors measure these points with independent noise, and each calibration corrects
-    these readings. The rows of a campaign with the key `judge_in` contain the same errors.
+    these readings. The rows of a campaign with the key `validation_points` contain the same errors.
 
     Parameters
     ----------
@@ -94,9 +94,9 @@ def compare_calibrations(
     validation_scenario : str or Path
         New points: a scenario with other stations and targets, or a table ``NAME.csv`` of points that are measured from
         the stations of the recording.
-    applied : bool
-        True to evaluate the corrections that `correct` applies, in place of the estimates. The key `applied` of a
-        method in a campaign file does the same.
+    uses_applied_corrections : bool
+        True to evaluate the corrections that `correct` applies, in place of the estimates, like the key of this name
+        of a method in a campaign file.
     seed, trial : int
         Seed and number of the trial with which the recording was simulated.
 
@@ -144,7 +144,7 @@ def compare_calibrations(
     floor = error(measured_points(recording, geometry.construction, true_values[geometry.sightings.instrument]))
     calibration_by_name = (
         by_name
-        if applied
+        if uses_applied_corrections
         else {name: calibration.with_changes(correction=None) for name, calibration in by_name.items()}
     )
     corrected_by_name = {

@@ -55,7 +55,9 @@ def make_calibrator(method: CalibrationMethod, truth: CellTruth) -> TrialCalibra
         raise SetupError(f"methods.{method.title}: {method.method} compares points, which need ranges and angles")
     built, effects = estimated_construction(method), estimated_effects(method)
     if method.solver == "single":
-        return SerialCalibrator(truth, built, effects, method.method, uses_applied_corrections=method.applied)
+        return SerialCalibrator(
+            truth, built, effects, method.method, uses_applied_corrections=method.uses_applied_corrections
+        )
     if method.method != "network":
         return BatchDistance(truth, built, method=method.method)
     return BatchCalibrator(truth, built, effects)

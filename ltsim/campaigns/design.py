@@ -61,16 +61,16 @@ class SpaceFillingDesign(TomlSection):
 
     kind: Literal["latin-hypercube", "sobol"]
     """Kind of design: Latin hypercube (McKay 1979), or scrambled Sobol sequence (Owen 1998)."""
-    cells: Annotated[int, Field(ge=2)]
+    cell_count: Annotated[int, Field(ge=2)]
     """Number of design points, each a combination of factor levels (cell); a power of two for a Sobol sequence."""
     ranges: Annotated[dict[str, LevelRange], Field(min_length=1, max_length=MAX_DESIGN_KEYS)]
-    """Range of each key, by dotted key or by a name in `[link]`: tables `[design.ranges.KEY]`."""
+    """Range of each key, by dotted key or by a name in `[linked_keys]`: tables `[design.ranges.KEY]`."""
 
     @model_validator(mode="after")
     def _check_balance(self) -> Self:
-        if self.kind == "sobol" and self.cells & (self.cells - 1):
-            near = 2 ** round(float(np.log2(self.cells)))
-            raise ValueError(f"it should have a power of two as cells for a Sobol sequence, such as {near}")
+        if self.kind == "sobol" and self.cell_count & (self.cell_count - 1):
+            near = 2 ** round(float(np.log2(self.cell_count)))
+            raise ValueError(f"it should have a power of two as cell_count for a Sobol sequence, such as {near}")
         return self
 
     def points(self, seed: int, keys: Mapping[str, str]) -> list[dict[str, Any]]:
@@ -83,7 +83,7 @@ class SpaceFillingDesign(TomlSection):
 
         draw = random_stream(seed, "campaign", "design", self.kind)
         sampler = qmc.Sobol if self.kind == "sobol" else qmc.LatinHypercube
-        shares = sampler(len(self.ranges), seed=draw).random(self.cells)
+        shares = sampler(len(self.ranges), seed=draw).random(self.cell_count)
         columns = [
             limits.values_at(shares[:, k], is_integer=value_type_of_key(keys[name]) == "integer")
             for k, (name, limits) in enumerate(self.ranges.items())

@@ -197,7 +197,7 @@ class CampaignStatistics:
     def half_width_of_interval(self, n_trials: int, sigma: float) -> float:
         """Half-width of the 95 % confidence interval of a mean of `n_trials` values with standard deviation `sigma`."""
         stops = bool(self.manifest.settings.get("stop"))
-        level = interval_error_rate(self.manifest.trials, self.manifest.shard or 1, is_stopping=stops)
+        level = interval_error_rate(self.manifest.trials, self.manifest.trials_per_shard or 1, is_stopping=stops)
         return student_quantile(n_trials, level) * sigma / math.sqrt(n_trials)
 
     def distribution(self, column: str) -> list[StatisticSummary]:

@@ -135,8 +135,8 @@ POINTS = "name,x_mm,y_mm,z_mm,group,weight,tolerance_mm\n" + "".join(
 CAMPAIGN = """format = "ltsim-campaign/1"
 title = "few"
 trials = 2
-shard = 2
-verify = 0
+trials_per_shard = 2
+verified_trials_per_shard = 0
 seed = 3
 statistics = ["errors"]
 

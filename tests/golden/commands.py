@@ -67,8 +67,8 @@ title = "Two cells"
 scenario = "paper-workshop"
 seed = 5
 trials = 24
-shard = 12
-verify = 1
+trials_per_shard = 12
+verified_trials_per_shard = 1
 statistics = ["criteria", "errors", "z-scores"]
 
 [grid]
