@@ -18,7 +18,7 @@ from ltsim.simulation.keys import ValueType, value_at_key, value_type_of_key
 RESERVED_COLUMNS = frozenset(
     {
         "cell", "label", "method", "trial", "trials", "status", "chi2",
-        "column", "unit", "mean", "standard_deviation", "low", "high", "least", "largest",
+        "column", "unit", "mean", "standard_deviation", "low", "high", "minimum", "maximum",
     }
 )  # fmt: skip
 """Names of the columns that every campaign has, which no factor may have."""

@@ -285,11 +285,14 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: TrueParame
 
 
 def score_estimates(
-    estimates: Mapping[str, ParameterEstimate], truth: Truth, errors: ErrorOrigin, full_ltsim_score: TrialScore | None
+    estimates: Mapping[str, ParameterEstimate],
+    truth: Truth,
+    error_origin: ErrorOrigin,
+    full_ltsim_score: TrialScore | None,
 ) -> TrialScore:
     """Score of an external calibrator in a trial, with ltsim's score for the same parameters.
 
-    Parameters are in the order and units of the truth file. `errors` is the origin of the true instrument errors,
+    Parameters are in the order and units of the truth file. `error_origin` is that of the true instrument errors,
     `full_ltsim_score` ltsim's score for all parameters. CalibratorError is raised for a parameter without a true value,
     or with a unit of another quantity.
     """
@@ -312,7 +315,7 @@ def score_estimates(
     value = scale * np.array([estimates[name].value for name in names])
     sigma = scale * np.array([estimates[name].sigma or np.nan for name in names])
     true_values = np.array([true[name].value for name in names]) / factor
-    standard = (value - true_values) / sigma if errors == "drawn" else np.full(len(value), np.nan)
+    standard = (value - true_values) / sigma if error_origin == "drawn" else np.full(len(value), np.nan)
     ltsim_score = None
     if full_ltsim_score is not None:
         all_names = full_ltsim_score.parameter_names

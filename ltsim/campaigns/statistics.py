@@ -226,8 +226,8 @@ class CampaignStatistics:
                     low=mean - half,
                     high=mean + half,
                     standard_deviation=_nan_if_none(deviation),
-                    least=low,
-                    largest=high,
+                    minimum=low,
+                    maximum=high,
                     quantiles=tuple(quantiles),
                     unit=self.units.get(column, ""),
                 )

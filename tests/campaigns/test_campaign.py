@@ -374,7 +374,7 @@ def test_statistics_are_those_of_the_rows(file: Path, tmp_path: Path) -> None:
     z = np.array(whole["z:transit-tilt"])
     score = next(s for s in results.z_score_summaries() if s.cell == 1 and s.parameter == "transit-tilt")
     assert (score.mean, score.standard_deviation) == pytest.approx((z.mean(), z.std(ddof=1)), rel=1e-4, abs=1e-6)
-    assert [c.checked for c in results.solver_comparisons()] == [3, 3]
+    assert [c.verified_trials for c in results.solver_comparisons()] == [3, 3]
     assert all((c.largest_difference_sigma or 1) < 1e-3 for c in results.solver_comparisons())
     assert json.dumps(results.summary().model_dump(mode="json"), allow_nan=False)
 
