@@ -75,14 +75,14 @@ class PlanningProblem:
         `report_progress` is called with the finished fraction of a start, `store_layout` with each better layout.
         """
         settings, objective = self.plan_file.search, layout_objective(self.plan_file, search_space.survey)
-        step = grid_step(search_space.allowed_areas, settings.grid_mm)
+        step = grid_step(search_space.allowed_areas, settings.grid_step_mm)
         return LayoutSearcher(
             search_space,
             objective,
             self.construction,
             step,
-            settings.yaws,
-            settings.heights,
+            settings.yaw_count,
+            settings.height_count,
             report_progress,
             store_layout,
         )

@@ -81,12 +81,12 @@ class PlannedReflectorEntry(Entry):
     """Number of stations that see the reflector."""
     visible_from: tuple[str, ...] = ()
     """Names of the stations that see the reflector."""
-    within_mm: OptionalFloat = None
+    point_error_mm: OptionalFloat = None
     """Point error that is not exceeded at the confidence level of the goal; null without a tolerance."""
     tolerance_mm: OptionalFloat = None
     """Largest permitted point error; null without a tolerance."""
     tolerance_ratio: OptionalFloat = None
-    """Ratio of point error to tolerance, `within_mm` divided by `tolerance_mm`; at most 1 if the tolerance is met."""
+    """Ratio of point error to tolerance (`point_error_mm` / `tolerance_mm`); at most 1 if the tolerance is met."""
     met: bool | None = None
     """True if the tolerance is met; null without a tolerance."""
 
@@ -115,7 +115,7 @@ class PlannedReflectorEntry(Entry):
             return {}
         within, used = check.error_by_point_m[name] / MILLIMETRE, check.tolerance_ratio(name)
         return {
-            "within_mm": within, "tolerance_mm": check.tolerance_by_point_m[name] / MILLIMETRE,
+            "point_error_mm": within, "tolerance_mm": check.tolerance_by_point_m[name] / MILLIMETRE,
             "tolerance_ratio": used, "met": is_tolerance_met(used),
         }  # fmt: skip
 

@@ -124,14 +124,14 @@ class _PlanSearch:
         goal = self.plan_file.goal
 
         def report_layout(survey: PlannedSurvey, objective_value: float) -> None:
-            is_point_error = goal.targets > 0 and goal.instrument == goal.diagnosis == 0
+            is_point_error = goal.targets_weight > 0 and goal.instrument_weight == goal.diagnosis_weight == 0
             quality_text = (
                 f"weighted point error {objective_value / MICROMETRE:.1f} um"
                 if is_point_error
                 else f"quality {objective_value:.4g}"
             )
             quality_text += (
-                " without the common errors of the air" if survey.air is not None and goal.targets > 0 else ""
+                " without the common errors of the air" if survey.air is not None and goal.targets_weight > 0 else ""
             )
             self.callbacks.on_progress_sentence(
                 f"best layout so far: {len(survey.station_positions)} stations, {quality_text}"
@@ -171,14 +171,14 @@ class _PlanSearch:
         options = self.tradeoff_points(self.layouts)
         if not options:
             raise SetupError(STOPPED_MESSAGE)
-        hours = file.budget.hours
+        hours = file.budget.max_hours
         if hours is None:
             return min(options, key=lambda o: (len(o.survey.station_positions) != count, o.objective_value))
         paid = [o for o in options if o.hours <= hours]
         if not paid:
             cheapest = min(o.hours for o in options)
             raise SetupError(
-                f"budget.hours is {hours:g} h, but the fastest procedure takes {cheapest:.1f} h: increase budget.hours"
+                f"budget.max_hours is {hours:g} h, but the fastest procedure takes {cheapest:.1f} h: increase it"
             )
         return min(paid, key=lambda o: o.objective_value)
 
@@ -195,7 +195,9 @@ class _PlanSearch:
         file, faces = self.plan_file, self.face_and_round_choices[0]
         min_stations = file.stations.min_stations_per_target
         min_count = max(
-            MIN_STATIONS if alone else 3, len(file.stations.fixed), 1 if min_stations == "all" else min_stations
+            MIN_STATIONS if alone else 3,
+            len(file.stations.fixed_stations),
+            1 if min_stations == "all" else min_stations,
         )
         station_counts = range(min_count, max(min_count, file.stations.max_count) + 1)
         placement = placement_seeing_all_points(
@@ -215,7 +217,7 @@ class _PlanSearch:
             options = self.tradeoff_points(
                 {key: self._layout_with_smallest_error_ratio(layouts, demands) for key, layouts in made.items()}
             )
-            paid = [o for o in options if o.hours <= (file.budget.hours or np.inf)]
+            paid = [o for o in options if o.hours <= (file.budget.max_hours or np.inf)]
             results = [
                 (*feasibility_and_error_ratio(option.survey, demands, self.problem.construction), option)
                 for option in paid
@@ -261,12 +263,12 @@ class _PlanSearch:
 
     def _no_layout_message(self, station_counts: range) -> str:
         """Error message for a search that found no layout with these numbers of stations."""
-        hours = self.plan_file.budget.hours
+        hours = self.plan_file.budget.max_hours
         if self.is_stopped:
             return STOPPED_MESSAGE
         if hours and any(outcome.has_layout for outcome in self.station_count_results):
             range_text = f"{station_counts[0]} to {station_counts[-1]}"
-            return f"no layout of {range_text} stations takes at most {hours:g} h; give more budget.hours"
+            return f"no layout of {range_text} stations takes at most {hours:g} h; give more budget.max_hours"
         try:
             search_from_start(self.problem, SearchTask(station_counts[-1], self.face_and_round_choices[0][-1], 0))
         except (SetupError, NetworkError) as problem:
@@ -332,15 +334,15 @@ def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanF
     value.
     """
     settings, count = file.search, len(search_space.survey.station_positions)
-    step = grid_step(search_space.allowed_areas, settings.grid_mm)
-    reachable, limiting = max_stations_seeing_every_target(search_space, step, settings.heights)
+    step = grid_step(search_space.allowed_areas, settings.grid_step_mm)
+    reachable, limiting = max_stations_seeing_every_target(search_space, step, settings.height_count)
     if reachable >= search_space.min_sights:
         return file
 
     def layout_error(min_sights: int) -> SetupError | None:
         """Error of the search for an initial layout with `min_sights` stations per target; None if one is found."""
         searcher = LayoutSearcher(
-            search_space.replace(min_sights=min_sights), grid_step=step, n_yaws=1, n_heights=settings.heights
+            search_space.replace(min_sights=min_sights), grid_step=step, n_yaws=1, n_heights=settings.height_count
         )
         try:
             searcher.random_layout(random_stream(settings.seed, "plan", "sights"))
@@ -357,7 +359,7 @@ def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanF
         return file
     if not reachable:
         raise problem
-    cure = "remove a station from stations.fixed" if len(search_space.fixed_stations) else "enlarge the floor"
+    cure = "remove a station from stations.fixed_stations" if len(search_space.fixed_stations) else "enlarge the floor"
     raise SetupError(
         f"stations.min_stations_per_target requires {search_space.min_sights} of {count} stations to see every "
         f"reflector, but at most {reachable} can, and {limiting} is visible from the fewest positions: set "
@@ -368,7 +370,7 @@ def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanF
 def placement_seeing_all_points(search_space: SearchSpace, file: PlanFile) -> StationPlacement:
     """Candidate positions of stations on the grid; raises SetupError, which names points that no position sees."""
     placement = search_space.candidate_placement(
-        grid_step(search_space.allowed_areas, file.search.grid_mm), file.search.heights
+        grid_step(search_space.allowed_areas, file.search.grid_step_mm), file.search.height_count
     )
     if not placement.is_visible.any(axis=0).all():
         raise SetupError(search_space.invisible_targets_sentence(np.flatnonzero(~placement.is_visible.any(axis=0))))

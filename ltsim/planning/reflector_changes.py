@@ -94,8 +94,8 @@ class ReflectorChanges:
         """Sentence on the numbers of evaluated and of useful moves and additions."""
         if not self.n_tried["move"] + self.n_tried["add"]:
             return (
-                "No other place for a reflector was tested. Give candidate places as reflectors.on, reflectors.places "
-                "or reflectors.surfaces, and name the points of a list that could be moved as reflectors.movable."
+                "No other place for a reflector was tested. Give candidate places in reflectors.candidate_bodies, "
+                "reflectors.places or reflectors.surfaces, and in reflectors.movable_points the points that may move."
             )
         return (
             f"Tested one at a time: {self.n_tried['move']} moves of a reflector ({self.n_useful['move']} help), "

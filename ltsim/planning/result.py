@@ -159,14 +159,14 @@ class Plan(ResultFile, PlannedLayoutEntry):
 
     def _reflectors_table(self) -> Table:
         return tables.PLANNED_REFLECTORS_TABLE.with_rows(
-            [r.name, *r.position_mm, r.sigma_um, *(r.u_um or 3 * (None,)), r.within_mm, r.tolerance_mm,
+            [r.name, *r.position_mm, r.sigma_um, *(r.u_um or 3 * (None,)), r.point_error_mm, r.tolerance_mm,
              " ".join(r.visible_from)]
             for r in self.reflectors
         )  # fmt: skip
 
     def _tolerances_table(self) -> Table:
         return tables.TOLERANCES_TABLE.with_rows(
-            [r.name, r.within_mm, r.tolerance_mm, percent_text(r.tolerance_ratio), r.met]
+            [r.name, r.point_error_mm, r.tolerance_mm, percent_text(r.tolerance_ratio), r.met]
             for r in self.reflectors
             if r.tolerance_ratio is not None
         )

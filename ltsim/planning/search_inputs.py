@@ -142,7 +142,7 @@ def make_search_space(
         obstacles=make_obstacles(scenario),
         min_station_spacing=plan.stations.spacing_mm * mm,
         min_sights=least,
-        fixed_stations=tuple(survey.station_names.index(name) for name in plan.stations.fixed),
+        fixed_stations=tuple(survey.station_names.index(name) for name in plan.stations.fixed_stations),
         candidate_nests=places,
         nest_names=names,
         min_reflector_spacing=plan.reflectors.spacing_mm * mm,
@@ -202,7 +202,7 @@ def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None,
     _require_few_places(len(plan.reflectors.places) + sum(surface.rows * surface.columns for surface in surfaces))
     points = [np.array(p.position_mm, dtype=np.float64)[None] for p in plan.reflectors.places]
     names = [p.name for p in plan.reflectors.places]
-    for body in plan.reflectors.on:
+    for body in plan.reflectors.candidate_bodies:
         points.append(_places_on_body(plan, scenario, body))
         names += [f"{body}-{i}" for i in range(1, len(points[-1]) + 1)]
     _require_few_places(sum(map(len, points)) + sum(surface.rows * surface.columns for surface in surfaces))
@@ -246,21 +246,21 @@ def is_fixed_target(plan: PlanFile, scenario: Scenario) -> Bools:
     If the plan has no candidate positions of reflectors, the search moves no target.
     """
     names, given = scenario.target_names, plan.reflectors
-    if not (given.surfaces or given.places or given.on):
+    if not (given.surfaces or given.places or given.candidate_bodies):
         return np.ones(len(names), dtype=bool)
     return _fixed_flags(plan, scenario, names, [point.name for point in plan.listed_points])
 
 
 def is_immovable_target(plan: PlanFile, scenario: Scenario, survey: PlannedSurvey) -> Bools:
-    """Flags (T,) of the T targets of a survey that the search does not move and the plan does not name `movable`."""
-    free = plan.reflectors.movable
+    """Flags (T,) of the T targets of a survey: True if the target neither moves in the search nor may be moved."""
+    free = plan.reflectors.movable_points
     demanded = [point.name for point in plan.listed_points if point.name not in free and point.group not in free]
     return _fixed_flags(plan, scenario, survey.target_names, demanded)
 
 
 def _fixed_flags(plan: PlanFile, scenario: Scenario, names: Sequence[str], fixed_names: Sequence[str]) -> Bools:
     """Flags (T,) of the T targets `names`: True for `fixed_names`, for the gauge, and for those that a plan keeps."""
-    fixed = {*plan.reflectors.keep, *fixed_names, *(scenario.gauge.targets if scenario.gauge else ())}
+    fixed = {*plan.reflectors.fixed_reflectors, *fixed_names, *(scenario.gauge.targets if scenario.gauge else ())}
     return np.array([name in fixed for name in names], dtype=bool)
 
 
@@ -272,12 +272,12 @@ def layout_objective(plan: PlanFile, survey: PlannedSurvey) -> LayoutObjective:
     """
     goal = plan.goal
     weights = {
-        INSTRUMENT_QUALITY_NAME: goal.instrument,
-        TARGETS_QUALITY_NAME: goal.targets,
-        DIAGNOSIS_QUALITY_NAME: goal.diagnosis,
+        INSTRUMENT_QUALITY_NAME: goal.instrument_weight,
+        TARGETS_QUALITY_NAME: goal.targets_weight,
+        DIAGNOSIS_QUALITY_NAME: goal.diagnosis_weight,
     }
     effects: list[Effect] = []
-    for name in goal.effects if goal.diagnosis else ():
+    for name in goal.effects if goal.diagnosis_weight else ():
         kind = find_effect(name)
         if kind.scope == "station":
             effects += [kind(stations=(station,)) for station in survey.station_names]

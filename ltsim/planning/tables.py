@@ -30,7 +30,7 @@ PLANNED_REFLECTORS_TABLE = Table(
         *PLACE_COLUMNS,
         *number_columns(sigma_um="expected point error"),
         *number_columns(U_x_um="expanded uncertainty, k = 2", U_y_um="as U_x_um", U_z_um="as U_x_um"),
-        *number_columns(within_mm="error at the confidence level of the goal", tolerance_mm="limit of the error"),
+        *number_columns(point_error_mm="error at the confidence level of the goal", tolerance_mm="limit of the error"),
         *text_columns(visible_from="stations from which it is visible"),
     ),
 )
@@ -114,7 +114,7 @@ TOLERANCES_TABLE = Table(
         *text_columns(point="name"),
         *number_columns(
             display_format=".5g",
-            within_mm="error at the confidence level of the goal",
+            point_error_mm="error at the confidence level of the goal",
             tolerance_mm="limit of the error",
         ),
         *text_columns(

@@ -73,11 +73,11 @@ class PointTolerances:
         """
         limits = {}
         for point in file.listed_points:
-            named = [t.within_mm for t in file.goal.tolerances if t.group in ("", point.group)]
+            named = [t.tolerance_mm for t in file.goal.tolerances if t.group in ("", point.group)]
             limit = point.tolerance_mm if point.tolerance_mm is not None else min(named, default=None)
             if limit is not None:
                 limits[point.name] = limit * MILLIMETRE
-        return cls(limits, file.goal.level_pct / 100.0, file.goal.robust)
+        return cls(limits, file.goal.confidence_level_pct / 100.0, file.goal.loss_to_withstand)
 
     def __bool__(self) -> bool:
         return bool(self.tolerance_by_point_m)

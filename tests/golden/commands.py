@@ -115,23 +115,23 @@ spacing_mm = 800
 min_stations_per_target = 1
 
 [reflectors]
-on = ["walls"]
+candidate_bodies = ["walls"]
 place_spacing_mm = 4000
 
 [budget]
-hours = 2
+max_hours = 2
 faces = [1]
 repeats = [1]
 
 [goal]
-targets = 1.0
-instrument = 0.5
+targets_weight = 1.0
+instrument_weight = 0.5
 
 [search]
 starts = 1
-grid_mm = 2500
-yaws = 1
-heights = 1
+grid_step_mm = 2500
+yaw_count = 1
+height_count = 1
 """
 TASKS = """format = "ltsim-tasks/1"
 title = "A length and a plane"

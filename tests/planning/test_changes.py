@@ -98,7 +98,11 @@ def test_reflectors_are_chosen_for_the_targets_alone() -> None:
 
 def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
-    ways = {"none": "", "walls": 'on = ["walls", "machine"]', "both": 'on = ["machine"]\nmovable = ["wall"]'}
+    ways = {
+        "none": "",
+        "walls": 'candidate_bodies = ["walls", "machine"]',
+        "both": 'candidate_bodies = ["machine"]\nmovable_points = ["wall"]',
+    }
     for name, given in ways.items():
         text = HALL.replace("box_mm", 'name = "machine"\nbox_mm').replace(
             "[search]", f"[reflectors]\n{given}\n[search]"
@@ -129,7 +133,10 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
 
 def test_bodies_and_groups_that_are_not_there_are_told(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
-    for given, sentence in (('on = ["wals"]', "did you mean walls"), ('movable = ["wal"]', "did you mean wall")):
+    for given, sentence in (
+        ('candidate_bodies = ["wals"]', "did you mean walls"),
+        ('movable_points = ["wal"]', "did you mean wall"),
+    ):
         text = HALL.replace("[search]", f"[reflectors]\n{given}\n[search]")
         (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
         with pytest.raises(SetupError, match=sentence):

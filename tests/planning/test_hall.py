@@ -53,9 +53,9 @@ from_mm = [12000, 5500]
 to_mm = [12000, 7000]
 [search]
 starts = 1
-grid_mm = 1500
-yaws = 3
-heights = 1
+grid_step_mm = 1500
+yaw_count = 3
+height_count = 1
 """
 
 
@@ -112,9 +112,9 @@ def test_holes_ceilings_and_clearance_take_floor_away() -> None:
         ("ceiling_mm = 2300", "ceiling_mm = 1500", "floor.areas.2.ceiling_mm is 1500, but tracker heads are at 1400"),
         ("[workshop]\n", 'scenario = "paper-workshop"\n[workshop]\n', "either scenario or [workshop], not both"),
         ("12000, 8000, 5000", "12000, 2000, 5000", "outside the hall"),
-        ("[search]", '[[goal.tolerances]]\ngroup = "machin"\nwithin_mm = 0.1\n[search]', "did you mean machine?"),
+        ("[search]", '[[goal.tolerances]]\ngroup = "machin"\ntolerance_mm = 0.1\n[search]', "did you mean machine?"),
         ('points = "points.csv"', "", "has 0 reflectors"),
-        ("[search]", "[stations]\ncount = 3\n[budget]\nfaces = [1]\n[search]", "budget.faces without budget.hours"),
+        ("[search]", "[stations]\ncount = 3\n[budget]\nfaces = [1]\n[search]", "budget.faces without budget.max_hours"),
         ('"points.csv"', '"nowhere.csv"', "nowhere.csv: there is no such file"),
     ],
 )  # fmt: skip
@@ -205,7 +205,7 @@ def test_a_radius_holds_the_stated_share_of_errors() -> None:
 
 @pytest.mark.long
 def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) -> None:
-    goal = '[goal]\nrobust = "ROBUST"\n[[goal.tolerances]]\ngroup = "machine"\nwithin_mm = 0.03\n[search]'
+    goal = '[goal]\nloss_to_withstand = "ROBUST"\n[[goal.tolerances]]\ngroup = "machine"\ntolerance_mm = 0.03\n[search]'
     counts = {}
     for robust in ("no", "station"):
         hall.write_text(HALL.replace("[search]", goal.replace("ROBUST", robust)), encoding="utf-8")
@@ -215,7 +215,7 @@ def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) 
         assert made.tolerance_check.meets_all
         counts[robust] = len(made.layout.survey.station_positions)
         assert content.tolerances_met
-        assert sum(r.within_mm is not None and r.within_mm <= 0.03 for r in content.reflectors) == 8
+        assert sum(r.point_error_mm is not None and r.point_error_mm <= 0.03 for r in content.reflectors) == 8
         stations = [loss for loss in content.losses if loss.lost in made.layout.survey.station_names]
         assert len(stations) == counts[robust]
         assert all(loss.met for loss in stations) == (robust == "station")
@@ -230,7 +230,7 @@ def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) 
 
 
 def test_a_tolerance_that_nothing_keeps_is_answered_with_what_can_be_had(hall: Path) -> None:
-    goal = "[[goal.tolerances]]\nwithin_mm = 0.0001\n[stations]\nmax_count = 2\n[budget]\nrepeats = [1]\n[search]"
+    goal = "[[goal.tolerances]]\ntolerance_mm = 0.0001\n[stations]\nmax_count = 2\n[budget]\nrepeats = [1]\n[search]"
     hall.write_text(HALL.replace("[search]", goal), encoding="utf-8")
     content = lt.plan(hall)
     assert content.network.tolerance_check is not None
@@ -243,7 +243,7 @@ def test_a_tolerance_that_nothing_keeps_is_answered_with_what_can_be_had(hall: P
 
 
 def test_the_headline_is_the_root_mean_square_of_all_points(hall: Path, tmp_path: Path) -> None:
-    goal = "[[goal.tolerances]]\ngroup = 'machine'\nwithin_mm = 0.05\n[search]"
+    goal = "[[goal.tolerances]]\ngroup = 'machine'\ntolerance_mm = 0.05\n[search]"
     hall.write_text(HALL.replace("[search]", "[stations]\ncount = 2\n[work]\nfaces = 1\n" + goal), encoding="utf-8")
     content = lt.plan(hall)
     sigma = np.array([r.sigma_um for r in content.reflectors], dtype=np.float64)
@@ -270,7 +270,7 @@ def test_the_headline_is_the_root_mean_square_of_all_points(hall: Path, tmp_path
 
 
 def test_points_in_sight_from_nowhere_are_named(hall: Path) -> None:
-    goal = "[[goal.tolerances]]\ngroup = 'machine'\nwithin_mm = 0.05\n[search]"
+    goal = "[[goal.tolerances]]\ngroup = 'machine'\ntolerance_mm = 0.05\n[search]"
     hall.write_text(HALL.replace("[search]", goal), encoding="utf-8")
     inside = points_csv() + "IN,6000,4000,1000,machine,\n"
     (hall.parent / "points.csv").write_text(inside, encoding="utf-8")

@@ -46,9 +46,9 @@ count = 2
 min_stations_per_target = 1
 [search]
 starts = 1
-grid_mm = 1500
+grid_step_mm = 1500
 [[goal.tolerances]]
-within_mm = 0.5
+tolerance_mm = 0.5
 """
 POINTS = """name,x_mm,y_mm,z_mm
 A,500,300,500
@@ -191,7 +191,7 @@ def test_the_page_marks_what_the_verdict_does_not_keep(hall: Path, tmp_path: Pat
     move = {"S1": (1200, 2000), "S2": (4700, 1200)}
     made = lt.plan(hall, move=move).network
     worst = made.tolerance_check.error_by_point_m[made.tolerance_check.worst_point_name]  # type: ignore[union-attr]
-    hall.write_text(PLAN.replace("within_mm = 0.5", f"within_mm = {worst * 1000 / 1.0004!r}"))
+    hall.write_text(PLAN.replace("tolerance_mm = 0.5", f"tolerance_mm = {worst * 1000 / 1.0004!r}"))
     content = lt.plan(hall, move=move)
     (grid, *_) = _tolerance_tables(content)
     assert isinstance(grid, TableBlock) and len(grid.marked_rows) == 1 and content.reached is False
@@ -219,7 +219,7 @@ def test_places_of_reflectors_are_bounded_before_any_is_made(rows: int, hall: Pa
 def test_a_fine_grid_of_a_hall_is_refused_before_it_is_built(tmp_path: Path) -> None:
     """A million places took 1.3 GB and 27 s; a thousandth of a millimetre would take all memory."""
     (tmp_path / "points.csv").write_text(POINTS)
-    (tmp_path / "plan.toml").write_text(re.sub(r"grid_mm = .*", "grid_mm = 5", PLAN))
+    (tmp_path / "plan.toml").write_text(re.sub(r"grid_step_mm = .*", "grid_step_mm = 5", PLAN))
     tracemalloc.start()
     try:
         with pytest.raises(SetupError, match=r"a grid of 5 mm .* the limit is 200000"):

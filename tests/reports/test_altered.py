@@ -126,7 +126,7 @@ def plan(folder: Path) -> dict[str, Any]:
     """Content of a plan with one station."""
     content: dict[str, Any] = json.loads((samples.plan_folder(folder) / "plan.json").read_text())
     content["reference"]["stations"] = content["stations"] = content["stations"][:1]
-    return content | {"settings": {"goal": {"level_pct": 95}, "floor": {"margin_mm": 500}}}
+    return content | {"settings": {"goal": {"confidence_level_pct": 95}, "floor": {"margin_mm": 500}}}
 
 
 def sentence(file: Path, content: Any) -> str:

@@ -120,7 +120,7 @@ class MovableLayout:
         """
         search = self.plan_file.search
         places = self.search_space.grid_places(
-            grid_step(self.search_space.allowed_areas, search.grid_mm), search.heights
+            grid_step(self.search_space.allowed_areas, search.grid_step_mm), search.height_count
         )
         places = places[:: max(1, -(-len(places) // MAX_OFFERED_POSITIONS))]
         return (
@@ -228,7 +228,7 @@ class MovableLayout:
             plan.pop(key, None)
         names = list(scenario.stations)
         plan |= {"format": self.plan_file.format, "scenario": SCENARIO_FILE}
-        plan["stations"] = plan.get("stations", {}) | {"count": len(names), "fixed": names}
+        plan["stations"] = plan.get("stations", {}) | {"count": len(names), "fixed_stations": names}
         scenario, cad_files = copy_cad_files(scenario)
         texts = {SCENARIO_FILE: scenario_to_toml(scenario), PLAN_FILE: to_toml(plan)}
         write_texts(folder, {**cad_files, **texts})

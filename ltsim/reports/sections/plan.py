@@ -70,7 +70,7 @@ def _tolerance_tables(content: Plan) -> list[Block]:
     tolerance_table = content.table("tolerances")
     if not tolerance_table.rows:
         return []
-    level = content.settings.goal.level_pct
+    level = content.settings.goal.confidence_level_pct
     missed_rows = frozenset(i for i, is_met in enumerate(tolerance_table.column("met")) if not is_met)
     blocks: list[Block] = [
         *table_blocks(f"Points against their tolerances, at {level:g} %", tolerance_table, marked_rows=missed_rows)

@@ -25,7 +25,7 @@ from tests.planning.test_hall import HALL, points_csv
 from tests.reports.board.tab import opened
 from tests.reports.browser import find_browser
 
-TOLERANCES = '[[goal.tolerances]]\ngroup = "machine"\nwithin_mm = 0.05\n[search]'
+TOLERANCES = '[[goal.tolerances]]\ngroup = "machine"\ntolerance_mm = 0.05\n[search]'
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def test_the_verdict_says_when_a_station_less_is_too_few(hall: Path) -> None:
 
 def test_a_layout_that_breaks_a_rule_is_never_reached(hall: Path) -> None:
     text = hall.read_text()
-    hall.write_text(text.replace("within_mm = 0.05", "within_mm = 5"))
+    hall.write_text(text.replace("tolerance_mm = 0.05", "tolerance_mm = 5"))
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
     assert board.verdict_json(stations)["reached"] and board.evaluation_json(stations)["problem"] == ""  # type: ignore[index]
