@@ -216,8 +216,8 @@ def _picture_files(plan_result: Plan) -> dict[str, bytes]:
         FLOOR_PLAN_FILE: png_bytes(plan_result.plot()),
     }
     return content_by_name | (
-        {TRADE_OFF_FILE: png_bytes(trade_off_figure(plan_result, next(iter(plan_result.quality))))}
-        if plan_result.tradeoff
+        {TRADE_OFF_FILE: png_bytes(trade_off_figure(plan_result, next(iter(plan_result.qualities))))}
+        if plan_result.tradeoff_points
         else {}
     )
 

@@ -33,18 +33,18 @@ class PlanChange(Entry):
 
     kind: Literal["move", "add", "remove"]
     """Type of the change."""
-    words: str = ""
+    sentence: str = ""
     """Sentence on the change and its benefit."""
     reflector: str = ""
     """Name of the reflector that is moved or removed; empty for an addition."""
-    place: str = ""
+    new_place: str = ""
     """Name of the new position of the reflector; empty for a removal."""
     position_mm: Vector | None = None
     """Coordinates of the new position in the hall frame; null for a removal."""
-    gain_um: Finite
+    target_rms_decrease_um: Finite
     """Decrease by the change of the weighted root mean square point error of all reflectors except the changed one
     (inner constraints); negative for an increase."""
-    quality: Finite
+    objective_ratio: Finite
     """Objective after the change divided by that of the plan; if only targets have a weight in the goal, the point
     error of all other targets after the change divided by that before. Below 1 is better."""
     most_affected_parameter: str = ""
@@ -58,7 +58,7 @@ class PlanChange(Entry):
         """Text of the change, such as "move P3 to N1 (1.00, 2.00, 0.50) m"."""
         if self.position_mm is None:
             return f"leave out {self.reflector}"
-        place = f"{self.place} ({', '.join(f'{v / 1000:.2f}' for v in self.position_mm)}) m"
+        place = f"{self.new_place} ({', '.join(f'{v / 1000:.2f}' for v in self.position_mm)}) m"
         return f"move {self.reflector} to {place}" if self.reflector else f"add a reflector at {place}"
 
 
@@ -243,22 +243,23 @@ class _ChangeEvaluator:
         change = PlanChange(
             kind=kind,
             reflector="" if removed_index is None else names[removed_index],
-            place="" if place_index is None else names[place_index],
+            new_place="" if place_index is None else names[place_index],
             position_mm=None if place_index is None else to_millimetres(places[place_index]),
-            gain_um=float(before - after) / MICROMETRE,
-            quality=value,
+            target_rms_decrease_um=float(before - after) / MICROMETRE,
+            objective_ratio=value,
             most_affected_parameter=affected_parameter,
             most_affected_ratio=float(ratios[affected_parameter]),
         )
-        return change.model_copy(update={"words": _change_sentence(change)})
+        return change.model_copy(update={"sentence": _change_sentence(change)})
 
 
 def _change_sentence(change: PlanChange) -> str:
     """Sentence on a change and its benefit, without a full stop."""
-    if abs(1 - change.quality) < MAX_NEGLIGIBLE_CHANGE:
+    if abs(1 - change.objective_ratio) < MAX_NEGLIGIBLE_CHANGE:
         return f"{change.action_text}: makes no difference"
-    better = f"{100 * abs(1 - change.quality):.1f} % {'better' if change.quality <= 1 else 'worse'}"
-    other = f"{abs(change.gain_um):.2f} um {'less' if change.gain_um >= 0 else 'more'} error of the other points"
+    better = f"{100 * abs(1 - change.objective_ratio):.1f} % {'better' if change.objective_ratio <= 1 else 'worse'}"
+    decrease = change.target_rms_decrease_um
+    other = f"{abs(decrease):.2f} um {'less' if decrease >= 0 else 'more'} error of the other points"
     sigma = 100 * (change.most_affected_ratio - 1)
     phrase = "hardest on" if change.kind == "remove" else "most for"
     parameter = change.most_affected_parameter

@@ -44,7 +44,7 @@ PLANNED_PARAMETERS_TABLE = Table(
             sigma_reference="standard deviation with the stations of the scenario",
             prior_sigma="standard deviation before any reading",
         ),
-        *number_columns(gain="fraction of the prior variance that the readings remove"),
+        *number_columns(removed_variance_fraction="fraction of the prior variance that the readings remove"),
     ),
 )
 VISIBILITY_TABLE = Table(
@@ -96,14 +96,14 @@ TRADEOFF_TABLE = Table(
     "tradeoff.csv",
     "measuring procedures, each with its best layout",
     (
-        *columns_of(TradeoffEntry, "stations faces repeats pointings hours"),
-        *columns_of(TradeoffEntry, "value", value={"title": "objective"}),
+        *columns_of(TradeoffEntry, "station_count faces repeats pointings hours"),
+        *columns_of(TradeoffEntry, "objective_value", objective_value={"title": "objective"}),
         Column(
             "point_error_um",
             "the objective in um, if it consists only of the error of the targets",
             title="weighted point error",
         ),
-        *columns_of(TradeoffEntry, "efficient", efficient={"title": "best for its duration"}),
+        *columns_of(TradeoffEntry, "is_efficient", is_efficient={"title": "best for its duration"}),
     ),
 )
 EFFECTS_TABLE = Table("effects.csv", "minimal detectable sizes of effects", columns_of(DetectableSize))
@@ -120,19 +120,19 @@ TOLERANCES_TABLE = Table(
         *text_columns(
             tolerance_ratio="error divided by the limit, with enough digits to show on which side of 1 it is"
         ),
-        *flag_columns(met="the tolerance is met"),
+        *flag_columns(tolerance_met="the tolerance is met"),
     ),
 )
 LOSSES_TABLE = Table(
     "losses.csv",
     "tolerances after the loss of a station or a sight",
     (
-        *text_columns(lost="station or sight"),
-        *flag_columns(met="all tolerances are met"),
+        *text_columns(lost_station_or_sight="station or sight"),
+        *flag_columns(tolerances_met="all tolerances are met"),
         *text_columns(
             worst_point="point with the largest ratio of error to tolerance",
             tolerance_ratio="ratio of error to tolerance of this point",
-            unseen="points that are not visible from any station",
+            unseen_points="points that are not visible from any station",
         ),
     ),
 )
@@ -142,7 +142,9 @@ REFLECTOR_CHANGES_TABLE = Table(
     (
         *number_columns(number="on the floor plan"),
         *text_columns(change="kind of change"),
-        *number_columns("r", "+.2f", gain_um="reduction of the weighted point error of all other points"),
+        *number_columns(
+            "r", "+.2f", target_rms_decrease_um="reduction of the weighted point error of all other points"
+        ),
         *number_columns("r", "+.1f", gain_percent="reduction of the objective"),
         *text_columns(most_for="parameter, or point, that gains most"),
         *number_columns("r", "+.1f", sigma_percent="change of its standard deviation"),

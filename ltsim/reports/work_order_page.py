@@ -21,7 +21,7 @@ def work_order_page(plan: Plan) -> str:
     """HTML page of the work order of a plan."""
     survey = plan.network.layout.survey
     title = f"Work order: {plan.title or 'the plan'}"
-    is_rejected = plan.reached is False or bool(plan.broken_rules)
+    is_rejected = plan.goal_reached is False or bool(plan.broken_rules)
     section = Section(
         title=title,
         kind="Work order",
@@ -86,7 +86,7 @@ def _reflector_proposals_block(plan: Plan) -> list[Block]:
     if not moves_and_additions:
         return []
     lines = [
-        f"{c.action_text}: the errors of the other points decrease by {c.gain_um:.2f} µm. "
+        f"{c.action_text}: the errors of the other points decrease by {c.target_rms_decrease_um:.2f} µm. "
         f"The parameter that improves most is {c.most_affected_parameter}."
         for c in moves_and_additions
     ]

@@ -31,7 +31,7 @@ def test_a_fault_of_ltsim_has_a_status_of_its_own(
     def broken(*_: object, **__: object) -> None:
         raise IndexError("nobody expects this")
 
-    monkeypatch.setattr(effects, "_line", broken)
+    monkeypatch.setattr(effects, "_list_line", broken)
     assert run(["effects"]) == 70
     said = capsys.readouterr().err
     assert "Traceback" in said and "nobody expects this" in said

@@ -216,12 +216,14 @@ def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) 
         counts[robust] = len(made.layout.survey.station_positions)
         assert content.tolerances_met
         assert sum(r.point_error_mm is not None and r.point_error_mm <= 0.03 for r in content.reflectors) == 8
-        stations = [loss for loss in content.losses if loss.lost in made.layout.survey.station_names]
+        stations = [
+            loss for loss in content.loss_checks if loss.lost_station_or_sight in made.layout.survey.station_names
+        ]
         assert len(stations) == counts[robust]
-        assert all(loss.met for loss in stations) == (robust == "station")
+        assert all(loss.tolerances_met for loss in stations) == (robust == "station")
         assert content.summary.startswith("Reached: all 8 tolerances are met at 95 % confidence; worst point M")
         assert ("any one station all are met" if robust == "station" else "they are not met") in content.summary
-        assert content.reached
+        assert content.goal_reached
         assert any(s.startswith(f"{counts[robust]} stations are the fewest") for s in content.reasons)
         first = 2 if robust == "no" else 3
         assert f"Layouts with fewer than {first} stations were not searched." in content.reasons
@@ -236,7 +238,7 @@ def test_a_tolerance_that_nothing_keeps_is_answered_with_what_can_be_had(hall: P
     assert content.network.tolerance_check is not None
     assert not content.network.tolerance_check.meets_all
     assert content.summary.startswith("Not reached: 0 of 30 tolerances are met")
-    assert not content.reached
+    assert not content.goal_reached
     page = work_order_page(content)
     assert "Do not measure this layout: Not reached: 0 of 30 tolerances are met" in page
     assert any("with 2 to 2 stations" in sentence for sentence in content.reasons)
@@ -251,7 +253,7 @@ def test_the_headline_is_the_root_mean_square_of_all_points(hall: Path, tmp_path
     tolerated = sigma[[r.tolerance_mm is not None for r in content.reflectors]]
     weight = np.where([r.tolerance_mm is not None for r in content.reflectors], 1.0, 0.01)
     weighted = np.sqrt(np.average(sigma**2, weights=weight))  # ten times the tolerance for points without one
-    assert 1e6 * (content.quality["targets"] or 0.0) == pytest.approx(weighted, rel=1e-3)
+    assert 1e6 * (content.qualities["targets"] or 0.0) == pytest.approx(weighted, rel=1e-3)
     assert np.sqrt(np.mean(tolerated**2)) < 0.95 * content.rms_sigma_um
     text = f"targets known to {content.rms_sigma_um:.1f} um (root mean square of all points; weighted point error"
     assert text in content.reasons[0]

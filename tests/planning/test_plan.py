@@ -85,7 +85,7 @@ def test_the_plan_is_better_than_the_scenario_and_says_by_how_much(plan: Planned
     assert factor > 1.05
     assert any(f"the quality of instrument is {factor:.2f} times better" in sentence for sentence in content.reasons)
     assert len(content.stations) == 4
-    assert content.quality["instrument"] == pytest.approx(plan.layout.objective_value)
+    assert content.qualities["instrument"] == pytest.approx(plan.layout.objective_value)
 
 
 def test_ranges_alone_are_planned_for(tmp_path: Path) -> None:
@@ -311,9 +311,9 @@ def test_tolerances_of_a_plan_are_a_table(tmp_path: Path) -> None:
     (tmp_path / "hall.toml").write_text(text)
     made = lt.plan(tmp_path / "hall.toml", move={"S1": (1200, 2000), "S2": (4700, 2000)})
     table = made.table("tolerances")
-    assert table.column("point") == ["A", "B", "C"] and table.column("met") == [True, True, True]
+    assert table.column("point") == ["A", "B", "C"] and table.column("tolerance_met") == [True, True, True]
     assert table.column("tolerance_mm") == [0.5, 0.5, 0.5]
     check = made.network.tolerance_check
     assert check is not None
     assert table.column("point_error_mm") == pytest.approx([1e3 * check.error_by_point_m[name] for name in "ABC"])
-    assert {"S1", "S2"} <= set(made.table("losses").column("lost"))
+    assert {"S1", "S2"} <= set(made.table("losses").column("lost_station_or_sight"))

@@ -111,7 +111,7 @@ def test_two_tripods_in_one_place_are_never_reached(hall: Path) -> None:
     survey = site.survey.replace(station_positions=together, is_visible=site.is_visible(together))
     network = evaluate_plan(file, load_plan_and_scenario(hall)[1], survey)
     assert network.verdict is not None and not network.verdict.is_goal_reached
-    assert not Plan.from_network(network).reached and "S1 and S2" in Plan.from_network(network).summary
+    assert not Plan.from_network(network).goal_reached and "S1 and S2" in Plan.from_network(network).summary
 
 
 def test_the_rules_of_the_search_are_those_that_are_named(hall: Path) -> None:
@@ -134,7 +134,7 @@ def test_sights_that_break_a_rule_are_reported_and_never_reached(hall: Path) -> 
     content = lt.plan(hall, move={"S1": (3300, 3200), "S2": (5300, 2200, 1500, 30)})
     assert content.network.layout.survey.station_yaws[1] == pytest.approx(np.radians(30))
     assert any("fewer than 2 stations (stations.min_stations_per_target)" in rule for rule in content.broken_rules)
-    assert content.reached is False and content.tolerances_met
+    assert content.goal_reached is False and content.tolerances_met
     assert content.summary.startswith("Not reached: the layout breaks a rule (")
 
 
@@ -194,10 +194,10 @@ def test_the_page_marks_what_the_verdict_does_not_keep(hall: Path, tmp_path: Pat
     hall.write_text(PLAN.replace("tolerance_mm = 0.5", f"tolerance_mm = {worst * 1000 / 1.0004!r}"))
     content = lt.plan(hall, move=move)
     (grid, *_) = _tolerance_tables(content)
-    assert isinstance(grid, TableBlock) and len(grid.marked_rows) == 1 and content.reached is False
+    assert isinstance(grid, TableBlock) and len(grid.marked_rows) == 1 and content.goal_reached is False
     (row,) = (grid.rows[i] for i in grid.marked_rows)
     assert row[0] == made.tolerance_check.worst_point_name and row[3] == "100.04 %"  # type: ignore[union-attr]
-    assert [entry.met for entry in content.reflectors if entry.name == row[0]] == [False]
+    assert [entry.tolerance_met for entry in content.reflectors if entry.name == row[0]] == [False]
 
 
 @pytest.mark.parametrize("rows", [200, 31])

@@ -182,9 +182,9 @@ def finding_comparison_figure() -> Figure:
 
 
 def trade_off_figure() -> Figure:
-    tried = [{"stations": 2 + i, "hours": 0.3 + i / 60, "quality": {MARKUP: 9.0 - 0.2 * i}} for i in range(12)]
-    best = {"stations": 3, "hours": 0.4, "quality": {MARKUP: 5.0}, "efficient": True}
-    plan = {"summary": "", "stations": [], "hours": 0.7, "quality": {MARKUP: 3.0}, "tradeoff": [*tried, best]}
+    tried = [{"station_count": 2 + i, "hours": 0.3 + i / 60, "qualities": {MARKUP: 9.0 - 0.2 * i}} for i in range(12)]
+    best = {"station_count": 3, "hours": 0.4, "qualities": {MARKUP: 5.0}, "is_efficient": True}
+    plan = {"summary": "", "stations": [], "hours": 0.7, "qualities": {MARKUP: 3.0}, "tradeoff_points": [*tried, best]}
     return estimates.trade_off_figure(Plan.model_validate(plan), MARKUP)
 
 

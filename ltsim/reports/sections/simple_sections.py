@@ -287,14 +287,14 @@ def _site_sentence(content: NextMeasurement) -> str:
 def next_measurement_section(content: NextMeasurement, _: SectionContext) -> Section:
     """Section of proposed further measurements."""
     best_proposal = content.proposals[0]
-    assessment = assessment_of(best_proposal.distinguishes_all) if content.between else "plain"
+    assessment = assessment_of(best_proposal.separates_all_effects) if content.compared_effects else "plain"
     reductions = [100 * (1 - factor) for factor in (best_proposal.sigma_ratio, best_proposal.most_improved_ratio)]
     answer = f"Measure next: {best_proposal.action} ({duration_text(60 * best_proposal.minutes)}); "
     answer += (
         f"the standard deviations of the instrument's parameters fall by {reductions[0]:.0f} % on average, "
         f"of the {parameter_text(best_proposal.most_improved_parameter)} by {reductions[1]:.0f} %."
     )
-    answer = capitalised_sentence(content.advice) if content.between and content.advice else answer
+    answer = capitalised_sentence(content.advice) if content.compared_effects and content.advice else answer
     note = (
         "Factors: standard deviation of a parameter after the measurement, divided by that before; mean and smallest."
     )
@@ -307,8 +307,8 @@ def next_measurement_section(content: NextMeasurement, _: SectionContext) -> Sec
     )
     note = f"{note} {_site_sentence(content)}".rstrip()
     blocks: list[Block] = [*table_blocks("Further measurements, the best first", proposals, note=note)]
-    if content.between:
-        effect = effect_title(content.between[0])
+    if content.compared_effects:
+        effect = effect_title(content.compared_effects[0])
         explanation = f"The larger the chi2, the more reliably {effect} is separated from the alternative."
         blocks += table_blocks("Separation of the alternatives", content.table("separation"), note=explanation)
     blocks += [NoteBlock("Diagnosis of the recording", content.diagnosis)] if content.diagnosis else []
