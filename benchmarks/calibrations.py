@@ -84,7 +84,7 @@ def peers(trials: int) -> None:
         judge.method_independent_columns(drawn)
         judge.method_columns(drawn, fitted, engine.construction)
 
-    n, (*_, unknowns) = len(truth.recording), engine.batch_network.end_indices
+    n, (*_, unknowns) = len(truth.recording), engine.batch_network.block_end_indices
     print(f"The paper's workshop: {3 * n} readings, {unknowns} unknowns with the datum; processor time, one core\n")
     batch = seconds(lambda: engine.calibrate(block), 20) / TRIALS_PER_STREAM
     agreement = max(
@@ -218,7 +218,7 @@ def scaling(short: bool) -> None:
         recording = recording_of_trial(truth, block, 0)
         single = seconds(lambda r=recording, e=engine: adjust(r, e.construction), 2)  # type: ignore[misc]
         rows.append(
-            [str(stations), str(targets), str(engine.batch_network.end_indices[-1]),
+            [str(stations), str(targets), str(engine.batch_network.block_end_indices[-1]),
              f"{1e6 * each:.0f}", f"{1e3 * single:.1f}",
              f"{single / each:.0f}", f"{prepared:.2f}"]
         )  # fmt: skip

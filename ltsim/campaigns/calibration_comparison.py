@@ -21,7 +21,7 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import measure_trial
 from ltsim.simulation.verbs import ScenarioSource, scenario
 
-READING_TOLERANCE = 1e-6
+MAX_EQUAL_READING_DIFFERENCE = 1e-6
 """Largest difference [m, rad] between readings that count as equal. Rounding in a file gives a smaller difference, the
 noise of two recordings a larger one.
 """
@@ -68,7 +68,9 @@ def _may_be_same_recording(readings: Floats, other_readings: Floats) -> bool:
 
     They may differ by rounding in files, and by readings that were excluded.
     """
-    return readings.shape != other_readings.shape or not np.any(np.abs(readings - other_readings) > READING_TOLERANCE)
+    return readings.shape != other_readings.shape or not np.any(
+        np.abs(readings - other_readings) > MAX_EQUAL_READING_DIFFERENCE
+    )
 
 
 def compare_calibrations(

@@ -47,9 +47,9 @@ from ltsim.simulation.fieldwork import make_measurement_geometry
 from ltsim.simulation.simulator import ineffective_effect_notes
 
 VERSIONED_PACKAGES = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
-"""Packages whose versions can change the bytes of the rows."""
+"""Packages whose versions can change the last digits of the rows; a campaign continues only with the same versions."""
 EXTENDABLE_KEYS = ("title", "trials", "statistics", "grid", "design", "cells", "stop")
-"""Keys of the campaign file whose values may be extended; existing rows remain valid."""
+"""Keys of the campaign file that may be extended (more trials, levels, statistics) without changing existing rows."""
 ProgressCallback = Callable[[int], None]
 """Progress callback; its argument is the number of rows (trials times methods) finished since the last call."""
 
@@ -129,7 +129,7 @@ def run_campaign(
             pass  # a scheduler without an answer is an error before anything is written
     with store.lock():
         if force and not resume:
-            store.remove_files()
+            store.remove_campaign()
         if store.has_campaign:
             campaign, cells = _extended_campaign(store, campaign, cells, file, resume=resume)
             notes += _environment_change_notes(store)
@@ -326,7 +326,7 @@ def _pending_shards(
 
     A damaged shard is renamed and computed again. `progress` is called with the number of rows of each complete shard.
     """
-    waiting, notes, digests = [], [], store.digests()
+    waiting, notes, digests = [], [], store.recorded_digests()
     for cell, shard in shard_keys:
         task = ShardTask(
             campaign, cells[cell].scenario, cells[cell].digest, cell, shard, cells[cell].validation_scenario
@@ -338,7 +338,7 @@ def _pending_shards(
             progress(n_rows_of_shard(campaign, shard))
             continue
         if state == "damaged":
-            aside = store.quarantine(cell, shard)
+            aside = store.quarantine_shard(cell, shard)
             notes.append(f"{store.shard_path(cell, shard)} is damaged: moved to {aside.name} and computed again")
         waiting.append(task)
     return waiting, notes

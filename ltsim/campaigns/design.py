@@ -15,14 +15,14 @@ from ltsim.recordings.result_file import Entry
 from ltsim.recordings.setup import Finite, TomlSection
 from ltsim.simulation.keys import ValueType, value_at_key, value_type_of_key
 
-RESERVED_COLUMNS = frozenset(
+RESERVED_COLUMN_NAMES = frozenset(
     {
         "cell", "label", "method", "trial", "trials", "status", "chi2",
         "column", "unit", "mean", "standard_deviation", "low", "high", "minimum", "maximum",
     }
 )  # fmt: skip
-"""Names of the columns that every campaign has, which no factor may have."""
-SIGNIFICANT_DIGITS = 4
+"""Names of the columns that every campaign has; a factor must have another name."""
+N_DESIGN_POINT_DIGITS = 4
 """Number of significant digits of a value at a design point. With four digits the points remain distinct and the values
 are easy to read.
 """
@@ -53,7 +53,7 @@ class LevelRange(TomlSection):
         """
         low, high = (self.low, self.high + 1.0) if is_integer else (self.low, self.high)
         values = low * (high / low) ** fractions if self.scale == "log" else low + fractions * (high - low)
-        return [int(min(v, self.high)) if is_integer else float(f"{v:.{SIGNIFICANT_DIGITS}g}") for v in values]
+        return [int(min(v, self.high)) if is_integer else float(f"{v:.{N_DESIGN_POINT_DIGITS}g}") for v in values]
 
 
 class SpaceFillingDesign(TomlSection):
@@ -126,7 +126,9 @@ def short_key_names(keys: Sequence[str]) -> dict[str, str]:
         names = {key: "_".join(key.split(".")[-depth[key] :]) for key in keys}
         often = Counter(names.values())
         again = [
-            k for k in keys if (often[names[k]] > 1 or names[k] in RESERVED_COLUMNS) and depth[k] < len(k.split("."))
+            k
+            for k in keys
+            if (often[names[k]] > 1 or names[k] in RESERVED_COLUMN_NAMES) and depth[k] < len(k.split("."))
         ]
         if not again:
             return names

@@ -18,11 +18,11 @@ from ltsim.core.errors import ModelError
 from ltsim.core.results import Table, columns_of
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
-FALSE_ALARM_RATE = 0.01
+RECOVERY_FALSE_ALARM_RATE = 0.01
 """Probability that a correct model fails at least one of the checks."""
 NOMINAL_COVERAGE = 0.95
 """Nominal fraction of the confidence intervals that contain the true value."""
-MIN_TRIALS = 2
+MIN_RECOVERY_TRIALS = 2
 """Smallest number of trials for which a standard deviation is computed."""
 MEAN_Z_MARGIN = 0.1
 """Permitted deviation of the mean z-score from 0, in addition to its sampling error."""
@@ -88,7 +88,7 @@ def recovery_checks(
     *,
     names: Sequence[str] | None = None,
     tolerance: Mapping[str, float] | None = None,
-    alpha: float = FALSE_ALARM_RATE,
+    alpha: float = RECOVERY_FALSE_ALARM_RATE,
 ) -> list[RecoveryCheck]:
     """Checks that true values are recovered within declared sigmas, within given tolerances, or both.
 
@@ -132,8 +132,8 @@ def recovery_checks(
             f"estimates have the shape {estimate.shape}, truths {truth.shape}, and there are {len(names_used)} names: "
             "give one truth for each estimate and one name for each parameter"
         )
-    if len(estimate) < MIN_TRIALS:
-        raise ModelError(f"there are estimates of {len(estimate)} trials, expected {MIN_TRIALS} or more")
+    if len(estimate) < MIN_RECOVERY_TRIALS:
+        raise ModelError(f"there are estimates of {len(estimate)} trials, expected {MIN_RECOVERY_TRIALS} or more")
     if sigma is None and not tolerance:
         raise ModelError("neither sigma nor tolerance is given, so nothing can be checked: give one of them")
     if sigma is not None and np.atleast_2d(sigma).shape != estimate.shape:

@@ -13,9 +13,9 @@ from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.external_calibrator import ExternalCalibrator, run_external_calibrator
 from ltsim.campaigns.recovery_checks import (
-    FALSE_ALARM_RATE,
-    MIN_TRIALS,
+    MIN_RECOVERY_TRIALS,
     NOMINAL_COVERAGE,
+    RECOVERY_FALSE_ALARM_RATE,
     RecoveryCheck,
     chi_square_check,
     fixed_truth_checks,
@@ -42,7 +42,7 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import simulate
 
 CONVERGENCE_CHECK_NAME = "convergence"
-"""Name of the check that every trial has a result, in the table of checks."""
+"""Name, in the table of checks, of the check that every trial has a result."""
 
 
 class RecoveryTolerance(NamedTuple):
@@ -153,7 +153,7 @@ def run_trial(scenario: Scenario, seed: int, trial_number: int, settings: Recove
     reference = None
     try:
         reference = score_calibration(
-            calibrate_with(recording, settings, settings.construction or construction), truth, laws
+            calibrate_by_settings(recording, settings, settings.construction or construction), truth, laws
         )
     except LtsimError as problem:
         if settings.calibrator is None and not isinstance(problem, ConvergenceError):
@@ -170,7 +170,9 @@ def run_trial(scenario: Scenario, seed: int, trial_number: int, settings: Recove
         return FailedTrial(reason, is_external=True)
 
 
-def calibrate_with(recording: Recording, settings: RecoverySettings, construction: GeometricErrorModel) -> Calibration:
+def calibrate_by_settings(
+    recording: Recording, settings: RecoverySettings, construction: GeometricErrorModel
+) -> Calibration:
     """Calibration of a recording by ltsim's method in `settings`."""
     if settings.method == "network":
         return calibrate_network(
@@ -242,7 +244,7 @@ class RecoveryTrials(ValueEquality):
     def parameter_statistics(self) -> tuple[RecoveredParameter, ...]:
         """Statistics of each parameter's errors, also for ltsim's calibrator if an external calibrator is checked."""
         columns: dict[str, Sequence[float]] = {}
-        if len(self.trials_with_result) >= MIN_TRIALS:
+        if len(self.trials_with_result) >= MIN_RECOVERY_TRIALS:
             error, z = self._stack_attribute("estimates") - self._stack_attribute("true_values"), self.z_scores
             is_covered = np.abs(z) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE))
             columns = {
@@ -264,7 +266,7 @@ class RecoveryTrials(ValueEquality):
         `error` (trials, parameters) are the errors of the checked calibrator.
         """
         trial_indices = [k for k, trial in enumerate(self.trials_with_result) if trial.ltsim_score is not None]
-        if len(trial_indices) < MIN_TRIALS:
+        if len(trial_indices) < MIN_RECOVERY_TRIALS:
             return {}
         reference = np.stack(
             [t.ltsim_score.estimates - t.true_values for t in self.trials_with_result if t.ltsim_score is not None]
@@ -282,14 +284,14 @@ class RecoveryTrials(ValueEquality):
         """All checks of the run; a correct model fails at least one of them in one run of a hundred."""
         n_lost = len(self.trials) - len(self.trials_with_result)
         checks = [RecoveryCheck.from_value(CONVERGENCE_CHECK_NAME, "trials without a result", n_lost, 0, 0)]
-        if len(self.trials_with_result) < MIN_TRIALS:
+        if len(self.trials_with_result) < MIN_RECOVERY_TRIALS:
             return checks
         indices = [
             k
             for k, name in enumerate(self.parameter_names)
             if not self.tolerance_by_parameter or name in self.tolerance_by_parameter
         ]
-        level = FALSE_ALARM_RATE / (4 * len(indices) + 3)
+        level = RECOVERY_FALSE_ALARM_RATE / (4 * len(indices) + 3)
         checks += [check for k in indices for check in self._parameter_checks(k, level)]
         return checks if self.tolerance_by_parameter else checks + self._network_checks(level)
 

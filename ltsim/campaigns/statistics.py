@@ -98,7 +98,7 @@ class CampaignStatistics:
         self._database = duckdb.connect(config={**DATABASE_SETTINGS, "memory_limit": memory_limit(shards)})
         source = f"read_parquet([{', '.join(map(sql_path, shards))}], union_by_name = true)"
         try:
-            store.verify(shards, {cell.cell: cell.digest for cell in self.manifest.cells})
+            store.verify_shards(shards, {cell.cell: cell.digest for cell in self.manifest.cells})
             with _interruptible():
                 names = [row[0] for row in self._database.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
                 self._database.execute(f"CREATE VIEW rows AS SELECT *{_improvement_sql(names)} FROM {source}")
@@ -346,7 +346,7 @@ def _nan_if_none(value: float | None) -> float:
 
 
 def memory_limit(shards: Sequence[Path]) -> str:
-    """Memory of the database for files of rows, in the words of its setting."""
+    """Largest memory that DuckDB may use for queries over `shards`, as the text of its setting: `250MiB`."""
     n_bytes = sum(shard.stat().st_size for shard in shards)
     return f"{MAX_DATABASE_MEMORY * max(1.0, n_bytes / MAX_FILE_BYTES) / BYTES_PER_MIB:.0f}MiB"
 

@@ -143,7 +143,7 @@ JunitFileOption = Annotated[
     FILE_OUTPUT,
 ]
 ERROR_ORIGIN_TEXTS = {"drawn": "drawn from the prior", "stated": "given by the scenario"}
-"""Text on the origin of the injected instrument errors, by the field `errors` of a recovery."""
+"""Text on the origin of the true instrument errors, by the field `error_origin` of a recovery."""
 MIN_PARALLEL_TRIALS = 100
 """Number of trials below which one process is used by default, since it is faster than several."""
 
@@ -167,7 +167,7 @@ def recover(
     Example: ltsim recover paper-workshop --trials 1000 --jobs 2
     """
     from ltsim.campaigns.recovery import Recovery
-    from ltsim.campaigns.recovery_checks import FALSE_ALARM_RATE
+    from ltsim.campaigns.recovery_checks import RECOVERY_FALSE_ALARM_RATE
     from ltsim.campaigns.recovery_trials import TRIALS_TABLE
 
     terminal.check_overwrite(Recovery, TRIALS_TABLE.file)
@@ -190,7 +190,7 @@ def recover(
         write_line(sentence, sys.stderr)
     if not result.passed:
         raise typer.Exit(1)
-    chance_text = f" (a correct model fails this check in {100 * FALSE_ALARM_RATE:.0f} % of runs)"
+    chance_text = f" (a correct model fails this check in {100 * RECOVERY_FALSE_ALARM_RATE:.0f} % of runs)"
     false_alarm_text = (
         "" if result.tolerances or len(result.unchecked_parameters) == len(result.parameters) else chance_text
     )

@@ -50,7 +50,7 @@ NominalFileOption = Annotated[
     typer.Option("--nominal", metavar="FILE", help="File for the nominal points, for ltsim verify."),
     COMPARED_FILE_OUTPUT,
 ]
-PerTrialOption = Annotated[
+NewPositionsOption = Annotated[
     bool,
     typer.Option(
         "--per-trial", help="Draw new positions of stations and targets, as in a campaign with geometry per trial."
@@ -89,7 +89,7 @@ def simulate(
     out: RecordingFolderOption = None,
     truth: TruthFileOption = None,
     nominal: NominalFileOption = None,
-    per_trial: PerTrialOption = False,
+    per_trial: NewPositionsOption = False,
     show: ShowScenarioOption = False,
     force: ForceOption = False,
     *,

@@ -312,7 +312,7 @@ class LossCheckEntry(Entry):
     def from_check(cls, check: ToleranceCheck) -> Self:
         """Entry of the check of a layout after a loss."""
         return cls(
-            lost_station_or_sight=check.lost_text,
+            lost_station_or_sight=check.loss_text,
             tolerances_met=check.meets_all,
             max_tolerance_ratio=check.max_ratio,
             worst_point=check.worst_point_name,
@@ -349,9 +349,9 @@ class DetectableSize(Entry):
     largest_size: OptionalFloat = None
     """Largest of the minimal detectable sizes over stations, targets or shapes."""
     largest_size_at: str = ""
-    """Station, target or shape of the effect with the largest minimal detectable size."""
+    """Station, target or shape constants of the effect for which the minimal detectable size is largest."""
     plausible_size: Finite = 0.0
-    """Large but plausible size of the effect."""
+    """Size of the effect in a bad but plausible instrument or hall."""
     visible_fraction: OptionalFloat = None
     """Median, over stations, targets or shapes, of the fraction of the effect's change of the readings that remains in
     the residuals."""

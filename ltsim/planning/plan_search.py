@@ -11,7 +11,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.loading import require_small_grid
 from ltsim.planning.multistart_search import (
-    LayoutsByCount,
+    LayoutsByStationsAndFaces,
     PlanningProblem,
     SearchTask,
     run_searches,
@@ -42,7 +42,7 @@ SEARCH_PROGRESS_FRACTION = 0.8
 """Fraction of the progress bar for the search; the rest is for checks of tolerances and changes of reflectors."""
 MIN_STATIONS = 2
 """Smallest number of stations of a network."""
-MAX_USEFUL_ERROR_RATIO = 0.95
+MAX_ERROR_RATIO_OF_USEFUL_STATION = 0.95
 """Largest ratio at which an additional station counts as useful: largest error with the station divided by that without
 it (an error is a point error divided by its tolerance). If the last two stations together reduce the error by less than
 the square of this ratio, the search ends."""
@@ -102,7 +102,7 @@ class _PlanSearch:
     problem: PlanningProblem
     jobs: int
     callbacks: SearchCallbacks
-    layouts: LayoutsByCount = field(default_factory=dict)
+    layouts: LayoutsByStationsAndFaces = field(default_factory=dict)
     station_count_results: list[StationCountResult] = field(default_factory=list)
     is_stopped: bool = False
 
@@ -116,7 +116,9 @@ class _PlanSearch:
         """Numbers of faces, and numbers of rounds, of the measuring procedures among which the plan chooses."""
         return candidate_procedures(self.plan_file, self.problem.scenario)
 
-    def _run_searches(self, tasks: Sequence[SearchTask], report_progress: Callable[[float], float]) -> LayoutsByCount:
+    def _run_searches(
+        self, tasks: Sequence[SearchTask], report_progress: Callable[[float], float]
+    ) -> LayoutsByStationsAndFaces:
         """Layouts of the searches `tasks`, which are also stored; the callbacks receive the best layout so far.
 
         `report_progress` converts the finished fraction of these tasks to that of the whole planning.
@@ -259,7 +261,11 @@ class _PlanSearch:
             outcome.max_error_ratio if outcome.max_error_ratio is not None else np.inf
             for outcome in self.station_count_results
         ]
-        return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > MAX_USEFUL_ERROR_RATIO**2 * ratios[-3]
+        return (
+            len(ratios) > 2
+            and np.isfinite(ratios[-3])
+            and ratios[-1] > MAX_ERROR_RATIO_OF_USEFUL_STATION**2 * ratios[-3]
+        )
 
     def _no_layout_message(self, station_counts: range) -> str:
         """Error message for a search that found no layout with these numbers of stations."""
@@ -275,7 +281,7 @@ class _PlanSearch:
             return f"{problem}, or give more stations.max_count"
         return "the search found no layout; enlarge the floor or give more stations.max_count"
 
-    def tradeoff_points(self, layouts: LayoutsByCount) -> tuple[TradeoffPoint, ...]:
+    def tradeoff_points(self, layouts: LayoutsByStationsAndFaces) -> tuple[TradeoffPoint, ...]:
         """Best layout for each number of stations, faces and rounds, in ascending order of duration."""
         points = []
         for starts in layouts.values():
@@ -298,9 +304,9 @@ class _PlanSearch:
 
 
 def _never_visible_text(search_space: SearchSpace, placement: StationPlacement) -> str:
-    """Names of the points that lack sights in `placement`, the best one on the grid; empty if no point lacks any.
+    """Names of the points that lack sights even in the best placement of stations on the grid; empty for none.
 
-    The text is empty, too, if the present layout of `search_space` is feasible.
+    It is also empty if the present layout of `search_space` is feasible.
     """
     position = search_space.survey.station_positions
     if search_space.is_feasible(position[None], search_space.is_visible(position)[None])[0]:

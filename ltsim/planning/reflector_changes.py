@@ -128,14 +128,14 @@ class _ChangeEvaluator:
     """Evaluation of changes of single reflectors of a layout whose reflectors are at their present positions."""
 
     def __init__(self, movable_reflectors: MovableReflectors, objective: LayoutObjective, spacing: float) -> None:
-        self.movable_reflectors, self.normal_matrix_table, self.objective = (
+        self.movable_reflectors, self.normal_matrix_terms, self.objective = (
             movable_reflectors,
-            movable_reflectors.normal_matrix_table,
+            movable_reflectors.normal_matrix_terms,
             objective,
         )
         self.present_place_indices = np.arange(movable_reflectors.n_present_places)
-        self.present_normal_matrix = self.normal_matrix_table.normal_matrix(self.present_place_indices)
-        self.present_objective = self.normal_matrix_table.objective_values(
+        self.present_normal_matrix = self.normal_matrix_terms.normal_matrix(self.present_place_indices)
+        self.present_objective = self.normal_matrix_terms.objective_values(
             self.present_normal_matrix[None], self.present_place_indices[None], objective
         )[0]
         self.present_sigmas = self._parameter_sigmas(self.present_normal_matrix)
@@ -157,10 +157,10 @@ class _ChangeEvaluator:
         `other_places`.
         """
         if self._has_target_goal_only:
-            rms = self.normal_matrix_table.weighted_target_rms
+            rms = self.normal_matrix_terms.weighted_target_rms
             return rms(normal_matrices, other_places) / rms(self.present_normal_matrix[None], other_places)
         return (
-            self.normal_matrix_table.objective_values(normal_matrices, occupied_places, self.objective)
+            self.normal_matrix_terms.objective_values(normal_matrices, occupied_places, self.objective)
             / self.present_objective
         )
 
@@ -169,8 +169,8 @@ class _ChangeEvaluator:
 
         The K unknowns of the normal matrix are poses, gauge targets and parameters.
         """
-        n_parameters = self.normal_matrix_table.scorer.construction.n_parameters
-        information = self.normal_matrix_table.information(normal_matrix[None])[0, :n_parameters, :n_parameters]
+        n_parameters = self.normal_matrix_terms.scorer.construction.n_parameters
+        information = self.normal_matrix_terms.information(normal_matrix[None])[0, :n_parameters, :n_parameters]
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
     def _free_places(self, used_places: Ints) -> Ints:
@@ -181,7 +181,7 @@ class _ChangeEvaluator:
 
     def evaluate_all(self) -> ReflectorChanges:
         """Results of all moves, additions and removals of one reflector, with all other reflectors unchanged."""
-        terms, chosen = self.normal_matrix_table.place_normal_matrices, self.present_place_indices
+        terms, chosen = self.normal_matrix_terms.place_normal_matrices, self.present_place_indices
         candidates: dict[ChangeKind, list[ChangeResult]] = {what: [] for what in CHANGE_KINDS}
         tried, helped = dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0)
 
@@ -226,17 +226,17 @@ class _ChangeEvaluator:
         present_indices = self.present_place_indices
         remaining_places = present_indices if removed_index is None else np.delete(present_indices, removed_index)
         matrices = np.stack([self.present_normal_matrix, normal_matrix])
-        before, after = self.normal_matrix_table.weighted_target_rms(matrices, remaining_places)
+        before, after = self.normal_matrix_terms.weighted_target_rms(matrices, remaining_places)
         if self._has_target_goal_only:
-            now = self.normal_matrix_table.point_error_by_name(self.present_normal_matrix, remaining_places)
+            now = self.normal_matrix_terms.point_error_by_name(self.present_normal_matrix, remaining_places)
             ratios = {
                 name: s / now[name]
-                for name, s in self.normal_matrix_table.point_error_by_name(normal_matrix, remaining_places).items()
+                for name, s in self.normal_matrix_terms.point_error_by_name(normal_matrix, remaining_places).items()
             }
         else:
             ratio = self._parameter_sigmas(normal_matrix) / self.present_sigmas
             ratios = dict(
-                zip(self.normal_matrix_table.scorer.construction.parameter_names, ratio.tolist(), strict=True)
+                zip(self.normal_matrix_terms.scorer.construction.parameter_names, ratio.tolist(), strict=True)
             )
         affected_parameter = (min if kind != "remove" else max)(ratios, key=lambda name: ratios[name])
         names, places = self.movable_reflectors.place_names, self.movable_reflectors.places

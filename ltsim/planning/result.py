@@ -67,7 +67,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
     changes_summary: str = ""
     """Sentence with the numbers of evaluated and of useful changes of single reflectors."""
     obstacle_sentences: tuple[str, ...] = ()
-    """Obstacles in the hall, one sentence each: type of the CAD file, size and position."""
+    """Sentence on each obstacle in the hall: type of the CAD file, size and position."""
     goal_reached: bool | None = None
     """True if the goal is reached: no rule is broken and all tolerances are met, after any single loss if required;
     null without tolerances.
@@ -146,9 +146,11 @@ class Plan(ResultFile, PlannedLayoutEntry):
             "parameters": self._parameters_table,
             "expected": self._expected_table,
             "changes": self._changes_table,
-            "effects": lambda: tables.EFFECTS_TABLE.with_rows(self.detectable_sizes),
-            "confusable": lambda: tables.CONFUSABLE_TABLE.with_rows(self.confusable_effects),
-            "nominals": lambda: tables.NOMINALS_TABLE.with_rows([r.name, *r.position_mm] for r in self.reflectors),
+            "effects": lambda: tables.DETECTABLE_SIZES_TABLE.with_rows(self.detectable_sizes),
+            "confusable": lambda: tables.CONFUSABLE_EFFECTS_TABLE.with_rows(self.confusable_effects),
+            "nominals": lambda: tables.NOMINAL_POINTS_TABLE.with_rows(
+                [r.name, *r.position_mm] for r in self.reflectors
+            ),
         }
 
     def _stations_table(self) -> Table:
@@ -172,7 +174,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
         )
 
     def _losses_table(self) -> Table:
-        return tables.LOSSES_TABLE.with_rows(
+        return tables.LOSS_CHECKS_TABLE.with_rows(
             [
                 loss.lost_station_or_sight,
                 loss.tolerances_met,
@@ -195,7 +197,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
             ("this plan", self),
             ("reference layout", self.reference_layout),
         ]
-        return tables.EXPECTED_TABLE.with_rows(
+        return tables.EXPECTED_CRITERIA_TABLE.with_rows(
             [layout, name, e.before_um, e.after_um, e.improvement_percent]
             for layout, entry in layouts
             if entry is not None and entry.expected_improvement
@@ -217,7 +219,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
 
 
 def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | None = None) -> Plan:
-    """Copy of a plan with the digests of its companion files, which are written with it to `folder`.
+    """Copy of a plan that contains the digests of its companion files; plan and files are written to `folder`.
 
     Without a folder nothing is written, and the result is the plan itself. `pictures` are contents of further files by
     name.

@@ -168,7 +168,7 @@ def plan_without_search(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, S
 
 
 def candidate_procedures(plan_file: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
-    """Candidate numbers of faces, and of rounds; those of the scenario if the plan does not choose the procedure."""
+    """Candidate numbers of faces, and of rounds; the numbers of the scenario if the plan fixes the procedure."""
     if not plan_file.chooses_procedure:
         return [scenario.work.faces], [scenario.work.repeats]
     usual = sorted({1, 2, scenario.work.repeats})
@@ -241,7 +241,7 @@ def _places_on_body(plan: PlanFile, scenario: Scenario, obstacle_name: str) -> F
 
 
 def is_fixed_target(plan: PlanFile, scenario: Scenario) -> Bools:
-    """Flags (T,) of the T targets of a scenario: True if the search does not move the target.
+    """Flags (T,): True for a target of the scenario that the search does not move.
 
     If the plan has no candidate positions of reflectors, the search moves no target.
     """
@@ -252,14 +252,14 @@ def is_fixed_target(plan: PlanFile, scenario: Scenario) -> Bools:
 
 
 def is_immovable_target(plan: PlanFile, scenario: Scenario, survey: PlannedSurvey) -> Bools:
-    """Flags (T,) of the T targets of a survey: True if the target neither moves in the search nor may be moved."""
+    """Flags (T,): True for a target of the survey that neither moves in the search nor may be moved afterwards."""
     free = plan.reflectors.movable_points
     demanded = [point.name for point in plan.listed_points if point.name not in free and point.group not in free]
     return _fixed_flags(plan, scenario, survey.target_names, demanded)
 
 
 def _fixed_flags(plan: PlanFile, scenario: Scenario, names: Sequence[str], fixed_names: Sequence[str]) -> Bools:
-    """Flags (T,) of the T targets `names`: True for `fixed_names`, for the gauge, and for those that a plan keeps."""
+    """Flags (T,): True for each of the targets `names` that is in `fixed_names`, in the gauge, or fixed by the plan."""
     fixed = {*plan.reflectors.fixed_reflectors, *fixed_names, *(scenario.gauge.targets if scenario.gauge else ())}
     return np.array([name in fixed for name in names], dtype=bool)
 

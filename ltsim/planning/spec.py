@@ -171,7 +171,7 @@ class GoalSettings(TomlSection):
     confidence_level_pct: Annotated[float, Field(ge=50, le=99.9)] = 95.0
     """Confidence level: percentage of cases in which a point must be within its tolerance."""
     loss_to_withstand: Literal["no", "sight", "station"] = "no"
-    """Loss after which the tolerances must still be met: any single sight, any single station, or none."""
+    """Loss after which the tolerances must still be met: of any single `sight` or `station`, or `no` loss."""
 
     @model_validator(mode="after")
     def _check_any_weight(self) -> GoalSettings:

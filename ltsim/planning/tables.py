@@ -5,10 +5,10 @@ from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.planning.plan_entries import ConfusablePair, DetectableSize, TradeoffEntry
 from ltsim.planning.planner import LayoutEvaluation, PlannedNetwork
 
-PLACE_COLUMNS = number_columns(
+POSITION_COLUMNS = number_columns(
     ".10g", ".3f", x_mm="position in the hall, rounded to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm"
 )
-"""Columns with the coordinates of a position."""
+"""Columns with the coordinates of a position in the hall [mm]."""
 PLANNED_STATIONS_TABLE = Table(
     "stations.csv",
     "positions of the tripods",
@@ -27,7 +27,7 @@ PLANNED_REFLECTORS_TABLE = Table(
     "reflectors with their expected uncertainty",
     (
         *text_columns(target="name"),
-        *PLACE_COLUMNS,
+        *POSITION_COLUMNS,
         *number_columns(sigma_um="expected point error"),
         *number_columns(U_x_um="expanded uncertainty, k = 2", U_y_um="as U_x_um", U_z_um="as U_x_um"),
         *number_columns(point_error_mm="error at the confidence level of the goal", tolerance_mm="limit of the error"),
@@ -59,10 +59,10 @@ VISIBILITY_TABLE = Table(
         ),
     ),
 )
-NOMINALS_TABLE = Table(
+NOMINAL_POINTS_TABLE = Table(
     "nominals.csv",
     "every point in the hall's axes, for the tracker's software",
-    (*text_columns(name="of the point"), *PLACE_COLUMNS),
+    (*text_columns(name="of the point"), *POSITION_COLUMNS),
 )
 WORK_ORDER_TABLE = Table(
     "work-order.csv",
@@ -74,7 +74,7 @@ WORK_ORDER_TABLE = Table(
         *number_columns(azimuth_deg="expected", elevation_deg="expected", distance_mm="expected"),
     ),
 )
-SETUPS_TABLE = Table(
+TAPE_DISTANCES_TABLE = Table(
     "setups.csv",
     "tape measurements to the positions of the tripods",
     (
@@ -106,7 +106,7 @@ TRADEOFF_TABLE = Table(
         *columns_of(TradeoffEntry, "is_efficient", is_efficient={"title": "best for its duration"}),
     ),
 )
-EFFECTS_TABLE = Table("effects.csv", "minimal detectable sizes of effects", columns_of(DetectableSize))
+DETECTABLE_SIZES_TABLE = Table("effects.csv", "minimal detectable sizes of effects", columns_of(DetectableSize))
 TOLERANCES_TABLE = Table(
     "tolerances.csv",
     "points against their tolerances",
@@ -123,7 +123,7 @@ TOLERANCES_TABLE = Table(
         *flag_columns(tolerance_met="the tolerance is met"),
     ),
 )
-LOSSES_TABLE = Table(
+LOSS_CHECKS_TABLE = Table(
     "losses.csv",
     "tolerances after the loss of a station or a sight",
     (
@@ -150,7 +150,7 @@ REFLECTOR_CHANGES_TABLE = Table(
         *number_columns("r", "+.1f", sigma_percent="change of its standard deviation"),
     ),
 )
-EXPECTED_TABLE = Table(
+EXPECTED_CRITERIA_TABLE = Table(
     "expected.csv",
     "expected disagreement of the stations, before and after a calibration",
     (
@@ -158,13 +158,14 @@ EXPECTED_TABLE = Table(
         *number_columns("r", before_um="mean, as read", after_um="mean, corrected", improvement_percent="of the mean"),
     ),
 )
-CONFUSABLE_TABLE = Table(
+CONFUSABLE_EFFECTS_TABLE = Table(
     "confusable.csv", "pairs of effects that the layout hardly distinguishes", columns_of(ConfusablePair)
 )
 PLAN_TABLES = (
-    NOMINALS_TABLE, WORK_ORDER_TABLE, PLANNED_STATIONS_TABLE, PLANNED_REFLECTORS_TABLE, TOLERANCES_TABLE, LOSSES_TABLE,
-    TRADEOFF_TABLE, PLANNED_PARAMETERS_TABLE, EXPECTED_TABLE, REFLECTOR_CHANGES_TABLE, EFFECTS_TABLE,
-    CONFUSABLE_TABLE, VISIBILITY_TABLE,
+    NOMINAL_POINTS_TABLE, WORK_ORDER_TABLE, PLANNED_STATIONS_TABLE, PLANNED_REFLECTORS_TABLE, TOLERANCES_TABLE,
+    LOSS_CHECKS_TABLE, TRADEOFF_TABLE, PLANNED_PARAMETERS_TABLE, EXPECTED_CRITERIA_TABLE, REFLECTOR_CHANGES_TABLE,
+    DETECTABLE_SIZES_TABLE,
+    CONFUSABLE_EFFECTS_TABLE, VISIBILITY_TABLE,
 )  # fmt: skip
 """Tables that are written as CSV files together with plan.json."""
 

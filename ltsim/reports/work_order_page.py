@@ -2,7 +2,7 @@
 
 from ltsim.core.units import MILLIMETRE
 from ltsim.planning.result import Plan
-from ltsim.planning.tables import SETUPS_TABLE
+from ltsim.planning.tables import TAPE_DISTANCES_TABLE
 from ltsim.planning.work_order import check_sentences, station_instructions
 from ltsim.reports.document_model import (
     Block,
@@ -35,7 +35,7 @@ def work_order_page(plan: Plan) -> str:
 def _work_order_blocks(plan: Plan) -> list[Block]:
     network = plan.network
     stations, survey = station_instructions(network), network.layout.survey
-    places = SETUPS_TABLE.with_rows(
+    places = TAPE_DISTANCES_TABLE.with_rows(
         [
             s.name,
             *(tape.text for tape in s.tape_distances),

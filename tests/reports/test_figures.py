@@ -404,7 +404,7 @@ def test_coverage_is_red_exactly_where_its_caption_says() -> None:
     rows = scores(z)
     (drawn,) = (line for line in sweeps.coverage_figure(rows).axes[0].lines if line.get_color() == style.RED)
     assert (
-        sweeps.outside_coverage_flags(rows)
+        sweeps.is_coverage_outside_band(rows)
         == [i in drawn.get_ydata() for i in range(6)]
         == [i in (1, 3) for i in range(6)]
     )

@@ -96,7 +96,7 @@ def sweep_points(
 
     Parameters
     ----------
-    results : Results
+    results : CampaignResults
     statistic : str
         Name of a result column of the campaign. Columns of calibrated errors have a further line, the noise floor: the
         error that remains with the true parameters.
@@ -135,7 +135,7 @@ def sweep_points(
 
 
 def sweep_figure(results: CampaignResults, statistic: str, along: str, *, panel: str = "", **levels: Any) -> Figure:
-    """Figure of the means of a result column along a factor, with one line per method, as from `Results.plot`."""
+    """Figure of the means of a result column along a factor, one line per method; used by `CampaignResults.plot`."""
     if not along:
         names = " or ".join(f.name for f in results.factors) or "none, because no setting varies"
         raise ModelError(f"along is empty; give a factor of the campaign: {names}")
@@ -369,8 +369,8 @@ def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
     return float(interval.low), float(interval.high)
 
 
-def outside_coverage_flags(summaries: Sequence[ZScoreSummary]) -> list[bool]:
-    """Flags of the parameters: True if the 95 % interval of the observed coverage lies outside the allowed band."""
+def is_coverage_outside_band(summaries: Sequence[ZScoreSummary]) -> list[bool]:
+    """Flags (parameters): True if the 95 % interval of the observed coverage lies outside the allowed band."""
     return [high < ALLOWED_COVERAGE[0] or low > ALLOWED_COVERAGE[1] for low, high in map(coverage_interval, summaries)]
 
 
@@ -387,7 +387,7 @@ def coverage_figure(summaries: Sequence[ZScoreSummary]) -> Figure:
     band = f"allowed {100 * ALLOWED_COVERAGE[0]:.1f} to {100 * ALLOWED_COVERAGE[1]:.1f} %"
     ax.axvspan(*ALLOWED_COVERAGE, color=style.BAND_COLOUR, linewidth=0, zorder=0, label=band)
     ax.axvline(0.95, color=style.INK_COLOUR, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
-    red = np.array(outside_coverage_flags(summaries), dtype=bool)
+    red = np.array(is_coverage_outside_band(summaries), dtype=bool)
     for chosen, colour, word in ((~red, style.BLUE, "share, its 95 % interval"), (red, style.RED, "outside the band")):
         if chosen.any():
             ax.hlines(places[chosen], *bounds[chosen].T, color=colour, linewidth=1.8)

@@ -112,7 +112,7 @@ def _factor_lines(
     results: CampaignResults, factors: Sequence[Factor], summaries: Sequence[StatisticSummary]
 ) -> tuple[str, list[SweepPoint]]:
     """Title of the x axis, and the points of all lines over the factor on this axis."""
-    x_factor, line_factor, panel_factors = factor_arrangement(results, factors)
+    x_factor, line_factor, panel_factors = axis_line_and_panel_factors(results, factors)
     line_points = []
     for s in summaries:
         level = results.levels[s.cell]
@@ -128,7 +128,7 @@ def _factor_lines(
     return factor_axis_title(x_factor), line_points
 
 
-def factor_arrangement(
+def axis_line_and_panel_factors(
     results: CampaignResults, factors: Sequence[Factor]
 ) -> tuple[Factor, Factor | None, list[Factor]]:
     """Factor on the x axis, factor that distinguishes the lines (None for the method), and factors of the panels."""

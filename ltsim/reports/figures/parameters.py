@@ -293,7 +293,7 @@ def lines_figure(
 MAX_NAMED_LAYOUTS = 14
 """Largest number of layouts with a label in a figure; the first ones are labelled."""
 LAYOUT_COLOURS = {"tried": style.GREY, "best": style.BLUE, "chosen": style.RED, "reference": style.GREEN}
-"""Colour of a layout in the figure of quality over duration, by its role."""
+"""Colour of a layout in the figure of quality over duration, by its role (`chosen` is the plan)."""
 LAYOUT_MARKERS = {"tried": ".", "best": "o", "chosen": "*", "reference": "D"}
 """Marker of a layout, by its role."""
 LAYOUT_MARKER_SIZES = {"tried": 34, "best": 30, "chosen": 150, "reference": 46}

@@ -39,7 +39,7 @@ def plan_section(content: Plan, context: SectionContext) -> Section:
     blocks: list[Block] = [*table_blocks("Positions of the tripod", content.table("stations"), note=frame)]
     scenario_file = context.companion_file("scenario.toml", content)
     scenario = None if scenario_file is None else load_scenario(scenario_file)
-    layout_pictures, change_pictures = _layout_pictures(content, scenario, has_3d_view=context.detail == "turn")
+    layout_pictures, change_pictures = _layout_pictures(content, scenario, has_3d_view=context.hall_view == "3d")
     blocks += layout_pictures
     if content.blocked_sights:
         blocks.append(BulletListBlock("Blocked lines of sight", content.blocked_sights))

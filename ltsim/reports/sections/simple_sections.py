@@ -51,8 +51,8 @@ MIN_PASS_PROBABILITY = 0.5
 """Smallest probability (0 to 1) to pass all tests at which a prediction is assessed as good; by convention one half."""
 ASSESSMENT_BY_JUDGEMENT: dict[Judgement, Assessment] = {"accepted": "good", "rejected": "bad", "undecided": "caution"}
 """Assessment of measured errors by their judgement."""
-MAX_ZERO_CONSTANT = 1e-6
-"""Largest absolute value of an instrument constant, in its display unit, that counts as zero and is not printed."""
+MAX_NEGLIGIBLE_CONSTANT = 1e-6
+"""Largest absolute value of an instrument constant, in its display unit, that is treated as zero and not printed."""
 UNCERTAINTY_NOTE = (
     "U: expanded uncertainty; mc: limits of the Monte Carlo interval; they replace U if the two do not agree "
     "(JCGM 101, clause 8)."
@@ -193,7 +193,7 @@ def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
         constants = ", ".join(
             f"{name} {number_text(value, 2)}"
             for name, value in worst_test.constants.items()
-            if abs(value) > MAX_ZERO_CONSTANT
+            if abs(value) > MAX_NEGLIGIBLE_CONSTANT
         )
         undetected_constants = [s.name for s in content.sensitivities if s.smallest_failing is None]
         text = f"No test detects {', '.join(undetected_constants)}. " if undetected_constants else ""
