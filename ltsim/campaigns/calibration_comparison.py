@@ -128,7 +128,9 @@ def compare_calibrations(
             else made.readings
         )
         if not _may_be_same_recording(readings, made.readings):  # the distance methods adjust corrected readings
-            raise SetupError(f"calibration '{name}' belongs to another recording than seed {seed}, trial {trial}")
+            raise SetupError(
+                f"calibration '{name}' is not from seed {seed} and trial {trial}; give those of its recording"
+            )
     if not by_name:
         raise SetupError("no calibration is given, expected at least one")
     true_values = np.array([*truth.instrument_values.values()]).reshape(len(base_scenario.trackers_in_use), -1)

@@ -52,7 +52,7 @@ def estimated_effects(method: CalibrationMethod) -> tuple[Effect, ...]:
 def make_calibrator(method: CalibrationMethod, truth: CellTruth) -> TrialCalibrator:
     """Calibrator for a method of a campaign file, for trials in the network geometry `truth`."""
     if method.method != "network" and not truth.is_recorded_observable.all():
-        raise SetupError(f"methods.{method.title}: {method.method} compares points, which need ranges and angles")
+        raise SetupError(f"methods.{method.title}: method {method.method} needs ranges and angles; use method network")
     built, effects = estimated_construction(method), estimated_effects(method)
     if method.solver == "single":
         return SerialCalibrator(

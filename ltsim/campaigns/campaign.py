@@ -152,7 +152,7 @@ def run_campaign(
     n_reused = len(cells) * campaign.n_shards_per_cell - done - existing
     if n_reused:
         share = 100 * n_reused / (len(cells) * campaign.n_shards_per_cell)
-        notes.append(f"{folder}: {n_reused} shards ({share:.0f} % of all) were not needed: their cells had converged")
+        notes.append(f"{folder}: the rule [stop] made {n_reused} files of rows ({share:.0f} % of all) unnecessary")
     return RunResult(folder, done, existing, tuple(notes))
 
 

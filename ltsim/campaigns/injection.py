@@ -143,7 +143,7 @@ def injection_curve(
     """
     check_bounds(injections=injections, seed=seed, required_argument="injections seed")
     if not len(strengths) or any(not s > 0.0 for s in strengths):
-        raise ModelError("a detection curve needs at least one strength, and every strength must be above 0")
+        raise ModelError("a detection curve needs at least one noncentrality (strengths), each of them above 0")
     original = load_recording(recording)
     background = diagnose(original)
     curve_rows = []

@@ -237,7 +237,7 @@ class PairedDifference:
         gap, unit = f"{self.difference:.4g}", f" {self.unit}" if self.unit else ""
         interval = f"95 %: {self.low:.4g} to {self.high:.4g}{unit}"
         return (
-            f"{self.statistic}, {self.first} less {self.second}{place}: {gap}{unit} ({interval}; {self.trials} trials)"
+            f"{self.statistic}, {self.first} minus {self.second}{place}: {gap}{unit} ({interval}; {self.trials} trials)"
         )
 
 

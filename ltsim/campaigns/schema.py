@@ -96,7 +96,7 @@ RESULT_COLUMNS: tuple[RowColumn, ...] = (
         "errors",
         "um",
         target_error_um="rms over targets of the 3D distance from the true point to the adjusted one, all fitted "
-        "rigidly to the true ones; the noise of the readings that were adjusted is in it",
+        "rigidly to the true ones; it includes the noise of the adjusted readings",
     ),
     *_error_columns("new_point_", NEW_POINT_TEXT + READING_ERROR_TEXT),
     _parameter_column(
@@ -254,7 +254,7 @@ ERRORS_TABLE = Table(
     (
         *text_columns(setting="cell", method="name"),
         *number_columns(raw_um="before", calibrated_um="after", noise_floor_um="with the true parameters"),
-        *number_columns(share_removed="removed fraction of the mean square error that can be removed"),
+        *number_columns(share_removed="fraction of the correctable mean-square error that the calibration removes"),
     ),
 )
 METHOD_DIFFERENCES_TABLE = Table(

@@ -38,7 +38,9 @@ RecordingToExtendOption = Annotated[
 ComparedEffectsOption = Annotated[
     str | None,
     typer.Option(
-        "--between", metavar="A,B", help="With --after: effects to discriminate; default from a diagnosis of REC."
+        "--between",
+        metavar="A,B",
+        help="With --after: effects to separate; default: the ones that a diagnosis of REC cannot separate.",
     ),
 ]
 SitePlanOption = Annotated[

@@ -68,7 +68,9 @@ InjectedEffectsArgument = Annotated[
 ]
 InjectionFolderOption = Annotated[
     Path | None,
-    typer.Option("--out", metavar="REC2", help="Folder of the recording, or of the curve."),
+    typer.Option(
+        "--out", metavar="REC2", help="Folder of the changed recording or, with --curve, of the detection curve."
+    ),
     COMMAND_CHECKED_OUTPUT,
 ]
 InjectedValuesFileOption = Annotated[

@@ -174,7 +174,9 @@ def _check_dependent_keys(plan_file: PlanFile, scenario: Scenario, file: object)
         raise SetupError(f"{file}: goal.diagnosis_weight is above 0, but goal.effects names no effect")
     count, min_stations = plan_file.stations.count or len(scenario.stations), plan_file.stations.min_stations_per_target
     if isinstance(min_stations, int) and min_stations > count:
-        raise SetupError(f"{file}: stations.min_stations_per_target is {min_stations}, but there are {count} stations")
+        raise SetupError(
+            f"{file}: stations.min_stations_per_target is {min_stations}, but there are {count} stations; reduce it"
+        )
 
 
 def read_points(path: Path) -> tuple[PlanPoint, ...]:
@@ -196,7 +198,9 @@ def read_points(path: Path) -> tuple[PlanPoint, ...]:
 def _require_few_points(n_points: int, file: object) -> None:
     """Check of the number of points of a plan; raises SetupError above `MAX_PLAN_POINTS`."""
     if n_points > MAX_PLAN_POINTS:
-        raise SetupError(f"{file}: {n_points} points, expected at most {MAX_PLAN_POINTS}; plan parts of the hall")
+        raise SetupError(
+            f"{file}: the plan has {n_points} points, expected at most {MAX_PLAN_POINTS}; plan parts of it separately"
+        )
 
 
 def _point_from_table(table: PointList, row: int, path: Path) -> PlanPoint:

@@ -48,7 +48,7 @@ it (an error is a point error divided by its tolerance). If the last two station
 the square of this ratio, the search ends."""
 UNDETERMINED_LAYOUT_MESSAGE = (
     "no layout of the search determines all poses and points; let stations share more points "
-    "(stations.min_stations_per_target = 2), or give more stations or more search.starts"
+    "(stations.min_stations_per_target = 2), or increase the number of stations or search.starts"
 )
 """Error message for a search without a layout that determines all poses and points."""
 STOPPED_MESSAGE = "the search was stopped before it found a layout; let it run longer"
@@ -274,12 +274,12 @@ class _PlanSearch:
             return STOPPED_MESSAGE
         if hours and any(outcome.has_layout for outcome in self.station_count_results):
             range_text = f"{station_counts[0]} to {station_counts[-1]}"
-            return f"no layout of {range_text} stations takes at most {hours:g} h; give more budget.max_hours"
+            return f"no layout of {range_text} stations takes at most {hours:g} h; increase budget.max_hours"
         try:
             search_from_start(self.problem, SearchTask(station_counts[-1], self.face_and_round_choices[0][-1], 0))
         except (SetupError, NetworkError) as problem:
-            return f"{problem}, or give more stations.max_count"
-        return "the search found no layout; enlarge the floor or give more stations.max_count"
+            return f"{problem}, or increase stations.max_count"
+        return "the search found no layout; enlarge the floor or increase stations.max_count"
 
     def tradeoff_points(self, layouts: LayoutsByStationsAndFaces) -> tuple[TradeoffPoint, ...]:
         """Best layout for each number of stations, faces and rounds, in ascending order of duration."""

@@ -43,6 +43,14 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return lt.campaign(SWEEP | more, out=tmp_path_factory.mktemp("sweep") / "rows")
 
 
+def test_a_figure_without_arguments_is_drawn_for_a_grid_and_a_design(sweep: Any, tmp_path: Path) -> None:
+    ranges = {"instrument.noise_factor": {"low": 0.5, "high": 2.0}}
+    design = {"kind": "latin-hypercube", "cell_count": 3, "ranges": ranges}
+    spread = lt.campaign(SWEEP | {"trials": 2, "trials_per_shard": 2, "design": design}, out=tmp_path / "rows")
+    for results in (sweep, spread):
+        assert results.plot().axes[0].lines
+
+
 def test_a_sweep_is_a_dataset_with_units_on_axes_that_sel_takes(sweep: Any) -> None:
     pytest.importorskip("xarray", reason="the dataset is xarray's")
     cube = sweep.to_xarray("target_error_um", "share_removed")
@@ -156,7 +164,7 @@ def test_methods_are_compared_on_one_recording_as_the_campaign_compares_them_in_
     assert judged.column("calibration") == ["network", "distance"]
     alone = lt.compare_calibrations(scenario, found["network"], "paper-laboratory", seed=3, trial=17)
     assert alone.table().column("error_calibrated_um") == judged.column("error_calibrated_um")[:1]
-    with pytest.raises(SetupError, match="calibration 'network' belongs to another recording than seed 3, trial 16"):
+    with pytest.raises(SetupError, match="calibration 'network' is not from seed 3 and trial 16"):
         lt.compare_calibrations(scenario, found, "paper-laboratory", seed=3, trial=16)
     with pytest.raises(SetupError, match="no calibration is given"):
         lt.compare_calibrations(scenario, {}, "paper-laboratory", seed=3, trial=17)
@@ -184,7 +192,7 @@ def test_no_trials_and_no_workers_are_no_answer(tmp_path: Path) -> None:
             lt.recover("paper-workshop", trials=trials)
     with pytest.raises(SetupError, match="jobs is 0, expected a whole number, 1 to 256"):
         lt.campaign({"trials": 2}, out=tmp_path / "rows", jobs=0)
-    with pytest.raises(ModelError, match="at least one strength"):
+    with pytest.raises(ModelError, match="at least one noncentrality"):
         lt.injection_curve(lt.simulate("paper-workshop", seed=1).recording, "index-drift", strengths=[])
 
 

@@ -121,7 +121,7 @@ def test_an_interruption_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(effects, "_line", stop)
+    monkeypatch.setattr(effects, "_list_line", stop)
     assert run(["effects"]) == 130
     assert capsys.readouterr().err == "interrupted; no partial file remains\n"
 

@@ -190,7 +190,8 @@ def _corrections_sentence(content: Calibration) -> str:
     excluded_names = {entry.name for entry in content.reference_values if entry.excluded}
     for test in faults:
         if test.kind == "reference-value" and not excluded_names.intersection(test.where.targets):
-            return f" {test.sentence} This adjustment contains them; calibrate tests them with the constants estimated."
+            remedy = "ltsim calibrate also estimates the constants of the instrument and tests them again"
+            return f" {test.sentence} This adjustment uses the reference values; {remedy}."
     if not faults:
         return ""
     places = dict.fromkeys(name for test in faults for name in (*test.where.stations, *test.where.targets))

@@ -339,7 +339,9 @@ def _statistic_tables(
         results, cells.with_columns(" ".join(name for name in cells.header if name not in extra_fields))
     )
     definitions = [f"{_column_label(c)} [{results.units.get(c, '')}]: {_column_meaning(c)}" for c in summaries]
-    note = "Verified: trials repeated with the full solver; difference of the estimates."
+    note = (
+        "Verified trials were repeated with the full solver; the difference is between the estimates of both solvers."
+    )
     failed = frozenset(i for i, comparison in enumerate(comparisons) if comparison.failed_trials)
     convergence_table = results.table("solver_comparisons")
     convergence_table = _table_with_levels_as_in_file(

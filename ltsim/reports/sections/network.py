@@ -87,7 +87,9 @@ def residual_figures(residuals: Residuals, reference: Residuals | None) -> list[
 
     `reference` are residuals of the adjustment without the instrument's parameters, for comparison.
     """
-    comparison_text = " Grey: without the instrument's parameters; blue: with." if reference is not None else ""
+    comparison_text = (
+        " Grey: adjusted without the instrument's parameters; blue: with them." if reference is not None else ""
+    )
     text = "Observed minus adjusted reading of every pointing; the bar is the root mean square."
     picture = PictureBlock(
         "Residuals by station",
