@@ -30,6 +30,12 @@ TARGETS_QUALITY_NAME = "targets"
 """Name of the quality that is the weighted root mean square point error of the targets."""
 DIAGNOSIS_QUALITY_NAME = "diagnosis"
 """Name of the quality that is the mean of the minimal detectable sizes of effects."""
+QUALITY_PHRASES = {
+    INSTRUMENT_QUALITY_NAME: "the precision of the instrument parameters",
+    TARGETS_QUALITY_NAME: "the precision of the targets",
+    DIAGNOSIS_QUALITY_NAME: "the sensitivity of a diagnosis to effects",
+}
+"""Phrase for each quality in sentences, by the name of the quality."""
 MIN_SWEEP_IMPROVEMENT = 1e-4
 """Smallest relative improvement of the objective by a sweep over all stations at which another sweep follows; after a
 smaller one the search ends."""

@@ -15,6 +15,7 @@ from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import (
     DIAGNOSIS_QUALITY_NAME,
     INSTRUMENT_QUALITY_NAME,
+    QUALITY_PHRASES,
     TARGETS_QUALITY_NAME,
     LayoutObjective,
 )
@@ -182,8 +183,7 @@ def _reference_sentences(plan: PlannedNetwork) -> list[str]:
         factor = reference.qualities[name] / chosen.qualities[name]
         sentences.append(
             f"Compared with the scenario's layout of {len(reference.survey.station_positions)} stations, "
-            "measured in the same "
-            f"way, the quality of {name} is {max(factor, 1 / factor):.2f} times "
+            f"measured in the same way, {QUALITY_PHRASES[name]} is {max(factor, 1 / factor):.2f} times "
             f"{'better' if factor >= 1 else 'worse'} ({_quality_value_text(name, reference.qualities[name])} there)."
         )
     sentences += _parameter_sentences(reference, chosen)

@@ -83,7 +83,10 @@ def test_the_plan_is_better_than_the_scenario_and_says_by_how_much(plan: Planned
     content = result
     factor = plan.reference_evaluation.qualities["instrument"] / plan.layout.qualities["instrument"]
     assert factor > 1.05
-    assert any(f"the quality of instrument is {factor:.2f} times better" in sentence for sentence in content.reasons)
+    assert any(
+        f"the precision of the instrument parameters is {factor:.2f} times better" in sentence
+        for sentence in content.reasons
+    )
     assert len(content.stations) == 4
     assert content.qualities["instrument"] == pytest.approx(plan.layout.objective_value)
 
