@@ -84,7 +84,7 @@ def peers(trials: int) -> None:
         judge.method_independent_columns(drawn)
         judge.method_columns(drawn, fitted, engine.construction)
 
-    n, (*_, unknowns) = len(truth.recording), engine.batch_network.end_indices
+    n, (*_, unknowns) = len(truth.recording), engine.batch_network.block_end_indices
     print(f"The paper's workshop: {3 * n} readings, {unknowns} unknowns with the datum; processor time, one core\n")
     batch = seconds(lambda: engine.calibrate(block), 20) / TRIALS_PER_STREAM
     agreement = max(
@@ -187,7 +187,7 @@ def other_paths() -> None:
     apart = max(absolute.largest_solver_difference(block, k, settled) for k in range(8))
     programmed = seconds(lambda: absolute.calibrate(block, some), 3) / len(some)
     alone = seconds(lambda: absolute.serial_calibrator.calibrate(block, np.array([0])), 3)
-    campaign = CampaignFile(format="ltsim-campaign/1", trials=256, geometry="per-trial", verify=0)
+    campaign = CampaignFile(format="ltsim-campaign/1", trials=256, geometry="per-trial", verified_trials_per_shard=0)
     task = ShardTask(campaign, load_scenario("paper-workshop"), "", 0, 0)
     own = seconds(lambda: make_shard_rows(task), 3) / campaign.trials
     shared = ShardTask(CampaignFile(format="ltsim-campaign/1", trials=4096), load_scenario("paper-workshop"), "", 0, 0)
@@ -219,7 +219,7 @@ def scaling(short: bool) -> None:
         recording = recording_of_trial(truth, block, 0)
         single = seconds(lambda r=recording, e=engine: adjust(r, e.construction), 2)  # type: ignore[misc]
         rows.append(
-            [str(stations), str(targets), str(engine.batch_network.end_indices[-1]),
+            [str(stations), str(targets), str(engine.batch_network.block_end_indices[-1]),
              f"{1e6 * each:.0f}", f"{1e3 * single:.1f}",
              f"{single / each:.0f}", f"{prepared:.2f}"]
         )  # fmt: skip

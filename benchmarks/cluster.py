@@ -28,7 +28,7 @@ FILE = """
 format = "ltsim-campaign/1"
 scenario = "paper-workshop"
 trials = {trials}
-shard = {shard}
+trials_per_shard = {shard}
 seed = 1
 """
 TICK = os.sysconf("SC_CLK_TCK")

@@ -26,14 +26,14 @@ height_mm = [1500, 2100]
 [stations]
 count = 3
 [budget]
-hours = 8
+max_hours = 8
 faces = [1]
 repeats = [1]
 [search]
 starts = 1
-grid_mm = 1500
-yaws = 3
-heights = 1
+grid_step_mm = 1500
+yaw_count = 3
+height_count = 1
 """
 VERBS = [name for name in lt.__all__ if name not in ("effects", "errors")]
 MODULES = sorted({lt._load(name).__module__ for name in VERBS})

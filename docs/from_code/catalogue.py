@@ -12,7 +12,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE, MICROMETRE
-from ltsim.physics.effects import CATALOGUE, Effect, catalogue_entry, find_effect
+from ltsim.physics.effects import CATALOGUE, Effect
 from ltsim.physics.effects.descriptions import EffectDescription
 from ltsim.reports.style import (
     BLUE,
@@ -56,9 +56,7 @@ def cards(pictures: Pictures, _lines: list[str]) -> str:
 
 def _card(effect: EffectDescription) -> list[str]:
     lines = ["", f"### {effect.name}", "", f"**{effect.title}**: {_text(effect.cause)}.", "", _law(effect.equation), ""]
-    rate = f"{effect.base_rate:g} (relative frequency in service; 1 is occasional)"
-    sections = [*catalogue_entry(find_effect(effect.name)).sections(), ("Base rate", rate)]
-    lines += [f"{name}\n: {_text(text)}\n" for name, text in sections]
+    lines += [f"{label}\n: {_text(text)}\n" for label, text in effect.labelled_texts]
     sizes = [[f"`{p.name}`", f"{p.plausible_size:.3g}", p.unit, _text(p.meaning)] for p in effect.parameters]
     lines += ["", *markdown(["parameter", "plausible size", "unit", "meaning"], sizes)]
     constants = [

@@ -13,7 +13,7 @@ AS_READ = "new_point_error_raw_um"
 def run(given: Options) -> Made:
     rows: list[SweepPoint] = []
     for drift in DRIFTS:
-        results = campaign("config.toml", given, f"drift-{drift:g}", judge_drift=drift)
+        results = campaign("config.toml", given, f"drift-{drift:g}", validation_drift=drift)
         rows += [
             replace(s, level=drift) for s in sweep_points(results, ERROR, "gauge_scale_ppm", panel="gauge_scale_ppm")
         ]

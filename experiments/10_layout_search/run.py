@@ -140,7 +140,7 @@ def check(scenario: Scenario, folder: Path, trials: int, given: Options) -> tupl
     ((squared,),) = results.query("SELECT avg(target_error_um ^ 2) FROM rows")
     summary: Row = {
         "trials": found[0].trials,
-        "failed": results.solver_comparisons()[0].failed,
+        "failed": results.solver_comparisons()[0].failed_trials,
         "ratio_rms": np.sqrt(np.mean(ratio**2)),
         "ratio_least": ratio.min(),
         "ratio_largest": ratio.max(),

@@ -26,7 +26,7 @@ def changed(scenario: Scenario, change: PlanChange) -> Scenario:
     """The scenario with a reflector moved (under its own name), added or left out."""
     targets = {name: target for name, target in scenario.targets.items() if name != change.reflector}
     if change.position_mm is not None:
-        targets[change.reflector or change.place] = PlannedTarget(position_mm=change.position_mm)
+        targets[change.reflector or change.new_place] = PlannedTarget(position_mm=change.position_mm)
     return scenario.model_copy(update={"targets": targets})
 
 
@@ -69,8 +69,8 @@ def run(given: Options) -> Made:
     for change in plan.reflector_changes.reported_changes:
         weights = {name: weight for name, weight in own.items() if name != change.reflector}
         found = gain((scenario, changed(scenario, change)), weights, trials, given.jobs)
-        held = found["gain_low_um"] <= change.gain_um <= found["gain_high_um"]
-        row: Row = {"do": change.action_text, "promised_um": change.gain_um, **found}
+        held = found["gain_low_um"] <= change.target_rms_decrease_um <= found["gain_high_um"]
+        row: Row = {"do": change.action_text, "promised_um": change.target_rms_decrease_um, **found}
         rows.append({k: v if isinstance(v, str) else round(float(v), 4) for k, v in row.items()} | {"held": bool(held)})
         tell(str(rows[-1]))
     write_table(given.out / "changes.csv", rows)

@@ -36,13 +36,13 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap_angle
 from ltsim.solve.least_absolute import solve_least_absolute
 
-MAX_DISTANCE_STEPS = 10
+MAX_DISTANCE_FIT_STEPS = 10
 """Largest number of Gauss-Newton steps for the distance objective of a trial."""
-MAX_STEPS_WITH_WEAK_COMBINATIONS = 30
+MAX_WEAK_COMBINATION_FIT_STEPS = 30
 """Largest number of Gauss-Newton steps for a trial in which weakly determined combinations are estimated too."""
-MAX_CONVERGED_CHANGE = 3e-5
+MAX_LAST_STEP_AT_CONVERGENCE = 3e-5
 """Largest change of an unknown in the last step, in prior standard deviations, at which a trial counts as converged.
-The remaining error is a hundredth of this change.
+The remaining error is about a hundredth of this change.
 """
 
 
@@ -117,7 +117,7 @@ class BatchDistance(BatchCalibrator):
         return self.truth.chain_program(self.construction)
 
     @cached_property
-    def _set_membership(self) -> tuple[Ints, Bools, Floats, Ints]:
+    def _pointing_sets(self) -> tuple[Ints, Bools, Floats, Ints]:
         """Set and weight of each pointing, mask of the targets of each set, pairs of targets with a reference length.
 
         A set contains the pointings of one station in one face. The weight of a pointing is its share in the mean point
@@ -136,7 +136,7 @@ class BatchDistance(BatchCalibrator):
         values, moved = (
             self._least_squares_values(trial_batch)
             if self.method == "distance"
-            else self._separate_trial_values(trial_batch, trial_numbers)
+            else self._values_with_trial_normal_matrices(trial_batch, trial_numbers)
         )
         fit = self._fit_corrected_readings(trial_batch, values)
         spread = (
@@ -145,7 +145,7 @@ class BatchDistance(BatchCalibrator):
         )
         status = np.zeros(len(moved), dtype=np.int64)
         return CalibratedBatch(values, spread, fit.target_increments, fit.chi2, status), (
-            moved < MAX_CONVERGED_CHANGE
+            moved < MAX_LAST_STEP_AT_CONVERGENCE
         ) & fit.has_converged
 
     def _least_squares_values(self, trial_batch: TrialBatch) -> tuple[Floats, Floats]:
@@ -154,12 +154,12 @@ class BatchDistance(BatchCalibrator):
         The shapes are (instruments, parameters, trials) [SI] and (trials,) [prior sigma].
         """
         deviation, prior = trial_batch.reading_deviations, self.distance_problem.prior_sigma[:, :, None]
-        sets, visible, share, gauge = self._set_membership
+        sets, visible, share, gauge = self._pointing_sets
         recording, trials = self.truth.recording, deviation.shape[2]
         reference_lengths = self.distance_problem.reference_lengths.lengths[:, None] + trial_batch.length_errors
         parameter_values = np.zeros((*self.distance_problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
-        for _ in range(MAX_DISTANCE_STEPS):
+        for _ in range(MAX_DISTANCE_FIT_STEPS):
             compute_points(self._chain_program, recording.instrument, deviation, parameter_values, points)
             clouds = np.zeros((*visible.shape, 3, trials))
             add_station_means(points, sets, recording.target, share, clouds)
@@ -170,11 +170,11 @@ class BatchDistance(BatchCalibrator):
             step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
             parameter_values += step.reshape(parameter_values.shape) * prior
             moved = np.abs(step).max(axis=0)
-            if not np.any(moved >= MAX_CONVERGED_CHANGE):
+            if not np.any(moved >= MAX_LAST_STEP_AT_CONVERGENCE):
                 break
         return parameter_values, moved
 
-    def _separate_trial_values(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[Floats, Floats]:
+    def _values_with_trial_normal_matrices(self, trial_batch: TrialBatch, trial_numbers: Ints) -> tuple[Floats, Floats]:
         """Parameters of selected trials, and their largest change in the last step, with a normal matrix per trial.
 
         The parameters have the shape (instruments, parameters, trials) [SI], the changes (trials,) [prior sigma].
@@ -193,9 +193,9 @@ class BatchDistance(BatchCalibrator):
             for trial, trial_readings in readings.items()
         }
         for iteration in range(
-            MAX_DISTANCE_STEPS if self.uses_absolute_deviations else MAX_STEPS_WITH_WEAK_COMBINATIONS
+            MAX_DISTANCE_FIT_STEPS if self.uses_absolute_deviations else MAX_WEAK_COMBINATION_FIT_STEPS
         ):
-            active = trial_numbers[moved[trial_numbers] >= MAX_CONVERGED_CHANGE]
+            active = trial_numbers[moved[trial_numbers] >= MAX_LAST_STEP_AT_CONVERGENCE]
             if not len(active):
                 break
             residual = self._objective_terms(

@@ -33,7 +33,7 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.chain import inverse_from_cholesky
 from ltsim.solve.design import cholesky_where_determined, scale_to_unit_diagonal, to_dense
 
-MAX_NETWORK_STEPS = 8
+MAX_NETWORK_FIT_STEPS = 8
 """Largest number of Gauss-Newton steps in the network adjustment of a trial."""
 MIN_CONVERGENCE_RATE = 1e-3
 """Smallest assumed ratio of the distances to the optimum after and before a step; a larger ratio is estimated from the
@@ -101,7 +101,7 @@ class BatchNetwork:
         )
 
     @cached_property
-    def end_indices(self) -> tuple[int, int, int, int]:
+    def block_end_indices(self) -> tuple[int, int, int, int]:
         """End indices of poses, targets, instrument parameters and effect parameters in the vector of unknowns."""
         unknowns = self.problem.unknowns
         pose = unknowns.pose_columns.size
@@ -142,7 +142,7 @@ class BatchNetwork:
             else self._nominal_prediction(self.shared_derivatives)
         )
         system = self.problem.linear_system(
-            self.nominal_state, replace(prediction, extra_derivatives=self._extra_design)
+            self.nominal_state, replace(prediction, extra_derivatives=self._additional_parameter_design)
         )
         return to_dense(system.design), system.whitened_residuals
 
@@ -181,14 +181,14 @@ class BatchNetwork:
     @cached_property
     def parameter_sigmas(self) -> Floats:
         """Standard deviation (instruments, parameters) [SI] of the instrument parameters after adjustment."""
-        (_, start, end, _), (root, scale) = self.end_indices, self.cholesky_and_scales
+        (_, start, end, _), (root, scale) = self.block_end_indices, self.cholesky_and_scales
         inverse_block = inverse_from_cholesky(
             root[start:, start:]
         )  # the inverse for the last unknowns needs only the last corner of the factor
         roots = np.sqrt(np.diag(inverse_block)[: end - start]) * scale[start:end]
         return roots.reshape(self.problem.unknowns.instrument_columns.shape)
 
-    def step(self, gradient: Floats) -> Floats:
+    def gauss_newton_step(self, gradient: Floats) -> Floats:
         """Gauss-Newton step (unknowns, trials) for the negative gradient of half the sum of squares."""
         return self.covariance @ gradient
 
@@ -223,7 +223,7 @@ class BatchNetwork:
         )
 
     @cached_property
-    def _extra_sightings(self) -> Sightings:
+    def _floor_plan_sightings(self) -> Sightings:
         """Pointings in the frame of the floor plan, in which the directions of nests are declared."""
         state = self.nominal_state
         motion = self._network_frame.motion_to_floor_plan(state.station_positions, state.station_rotations)
@@ -236,16 +236,16 @@ class BatchNetwork:
             state = replace(state, station_rotations=turn @ state.station_rotations, **places)
         if self.shared_derivatives is None:
             return self.model.sightings(state)
-        return self.shared_derivatives.network._extra_sightings.with_geometry(
+        return self.shared_derivatives.network._floor_plan_sightings.with_geometry(
             state.station_positions, state.station_rotations, state.target_points
         )
 
     @cached_property
-    def _extra_design(self) -> Floats:
+    def _additional_parameter_design(self) -> Floats:
         """Change (pointings, 3, effect parameters) of the readings per unit of each effect or nuisance parameter."""
         if not self.model.extra_effects:
             return np.zeros((len(self.recording), 3, 0))
-        return self.model.extra_design(self._extra_sightings)
+        return self.model.extra_design(self._floor_plan_sightings)
 
     @cached_property
     def _expected_reading_change(self) -> Floats | None:
@@ -254,7 +254,7 @@ class BatchNetwork:
             isinstance(error, IncidenceErrors) and error.mean_parameters.any() for error in self.model.nuisance_errors
         ):
             return None
-        return self.model.change_by_extra_parameters(self._extra_sightings, self.nominal_state.extra_parameters)[
+        return self.model.change_by_extra_parameters(self._floor_plan_sightings, self.nominal_state.extra_parameters)[
             :, :, None
         ]
 
@@ -268,7 +268,7 @@ class BatchNetwork:
 
         The last index of each view is the trial; the first is station, target, instrument or effect parameter.
         """
-        pose, targets, values, _ = self.end_indices
+        pose, targets, values, _ = self.block_end_indices
         shape = self.nominal_state.instrument_parameters.shape
         return (
             unknowns[:pose].reshape(-1, 6, unknowns.shape[1]),
@@ -288,9 +288,9 @@ class BatchNetwork:
         x, predicted = self._first_step(reading_deviations, length_errors)
         last_costs = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
-        for _ in range(2, MAX_NETWORK_STEPS + 1):
+        for _ in range(2, MAX_NETWORK_FIT_STEPS + 1):
             self._gradient(x, reading_deviations, length_errors, predicted, gradient, cost)
-            step = self.step(gradient)
+            step = self.gauss_newton_step(gradient)
             x += step
             squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
             remainder = np.sqrt(squared) * np.maximum(MIN_CONVERGENCE_RATE, np.sqrt(squared / last_costs))
@@ -306,7 +306,7 @@ class BatchNetwork:
 
     @property
     def _has_additional_parameters(self) -> bool:
-        return self.end_indices[3] > self.end_indices[2]
+        return self.block_end_indices[3] > self.block_end_indices[2]
 
     @cached_property
     def _affected_readings(self) -> tuple[Ints, Floats, Floats]:
@@ -315,7 +315,7 @@ class BatchNetwork:
         Effects include declared nuisance errors. The indices (affected readings,) refer to the flattened readings. The
         designs have the shape (affected readings, effect parameters), after an axis of trials for separate geometries.
         """
-        flattened = self._extra_design.reshape(self.reading_sigmas.size, -1)
+        flattened = self._additional_parameter_design.reshape(self.reading_sigmas.size, -1)
         indices = np.flatnonzero(flattened.any(axis=1))
         return indices, flattened[indices], flattened[indices] / self.reading_sigmas.reshape(-1, 1)[indices]
 
@@ -326,23 +326,23 @@ class BatchNetwork:
         The step is the first matrix times the reading deviations, plus the second times the residuals of all other
         observations. The third, (readings, unknowns), excludes effects; their changes are subtracted from the readings.
         """
-        use, design = self.problem.is_used_reading, np.zeros((3 * len(self.recording), self.end_indices[-1]))
+        use, design = self.problem.is_used_reading, np.zeros((3 * len(self.recording), self.block_end_indices[-1]))
         design[use.ravel()] = self._whitened_design_and_residuals[0][
             : int(use.sum()), self.column_order
         ]  # whitened; zero for unmeasured readings
         # An unmeasured reading has no row; its prediction starts at the nominal reading.
-        predicting = np.where(use, self.problem.sigma, 0.0).reshape(-1, 1) * design[:, : self.end_indices[2]]
+        predicting = np.where(use, self.problem.sigma, 0.0).reshape(-1, 1) * design[:, : self.block_end_indices[2]]
         by_reading = self.covariance @ (design / self.reading_sigmas.reshape(-1, 1)).T
         return by_reading, self.covariance @ self._non_reading_design[0].T, predicting
 
     def _first_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
         """First step (unknowns, trials), and predicted minus nominal readings (pointings, 3, trials) after it."""
         by_reading, by_other, predicting = self._first_step_matrices
-        nowhere = np.zeros((self.end_indices[-1], reading_deviations.shape[2]))
+        nowhere = np.zeros((self.block_end_indices[-1], reading_deviations.shape[2]))
         x = by_reading @ reading_deviations.reshape(len(predicting), -1) + by_other @ self._non_reading_residuals(
             nowhere, length_errors
         )
-        return x, (predicting @ x[: self.end_indices[2]]).reshape(reading_deviations.shape)
+        return x, (predicting @ x[: self.block_end_indices[2]]).reshape(reading_deviations.shape)
 
     def _gradient(
         self,

@@ -21,7 +21,7 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import measure_trial
 from ltsim.simulation.verbs import ScenarioSource, scenario
 
-READING_TOLERANCE = 1e-6
+MAX_EQUAL_READING_DIFFERENCE = 1e-6
 """Largest difference [m, rad] between readings that count as equal. Rounding in a file gives a smaller difference, the
 noise of two recordings a larger one.
 """
@@ -68,7 +68,9 @@ def _may_be_same_recording(readings: Floats, other_readings: Floats) -> bool:
 
     They may differ by rounding in files, and by readings that were excluded.
     """
-    return readings.shape != other_readings.shape or not np.any(np.abs(readings - other_readings) > READING_TOLERANCE)
+    return readings.shape != other_readings.shape or not np.any(
+        np.abs(readings - other_readings) > MAX_EQUAL_READING_DIFFERENCE
+    )
 
 
 def compare_calibrations(
@@ -76,14 +78,14 @@ def compare_calibrations(
     calibrations: Calibration | Mapping[str, Calibration],
     validation_scenario: str | Path,
     *,
-    applied: bool = False,
+    uses_applied_corrections: bool = False,
     seed: int = 0,
     trial: int = 0,
 ) -> NewPointErrors:
     """Comparison of calibrations of one simulated recording at points that were not used for calibration.
 
     The same instruments with the same errors measure these points with independent noise, and each calibration corrects
-    these readings. The rows of a campaign with the key `judge_in` contain the same errors.
+    these readings. The rows of a campaign with the key `validation_points` contain the same errors.
 
     Parameters
     ----------
@@ -94,9 +96,9 @@ def compare_calibrations(
     validation_scenario : str or Path
         New points: a scenario with other stations and targets, or a table ``NAME.csv`` of points that are measured from
         the stations of the recording.
-    applied : bool
-        True to evaluate the corrections that `correct` applies, in place of the estimates. The key `applied` of a
-        method in a campaign file does the same.
+    uses_applied_corrections : bool
+        True to evaluate the corrections that `correct` applies, in place of the estimates, like the key of this name
+        of a method in a campaign file.
     seed, trial : int
         Seed and number of the trial with which the recording was simulated.
 
@@ -126,7 +128,9 @@ def compare_calibrations(
             else made.readings
         )
         if not _may_be_same_recording(readings, made.readings):  # the distance methods adjust corrected readings
-            raise SetupError(f"calibration '{name}' belongs to another recording than seed {seed}, trial {trial}")
+            raise SetupError(
+                f"calibration '{name}' is not from seed {seed} and trial {trial}; give those of its recording"
+            )
     if not by_name:
         raise SetupError("no calibration is given, expected at least one")
     true_values = np.array([*truth.instrument_values.values()]).reshape(len(base_scenario.trackers_in_use), -1)
@@ -144,7 +148,7 @@ def compare_calibrations(
     floor = error(measured_points(recording, geometry.construction, true_values[geometry.sightings.instrument]))
     calibration_by_name = (
         by_name
-        if applied
+        if uses_applied_corrections
         else {name: calibration.with_changes(correction=None) for name, calibration in by_name.items()}
     )
     corrected_by_name = {

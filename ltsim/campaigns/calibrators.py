@@ -52,10 +52,12 @@ def estimated_effects(method: CalibrationMethod) -> tuple[Effect, ...]:
 def make_calibrator(method: CalibrationMethod, truth: CellTruth) -> TrialCalibrator:
     """Calibrator for a method of a campaign file, for trials in the network geometry `truth`."""
     if method.method != "network" and not truth.is_recorded_observable.all():
-        raise SetupError(f"methods.{method.title}: {method.method} compares points, which need ranges and angles")
+        raise SetupError(f"methods.{method.title}: method {method.method} needs ranges and angles; use method network")
     built, effects = estimated_construction(method), estimated_effects(method)
     if method.solver == "single":
-        return SerialCalibrator(truth, built, effects, method.method, uses_applied_corrections=method.applied)
+        return SerialCalibrator(
+            truth, built, effects, method.method, uses_applied_corrections=method.uses_applied_corrections
+        )
     if method.method != "network":
         return BatchDistance(truth, built, method=method.method)
     return BatchCalibrator(truth, built, effects)
@@ -299,7 +301,7 @@ class StackedNetwork(BatchNetwork):
         """Least-squares problem of the first trial."""
         return self.networks[0].problem
 
-    def step(self, gradient: Floats) -> Floats:
+    def gauss_newton_step(self, gradient: Floats) -> Floats:
         """Gauss-Newton step (unknowns, trials) for negative gradients, with a separate normal matrix for each trial."""
         step = np.empty_like(gradient)
         for trial, (root, scale) in enumerate(part.cholesky_and_scales for part in self.networks):
@@ -334,7 +336,7 @@ class StackedNetwork(BatchNetwork):
         The indices have the shape (affected readings,), the designs (trials, affected readings, effect parameters).
         """
         n_readings = 3 * len(self.recording)
-        flattened = [part._extra_design.reshape(n_readings, -1) for part in self.networks]
+        flattened = [part._additional_parameter_design.reshape(n_readings, -1) for part in self.networks]
         affected_rows = np.flatnonzero(np.any([design.any(axis=1) for design in flattened], axis=0))
         design = np.stack([design[affected_rows] for design in flattened])
         sigma = np.stack([part.reading_sigmas.ravel()[affected_rows] for part in self.networks])
@@ -347,10 +349,13 @@ class StackedNetwork(BatchNetwork):
         return np.stack(designs), np.concatenate(nominal, axis=1)
 
     def _first_step(self, reading_deviations: Floats, length_errors: Floats | None) -> tuple[Floats, Floats]:
-        x, predicted = np.zeros((self.end_indices[-1], reading_deviations.shape[2])), np.zeros_like(reading_deviations)
+        x, predicted = (
+            np.zeros((self.block_end_indices[-1], reading_deviations.shape[2])),
+            np.zeros_like(reading_deviations),
+        )
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
         arguments = reading_deviations, length_errors, predicted, gradient, cost
         self._gradient(x, *arguments)
-        x += self.step(gradient)
+        x += self.gauss_newton_step(gradient)
         self._gradient(x, *arguments)  # for a second Newton step of the predicted readings
         return x, predicted

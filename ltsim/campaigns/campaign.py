@@ -23,7 +23,7 @@ from joblib import Parallel, delayed, parallel_config
 from ltsim.campaigns.calibrators import estimated_construction, estimated_effects
 from ltsim.campaigns.design import Factor, cell_label
 from ltsim.campaigns.rows import ShardTask, n_rows_of_shard, run_task
-from ltsim.campaigns.schema import MAX_SHARDS, CellEntry, ManifestFile, ScenarioSettings
+from ltsim.campaigns.schema import ManifestFile, ScenarioSettings, number_of_shards
 from ltsim.campaigns.spec import (
     VALIDATION_STREAM_KEY,
     CampaignCell,
@@ -47,9 +47,9 @@ from ltsim.simulation.fieldwork import make_measurement_geometry
 from ltsim.simulation.simulator import ineffective_effect_notes
 
 VERSIONED_PACKAGES = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
-"""Packages whose versions can change the bytes of the rows."""
+"""Packages whose versions can change the last digits of the rows; a campaign continues only with the same versions."""
 EXTENDABLE_KEYS = ("title", "trials", "statistics", "grid", "design", "cells", "stop")
-"""Keys of the campaign file whose values may be extended; existing rows remain valid."""
+"""Keys of the campaign file that may be extended (more trials, levels, statistics) without changing existing rows."""
 ProgressCallback = Callable[[int], None]
 """Progress callback; its argument is the number of rows (trials times methods) finished since the last call."""
 
@@ -129,7 +129,7 @@ def run_campaign(
             pass  # a scheduler without an answer is an error before anything is written
     with store.lock():
         if force and not resume:
-            store.remove_files()
+            store.remove_campaign()
         if store.has_campaign:
             campaign, cells = _extended_campaign(store, campaign, cells, file, resume=resume)
             notes += _environment_change_notes(store)
@@ -152,7 +152,7 @@ def run_campaign(
     n_reused = len(cells) * campaign.n_shards_per_cell - done - existing
     if n_reused:
         share = 100 * n_reused / (len(cells) * campaign.n_shards_per_cell)
-        notes.append(f"{folder}: {n_reused} shards ({share:.0f} % of all) were not needed: their cells had converged")
+        notes.append(f"{folder}: the rule [stop] made {n_reused} files of rows ({share:.0f} % of all) unnecessary")
     return RunResult(folder, done, existing, tuple(notes))
 
 
@@ -163,7 +163,8 @@ def _input_files(
 
     If `copies_file` is true, `file` is copied; otherwise the campaign file is written from `campaign`.
     """
-    named = [path for name in (campaign.scenario, campaign.judge_in) if name and (path := local_file(name, file))]
+    names = (campaign.scenario, campaign.validation_points)
+    named = [path for name in names if name and (path := local_file(name, file))]
     contents, root = {path.name: path.read_bytes() for path in named}, (named[0] if named else file).resolve().parent
     for path in cad_files(
         [place for cell in cells for place in (cell.scenario, cell.validation_scenario) if place is not None]
@@ -235,9 +236,10 @@ def _extended_campaign(
     statistics = tuple(dict.fromkeys((*before.get("statistics", ()), *campaign.statistics)))
     extension = {"trials": max(campaign.trials, manifest.trials), "statistics": statistics}
     extended = campaign.model_copy(update=extension)
-    n_shards = extended.n_shards_per_cell * (len(ordered) + len(remaining))
-    if n_shards > MAX_SHARDS:
-        raise SetupError(f"{store.folder}: the campaign has {n_shards} files of rows, expected at most {MAX_SHARDS}")
+    try:
+        number_of_shards(extended.trials, extended.trials_per_shard, len(ordered) + len(remaining))
+    except ValueError as problem:
+        raise SetupError(f"{store.folder}: {problem}") from None
     return extended, (*ordered, *remaining)
 
 
@@ -299,15 +301,10 @@ def _make_manifest(campaign: CampaignFile, factors: Sequence[Factor], cells: Seq
         title=campaign.title,
         seed=campaign.seed,
         trials=campaign.trials,
-        shard=campaign.shard,
+        trials_per_shard=campaign.trials_per_shard,
         methods=tuple(method.title for method in campaign.methods),
         factors=tuple(factors),
-        cells=tuple(
-            CellEntry(
-                cell=i, label=cell_label(factors, c.levels), settings=c.settings, levels=c.levels, digest=c.digest
-            )
-            for i, c in enumerate(cells)
-        ),
+        cells=tuple(cell.manifest_entry(cell_index, factors) for cell_index, cell in enumerate(cells)),
         versions=_package_versions(),
         processor=processor_type(),
         commit=checkout_commit(),
@@ -329,7 +326,7 @@ def _pending_shards(
 
     A damaged shard is renamed and computed again. `progress` is called with the number of rows of each complete shard.
     """
-    waiting, notes, digests = [], [], store.digests()
+    waiting, notes, digests = [], [], store.recorded_digests()
     for cell, shard in shard_keys:
         task = ShardTask(
             campaign, cells[cell].scenario, cells[cell].digest, cell, shard, cells[cell].validation_scenario
@@ -341,7 +338,7 @@ def _pending_shards(
             progress(n_rows_of_shard(campaign, shard))
             continue
         if state == "damaged":
-            aside = store.quarantine(cell, shard)
+            aside = store.quarantine_shard(cell, shard)
             notes.append(f"{store.shard_path(cell, shard)} is damaged: moved to {aside.name} and computed again")
         waiting.append(task)
     return waiting, notes

@@ -22,14 +22,17 @@ is 1e-9.
 
 
 class ChainProgram(NamedTuple):
-    """Kinematic chain as arrays: rotations and translations (motions) from the base to the target, with parameters."""
+    """Kinematic chain as arrays: rotations and translations (motions) from the base to the target, with parameters.
+
+    The amount of a motion is the angle [rad] of a rotation or the length [m] of a translation.
+    """
 
     is_rotation: Ints
     """Kind of each motion, (motions,): 1 for a rotation, 0 for a translation."""
     axis_indices: Ints
     """Coordinate axis of each motion, (motions,): 0 for x, 1 for y, 2 for z."""
     reading_signs: Floats
-    """Sign with which the reading enters the amount of each motion, (motions,)."""
+    """Sign, (motions,), with which the reading enters the amount of each motion: 1 or -1."""
     reading_indices: Ints
     """Index of the reading that determines the amount of each motion, (motions,): 0 range, 1 azimuth, 2 elevation, -1
     none."""

@@ -10,7 +10,7 @@ import numpy as np
 from ltsim.campaigns.compilation import compile_function, value_of_trial
 from ltsim.core.arrays import Bools, Floats, Ints
 
-N_ROTATION_STEPS = 3
+N_ROTATION_NEWTON_STEPS = 3
 """Number of Newton steps for the rotation of a rigid fit."""
 MICROMETRES_PER_METRE = 1e6
 """Number of micrometres in a metre, for criteria in um."""
@@ -103,7 +103,7 @@ def align_rigidly(cloud: Floats, reference_cloud: Floats, is_used_target: Bools,
     turn, more = np.zeros((3, 3, trials)), np.empty((3, 3, trials))
     for a in range(3):
         turn[a, a, :] = 1.0
-    for _ in range(N_ROTATION_STEPS):
+    for _ in range(N_ROTATION_NEWTON_STEPS):
         _rotation_step(k, more)
         _rotate_columns(more, k)
         _rotate_columns(more, turn)

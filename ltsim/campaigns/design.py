@@ -15,14 +15,14 @@ from ltsim.recordings.result_file import Entry
 from ltsim.recordings.setup import Finite, TomlSection
 from ltsim.simulation.keys import ValueType, value_at_key, value_type_of_key
 
-RESERVED_COLUMNS = frozenset(
+RESERVED_COLUMN_NAMES = frozenset(
     {
         "cell", "label", "method", "trial", "trials", "status", "chi2",
-        "column", "unit", "mean", "standard_deviation", "low", "high", "least", "largest",
+        "column", "unit", "mean", "standard_deviation", "low", "high", "minimum", "maximum",
     }
 )  # fmt: skip
-"""Names of the columns that every campaign has, which no factor may have."""
-SIGNIFICANT_DIGITS = 4
+"""Names of the columns that every campaign has; a factor must have another name."""
+N_DESIGN_POINT_DIGITS = 4
 """Number of significant digits of a value at a design point. With four digits the points remain distinct and the values
 are easy to read.
 """
@@ -53,7 +53,7 @@ class LevelRange(TomlSection):
         """
         low, high = (self.low, self.high + 1.0) if is_integer else (self.low, self.high)
         values = low * (high / low) ** fractions if self.scale == "log" else low + fractions * (high - low)
-        return [int(min(v, self.high)) if is_integer else float(f"{v:.{SIGNIFICANT_DIGITS}g}") for v in values]
+        return [int(min(v, self.high)) if is_integer else float(f"{v:.{N_DESIGN_POINT_DIGITS}g}") for v in values]
 
 
 class SpaceFillingDesign(TomlSection):
@@ -61,16 +61,16 @@ class SpaceFillingDesign(TomlSection):
 
     kind: Literal["latin-hypercube", "sobol"]
     """Kind of design: Latin hypercube (McKay 1979), or scrambled Sobol sequence (Owen 1998)."""
-    cells: Annotated[int, Field(ge=2)]
+    cell_count: Annotated[int, Field(ge=2)]
     """Number of design points, each a combination of factor levels (cell); a power of two for a Sobol sequence."""
     ranges: Annotated[dict[str, LevelRange], Field(min_length=1, max_length=MAX_DESIGN_KEYS)]
-    """Range of each key, by dotted key or by a name in `[link]`: tables `[design.ranges.KEY]`."""
+    """Range of each key, by dotted key or by a name in `[linked_keys]`: tables `[design.ranges.KEY]`."""
 
     @model_validator(mode="after")
     def _check_balance(self) -> Self:
-        if self.kind == "sobol" and self.cells & (self.cells - 1):
-            near = 2 ** round(float(np.log2(self.cells)))
-            raise ValueError(f"it should have a power of two as cells for a Sobol sequence, such as {near}")
+        if self.kind == "sobol" and self.cell_count & (self.cell_count - 1):
+            near = 2 ** round(float(np.log2(self.cell_count)))
+            raise ValueError(f"it should have a power of two as cell_count for a Sobol sequence, such as {near}")
         return self
 
     def points(self, seed: int, keys: Mapping[str, str]) -> list[dict[str, Any]]:
@@ -83,7 +83,7 @@ class SpaceFillingDesign(TomlSection):
 
         draw = random_stream(seed, "campaign", "design", self.kind)
         sampler = qmc.Sobol if self.kind == "sobol" else qmc.LatinHypercube
-        shares = sampler(len(self.ranges), seed=draw).random(self.cells)
+        shares = sampler(len(self.ranges), seed=draw).random(self.cell_count)
         columns = [
             limits.values_at(shares[:, k], is_integer=value_type_of_key(keys[name]) == "integer")
             for k, (name, limits) in enumerate(self.ranges.items())
@@ -126,7 +126,9 @@ def short_key_names(keys: Sequence[str]) -> dict[str, str]:
         names = {key: "_".join(key.split(".")[-depth[key] :]) for key in keys}
         often = Counter(names.values())
         again = [
-            k for k in keys if (often[names[k]] > 1 or names[k] in RESERVED_COLUMNS) and depth[k] < len(k.split("."))
+            k
+            for k in keys
+            if (often[names[k]] > 1 or names[k] in RESERVED_COLUMN_NAMES) and depth[k] < len(k.split("."))
         ]
         if not again:
             return names

@@ -27,7 +27,7 @@ from ltsim.recordings.files import quoted_text
 from ltsim.recordings.result_file import read_json
 from ltsim.recordings.setup import Finite
 
-MAX_LINE_LENGTH = 300
+MAX_QUOTED_LINE_LENGTH = 300
 """Largest number of characters, in a message, of the last line that an external program printed."""
 RECORDING_PLACEHOLDER = "{recording}"
 """Word of a calibrator command that is replaced by the path of the recording."""
@@ -99,10 +99,14 @@ def run_external_calibrator(
         except OSError as problem:
             message = f"{option_text('calibrator')}: {quoted_text(words[0])} cannot be started ({problem.strerror})"
             raise SetupError(message) from None
-        what = f"'{quoted_text(calibrator, MAX_LINE_LENGTH)}' ended with status {done.returncode} for {trial_text}"
+        what = (
+            f"'{quoted_text(calibrator, MAX_QUOTED_LINE_LENGTH)}' ended with status {done.returncode} for {trial_text}"
+        )
         lines = done.stderr.decode("utf-8", "replace").split("\n")
         last = next((line.strip() for line in reversed(lines) if line.strip()), "")
-        detail = f"its last line was: {quoted_text(last, MAX_LINE_LENGTH)}" if last else "standard error is empty"
+        detail = (
+            f"its last line was: {quoted_text(last, MAX_QUOTED_LINE_LENGTH)}" if last else "standard error is empty"
+        )
         if done.returncode:
             raise CalibratorError(f"{what}; {detail}")
         try:

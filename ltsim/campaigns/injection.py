@@ -27,16 +27,16 @@ from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.exchange import RecordingSource, load_recording
 from ltsim.simulation.inject import DetectionCurve, InjectedEffect, InjectionTruth, Injector, RecordingWithInjection
 
-AMPLITUDE_NAME = "size"
+LAW_AMPLITUDE_NAME = "size"
 """Name of the amplitude in the specification of a law, ``RESPONSE ~ REGRESSOR:size=VALUE``: the rms change of the
 observable on which the law acts, in um or urad.
 """
 DEFAULT_NONCENTRALITIES = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
 """Default noncentralities of the injections for a detection curve."""
-MAX_PLACE_DRAWS = 25
+MAX_EFFECT_DRAWS = 25
 """Largest number of draws of the values of an effect that the user does not specify, until the effect changes the
 residuals. If it still does not, an error is raised."""
-MIN_PLACE_OVERLAP = 0.5
+MIN_LOCATION_OVERLAP = 0.5
 """Smallest overlap of a reported and the injected group of stations or targets at which the reported group counts as
 the injected one: number of members in both groups divided by number in at least one (Jaccard index)."""
 
@@ -143,7 +143,7 @@ def injection_curve(
     """
     check_bounds(injections=injections, seed=seed, required_argument="injections seed")
     if not len(strengths) or any(not s > 0.0 for s in strengths):
-        raise ModelError("a detection curve needs at least one strength, and every strength must be above 0")
+        raise ModelError("a detection curve needs at least one noncentrality (strengths), each of them above 0")
     original = load_recording(recording)
     background = diagnose(original)
     curve_rows = []
@@ -172,7 +172,7 @@ def compare_with_injection(
     """
     background_keys = {_finding_key(f) for f in background_diagnosis.findings}
     new_findings = [f for f in diagnosis.findings if _finding_key(f) not in background_keys]
-    located_findings = [f for f in new_findings if _has_same_place(cause.effect, f)]
+    located_findings = [f for f in new_findings if _has_same_location(cause.effect, f)]
     name = cause.effect.name
     identified_findings = [f for f in located_findings if name in (f.effect, *(e.effect for e in f.equivalents))]
     first_finding = new_findings[:1]
@@ -190,11 +190,11 @@ def _finding_key(finding: Any) -> tuple[Any, ...]:
     return finding.effect, tuple(scope.stations), tuple(scope.targets), tuple(scope.observables)
 
 
-def _has_same_place(cause: CandidateEffect, finding: Any) -> bool:
+def _has_same_location(cause: CandidateEffect, finding: Any) -> bool:
     """True if a finding has the stations and targets of the injected effect, and acts on one of its observables."""
     scope = finding.where
     place_pairs = [(set(cause.stations), set(scope.stations)), (set(cause.targets), set(scope.targets))]
-    overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_PLACE_OVERLAP * len(a | b) for a, b in place_pairs)
+    overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_LOCATION_OVERLAP * len(a | b) for a, b in place_pairs)
     observables = set(scope.observables) or set(cause.observables)
     return overlaps and bool(observables & set(cause.observables))
 
@@ -229,14 +229,14 @@ def _scaled_injection(
 
     If the drawn effect changes no residual, its unspecified values are drawn again.
     """
-    for attempt in range(MAX_PLACE_DRAWS):
+    for attempt in range(MAX_EFFECT_DRAWS):
         drawn, values = _drawn_effect(injector, cause, random_generator)
         if noncentrality is None:
             break
         try:
             return drawn, injector.scale_to_noncentrality(drawn, values, noncentrality)
         except ModelError:
-            if attempt == MAX_PLACE_DRAWS - 1:
+            if attempt == MAX_EFFECT_DRAWS - 1:
                 raise
     return drawn, values
 
@@ -268,7 +268,7 @@ def _drawn_effect(
 def _split_parameter_values(effect_text: str) -> tuple[str, dict[str, float]]:
     """Specification of an effect without the parameter values in it, and the parameter values by parameter name."""
     name, _, rest = effect_text.partition(":")
-    names = {AMPLITUDE_NAME} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
+    names = {LAW_AMPLITUDE_NAME} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
     items, sizes = [part.strip() for part in rest.split(",") if part.strip()], {}
     for item in items:
         key, _, value = item.partition("=")
@@ -305,5 +305,5 @@ def _parameter_values(
                 )
             )
         )
-        return drawn_values * given_values[AMPLITUDE_NAME] * cause.parameters[0].si_per_display_unit / rms
+        return drawn_values * given_values[LAW_AMPLITUDE_NAME] * cause.parameters[0].si_per_display_unit / rms
     return np.array([given_values.get(p.name, 0.0) * p.si_per_display_unit for p in cause.parameters])

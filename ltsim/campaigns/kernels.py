@@ -80,7 +80,7 @@ def _motion_amounts(
 
 @compile_function
 def _forward_chain(pointing: int, chain: ChainProgram, amounts: Floats, path: Floats) -> None:
-    """Target [m] in the frame before each motion of the chain, written to `path` (motions + 1, 3, trials)."""
+    """Measured point [m] in the frame before each motion of the chain, written to `path` (motions + 1, 3, trials)."""
     is_rotation, axis, _, _, amount, _, _, _, _, _ = chain
     n_trials = amounts.shape[1]
     n_motions = len(is_rotation)
@@ -163,7 +163,7 @@ def _backpropagate(
 
 @compile_function
 def compute_points(chain: ChainProgram, instrument: Ints, deviation: Floats, values: Floats, points: Floats) -> None:
-    """Targets in instrument frames for parameters `values` [SI], written to `points` (pointings, 3, trials) [m]."""
+    """Measured points (pointings, 3, trials) [m] in instrument frames for parameters `values` [SI], put in `points`."""
     motions, trials = len(chain[0]), deviation.shape[2]
     amounts, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))
     for i in range(len(deviation)):

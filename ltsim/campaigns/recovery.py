@@ -70,27 +70,27 @@ class Recovery(ResultFile):
     """Format and version of this file."""
     passed: bool
     """True if all checks passed and no parameter is unchecked (unless that is permitted)."""
-    errors: ErrorOrigin = "drawn"
+    error_origin: ErrorOrigin = "drawn"
     """Origin of the instrument's errors: drawn from the prior, or declared by the scenario."""
     trials: NonNegativeInt
     """Number of trials."""
-    converged: NonNegativeInt
+    trials_with_result: NonNegativeInt
     """Number of trials with a result."""
     seed: NonNegativeInt
     """Seed of the random draws."""
     checks: tuple[RecoveryCheck, ...]
-    """Checks, each of one number against two bounds. A correct model fails a check in one run of a hundred."""
+    """Checks of one number against two limits each. A correct model fails at least one of them in one run of 100."""
     parameters: tuple[RecoveredParameter, ...] = ()
     """Errors of each parameter over the trials."""
     ltsim_parameters: tuple[str, ...] = ()
     """All parameters that ltsim estimates in the same recordings, if another calibrator is checked."""
-    unchecked: tuple[str, ...] = ()
+    unchecked_parameters: tuple[str, ...] = ()
     """Parameters without a check: they have neither a sigma in each trial nor a tolerance."""
     allow_unchecked: bool = False
     """True if the run may pass with unchecked parameters."""
     tolerances: dict[str, str] = Field(default_factory=dict)
     """Given tolerances by parameter; if there are any, only these parameters are checked."""
-    problem: str = ""
+    last_failure_reason: str = ""
     """Reason of the last failure of a trial."""
     _arrays: RecoveryTrials | None = PrivateAttr(None)
 
@@ -100,17 +100,17 @@ class Recovery(ResultFile):
         checks, unchecked = tuple(trials.checks()), trials.unchecked_parameters()
         result = cls(
             passed=all(check.passed for check in checks) and (allow_unchecked or not unchecked),
-            errors=trials.errors,
+            error_origin=trials.error_origin,
             trials=len(trials.trials),
-            converged=len(trials.trials_with_result),
+            trials_with_result=len(trials.trials_with_result),
             seed=seed,
             checks=checks,
             parameters=trials.parameter_statistics(),
             ltsim_parameters=trials.ltsim_parameter_names,
-            unchecked=unchecked,
+            unchecked_parameters=unchecked,
             allow_unchecked=allow_unchecked,
             tolerances={name: tolerance.text for name, tolerance in trials.tolerance_by_parameter.items()},
-            problem=trials.problem,
+            last_failure_reason=trials.last_failure_reason,
         )
         result._arrays = trials
         return result
@@ -124,7 +124,8 @@ class Recovery(ResultFile):
 
     def _lines(self) -> list[str]:
         return [
-            f"Recovery, errors {self.errors}: {self.trials} trials, {self.converged} converged: {self.verdict_text()}",
+            f"Recovery, errors {self.error_origin}: {self.trials} trials, {self.trials_with_result} converged: "
+            f"{self.verdict_text()}",
             *self.comparison_sentences(),
             *self.failure_sentences(),
         ]
@@ -159,23 +160,27 @@ class Recovery(ResultFile):
         phrase = "the given tolerances" if self.tolerances else "its declared uncertainty"
         if self.failed_checks():
             return "the check fails"
-        if not self.unchecked:
+        if not self.unchecked_parameters:
             return f"everything is recovered within {phrase}"
-        checked, count = len(self.parameters) - len(self.unchecked), len(self.parameters)
+        checked, count = len(self.parameters) - len(self.unchecked_parameters), len(self.parameters)
         if not checked:
             return "no parameter is checked"
         return f"{checked} of {count} parameters are recovered within {phrase}, the others are not checked"
 
     def failure_reason(self, check: RecoveryCheck) -> str:
         """Reason of a failed check: last error of a trial (convergence), or value and bounds (other checks)."""
-        return self.problem if check.subject == CONVERGENCE_CHECK_NAME and self.problem else check.sentence()
+        return (
+            self.last_failure_reason
+            if check.subject == CONVERGENCE_CHECK_NAME and self.last_failure_reason
+            else check.sentence()
+        )
 
     def failure_sentences(self) -> list[str]:
         """Sentences on everything that prevents the run from passing, and on unchecked parameters."""
         sentences = [check.sentence() for check in self.failed_checks()]
-        if self.problem and self.converged < self.trials:
-            sentences.insert(0, self.problem)
-        if unchecked := self.unchecked:
+        if self.last_failure_reason and self.trials_with_result < self.trials:
+            sentences.insert(0, self.last_failure_reason)
+        if unchecked := self.unchecked_parameters:
             example = f"{option_text('tolerance')} {unchecked[0]}='2 {self.parameters[0].unit}'"
             several = (
                 f"{len(unchecked)} of {len(self.parameters)} parameters "

@@ -18,11 +18,11 @@ from ltsim.core.errors import ModelError
 from ltsim.core.results import Table, columns_of
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat
 
-FALSE_ALARM_RATE = 0.01
+RECOVERY_FALSE_ALARM_RATE = 0.01
 """Probability that a correct model fails at least one of the checks."""
 NOMINAL_COVERAGE = 0.95
 """Nominal fraction of the confidence intervals that contain the true value."""
-MIN_TRIALS = 2
+MIN_RECOVERY_TRIALS = 2
 """Smallest number of trials for which a standard deviation is computed."""
 MEAN_Z_MARGIN = 0.1
 """Permitted deviation of the mean z-score from 0, in addition to its sampling error."""
@@ -48,9 +48,9 @@ class RecoveryCheck(Entry):
     """Name of the number that is checked, such as the mean z-score."""
     value: OptionalFloat
     """Value of the number."""
-    low: Finite
+    lower_limit: Finite
     """Lower bound of the number."""
-    high: Finite
+    upper_limit: Finite
     """Upper bound of the number."""
     passed: bool
     """True if the number lies between the bounds."""
@@ -62,9 +62,8 @@ class RecoveryCheck(Entry):
         The check fails if the value is NaN.
         """
         is_passed = bool(lower_limit <= value <= upper_limit)
-        return cls(
-            subject=subject, statistic=statistic, value=value, low=lower_limit, high=upper_limit, passed=is_passed
-        )
+        limits = {"lower_limit": lower_limit, "upper_limit": upper_limit}
+        return cls(subject=subject, statistic=statistic, value=value, passed=is_passed, **limits)
 
     def with_limits(self, lower_limit: float, upper_limit: float) -> Self:
         """Check of the same value with other limits."""
@@ -75,7 +74,8 @@ class RecoveryCheck(Entry):
     def sentence(self) -> str:
         """Sentence with the value and its limits."""
         verdict, value = "passes" if self.passed else "fails", "unknown" if self.value is None else f"{self.value:.4g}"
-        return f"{self.subject} {verdict}: {self.statistic} = {value} (allowed {self.low:.4g} to {self.high:.4g})"
+        limits = f"allowed {self.lower_limit:.4g} to {self.upper_limit:.4g}"
+        return f"{self.subject} {verdict}: {self.statistic} = {value} ({limits})"
 
 
 RECOVERY_CHECKS_TABLE = Table("checks.csv", "numbers that have to lie between two bounds", columns_of(RecoveryCheck))
@@ -88,7 +88,7 @@ def recovery_checks(
     *,
     names: Sequence[str] | None = None,
     tolerance: Mapping[str, float] | None = None,
-    alpha: float = FALSE_ALARM_RATE,
+    alpha: float = RECOVERY_FALSE_ALARM_RATE,
 ) -> list[RecoveryCheck]:
     """Checks that true values are recovered within declared sigmas, within given tolerances, or both.
 
@@ -132,8 +132,8 @@ def recovery_checks(
             f"estimates have the shape {estimate.shape}, truths {truth.shape}, and there are {len(names_used)} names: "
             "give one truth for each estimate and one name for each parameter"
         )
-    if len(estimate) < MIN_TRIALS:
-        raise ModelError(f"there are estimates of {len(estimate)} trials, expected {MIN_TRIALS} or more")
+    if len(estimate) < MIN_RECOVERY_TRIALS:
+        raise ModelError(f"there are estimates of {len(estimate)} trials, expected {MIN_RECOVERY_TRIALS} or more")
     if sigma is None and not tolerance:
         raise ModelError("neither sigma nor tolerance is given, so nothing can be checked: give one of them")
     if sigma is not None and np.atleast_2d(sigma).shape != estimate.shape:
@@ -197,7 +197,7 @@ def fixed_truth_checks(name: str, z_scores: Floats, alpha: float) -> list[Recove
     mean has two. `alpha` is the false-alarm rate of each check.
     """
     mean, spread, coverage = parameter_checks(name, z_scores, alpha)
-    return [mean, spread.with_limits(0.0, spread.high), coverage.with_limits(coverage.low, 1.0)]
+    return [mean, spread.with_limits(0.0, spread.upper_limit), coverage.with_limits(coverage.lower_limit, 1.0)]
 
 
 def chi_square_check(chi2: Floats, expected_chi2: Floats, chi2_sigma: Floats, alpha: float) -> RecoveryCheck:

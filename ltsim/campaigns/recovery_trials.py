@@ -13,9 +13,9 @@ from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.external_calibrator import ExternalCalibrator, run_external_calibrator
 from ltsim.campaigns.recovery_checks import (
-    FALSE_ALARM_RATE,
-    MIN_TRIALS,
+    MIN_RECOVERY_TRIALS,
     NOMINAL_COVERAGE,
+    RECOVERY_FALSE_ALARM_RATE,
     RecoveryCheck,
     chi_square_check,
     fixed_truth_checks,
@@ -42,7 +42,7 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import simulate
 
 CONVERGENCE_CHECK_NAME = "convergence"
-"""Name of the check that every trial has a result, in the table of checks."""
+"""Name, in the table of checks, of the check that every trial has a result."""
 
 
 class RecoveryTolerance(NamedTuple):
@@ -65,7 +65,7 @@ class RecoveredParameter(Entry):
     """Root mean square error."""
     mean_z: OptionalFloat = None
     """Mean of the z-scores (errors divided by declared standard deviations)."""
-    deviation_z: OptionalFloat = None
+    standard_deviation_z: OptionalFloat = None
     """Standard deviation of the z-scores."""
     coverage_95: OptionalFloat = None
     """Fraction of the trials whose 95 % interval contains the true value."""
@@ -74,9 +74,9 @@ class RecoveredParameter(Entry):
     absolute_error_difference: OptionalFloat = None
     """Mean absolute error of the checked calibrator minus mean absolute error of ltsim in the same recordings; positive
     if the errors of ltsim are smaller. It is not the difference of the rms errors."""
-    difference_low: OptionalFloat = None
+    absolute_error_difference_low: OptionalFloat = None
     """Lower 95 % confidence limit of `absolute_error_difference`."""
-    difference_high: OptionalFloat = None
+    absolute_error_difference_high: OptionalFloat = None
     """Upper 95 % confidence limit of `absolute_error_difference`."""
 
 
@@ -118,7 +118,7 @@ class RecoverySettings:
     construction: GeometricErrorModel | None = None
     extra_effects: tuple[RequestedEffect, ...] = ()
     calibrator: ExternalCalibrator | None = None
-    errors: ErrorOrigin = "drawn"
+    error_origin: ErrorOrigin = "drawn"
     """Origin of the instruments' errors: drawn from the prior, or declared by the scenario."""
 
 
@@ -129,7 +129,7 @@ def run_trials(
 
     SetupError is raised for a parameter of the calibrator that is not drawn.
     """
-    drawn_scenario = with_errors_from_prior(scenario) if settings.errors == "drawn" else scenario
+    drawn_scenario = with_errors_from_prior(scenario) if settings.error_origin == "drawn" else scenario
     tasks = ((drawn_scenario, seed, index, settings) for index in range(trials))
     yield from run_parallel(run_trial, tasks, min(jobs, trials), calls_per_batch=4)
 
@@ -153,7 +153,7 @@ def run_trial(scenario: Scenario, seed: int, trial_number: int, settings: Recove
     reference = None
     try:
         reference = score_calibration(
-            calibrate_with(recording, settings, settings.construction or construction), truth, laws
+            calibrate_by_settings(recording, settings, settings.construction or construction), truth, laws
         )
     except LtsimError as problem:
         if settings.calibrator is None and not isinstance(problem, ConvergenceError):
@@ -163,14 +163,16 @@ def run_trial(scenario: Scenario, seed: int, trial_number: int, settings: Recove
         return FailedTrial(reason, is_external=False) if reference is None else reference
     try:
         estimates = run_external_calibrator(settings.calibrator, recording, f"trial {trial_number}")
-        return score_estimates(estimates, truth, settings.errors, reference)
+        return score_estimates(estimates, truth, settings.error_origin, reference)
     except CalibratorError as problem:
         sentence = str(problem)
         reason = sentence if f"for trial {trial_number}" in sentence else f"trial {trial_number}: {sentence}"
         return FailedTrial(reason, is_external=True)
 
 
-def calibrate_with(recording: Recording, settings: RecoverySettings, construction: GeometricErrorModel) -> Calibration:
+def calibrate_by_settings(
+    recording: Recording, settings: RecoverySettings, construction: GeometricErrorModel
+) -> Calibration:
     """Calibration of a recording by ltsim's method in `settings`."""
     if settings.method == "network":
         return calibrate_network(
@@ -189,12 +191,12 @@ class RecoveryTrials(ValueEquality):
 
     trials: tuple[TrialScore | None, ...]
     """Score of each trial; None for a trial without a result."""
-    errors: ErrorOrigin = "drawn"
+    error_origin: ErrorOrigin = "drawn"
     tolerance_by_parameter: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
     """Tolerance by name of the parameter; if there are any, only these parameters are checked."""
     run_time: float = 0.0
     """Run time of the trials [s]."""
-    problem: str = ""
+    last_failure_reason: str = ""
     """Reason of the last failure of a trial."""
 
     @property
@@ -242,13 +244,13 @@ class RecoveryTrials(ValueEquality):
     def parameter_statistics(self) -> tuple[RecoveredParameter, ...]:
         """Statistics of each parameter's errors, also for ltsim's calibrator if an external calibrator is checked."""
         columns: dict[str, Sequence[float]] = {}
-        if len(self.trials_with_result) >= MIN_TRIALS:
+        if len(self.trials_with_result) >= MIN_RECOVERY_TRIALS:
             error, z = self._stack_attribute("estimates") - self._stack_attribute("true_values"), self.z_scores
             is_covered = np.abs(z) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE))
             columns = {
                 "rms_error": np.sqrt(np.mean(error**2, axis=0)).tolist(),
                 "mean_z": z.mean(axis=0).tolist(),
-                "deviation_z": z.std(axis=0, ddof=1).tolist(),
+                "standard_deviation_z": z.std(axis=0, ddof=1).tolist(),
                 "coverage_95": np.mean(np.where(np.isfinite(z), is_covered, np.nan), axis=0).tolist(),
                 **self._comparison_columns(error),
             }
@@ -264,7 +266,7 @@ class RecoveryTrials(ValueEquality):
         `error` (trials, parameters) are the errors of the checked calibrator.
         """
         trial_indices = [k for k, trial in enumerate(self.trials_with_result) if trial.ltsim_score is not None]
-        if len(trial_indices) < MIN_TRIALS:
+        if len(trial_indices) < MIN_RECOVERY_TRIALS:
             return {}
         reference = np.stack(
             [t.ltsim_score.estimates - t.true_values for t in self.trials_with_result if t.ltsim_score is not None]
@@ -274,22 +276,22 @@ class RecoveryTrials(ValueEquality):
         return {
             "ltsim_rms_error": np.sqrt(np.mean(reference**2, axis=0)).tolist(),
             "absolute_error_difference": gap.mean(axis=0).tolist(),
-            "difference_low": (gap.mean(axis=0) - half_width).tolist(),
-            "difference_high": (gap.mean(axis=0) + half_width).tolist(),
+            "absolute_error_difference_low": (gap.mean(axis=0) - half_width).tolist(),
+            "absolute_error_difference_high": (gap.mean(axis=0) + half_width).tolist(),
         }
 
     def checks(self) -> list[RecoveryCheck]:
         """All checks of the run; a correct model fails at least one of them in one run of a hundred."""
         n_lost = len(self.trials) - len(self.trials_with_result)
         checks = [RecoveryCheck.from_value(CONVERGENCE_CHECK_NAME, "trials without a result", n_lost, 0, 0)]
-        if len(self.trials_with_result) < MIN_TRIALS:
+        if len(self.trials_with_result) < MIN_RECOVERY_TRIALS:
             return checks
         indices = [
             k
             for k, name in enumerate(self.parameter_names)
             if not self.tolerance_by_parameter or name in self.tolerance_by_parameter
         ]
-        level = FALSE_ALARM_RATE / (4 * len(indices) + 3)
+        level = RECOVERY_FALSE_ALARM_RATE / (4 * len(indices) + 3)
         checks += [check for k in indices for check in self._parameter_checks(k, level)]
         return checks if self.tolerance_by_parameter else checks + self._network_checks(level)
 
@@ -303,7 +305,7 @@ class RecoveryTrials(ValueEquality):
         foreign, checks = self.trials_with_result[0].is_external, list[RecoveryCheck]()
         if np.all(np.isfinite(standard)):
             checks += parameter_checks(name, standard, alpha)
-        if self.errors == "stated" and np.all(np.isfinite(z)):
+        if self.error_origin == "stated" and np.all(np.isfinite(z)):
             mean, spread, coverage = fixed_truth_checks(name, z, alpha)
             checks += [mean, spread] if foreign else []  # for ltsim's calibrator the standardised z-scores contain both
             checks.append(coverage)

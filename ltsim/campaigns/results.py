@@ -211,7 +211,7 @@ CellAndMethod = tuple[int, str]
 class PairedDifference:
     """Paired difference of a statistic: first minus second method or level, in trials with the same random draws."""
 
-    settings: Mapping[str, Any]
+    shared_levels: Mapping[str, Any]
     """Levels of the factors that are not compared, by name of the factor."""
     first: str
     """First method or level."""
@@ -233,11 +233,11 @@ class PairedDifference:
     @property
     def sentence(self) -> str:
         """Sentence on the difference with its confidence interval."""
-        place = "".join(f", {name} {value}" for name, value in self.settings.items())
+        place = "".join(f", {name} {value}" for name, value in self.shared_levels.items())
         gap, unit = f"{self.difference:.4g}", f" {self.unit}" if self.unit else ""
         interval = f"95 %: {self.low:.4g} to {self.high:.4g}{unit}"
         return (
-            f"{self.statistic}, {self.first} less {self.second}{place}: {gap}{unit} ({interval}; {self.trials} trials)"
+            f"{self.statistic}, {self.first} minus {self.second}{place}: {gap}{unit} ({interval}; {self.trials} trials)"
         )
 
 
@@ -252,7 +252,8 @@ class PairedDifferences(Result):
         return [entry.sentence for entry in self.entries]
 
     def _tables(self) -> Mapping[str, Callable[[], ColumnValues]]:
-        flat_rows = [{**e.settings, **{k: v for k, v in vars(e).items() if k != "settings"}} for e in self.entries]
+        rows = [vars(entry) for entry in self.entries]
+        flat_rows = [row["shared_levels"] | {k: v for k, v in row.items() if k != "shared_levels"} for row in rows]
         return {"differences": lambda: columns_from_rows(flat_rows)}
 
 

@@ -64,7 +64,7 @@ class ShardTask:
     shard: int
     """Index of the shard in the cell, from 0."""
     validation_scenario: Scenario | None = None
-    """Scenario of the held-out points; None if the campaign names none (key `judge_in`)."""
+    """Scenario of the held-out points; None if the campaign names none (key `validation_points`)."""
     session_effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.session_effects)
     """Classes of effects that the user registered in this session; worker processes do not have these classes."""
     existing_rows: pa.Table | None = None
@@ -98,7 +98,7 @@ class CellContext:
 
     @cached_property
     def validation_evaluator(self) -> TrialEvaluator | None:
-        """Evaluator for the held-out points; None if the campaign names none (key `judge_in`).
+        """Evaluator for the held-out points; None if the campaign names none (key `validation_points`).
 
         The instruments of each trial measure these points, but no calibration uses them.
         """
@@ -210,7 +210,9 @@ def make_shard_rows(task: ShardTask) -> pa.Table:
         return whole.take(np.lexsort((whole["trial"].to_numpy(), places))).combine_chunks()
     if len(held) < n_rows_of_shard(campaign, task.shard):
         return _compute_new_rows(task, 0)
-    reduced_campaign = campaign.model_copy(update={"statistics": new_statistics, "verify": 0, "stop": None})
+    reduced_campaign = campaign.model_copy(
+        update={"statistics": new_statistics, "verified_trials_per_shard": 0, "stop": None}
+    )
     new_rows = _compute_new_rows(replace(task, campaign=reduced_campaign), 0, truth_only=new_statistics == ("truth",))
     for column in new_rows.schema:
         held = held if column.name in held.column_names else held.append_column(column, new_rows[column.name])
@@ -224,15 +226,15 @@ def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bo
     """
     campaign, given = task.campaign, (task.campaign, task.scenario, task.validation_scenario)
     cell = cell_context(*("" if model is None else model.model_dump_json(by_alias=True) for model in given))
-    first_trial = task.shard * campaign.shard
-    first, last = first_trial + n_existing_trials, min(first_trial + campaign.shard, campaign.trials)
+    first_trial = task.shard * campaign.trials_per_shard
+    first, last = first_trial + n_existing_trials, min(first_trial + campaign.trials_per_shard, campaign.trials)
     tables_by_method: list[list[ResultColumns]] = [[] for _ in campaign.methods]
     missing_numbers = set(range(first, last))
     for judge, calibrators, batch in cell.trial_batches(first, last):
         numbers = batch.trials
         wanted = np.flatnonzero((numbers >= first) & (numbers < last))
         missing_numbers -= set(numbers[wanted].tolist())
-        checked = wanted[numbers[wanted] < first_trial + campaign.verify]
+        checked = wanted[numbers[wanted] < first_trial + campaign.verified_trials_per_shard]
         work = TrialBatchRows(campaign, judge, batch, cell.validation_evaluator, wanted, checked, truth_only)
         for part, calibrator in zip(tables_by_method, calibrators, strict=True):
             columns = {"trial": numbers} | work.method_columns(calibrator)
@@ -262,7 +264,7 @@ class TrialBatchRows:
     evaluator: TrialEvaluator
     trial_batch: TrialBatch
     validation_evaluator: TrialEvaluator | None
-    """Evaluator for the held-out points; None if the campaign names none (key `judge_in`)."""
+    """Evaluator for the held-out points; None if the campaign names none (key `validation_points`)."""
     requested_trial_indices: Ints
     """Indices, in the batch, of the trials whose rows are requested."""
     verified_trial_indices: Ints
@@ -280,7 +282,7 @@ class TrialBatchRows:
         """Measurements of the held-out points: evaluator, drawn trials, and columns that all methods share.
 
         The instruments are those of the trials. The noise is independent of the calibrated recordings, the effects have
-        the same sizes. None if the campaign names no held-out points (key `judge_in`).
+        the same sizes. None if the campaign names no held-out points (key `validation_points`).
         """
         if self.validation_evaluator is None:
             return None
@@ -291,11 +293,11 @@ class TrialBatchRows:
         return self.validation_evaluator, batch, self.validation_evaluator.method_independent_columns(batch)
 
     def _drifted_instrument_values(self) -> Floats:
-        """Instrument errors at the measurement of the held-out points, after the random drift (key `judge_drift`).
+        """Instrument errors at the measurement of the held-out points, after the random drift (key `validation_drift`).
 
         The shape is (instruments, parameters, trials) [SI].
         """
-        values, share = self.trial_batch.instrument_values, self.campaign.judge_drift
+        values, share = self.trial_batch.instrument_values, self.campaign.validation_drift
         if not share:
             return values
         population = self.evaluator.truth.distributions
@@ -343,7 +345,7 @@ class TrialBatchRows:
         return columns
 
     def _validation_columns(self, calibrated_batch: CalibratedBatch, calibrator: TrialCalibrator) -> ResultColumns:
-        """Columns of a method with the errors at held-out points; empty if the campaign has none (key `judge_in`)."""
+        """Columns of a method with the errors at held-out points; empty without the key `validation_points`."""
         if self.validation_batch is None:
             return {}
         there, batch, before = self.validation_batch
@@ -358,4 +360,5 @@ class TrialBatchRows:
 
 def n_rows_of_shard(campaign: CampaignFile, shard: int) -> int:
     """Number of rows of the shard with the index `shard` in its cell."""
-    return len(campaign.methods) * (min((shard + 1) * campaign.shard, campaign.trials) - shard * campaign.shard)
+    first_trial = shard * campaign.trials_per_shard
+    return len(campaign.methods) * (min(first_trial + campaign.trials_per_shard, campaign.trials) - first_trial)

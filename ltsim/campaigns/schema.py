@@ -34,7 +34,7 @@ READING_ERROR_TEXT = (
     "after a rigid fit of each station's points to the true points; noise of these readings included"
 )
 """Meaning of the result columns with an error of the measured points, for tables and documentation."""
-NEW_POINT_TEXT = "error at the held-out points of `judge_in`, whose readings no calibration used: "
+NEW_POINT_TEXT = "error at the held-out points of `validation_points`, whose readings no calibration used: "
 """Beginning of the meaning of result columns at held-out points, for tables and documentation."""
 REMOVED_FRACTION_TEXT = (
     "(R - C) / (R - P), where R, C and P are the mean squares of {0}error_raw_um, {0}error_calibrated_um and "
@@ -96,7 +96,7 @@ RESULT_COLUMNS: tuple[RowColumn, ...] = (
         "errors",
         "um",
         target_error_um="rms over targets of the 3D distance from the true point to the adjusted one, all fitted "
-        "rigidly to the true ones; the noise of the readings that were adjusted is in it",
+        "rigidly to the true ones; it includes the noise of the adjusted readings",
     ),
     *_error_columns("new_point_", NEW_POINT_TEXT + READING_ERROR_TEXT),
     _parameter_column(
@@ -122,6 +122,17 @@ def ratio_columns(ratio_name: str) -> tuple[str, str, str]:
     """Names of the columns from which a ratio is computed: errors raw, calibrated, and with the true parameters."""
     prefix = ratio_name.removesuffix("share_removed")
     return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
+
+
+def number_of_shards(n_trials: int, trials_per_shard: int, n_cells: int = 1) -> int:
+    """Number of shards (files of rows) of `n_cells` cells with `n_trials` trials; ValueError above `MAX_SHARDS`."""
+    n_shards = n_cells * -(-n_trials // trials_per_shard)
+    if n_shards > MAX_SHARDS:
+        raise ValueError(
+            f"the campaign should have at most {MAX_SHARDS} files of rows, but it has {n_shards}: "
+            "increase trials_per_shard, or give fewer trials or cells"
+        )
+    return n_shards
 
 
 def sql_identifier(name: str) -> str:
@@ -175,7 +186,7 @@ def summary_table(factors: Mapping[str, str]) -> Table:
             *number_columns(trials="trials with a value in this column"),
             *number_columns("r", mean="mean of these values", standard_deviation="standard deviation of these values"),
             *number_columns("r", low="lower 95 % confidence limit of the mean", high="upper 95 % confidence limit"),
-            *number_columns("r", least="smallest value", largest="largest value"),
+            *number_columns("r", minimum="smallest value", maximum="largest value"),
             *number_columns(
                 "r", **{f"quantile_{100 * level:g}_percent": "quantile over the trials" for level in QUANTILE_LEVELS}
             ),
@@ -216,7 +227,7 @@ class CellEntry(Entry):
     """Description of the cell in one line: the level of each factor."""
     levels: dict[str, LevelValue] = Field(default_factory=dict)
     """Level of each factor, by the factor's name."""
-    settings: dict[str, Any] = Field(default_factory=dict)
+    scenario_changes: dict[str, Any] = Field(default_factory=dict)
     """Values that replace those of the base scenario in this cell, by dotted key."""
     digest: str = ""
     """Digest of everything that determines the rows of the cell; the metadata of its shards contain the digest too."""
@@ -243,7 +254,7 @@ ERRORS_TABLE = Table(
     (
         *text_columns(setting="cell", method="name"),
         *number_columns(raw_um="before", calibrated_um="after", noise_floor_um="with the true parameters"),
-        *number_columns(share_removed="removed fraction of the mean square error that can be removed"),
+        *number_columns(share_removed="fraction of the correctable mean-square error that the calibration removes"),
     ),
 )
 METHOD_DIFFERENCES_TABLE = Table(
@@ -275,7 +286,7 @@ class ManifestFile(ResultFile):
     """Seed of the random draws."""
     trials: NonNegativeInt
     """Largest number of trials of each cell."""
-    shard: Annotated[int, Field(ge=1)] | None = None
+    trials_per_shard: Annotated[int, Field(ge=1)] | None = None
     """Number of trials in a file of rows."""
     methods: tuple[str, ...] = Field(min_length=1)
     """Names of the calibration methods."""
@@ -309,9 +320,7 @@ class ManifestFile(ResultFile):
         for number, cell in enumerate(self.cells):
             if cell.cell != number or {*cell.levels} != {*names}:
                 raise ValueError(f"entry {number + 1} of the cells is not cell {number} with a level of each factor")
-        n_shards = -(-self.trials // self.shard) * len(self.cells) if self.shard else len(self.cells)
-        if n_shards > MAX_SHARDS:
-            raise ValueError(f"trials, shard and cells give {n_shards} files of rows, expected at most {MAX_SHARDS}")
+        number_of_shards(self.trials, self.trials_per_shard or max(self.trials, 1), len(self.cells))
         statistics = self.settings.get("statistics", [])
         if not (isinstance(statistics, list) and all(name in get_args(StatisticGroup) for name in statistics)):
             raise ValueError("the key statistics in settings is not a list of names of statistics")

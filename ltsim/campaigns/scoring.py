@@ -21,7 +21,7 @@ from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.recordings.files import quoted_text
 from ltsim.simulation.truth import Truth
 
-MIN_NOISE_FRACTION = 1e-4
+MIN_NOISE_VARIANCE_FRACTION = 1e-4
 """Smallest fraction of a declared variance that must come from noise; below it the error comes from the prior, and the
 parameter has no z-score."""
 
@@ -111,9 +111,9 @@ class TrueParameterDistribution:
     All values are divided by the prior standard deviations of the parameters.
     """
 
-    mean_truth: Floats
+    mean_true_values: Floats
     """Mean of the distribution of the true parameters, (parameters,); the true values if they were not drawn."""
-    truth_sigmas: Floats
+    true_value_sigmas: Floats
     """Standard deviation of the distribution of the true parameters, (parameters,); 0 for declared values."""
     bias_matrix: Floats
     """Matrix (parameters, parameters) of the bias by the prior: without noise, estimate minus true value is
@@ -159,12 +159,12 @@ class TrueParameterDistribution:
     @property
     def is_drawn_from_prior(self) -> bool:
         """True if the true parameters were drawn from the prior."""
-        return not np.any(self.mean_truth) and bool(np.all(self.truth_sigmas == 1.0))
+        return not np.any(self.mean_true_values) and bool(np.all(self.true_value_sigmas == 1.0))
 
     @property
     def missing_variance_fraction(self) -> Floats:
         """Fraction (parameters,) by which the variance of the true parameters is smaller than that of the prior."""
-        return 1.0 - self.truth_sigmas**2
+        return 1.0 - self.true_value_sigmas**2
 
 
 def _true_incidence_parameters(truth: Truth) -> Floats:
@@ -194,8 +194,10 @@ def score_calibration(
     error, sigma_scaled = (calibration.estimates.ravel() - true) / prior, calibration.sigma.ravel() / prior
     missed = expected.bias_matrix[:n_parameters]
     variance = sigma_scaled**2 - missed**2 @ expected.missing_variance_fraction
-    noisy = variance > MIN_NOISE_FRACTION * sigma_scaled**2
-    standard = np.where(noisy, (error + missed @ expected.mean_truth) / np.sqrt(np.where(noisy, variance, 1.0)), np.nan)
+    noisy = variance > MIN_NOISE_VARIANCE_FRACTION * sigma_scaled**2
+    standard = np.where(
+        noisy, (error + missed @ expected.mean_true_values) / np.sqrt(np.where(noisy, variance, 1.0)), np.nan
+    )
     network = NetworkScore(
         *_network_scores(calibration, truth, expected),
         calibration.fit.chi2,
@@ -209,8 +211,8 @@ def score_calibration(
     )
     true_by_name = true_parameters(truth)
     fitted = {name: entry for name, entry in _effect_parameters(calibration).items() if name in true_by_name}
-    plain = np.all(expected.truth_sigmas[:n_parameters] == 1.0) and not np.any(
-        expected.mean_truth[:n_parameters]
+    plain = np.all(expected.true_value_sigmas[:n_parameters] == 1.0) and not np.any(
+        expected.mean_true_values[:n_parameters]
     )  # otherwise priors bias the effects too
     effect_scores = np.array(
         [[e.value, e.sigma or np.nan, true_by_name[name].value / SI_PER_UNIT[e.unit]] for name, e in fitted.items()]
@@ -242,7 +244,10 @@ def _expected_chi2(calibration: Calibration, expected_truth: TrueParameterDistri
     dof, sigma = calibration.fit.dof, calibration.fit.chi2_sigma
     if calibration.method != "network":
         return (dof, sigma) if expected_truth.is_drawn_from_prior and sigma is not None else (np.nan, np.nan)
-    resolved, mean = np.eye(len(expected_truth.mean_truth)) - expected_truth.bias_matrix, expected_truth.mean_truth
+    resolved, mean = (
+        np.eye(len(expected_truth.mean_true_values)) - expected_truth.bias_matrix,
+        expected_truth.mean_true_values,
+    )
     lean = float(mean @ resolved @ mean)
     return dof + lean - float(np.diag(resolved) @ expected_truth.missing_variance_fraction), float(
         np.sqrt(2 * dof + 4 * lean)
@@ -265,10 +270,10 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: TrueParame
     unknowns, size = adjustment.problem.unknowns, np.zeros(adjustment.problem.unknowns.n_columns)
     bias, less = size.copy(), size.copy()
     if not expected.is_drawn_from_prior:
-        pick = np.zeros((len(size), len(expected.mean_truth)))
-        pick[expected.network_columns, np.arange(len(expected.mean_truth))] = 1.0 / expected.prior_sigmas
+        pick = np.zeros((len(size), len(expected.mean_true_values)))
+        pick[expected.network_columns, np.arange(len(expected.mean_true_values))] = 1.0 / expected.prior_sigmas
         missed = adjustment.factorised_normals.multiply_by_covariance(pick)
-        bias, less = -missed @ expected.mean_truth, missed**2 @ expected.missing_variance_fraction
+        bias, less = -missed @ expected.mean_true_values, missed**2 @ expected.missing_variance_fraction
     points = (truth.target_points - origin) @ turn + held.station_positions[0]
     variance = np.einsum("tii->ti", calibration.target_covariance) - less[unknowns.target_columns]
     targets = float(np.mean((calibration.target_points - points - bias[unknowns.target_columns]) ** 2 / variance))
@@ -285,11 +290,14 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: TrueParame
 
 
 def score_estimates(
-    estimates: Mapping[str, ParameterEstimate], truth: Truth, errors: ErrorOrigin, full_ltsim_score: TrialScore | None
+    estimates: Mapping[str, ParameterEstimate],
+    truth: Truth,
+    error_origin: ErrorOrigin,
+    full_ltsim_score: TrialScore | None,
 ) -> TrialScore:
     """Score of an external calibrator in a trial, with ltsim's score for the same parameters.
 
-    Parameters are in the order and units of the truth file. `errors` is the origin of the true instrument errors,
+    Parameters are in the order and units of the truth file. `error_origin` is that of the true instrument errors,
     `full_ltsim_score` ltsim's score for all parameters. CalibratorError is raised for a parameter without a true value,
     or with a unit of another quantity.
     """
@@ -312,7 +320,7 @@ def score_estimates(
     value = scale * np.array([estimates[name].value for name in names])
     sigma = scale * np.array([estimates[name].sigma or np.nan for name in names])
     true_values = np.array([true[name].value for name in names]) / factor
-    standard = (value - true_values) / sigma if errors == "drawn" else np.full(len(value), np.nan)
+    standard = (value - true_values) / sigma if error_origin == "drawn" else np.full(len(value), np.nan)
     ltsim_score = None
     if full_ltsim_score is not None:
         all_names = full_ltsim_score.parameter_names

@@ -12,8 +12,15 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from ltsim.adjustment.evaluation.criteria import read_nominal
-from ltsim.campaigns.design import MAX_DESIGN_KEYS, Factor, SpaceFillingDesign, short_key_names
-from ltsim.campaigns.schema import MAX_SHARDS, RESULT_COLUMNS, ManifestFile, StatisticGroup, find_column
+from ltsim.campaigns.design import MAX_DESIGN_KEYS, Factor, SpaceFillingDesign, cell_label, short_key_names
+from ltsim.campaigns.schema import (
+    RESULT_COLUMNS,
+    CellEntry,
+    ManifestFile,
+    StatisticGroup,
+    find_column,
+    number_of_shards,
+)
 from ltsim.core.errors import SetupError, as_setup_error, unknown_name_error
 from ltsim.core.limits import MAX_ADDITIONAL_EFFECTS
 from ltsim.core.units import MILLIMETRE
@@ -29,7 +36,7 @@ CAMPAIGN_FORMAT = "ltsim-campaign/1"
 MAX_CELLS = 4096
 """Largest number of cells (combinations of factor levels) of a campaign."""
 VALIDATION_STREAM_KEY = "judge"
-"""Key of the random stream for the measurement of the held-out points of `judge_in`."""
+"""Key of the random stream for the measurement of the held-out points of `validation_points`."""
 
 
 class CalibrationMethod(TomlSection):
@@ -56,7 +63,7 @@ class CalibrationMethod(TomlSection):
     """Additional effects to estimate, tables `[[methods.effects]]`."""
     solver: Literal["batch", "single"] = "batch"
     """Solver: all trials in one network geometry together (`batch`), or each recording separately (`single`)."""
-    applied: bool = False
+    uses_applied_corrections: bool = False
     """True to evaluate the corrections that `ltsim calibrate` applies, in place of the estimates; permitted only for
     the method `network` with the solver `single`.
     """
@@ -70,8 +77,8 @@ class CalibrationMethod(TomlSection):
     def _check_effects_have_network(self) -> Self:
         if self.effects and self.method != "network":
             raise ValueError(f"it should have no effects: method {self.method} estimates instrument parameters only")
-        if self.applied and (self.effects or self.method != "network" or self.solver != "single"):
-            raise ValueError("it should have method network, solver single and no effects if applied is true")
+        if self.uses_applied_corrections and (self.effects or self.method != "network" or self.solver != "single"):
+            raise ValueError("it needs method network, solver single and no effects for uses_applied_corrections")
         if self.construction == "ideal" and self.method != "network":
             raise ValueError(f"it should not be ideal: method {self.method} needs parameters to estimate")
         return self
@@ -81,25 +88,25 @@ class StoppingRule(TomlSection):
     """Adaptive stopping rule of each cell (combination of factor levels), evaluated after each round of trials.
 
     A cell stops when, for every method, the half-width of the confidence interval of the mean of `statistic` is at most
-    `within`. Each round adds 50 % more trials.
+    `max_half_width`. Each round adds 50 % more trials.
     """
 
     statistic: str = "target_error_um"
     """Statistic whose mean must be precise: a column of the rows, or an improvement of the agreement of stations
     [%]."""
-    within: Positive
+    max_half_width: Positive
     """Largest half-width of the 95 % confidence interval of the mean at which a cell stops, in the statistic's unit."""
 
 
 class CampaignFile(TomlSection):
     """Content of a campaign file.
 
-    `settings` changes the scenario in all cells. `grid` holds lists of values that are combined with each other,
-    `design` spreads points over ranges, and `cells` lists combinations one by one. If a file has several of these
-    three, every combination of their entries is a cell. Keys are dotted keys of the scenario, as in
-    ``"instrument.noise_factor"`` (entries of a list by number, as in ``"effects.1.values.x"``), or names of `link`. A
-    value is a number in the key's unit, or a text with its unit (``"2 urad"``). The scenario defines the true errors,
-    `methods` defines the estimated parameters.
+    `scenario_changes` applies to all cells. `grid` holds lists of values that are combined with each other, `design`
+    spreads points over ranges, and `cells` lists combinations one by one. If a file has several of these three, every
+    combination of their entries is a cell. Keys are dotted keys of the scenario, as in ``"instrument.noise_factor"``
+    (entries of a list by number, as in ``"effects.1.values.x"``), or names in `linked_keys`. A value is a number in the
+    key's unit, or a text with its unit (``"2 urad"``). The scenario defines the true errors, `methods` defines the
+    estimated parameters.
     """
 
     format: Literal["ltsim-campaign/1"] = "ltsim-campaign/1"
@@ -112,27 +119,27 @@ class CampaignFile(TomlSection):
     """Seed of all random draws."""
     trials: Annotated[int, Field(ge=1, le=10**9)] = 1000
     """Number of trials of each cell (combination of factor levels)."""
-    shard: Annotated[int, Field(ge=1, le=65_536)] = 4096
+    trials_per_shard: Annotated[int, Field(ge=1, le=65_536)] = 4096
     """Number of trials in each output file (shard). If a process is killed, its unfinished file is lost."""
     geometry: Literal["shared", "per-trial"] = "shared"
     """True positions of stations and targets: the same for all trials of a cell (`shared`), or drawn for each trial
     (`per-trial`)."""
-    verify: Annotated[int, Field(ge=0, le=1000)] = 2
+    verified_trials_per_shard: Annotated[int, Field(ge=0, le=1000)] = 2
     """Number of trials at the start of each output file that the full solver repeats for verification."""
     statistics: DistinctValues[StatisticGroup] = ("criteria", "errors", "z-scores")
     """Groups of results that each row contains."""
-    judge_in: str = ""
+    validation_points: str = ""
     """Held-out points, which are measured by the instruments of each trial but used by no calibration: a scenario
     (built-in, or a file in the folder of this one), or a table of points (`target,x_mm,y_mm,z_mm` in a file `NAME.csv`)
     measured from the stations of the cell.
     """
-    judge_drift: Annotated[float, Field(ge=0)] = 0.0
+    validation_drift: Annotated[float, Field(ge=0)] = 0.0
     """Standard deviation of the random drift of the instrument parameters (except the range scale) between calibration
     and measurement of the held-out points, as a fraction of the prior standard deviations.
     """
-    settings: dict[str, Any] = Field(default_factory=dict)
+    scenario_changes: dict[str, Any] = Field(default_factory=dict)
     """Values that replace those of the base scenario in all cells, by dotted key."""
-    link: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(
+    linked_keys: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(
         default_factory=dict, max_length=MAX_DESIGN_KEYS
     )
     """Keys that always take the same value, by a name for the group; the column in the rows has this name."""
@@ -174,36 +181,31 @@ class CampaignFile(TomlSection):
     @model_validator(mode="after")
     def _check_each_key_once(self) -> Self:
         places = [*self.grid, *(self.design.ranges if self.design else ())]
-        keys = [key for name in places for key in self.link.get(name, (name,))]
+        keys = [key for name in places for key in self.linked_keys.get(name, (name,))]
         twice = next((key for key, count in Counter(keys).items() if count > 1), None)
         if twice:
-            raise ValueError(f"it should vary each key once, found {twice} twice in grid, design and link")
+            raise ValueError(f"it should vary each key once, found {twice} twice in grid, design and linked_keys")
         return self
 
     @model_validator(mode="after")
     def _check_size(self) -> Self:
         cells = max(len(self.cells), 1) * math.prod(len(values) for values in self.grid.values())
-        cells *= self.design.cells if self.design else 1
+        cells *= self.design.cell_count if self.design else 1
         if cells > MAX_CELLS:
             raise ValueError(
                 f"it should have at most {MAX_CELLS} cells, but the grid gives {cells}: divide the campaign"
             )
-        if cells * self.n_shards_per_cell > MAX_SHARDS:
-            raise ValueError(
-                f"it should have at most {MAX_SHARDS} shards, "
-                f"but trials and shard give {cells * self.n_shards_per_cell}: "
-                "increase shard"
-            )
+        number_of_shards(self.trials, self.trials_per_shard, cells)
         return self
 
     @property
     def n_shards_per_cell(self) -> int:
         """Number of shards of each cell."""
-        return -(-self.trials // self.shard)
+        return number_of_shards(self.trials, self.trials_per_shard)
 
     @property
     def varied_keys(self) -> tuple[str, ...]:
-        """Dotted keys, and names in `link`, whose values differ between cells, in the order of the file."""
+        """Dotted keys, and names in `linked_keys`, whose values differ between cells, in the order of the file."""
         keys = (key for cell in self.cells for key in cell)
         return tuple(dict.fromkeys((*keys, *(self.design.ranges if self.design else ()), *self.grid)))
 
@@ -214,7 +216,7 @@ class CampaignFile(TomlSection):
         """
         titles, given = (
             short_key_names(self.varied_keys),
-            {name: self.link.get(name, (name,)) for name in self.varied_keys},
+            {name: self.linked_keys.get(name, (name,)) for name in self.varied_keys},
         )
         factors = (
             Factor(
@@ -229,16 +231,16 @@ class CampaignFile(TomlSection):
 
     def cell_changes(self) -> Iterator[dict[str, Any]]:
         """Values that replace those of the base scenario in each cell, by dotted key."""
-        first_key_by_name = {name: self.link.get(name, (name,))[0] for name in self.varied_keys}
+        first_key_by_name = {name: self.linked_keys.get(name, (name,))[0] for name in self.varied_keys}
         points = self.design.points(self.seed, first_key_by_name) if self.design else [{}]
         for listed, point in itertools.product(self.cells or ({},), points):
             for values in itertools.product(*self.grid.values()):
-                values_by_name = self.settings | listed | point | dict(zip(self.grid, values, strict=True))
+                values_by_name = self.scenario_changes | listed | point | dict(zip(self.grid, values, strict=True))
                 yield self.values_by_key(values_by_name)
 
     def values_by_key(self, values_by_name: Mapping[str, Any]) -> dict[str, Any]:
-        """Values by dotted key, from values by dotted key or by a name in `link`, which stands for several keys."""
-        return {key: value for name, value in values_by_name.items() for key in self.link.get(name, (name,))}
+        """Values by dotted key, from values by dotted key or by a name in `linked_keys` for several keys."""
+        return {key: value for name, value in values_by_name.items() for key in self.linked_keys.get(name, (name,))}
 
 
 def load_campaign(
@@ -259,9 +261,9 @@ def load_campaign(
     base = load_scenario(local_file(campaign.scenario, path) or campaign.scenario)
     common_values = {
         key: convert_value(base, key, value, str(path))
-        for key, value in campaign.values_by_key(campaign.settings).items()
+        for key, value in campaign.values_by_key(campaign.scenario_changes).items()
     }
-    units = change_scenario(base, common_values, path)  # with the effects that `settings` adds
+    units = change_scenario(base, common_values, path)  # with the effects that `scenario_changes` adds
     items = []
     for number, values in enumerate(campaign.cell_changes(), start=1):
         where = f"{path}: cell {number}"
@@ -281,7 +283,7 @@ def override_campaign(campaign: CampaignFile, key_changes: Mapping[str, Any], pa
         elif key in campaign.varied_keys:
             raise SetupError(f"{path}: {key} varies in its cells or design: change it there")
         else:
-            tables["settings"][key] = value
+            tables["scenario_changes"][key] = value
     with as_setup_error():
         return validate_settings(tables, CampaignFile, "campaign", path)
 
@@ -292,13 +294,18 @@ class CampaignCell:
 
     scenario: Scenario
     validation_scenario: Scenario | None
-    """Scenario of the held-out points; None if the campaign names none (key `judge_in`)."""
-    settings: dict[str, Any]
+    """Scenario of the held-out points; None if the campaign names none (key `validation_points`)."""
+    scenario_changes: dict[str, Any]
     """Values that replace those of the base scenario in this cell, by dotted key."""
     levels: dict[str, Any]
     """Level of each factor, by the factor's name."""
     digest: str
     """Digest of everything that determines the rows of the cell, except the number of rows and the stored columns."""
+
+    def manifest_entry(self, cell_index: int, factors: Sequence[Factor]) -> CellEntry:
+        """Entry of the cell in `manifest.json`."""
+        label, changes = cell_label(factors, self.levels), self.scenario_changes
+        return CellEntry(cell=cell_index, label=label, scenario_changes=changes, levels=self.levels, digest=self.digest)
 
 
 def make_cells(
@@ -306,22 +313,23 @@ def make_cells(
 ) -> tuple[tuple[Factor, ...], tuple[CampaignCell, ...]]:
     """Factors of a campaign, and its cells; raises SetupError for a cell without a valid scenario."""
     factors, cells = campaign.factors(scenarios[0]), []
-    deciding = {"seed", "shard", "geometry", "verify", "methods", "judge_drift"}
+    deciding = {"seed", "trials_per_shard", "geometry", "verified_trials_per_shard", "methods", "validation_drift"}
     cell_seed_text = campaign.model_dump_json(include=deciding, by_alias=True)
-    for scenario, settings in zip(scenarios, campaign.cell_changes(), strict=True):
+    for scenario, scenario_changes in zip(scenarios, campaign.cell_changes(), strict=True):
         tables = scenario.model_dump(mode="json", by_alias=True)
-        judge = make_validation_scenario(campaign.judge_in, scenario, path) if campaign.judge_in else None
+        points_name = campaign.validation_points
+        judge = make_validation_scenario(points_name, scenario, path) if points_name else None
         levels = {factor.name: factor.level(tables) for factor in factors}
         places = [_with_cad_digests(s).model_dump_json(by_alias=True) for s in (scenario, judge) if s is not None]
         mark = hashlib.sha256("\n".join([cell_seed_text, *places]).encode()).hexdigest()
-        cells.append(CampaignCell(scenario, judge, settings, levels, mark))
+        cells.append(CampaignCell(scenario, judge, scenario_changes, levels, mark))
     return factors, tuple(cells)
 
 
 def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scenario:
-    """Scenario of the held-out points of `judge_in`, with the instruments of a cell's scenario.
+    """Scenario of the held-out points of `validation_points`, with the instruments of a cell's scenario.
 
-    `name` is the value of `judge_in`, and `path` the campaign file. Raises SetupError.
+    `name` is the value of `validation_points`, and `path` the campaign file. Raises SetupError.
     """
     file = local_file(name, path)
     if name.endswith(".csv"):
@@ -336,14 +344,16 @@ def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scena
             "targets": places,
             "effects": effects,
         }
-        return change_scenario(scenario, changes, path, f"{path}: judge_in")
+        return change_scenario(scenario, changes, path, f"{path}: validation_points")
     hall = load_scenario(file or name)
     instruments = {"instrument": scenario.instrument, "instruments": scenario.instruments}
     hall = hall.model_copy(update=instruments)
     instrument_names = {station.instrument or "" for station in hall.stations.values()}
     if instrument_names != {*scenario.trackers_in_use}:
         wanted = ", ".join(scenario.trackers_in_use) or "one without a name"
-        raise SetupError(f"{path}: judge_in: the stations of {name} should name the trackers of the cells: {wanted}")
+        raise SetupError(
+            f"{path}: validation_points: stations of {name} should name the trackers of the cells: {wanted}"
+        )
     return hall
 
 

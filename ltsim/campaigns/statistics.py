@@ -98,7 +98,7 @@ class CampaignStatistics:
         self._database = duckdb.connect(config={**DATABASE_SETTINGS, "memory_limit": memory_limit(shards)})
         source = f"read_parquet([{', '.join(map(sql_path, shards))}], union_by_name = true)"
         try:
-            store.verify(shards, {cell.cell: cell.digest for cell in self.manifest.cells})
+            store.verify_shards(shards, {cell.cell: cell.digest for cell in self.manifest.cells})
             with _interruptible():
                 names = [row[0] for row in self._database.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
                 self._database.execute(f"CREATE VIEW rows AS SELECT *{_improvement_sql(names)} FROM {source}")
@@ -197,7 +197,7 @@ class CampaignStatistics:
     def half_width_of_interval(self, n_trials: int, sigma: float) -> float:
         """Half-width of the 95 % confidence interval of a mean of `n_trials` values with standard deviation `sigma`."""
         stops = bool(self.manifest.settings.get("stop"))
-        level = interval_error_rate(self.manifest.trials, self.manifest.shard or 1, is_stopping=stops)
+        level = interval_error_rate(self.manifest.trials, self.manifest.trials_per_shard or 1, is_stopping=stops)
         return student_quantile(n_trials, level) * sigma / math.sqrt(n_trials)
 
     def distribution(self, column: str) -> list[StatisticSummary]:
@@ -226,8 +226,8 @@ class CampaignStatistics:
                     low=mean - half,
                     high=mean + half,
                     standard_deviation=_nan_if_none(deviation),
-                    least=low,
-                    largest=high,
+                    minimum=low,
+                    maximum=high,
                     quantiles=tuple(quantiles),
                     unit=self.units.get(column, ""),
                 )
@@ -346,7 +346,7 @@ def _nan_if_none(value: float | None) -> float:
 
 
 def memory_limit(shards: Sequence[Path]) -> str:
-    """Memory of the database for files of rows, in the words of its setting."""
+    """Largest memory that DuckDB may use for queries over `shards`, as the text of its setting: `250MiB`."""
     n_bytes = sum(shard.stat().st_size for shard in shards)
     return f"{MAX_DATABASE_MEMORY_BYTES * max(1.0, n_bytes / MAX_FILE_BYTES) / BYTES_PER_MIB:.0f}MiB"
 

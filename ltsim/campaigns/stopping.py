@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING
 
 from scipy import special
 
+from ltsim.campaigns.schema import number_of_shards
+
 if TYPE_CHECKING:
     from ltsim.campaigns.spec import CampaignFile
 
@@ -51,8 +53,8 @@ def interval_error_rate(n_trials: int, shard_size: int, *, is_stopping: bool) ->
 
 def stopping_evaluation_schedule(n_trials: int, shard_size: int) -> list[int]:
     """Numbers of finished shards of `shard_size` trials after which a cell of `n_trials` trials is evaluated."""
-    n_shards = -(-n_trials // shard_size)
-    schedule = [min(-(-MIN_TRIALS_BEFORE_STOP // shard_size), n_shards)]
+    n_shards = number_of_shards(n_trials, shard_size)
+    schedule = [min(number_of_shards(MIN_TRIALS_BEFORE_STOP, shard_size), n_shards)]
     while schedule[-1] < n_shards:
         schedule.append(min(math.ceil(ROUND_GROWTH_FACTOR * schedule[-1]), n_shards))
     return schedule
@@ -70,10 +72,10 @@ def iterate_stopping_rounds(
         yield [(cell, shard) for cell in range(n_cells) for shard in range(campaign.n_shards_per_cell)]
         return
     open_, done = list(range(n_cells)), 0
-    for goal in stopping_evaluation_schedule(campaign.trials, campaign.shard):
+    for goal in stopping_evaluation_schedule(campaign.trials, campaign.trials_per_shard):
         yield [(cell, shard) for cell in open_ for shard in range(done, goal)]
         half, done = interval_half_widths(stop.statistic, goal), goal
-        sure = {place for place, half_width in half.items() if half_width <= stop.within}
+        sure = {place for place, half_width in half.items() if half_width <= stop.max_half_width}
         open_ = [cell for cell in open_ if not {(cell, method.title) for method in campaign.methods} <= sure]
         if not open_:
             return

@@ -112,13 +112,13 @@ class CampaignFolder:
             repair = f"continue with {option_text('resume=True')} to repair it"
             raise SetupError(f"{path}: cannot be read ({problem}); {repair}") from None
 
-    def verify(self, shards: Iterable[Path], cell_digests: Mapping[int, str]) -> None:
+    def verify_shards(self, shards: Iterable[Path], cell_digests: Mapping[int, str]) -> None:
         """Check that shards are unchanged since they were written, and belong to the cell in whose folder they are.
 
         `cell_digests` is the digest of each cell by its number. OSError, ValueError or pyarrow.ArrowException is raised
         for a damaged shard.
         """
-        digests = self.digests()
+        digests = self.recorded_digests()
         for path in shards:
             name = path.relative_to(self.folder).as_posix()
             if name in digests:
@@ -130,7 +130,7 @@ class CampaignFolder:
             if label.get("campaign") != cell_digests.get(int(label.get("cell", -1))):
                 raise ValueError(f"{name} belongs to another campaign")
 
-    def digests(self) -> dict[str, str]:
+    def recorded_digests(self) -> dict[str, str]:
         """Recorded digest of each shard, by the path of the shard in the folder."""
         try:
             text = (self.folder / DIGESTS_FILE).read_text(encoding="ascii", errors="replace")
@@ -186,7 +186,7 @@ class CampaignFolder:
             n for n, path in existing_paths.items() if not path.is_file() or path.read_bytes() != sources[n]
         ]
 
-    def remove_files(self) -> None:
+    def remove_campaign(self) -> None:
         """Removal of manifest, rows and derived files; RecordError if a link leads to rows outside the folder."""
         path_in_folder(self.folder, ROWS_FOLDER)
         with self._storage_errors():
@@ -221,7 +221,7 @@ class CampaignFolder:
             return "damaged"
         return "short" if short else "whole"
 
-    def quarantine(self, cell: int, shard: int) -> Path:
+    def quarantine_shard(self, cell: int, shard: int) -> Path:
         """New path of a damaged shard, after it is renamed so that the user can inspect it."""
         path = self.shard_path(cell, shard)
         damaged_path = path.with_suffix(".damaged")
@@ -235,7 +235,7 @@ class CampaignFolder:
         with self._storage_errors():
             for folder in (self.folder, *self.folder.glob(f"{ROWS_FOLDER}/cell-*")):
                 complete_interrupted_moves(path_in_folder(self.folder, folder.relative_to(self.folder).as_posix()))
-            lines = "".join(f"{digest}  {name}\n" for name, digest in self.digests().items()).encode()
+            lines = "".join(f"{digest}  {name}\n" for name, digest in self.recorded_digests().items()).encode()
             file = self.folder / DIGESTS_FILE
             if file.exists() and file.read_bytes() != lines:
                 write_files(self.folder, {DIGESTS_FILE: lines}, flush_to_disk=True)

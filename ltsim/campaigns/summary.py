@@ -40,12 +40,12 @@ class StatisticSummary(Entry):
     """Upper 95 % confidence limit of the mean."""
     standard_deviation: NumberOrNaN = math.nan
     """Standard deviation over the trials."""
-    least: NumberOrNaN = math.nan
+    minimum: NumberOrNaN = math.nan
     """Smallest value over the trials."""
-    largest: NumberOrNaN = math.nan
+    maximum: NumberOrNaN = math.nan
     """Largest value over the trials."""
     quantiles: tuple[NumberOrNaN, ...] = (math.nan,) * len(QUANTILE_LEVELS)
-    """Quantiles over the trials, at the probabilities `levels` of the summary."""
+    """Quantiles over the trials, at the probabilities `quantile_levels` of the summary."""
     unit: str = ""
     """Unit of the values."""
 
@@ -81,11 +81,11 @@ class SolverComparison(Entry):
     """Name of the method."""
     trials: int
     """Number of trials."""
-    failed: int
+    failed_trials: int
     """Number of trials without a result."""
-    by_full_solver: int
+    full_solver_trials: int
     """Number of trials that the full solver calibrated."""
-    checked: int
+    verified_trials: int
     """Number of trials that both solvers calibrated, for verification."""
     largest_difference_sigma: NumberOrNaN | None
     """Largest difference [sigma] between batch and full solver in the verified trials; null without such trials."""
@@ -106,7 +106,7 @@ class CampaignSummary(Entry):
     """Cells (combinations of factor levels) of the campaign."""
     solver_comparisons: tuple[SolverComparison, ...]
     """Comparison of batch and full solver for each cell and method."""
-    levels: tuple[float, ...] = QUANTILE_LEVELS
+    quantile_levels: tuple[float, ...] = QUANTILE_LEVELS
     """Probabilities of the quantiles in `columns`."""
     meanings: dict[str, str]
     """Meaning of each column, by the name of the column."""

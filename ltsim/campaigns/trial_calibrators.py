@@ -271,7 +271,7 @@ class BatchCalibrator(TrialCalibrator):
             self.batch_network.fit_trials(trial_batch.reading_deviations, trial_batch.length_errors),
         )
         status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.parameter_sigmas
-        extra_columns = slice(network.end_indices[2], network.end_indices[2] + len(fit.effect_values))
+        extra_columns = slice(network.block_end_indices[2], network.block_end_indices[2] + len(fit.effect_values))
         effect_sigmas = np.sqrt(np.diag(network.covariance)[extra_columns, None]) if self.effects else np.zeros((0, 1))
         other_arrays = fit.effect_values, effect_sigmas, fit.incidence_parameters
         return CalibratedBatch(
@@ -317,7 +317,7 @@ class BatchCalibrator(TrialCalibrator):
     @cached_property
     def target_sigmas(self) -> Floats:
         """Standard deviation (targets, 3) [m] of the adjusted targets after a rigid fit to other coordinates."""
-        start, end = self.batch_network.end_indices[:2]
+        start, end = self.batch_network.block_end_indices[:2]
         covariance = self.batch_network.covariance[start:end, start:end]
         columns = np.arange(end - start).reshape(-1, 3)
         points = self.truth.state.target_points

@@ -72,9 +72,9 @@ def campaign(
     ...     },
     ...     out="my-campaign",
     ... )
-    >>> results.to_dataframe("solver_comparisons")[["method", "trials", "failed"]]
-        method  trials  failed
-    0  network      64       0
+    >>> results.to_dataframe("solver_comparisons")[["method", "trials", "failed_trials"]]
+        method  trials  failed_trials
+    0  network      64              0
     """
     require_packages()
     from ltsim.campaigns.campaign import WorkerSettings, run_campaign

@@ -119,7 +119,7 @@ def solver_difference_sentence(comparison: SolverComparison, results: CampaignRe
     cell = results.manifest.cells[comparison.cell].label
     return (
         f"cell {comparison.cell + 1} ({cell}), {comparison.method}: the batch solver differs from the full solver by "
-        f"up to {comparison.largest_difference_sigma:.2g} sigma on {comparison.checked} verified trials, "
+        f"up to {comparison.largest_difference_sigma:.2g} sigma on {comparison.verified_trials} verified trials, "
         f"limit {MAX_BATCH_SOLVER_DIFFERENCE:g}; "
         'set solver = "single" for the method to use the full solver'
     )
@@ -143,7 +143,7 @@ JunitFileOption = Annotated[
     FILE_OUTPUT,
 ]
 ERROR_ORIGIN_TEXTS = {"drawn": "drawn from the prior", "stated": "given by the scenario"}
-"""Text on the origin of the injected instrument errors, by the field `errors` of a recovery."""
+"""Text on the origin of the true instrument errors, by the field `error_origin` of a recovery."""
 MIN_PARALLEL_TRIALS = 100
 """Number of trials below which one process is used by default, since it is faster than several."""
 
@@ -167,7 +167,7 @@ def recover(
     Example: ltsim recover paper-workshop --trials 1000 --jobs 2
     """
     from ltsim.campaigns.recovery import Recovery
-    from ltsim.campaigns.recovery_checks import FALSE_ALARM_RATE
+    from ltsim.campaigns.recovery_checks import RECOVERY_FALSE_ALARM_RATE
     from ltsim.campaigns.recovery_trials import TRIALS_TABLE
 
     terminal.check_overwrite(Recovery, TRIALS_TABLE.file)
@@ -178,7 +178,7 @@ def recover(
     if junit is not None:
         write_text(junit, with_digest_comment(junit_xml(result, str(scenario))))
     terminal.print_json(result.content())
-    if result.converged > 1:
+    if result.trials_with_result > 1:
         table = result.table("parameters")
         terminal.print_text(table.text())
         if "absolute error difference" in table.headings:
@@ -190,9 +190,11 @@ def recover(
         write_line(sentence, sys.stderr)
     if not result.passed:
         raise typer.Exit(1)
-    chance_text = f" (a correct model fails this check in {100 * FALSE_ALARM_RATE:.0f} % of runs)"
-    false_alarm_text = "" if result.tolerances or len(result.unchecked) == len(result.parameters) else chance_text
-    trials_text = f"{result.trials} trials, errors {ERROR_ORIGIN_TEXTS[result.errors]}"
+    chance_text = f" (a correct model fails this check in {100 * RECOVERY_FALSE_ALARM_RATE:.0f} % of runs)"
+    false_alarm_text = (
+        "" if result.tolerances or len(result.unchecked_parameters) == len(result.parameters) else chance_text
+    )
+    trials_text = f"{result.trials} trials, errors {ERROR_ORIGIN_TEXTS[result.error_origin]}"
     terminal.print_text(f"{trials_text}: {result.verdict_text()}{false_alarm_text}")
 
 
@@ -201,7 +203,7 @@ def junit_xml(result: Recovery, suite_name: str) -> str:
 
     The run time is divided evenly among the test cases.
     """
-    checks, unchecked = result.checks, result.unchecked
+    checks, unchecked = result.checks, result.unchecked_parameters
     failed, seconds = len(result.failed_checks()), result.arrays.run_time
     seconds_text = f"{seconds / len(checks):.3f}"
     n_failures = 0 if result.allow_unchecked else len(unchecked)
@@ -218,7 +220,7 @@ def junit_xml(result: Recovery, suite_name: str) -> str:
             root, "testcase", classname=f"recover.{check.subject}", name=check.statistic, time=seconds_text
         )
         properties = SubElement(case, "properties")
-        for name in ("value", "low", "high"):
+        for name in ("value", "lower_limit", "upper_limit"):
             SubElement(properties, "property", name=name, value=f"{getattr(check, name):.6g}")
         if not check.passed:
             SubElement(case, "failure", message=result.failure_reason(check)).text = check.sentence()

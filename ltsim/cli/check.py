@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ltsim.recordings.coordinates import EpochCoordinates
     from ltsim.recordings.recording import Recording
 
-MpeOption = Annotated[
+TwoFaceLimitOption = Annotated[
     str | None,
     typer.Option(
         "--mpe",
@@ -48,7 +48,7 @@ POLL_INTERVAL_S = 1.0
 
 def check(
     source: RecordingArgument,
-    mpe: MpeOption = None,
+    mpe: TwoFaceLimitOption = None,
     watch: WatchOption = False,
     *,
     reading_options: ReadingOptionsWithControl,

@@ -51,12 +51,12 @@ def effects(name: EffectNameArgument = None, *, terminal: Terminal) -> None:
     width = max(len(effect.name) for effect in listed.descriptions)
     groups = groupby(listed.descriptions, lambda effect: effect.group)
     terminal.print_text(
-        "\n\n".join("\n".join([group, *(_line(effect, width) for effect in members)]) for group, members in groups)
+        "\n\n".join("\n".join([group, *(_list_line(effect, width) for effect in members)]) for group, members in groups)
     )
     terminal.print_text(f"\n{len(entries)} effects. Details of an effect: ltsim effects NAME")
 
 
-def _line(effect: EffectDescription, name_width: int) -> str:
+def _list_line(effect: EffectDescription, name_width: int) -> str:
     """Line of the list: name, title, cause, and the package that provides an effect that is not built-in."""
     origin = f" [{effect.external_provider}]" if effect.external_provider else ""
     return f"  {effect.name:<{name_width}}  {effect.summary}{origin}"
@@ -66,23 +66,9 @@ def catalogue_entry_text(effect: EffectDescription, tables: list[Table]) -> str:
     """Catalogue entry of an effect as text, with the tables of its parameters and constants."""
     lines = [f"{effect.name}: {effect.title} ({effect.group})", "", f"{effect.cause[0].upper()}{effect.cause[1:]}."]
     lines += ["", effect.equation, ""]
-    sections = {
-        "Size": effect.typical_sizes,
-        "Like": effect.similar_effects,
-        "Separate by": effect.separate_by,
-        "Valid": effect.validity_domain,
-        "Source": effect.literature,
-        "Status": effect.validation,
-        "Acts on": effect.observables_text,
-        "Scope": effect.scope,
-        "Stage": effect.light_path_stage,
-        "Base rate": f"{effect.base_rate:g} (1 is occasional)",
-        "Depends on": ", ".join(effect.covariates),
-        "Comes from": effect.external_provider,
-    }
-    for name, text in sections.items():
+    for label, text in effect.labelled_texts:
         lines += textwrap.wrap(
-            f"{name:<{LABEL_WIDTH}}{text}" if text else "",
+            f"{label:<{LABEL_WIDTH}}{text}",
             TEXT_WIDTH,
             subsequent_indent=" " * LABEL_WIDTH,
             break_on_hyphens=False,

@@ -247,7 +247,7 @@ MAPPING_OPTIONS: dict[str, tuple[str, Callable[[str], Any]]] = {
     "changes": ("KEY=VALUE", _parse_toml_value),
     "move": ("STATION=X,Y[,Z[,YAW]]", lambda text: text.split(",")),
 }
-"""Options that are mappings: placeholder in the help, parser of a value."""
+"""Placeholder in the help, and parser of a value, of each option that collects NAME=VALUE pairs, by its name."""
 
 
 @dataclass(frozen=True)

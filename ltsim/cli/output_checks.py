@@ -274,4 +274,4 @@ COMMAND_CHECKED_OUTPUT = OutputKind(lambda folder, force: check_writable(folder,
 """Kind of output folder of which only write permission is checked; the command checks the files that it would replace.
 """
 FILE_OR_FOLDER_OUTPUT = OutputKind(lambda path, force: check_writable(path, is_folder=path.is_dir()))
-"""Kind of output, a file or a folder depending on other options, of which only write permission is checked."""
+"""Kind of output that is a file or a folder, depending on other options; only write permission is checked."""

@@ -32,16 +32,18 @@ PlanFolderOption = Annotated[
     COMMAND_CHECKED_OUTPUT,
 ]
 ShowPlanOption = Annotated[bool, typer.Option("--show", help="Print a built-in plan as a file to edit, and stop.")]
-AfterOption = Annotated[
+RecordingToExtendOption = Annotated[
     Path | None, typer.Option("--after", metavar="REC", help="Rank further measurements after this recording.")
 ]
-BetweenOption = Annotated[
+ComparedEffectsOption = Annotated[
     str | None,
     typer.Option(
-        "--between", metavar="A,B", help="With --after: effects to discriminate; default from a diagnosis of REC."
+        "--between",
+        metavar="A,B",
+        help="With --after: effects to separate; default: the ones that a diagnosis of REC cannot separate.",
     ),
 ]
-SiteOption = Annotated[
+SitePlanOption = Annotated[
     str | None,
     typer.Option(
         "--site",
@@ -49,7 +51,7 @@ SiteOption = Annotated[
         help="With --after: plan, its folder, or scenario of the hall; its floor and obstacles restrict new stations.",
     ),
 ]
-WithoutOption = Annotated[
+BlockedStationOption = Annotated[
     str | None,
     typer.Option(
         "--without", metavar="STATION", help="List other positions for a station, with the other stations fixed."
@@ -70,10 +72,10 @@ def plan(
     out: PlanFolderOption = None,
     jobs: JobsOption = 2,
     show: ShowPlanOption = False,
-    after: AfterOption = None,
-    between: BetweenOption = None,
-    site: SiteOption = None,
-    without: WithoutOption = None,
+    after: RecordingToExtendOption = None,
+    between: ComparedEffectsOption = None,
+    site: SitePlanOption = None,
+    without: BlockedStationOption = None,
     *,
     reading_options: ReadingOptions,
     force: ForceOption = False,
@@ -216,8 +218,8 @@ def _picture_files(plan_result: Plan) -> dict[str, bytes]:
         FLOOR_PLAN_FILE: png_bytes(plan_result.plot()),
     }
     return content_by_name | (
-        {TRADE_OFF_FILE: png_bytes(trade_off_figure(plan_result, next(iter(plan_result.quality))))}
-        if plan_result.tradeoff
+        {TRADE_OFF_FILE: png_bytes(trade_off_figure(plan_result, next(iter(plan_result.qualities))))}
+        if plan_result.tradeoff_points
         else {}
     )
 

@@ -50,7 +50,7 @@ NominalFileOption = Annotated[
     typer.Option("--nominal", metavar="FILE", help="File for the nominal points, for ltsim verify."),
     COMPARED_FILE_OUTPUT,
 ]
-PerTrialOption = Annotated[
+NewPositionsOption = Annotated[
     bool,
     typer.Option(
         "--per-trial", help="Draw new positions of stations and targets, as in a campaign with geometry per trial."
@@ -68,7 +68,9 @@ InjectedEffectsArgument = Annotated[
 ]
 InjectionFolderOption = Annotated[
     Path | None,
-    typer.Option("--out", metavar="REC2", help="Folder of the recording, or of the curve."),
+    typer.Option(
+        "--out", metavar="REC2", help="Folder of the changed recording or, with --curve, of the detection curve."
+    ),
     COMMAND_CHECKED_OUTPUT,
 ]
 InjectedValuesFileOption = Annotated[
@@ -89,7 +91,7 @@ def simulate(
     out: RecordingFolderOption = None,
     truth: TruthFileOption = None,
     nominal: NominalFileOption = None,
-    per_trial: PerTrialOption = False,
+    per_trial: NewPositionsOption = False,
     show: ShowScenarioOption = False,
     force: ForceOption = False,
     *,

@@ -54,7 +54,7 @@ def is_output_closed() -> bool:
 
 
 def is_reader_gone() -> bool:
-    """True if the program that reads standard output (such as `head`) has closed it."""
+    """True if the program that reads standard output through a pipe (such as `head`) has ended."""
     return 1 in _DISCARDED_STREAMS
 
 

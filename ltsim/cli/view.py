@@ -56,7 +56,10 @@ ReportFolderArgument = Annotated[
     OutputKind(check_page_folder),
 ]
 ReportHeaderTextOption = Annotated[
-    str | None, typer.Option(metavar="TEXT", help="Line in the header; default from [report] of setup.toml.")
+    str | None,
+    typer.Option(
+        metavar="TEXT", help="Text of this line in the header of the page; default from [report] of setup.toml."
+    ),
 ]
 DateOption = Annotated[str | None, typer.Option("--date", metavar="YYYY-MM-DD", help="Day of the measurement.")]
 

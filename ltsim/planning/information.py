@@ -253,7 +253,7 @@ class CriteriaPredictor:
 
 
 def _mean_length(row_matrices: Floats, variances_by_set: Floats) -> Floats:
-    """Expected length (k,) of C normally distributed vectors, averaged over them, for k sets of variance factors.
+    """Mean (k,) of the expected lengths of C normally distributed vectors, for k sets of variance factors.
 
     The covariance of a vector is a sum over G groups of errors: `row_matrices` (C, G, 3, 3) hold the covariance by each
     group at its nominal size, `variances_by_set` (k, G) the factors of these covariances.

@@ -204,8 +204,8 @@ class LayoutScorer:
         """Contributions of N set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad] to the normal equations.
 
         `station_indices` (N,) are the indices of the stations that the set-ups replace, by default 0; some effects
-        depend on the time or name of the station. `is_visible` (N, T) flags the measured ones of T targets, by default
-        all.
+        depend on the time or name of the station. `is_visible` (N, T) is True where a set-up measures one of T targets,
+        by default everywhere.
         """
         station_of_position = np.zeros(len(position), dtype=np.int64) if station_indices is None else station_indices
         is_visible = (
@@ -251,11 +251,11 @@ class LayoutScorer:
         return corner @ np.swapaxes(corner, 1, 2)
 
     def eliminate_targets(self, blocks: NormalBlocks, setup_indices: Ints) -> tuple[Floats, Floats, Floats, Floats]:
-        """Normal matrices of B layouts after elimination of E targets, squared norms of columns, and two terms of it.
+        """Normal matrices of B layouts without E eliminated targets, squared norms, and two arrays of the elimination.
 
         The matrices of K remaining unknowns are Schur complements (B, K, K), NaN for an undetermined target; the norms
-        (B, K) of columns are those before the elimination. The terms are inverse blocks (B, E, 3, 3) of the targets,
-        and their products (B, E, 3, K) with coupling blocks.
+        (B, K) of columns are those before the elimination. The last two are the inverse blocks
+        (B, E, 3, 3) of the targets, and their products (B, E, 3, K) with the coupling blocks.
         """
         reduced, tt, tk = self._normal_matrices(blocks, setup_indices)
         if not self._used_observables.all():  # a whole sight places its target
@@ -327,20 +327,23 @@ class LayoutScorer:
     def weighted_target_rms(self, schur: Floats, inverses: Floats, coefficients: Floats, targets: Ints) -> Floats:
         """Root mean square point error (B,) [m] of B layouts, with the survey's target weights.
 
-        The arguments are those of `target_variance`.
+        The arguments are those of `squared_point_errors`.
         """
-        variance = self.target_variance(schur, inverses, coefficients, targets)
-        weight = self._target_weights[self.requested_targets(targets)]
+        variance = self.squared_point_errors(schur, inverses, coefficients, targets)
+        weight = self._target_weights[self.target_and_gauge_indices(targets)]
         return np.sqrt(np.sum(weight * variance, axis=1) / np.sum(weight * np.ones_like(variance), axis=1))
 
-    def requested_targets(self, targets: Ints) -> Ints:
-        """Indices (1 or B, E + gauge) of E `targets`, (E,) or (B, E) for B layouts, and of those of the gauge."""
+    def target_and_gauge_indices(self, targets: Ints) -> Ints:
+        """Indices of the given targets and of the gauge targets: (1, n) for all layouts, or (B, n) for B layouts.
+
+        `targets` are indices in the survey: (E,) for E targets, or (B, E) if they differ between B layouts.
+        """
         indices = np.atleast_2d(targets)
         return np.concatenate(
             [indices, np.broadcast_to(self._gauge_targets, (len(indices), len(self._gauge_targets)))], axis=1
         )
 
-    def target_variance(self, schur: Floats, inverses: Floats, coefficients: Floats, targets: Ints) -> Floats:
+    def squared_point_errors(self, schur: Floats, inverses: Floats, coefficients: Floats, targets: Ints) -> Floats:
         """Squared point errors (B, E + gauge) [m^2] of targets in B layouts, with inner constraints over them as datum.
 
         Parameters of the instrument and of reflectors are estimated here, effects are not. `schur` (B, K, K) for K
@@ -357,7 +360,7 @@ class LayoutScorer:
         for g in range(gauge):
             carry[:, count + g, :, first_target_column + 3 * g : first_target_column + 3 * g + 3] = np.eye(3)
         motion = np.broadcast_to(
-            self._target_motions.reshape(-1, 3, self._n_free_motions)[self.requested_targets(targets)],
+            self._target_motions.reshape(-1, 3, self._n_free_motions)[self.target_and_gauge_indices(targets)],
             (layouts, count + gauge, 3, self._n_free_motions),
         )
         # Inner constraints: the errors of each target without the rigid motion of all targets.

@@ -103,8 +103,8 @@ def _with_defaults(plan_file: PlanFile, path: Path) -> dict[str, Any]:
     new_fields: dict[str, Any] = {"points": points}
     if plan_file.workshop is not None and plan_file.floor.height_mm is None:
         new_fields["floor"] = plan_file.floor.model_copy(update={"height_mm": USUAL_HEAD_HEIGHTS_MM})
-    if points and not {"instrument", "targets", "diagnosis"} & plan_file.goal.model_fields_set:
-        new_fields["goal"] = plan_file.goal.model_copy(update={"instrument": 0.0, "targets": 1.0})
+    if points and not {"instrument_weight", "targets_weight", "diagnosis_weight"} & plan_file.goal.model_fields_set:
+        new_fields["goal"] = plan_file.goal.model_copy(update={"instrument_weight": 0.0, "targets_weight": 1.0})
     return new_fields
 
 
@@ -135,13 +135,13 @@ def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
     group_names = sorted({point.group for point in plan_file.listed_points if point.group})
     obstacles = [obstacle.name for obstacle in scenario.workshop.obstacles if obstacle.name]
     for key, wanted, names in (
-        ("stations.fixed", plan_file.stations.fixed, list(scenario.stations)),
-        ("reflectors.on", plan_file.reflectors.on, [WALLS_NAME, *obstacles]),
-        ("reflectors.keep", plan_file.reflectors.keep, scenario.target_names),
+        ("stations.fixed_stations", plan_file.stations.fixed_stations, list(scenario.stations)),
+        ("reflectors.candidate_bodies", plan_file.reflectors.candidate_bodies, [WALLS_NAME, *obstacles]),
+        ("reflectors.fixed_reflectors", plan_file.reflectors.fixed_reflectors, scenario.target_names),
         ("goal.effects", plan_file.goal.effects, [effect.name for effect in CATALOGUE]),
         (
-            "reflectors.movable",
-            plan_file.reflectors.movable,
+            "reflectors.movable_points",
+            plan_file.reflectors.movable_points,
             [*group_names, *(point.name for point in plan_file.listed_points)],
         ),
         ("goal.tolerances", [t.group for t in plan_file.goal.tolerances if t.group], group_names),
@@ -167,14 +167,16 @@ def _check_dependent_keys(plan_file: PlanFile, scenario: Scenario, file: object)
     fixed_keys = [f"budget.{key}" for key in ("faces", "repeats") if getattr(plan_file.budget, key) is not None]
     if fixed_keys and not plan_file.chooses_procedure:
         raise SetupError(
-            f"{file}: {' and '.join(fixed_keys)} without budget.hours has no effect; give the hours for the work, "
+            f"{file}: {' and '.join(fixed_keys)} without budget.max_hours has no effect; give the hours for the work, "
             "or fix faces and repeats in the table [work] of the scenario"
         )
-    if plan_file.goal.diagnosis and not plan_file.goal.effects:
-        raise SetupError(f"{file}: goal.diagnosis has a weight, but goal.effects names no effect")
+    if plan_file.goal.diagnosis_weight and not plan_file.goal.effects:
+        raise SetupError(f"{file}: goal.diagnosis_weight is above 0, but goal.effects names no effect")
     count, min_stations = plan_file.stations.count or len(scenario.stations), plan_file.stations.min_stations_per_target
     if isinstance(min_stations, int) and min_stations > count:
-        raise SetupError(f"{file}: stations.min_stations_per_target is {min_stations}, but there are {count} stations")
+        raise SetupError(
+            f"{file}: stations.min_stations_per_target is {min_stations}, but there are {count} stations; reduce it"
+        )
 
 
 def read_points(path: Path) -> tuple[PlanPoint, ...]:
@@ -196,7 +198,9 @@ def read_points(path: Path) -> tuple[PlanPoint, ...]:
 def _require_few_points(n_points: int, file: object) -> None:
     """Check of the number of points of a plan; raises SetupError above `MAX_PLAN_POINTS`."""
     if n_points > MAX_PLAN_POINTS:
-        raise SetupError(f"{file}: {n_points} points, expected at most {MAX_PLAN_POINTS}; plan parts of the hall")
+        raise SetupError(
+            f"{file}: the plan has {n_points} points, expected at most {MAX_PLAN_POINTS}; plan parts of it separately"
+        )
 
 
 def _point_from_table(table: PointList, row: int, path: Path) -> PlanPoint:
@@ -287,19 +291,23 @@ def _with_points(scenario: Scenario, points: Sequence[PlanPoint], file: object) 
 
 def require_small_grid(plan_file: PlanFile, scenario: Scenario) -> None:
     """Check that the number of candidate set-ups is at most `MAX_GRID_SETUPS`; raises SetupError."""
-    step = plan_file.search.grid_mm
+    step = plan_file.search.grid_step_mm
     if step is None:
         return
     wide, deep, _ = scenario.workshop.size_mm
     floor = plan_file.floor
     outlines = [area.corners_mm for area in floor.areas] or [floor.corners_mm or ((0.0, 0.0), (wide, deep))]
     area_sizes = np.array([np.ptp(np.array(outline), axis=0) for outline in outlines])
-    n_places = float(np.prod(1.0 + area_sizes / step, axis=1).sum()) * plan_file.search.yaws * plan_file.search.heights
+    n_places = (
+        float(np.prod(1.0 + area_sizes / step, axis=1).sum())
+        * plan_file.search.yaw_count
+        * plan_file.search.height_count
+    )
     if n_places > MAX_GRID_SETUPS:
         raise SetupError(
             f"search: a grid of {step:g} mm over {area_sizes[:, 0].max():g} x {area_sizes[:, 1].max():g} mm "
             f"has {n_places:.2g} "
-            f"set-ups, the limit is {MAX_GRID_SETUPS}; give a larger grid_mm or a smaller floor"
+            f"set-ups, the limit is {MAX_GRID_SETUPS}; give a larger grid_step_mm or a smaller floor"
         )
 
 
@@ -312,11 +320,11 @@ def _initial_places(plan_file: PlanFile, scenario: Scenario, n_stations: int) ->
     heights = (USUAL_HEAD_HEIGHTS_MM[0] * MILLIMETRE, USUAL_HEAD_HEIGHTS_MM[1] * MILLIMETRE)
     areas, keep_outs = areas_and_keep_outs(plan_file.floor, scenario.workshop.size_mm, heights)
     obstacles, points = make_obstacles(scenario), planned_layout(scenario).target_points
-    grid = np.concatenate([grid_over_area(area, grid_step(areas, plan_file.search.grid_mm), 1) for area in areas])
+    grid = np.concatenate([grid_over_area(area, grid_step(areas, plan_file.search.grid_step_mm), 1) for area in areas])
     grid = grid[is_allowed_position(areas, keep_outs, obstacles, grid)]
     if not len(grid):
         raise SetupError(
-            "the floor has no place for a tripod; enlarge the floor, move obstacles, or give a smaller grid_mm"
+            "the floor has no place for a tripod; enlarge the floor, move obstacles, or give a smaller grid_step_mm"
         )
     visible = compute_visibility(
         grid, points, make_sight_limits(scenario, scenario.instrument), obstacles=obstacles

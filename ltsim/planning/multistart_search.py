@@ -33,9 +33,9 @@ MIN_REPORT_INTERVAL = 5.0
 MIN_REPORTED_GAIN = 0.01
 """Smallest relative improvement of the objective since the last report at which a new best layout is reported."""
 
-RatedLayout = tuple[float, PlannedSurvey]
+ObjectiveAndSurvey = tuple[float, PlannedSurvey]
 """Objective and survey of a layout."""
-LayoutsByCount = dict[tuple[int, int], list[tuple[float, int, PlannedSurvey]]]
+LayoutsByStationsAndFaces = dict[tuple[int, int], list[tuple[float, int, PlannedSurvey]]]
 """Objective, number of the start, and survey of each layout, by number of stations and number of faces."""
 
 
@@ -75,14 +75,14 @@ class PlanningProblem:
         `report_progress` is called with the finished fraction of a start, `store_layout` with each better layout.
         """
         settings, objective = self.plan_file.search, layout_objective(self.plan_file, search_space.survey)
-        step = grid_step(search_space.allowed_areas, settings.grid_mm)
+        step = grid_step(search_space.allowed_areas, settings.grid_step_mm)
         return LayoutSearcher(
             search_space,
             objective,
             self.construction,
             step,
-            settings.yaws,
-            settings.heights,
+            settings.yaw_count,
+            settings.height_count,
             report_progress,
             store_layout,
         )
@@ -94,14 +94,14 @@ def run_searches(
     jobs: int,
     report_progress: Callable[[float], None],
     store_survey: Callable[[PlannedSurvey, float], None],
-) -> tuple[LayoutsByCount, bool]:
+) -> tuple[LayoutsByStationsAndFaces, bool]:
     """Layouts of all searches by numbers of stations and faces, and a flag that is True if Ctrl-C ended the searches.
 
     `jobs` is the number of processes. `report_progress` is called with the finished fraction of all searches,
     `store_survey` with each layout whose objective is better by `MIN_REPORTED_GAIN`, and this objective. With one job
     the search runs in this process, reports progress within a start, and keeps its best layout after Ctrl-C.
     """
-    best_by_task: dict[int, RatedLayout] = {}
+    best_by_task: dict[int, ObjectiveAndSurvey] = {}
     finished, stopped, reported, last = 0, False, np.inf, -np.inf
 
     def store_better_layout(task_number: int, value: float, survey: PlannedSurvey) -> None:
@@ -134,7 +134,7 @@ def run_searches(
                 store_better_layout(number, *layout)
     except KeyboardInterrupt:
         stopped = True
-    layouts: LayoutsByCount = {}
+    layouts: LayoutsByStationsAndFaces = {}
     for number, (value, survey) in sorted(best_by_task.items()):
         task = tasks[number]
         layouts.setdefault((task.n_stations, task.n_faces), []).append((value, task.start_number, survey))
@@ -147,7 +147,7 @@ def _layout_of_start(
     task_number: int,
     report_progress: Callable[[float], None] = no_progress,
     store_layout: Callable[[StationLayout], None] = no_progress,
-) -> tuple[int, RatedLayout | None]:
+) -> tuple[int, ObjectiveAndSurvey | None]:
     """Task number, and the pair of objective and layout at the end of the search of this task.
 
     The pair is None if no layout meets the rules of the plan, or if ranges from too few stations determine no layout.
@@ -158,7 +158,9 @@ def _layout_of_start(
         return task_number, None
 
 
-def _layout_in_worker(problem: PlanningProblem, task: SearchTask, task_number: int) -> tuple[int, RatedLayout | None]:
+def _layout_in_worker(
+    problem: PlanningProblem, task: SearchTask, task_number: int
+) -> tuple[int, ObjectiveAndSurvey | None]:
     """Result of `_layout_of_start` in a worker process, which ignores Ctrl-C: only the main process reacts to it."""
     signal(SIGINT, SIG_IGN)
     return _layout_of_start(problem, task, task_number)
@@ -169,7 +171,7 @@ def search_from_start(
     task: SearchTask,
     report_progress: Callable[[float], None] = no_progress,
     store_layout: Callable[[StationLayout], None] = no_progress,
-) -> RatedLayout:
+) -> ObjectiveAndSurvey:
     """Objective and layout at the end of the search from one start.
 
     Stations are searched, then reflectors if they are movable, then stations again. `report_progress` is called with

@@ -22,9 +22,9 @@ class NormalBlocks:
     setup_yaws: Floats
     """Yaw of each of the N set-ups, (N,) [rad]."""
     is_visible: Bools
-    """Flags (N, T) of the targets, among T, that each of the N set-ups measures."""
+    """Flags (N, T): True where one of N set-ups measures one of T targets."""
     has_determined_pose: Bools
-    """Flags (N,) of the set-ups, among N, whose measured targets determine the pose of the station."""
+    """Flags (N,): True for a set-up whose measured targets determine the pose of the station."""
     target_blocks: Floats
     """Contribution of each of N set-ups to the block of the normal matrix of each of T targets, (N, T, 3, 3)."""
     coupling_blocks: Floats

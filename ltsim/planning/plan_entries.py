@@ -75,19 +75,19 @@ class PlannedReflectorEntry(Entry):
     """Position of the centre of the reflector, in the hall frame."""
     sigma_um: OptionalFloat
     """Expected point error of the reflector [um]: square root of the trace of its covariance."""
-    u_um: XyzSizesUm = Field(default=(), alias="U_um")
+    expanded_uncertainty_um: XyzSizesUm = Field(default=(), alias="U_um")
     """Expanded uncertainty (k = 2) of x, y and z [um], with the mean of all points as datum."""
     stations_seeing: int = 0
     """Number of stations that see the reflector."""
     visible_from: tuple[str, ...] = ()
     """Names of the stations that see the reflector."""
-    within_mm: OptionalFloat = None
+    point_error_mm: OptionalFloat = None
     """Point error that is not exceeded at the confidence level of the goal; null without a tolerance."""
     tolerance_mm: OptionalFloat = None
     """Largest permitted point error; null without a tolerance."""
     tolerance_ratio: OptionalFloat = None
-    """Ratio of point error to tolerance, `within_mm` divided by `tolerance_mm`; at most 1 if the tolerance is met."""
-    met: bool | None = None
+    """Ratio of point error to tolerance (`point_error_mm` / `tolerance_mm`); at most 1 if the tolerance is met."""
+    tolerance_met: bool | None = None
     """True if the tolerance is met; null without a tolerance."""
 
     @classmethod
@@ -115,8 +115,8 @@ class PlannedReflectorEntry(Entry):
             return {}
         within, used = check.error_by_point_m[name] / MILLIMETRE, check.tolerance_ratio(name)
         return {
-            "within_mm": within, "tolerance_mm": check.tolerance_by_point_m[name] / MILLIMETRE,
-            "tolerance_ratio": used, "met": is_tolerance_met(used),
+            "point_error_mm": within, "tolerance_mm": check.tolerance_by_point_m[name] / MILLIMETRE,
+            "tolerance_ratio": used, "tolerance_met": is_tolerance_met(used),
         }  # fmt: skip
 
 
@@ -131,7 +131,7 @@ class PlannedParameterEntry(Entry):
     """Expected standard deviation after calibration."""
     prior_sigma: Positive
     """Prior standard deviation, before any reading."""
-    gain: OptionalFloat = None
+    removed_variance_fraction: OptionalFloat = None
     """Fraction of the prior variance that the readings are expected to remove: 1 - (sigma / prior_sigma)^2."""
 
     @classmethod
@@ -149,7 +149,7 @@ class PlannedParameterEntry(Entry):
                 unit=p.unit,
                 sigma=float(sigma / p.si_per_display_unit),
                 prior_sigma=float(prior / p.si_per_display_unit),
-                gain=float(1.0 - (sigma / prior) ** 2),
+                removed_variance_fraction=float(1.0 - (sigma / prior) ** 2),
             )
             for p, sigma, prior in parameter_fields
         )
@@ -193,7 +193,7 @@ class ProcedureEntry(Entry):
     """Number of pointings of the whole measurement."""
     hours: Finite
     """Duration of the whole measurement [h]."""
-    quality: QualityValues = Field(default_factory=dict)
+    qualities: QualityValues = Field(default_factory=dict)
     """Qualities with a weight in the goal, by name; smaller is better. `targets` is the weighted root mean square point
     error [m]; the weight of a point is its `weight` divided by the square of its tolerance.
     """
@@ -203,7 +203,7 @@ class ProcedureEntry(Entry):
         """Fields on the measuring procedure of a survey, with their values, for subclasses."""
         return {
             "faces": len(survey.faces), "repeats": survey.repeats, "pointings": survey.n_pointings,
-            "hours": round(survey.duration / 3600, 3), "quality": qualities,
+            "hours": round(survey.duration / 3600, 3), "qualities": qualities,
         }  # fmt: skip
 
 
@@ -264,11 +264,11 @@ class PlannedLayoutEntry(ProcedureEntry):
 class TradeoffEntry(ProcedureEntry):
     """Measuring procedure and number of stations, with the best layout that the search found for them."""
 
-    stations: int
+    station_count: int
     """Number of stations."""
-    value: OptionalFloat = None
+    objective_value: OptionalFloat = None
     """Objective of the layout; smaller is better."""
-    efficient: bool = False
+    is_efficient: bool = False
     """True if every faster procedure has a worse objective."""
     layout: tuple[PlannedStationEntry, ...] = ()
     """Stations of the best layout for this procedure and number of stations, without their expected precision."""
@@ -277,9 +277,9 @@ class TradeoffEntry(ProcedureEntry):
     def from_tradeoff_point(cls, tradeoff_point: TradeoffPoint) -> Self:
         """Entry of a point on the curve of cost against quality."""
         return cls(
-            stations=len(tradeoff_point.survey.station_positions),
-            value=tradeoff_point.objective_value,
-            efficient=tradeoff_point.is_efficient,
+            station_count=len(tradeoff_point.survey.station_positions),
+            objective_value=tradeoff_point.objective_value,
+            is_efficient=tradeoff_point.is_efficient,
             layout=PlannedStationEntry.from_survey(tradeoff_point.survey),
             **cls._procedure_fields(tradeoff_point.survey, tradeoff_point.qualities),
         )
@@ -287,32 +287,36 @@ class TradeoffEntry(ProcedureEntry):
     @property
     def point_error_um(self) -> float | None:
         """Weighted point error [um] if the goal is the error of the targets alone; None for another goal."""
-        return None if self.value is None or set(self.quality) != {TARGETS_QUALITY_NAME} else self.value / MICROMETRE
+        return (
+            None
+            if self.objective_value is None or set(self.qualities) != {TARGETS_QUALITY_NAME}
+            else self.objective_value / MICROMETRE
+        )
 
 
 class LossCheckEntry(Entry):
     """Result of a check of the tolerances after the loss of a station or a sight."""
 
-    lost: str
+    lost_station_or_sight: str
     """Name of the lost station, or description of the lost sight."""
-    met: bool
+    tolerances_met: bool
     """True if all tolerances are met after the loss."""
-    ratio: OptionalFloat = None
+    max_tolerance_ratio: OptionalFloat = None
     """Largest ratio of point error to tolerance; null if a point is undetermined."""
-    worst: str = ""
+    worst_point: str = ""
     """Name of the point with the largest ratio of error to tolerance."""
-    unseen: tuple[str, ...] = ()
+    unseen_points: tuple[str, ...] = ()
     """Points with a tolerance that no station sees after the loss."""
 
     @classmethod
     def from_check(cls, check: ToleranceCheck) -> Self:
         """Entry of the check of a layout after a loss."""
         return cls(
-            lost=check.lost_text,
-            met=check.meets_all,
-            ratio=check.max_ratio,
-            worst=check.worst_point_name,
-            unseen=check.unseen_points,
+            lost_station_or_sight=check.loss_text,
+            tolerances_met=check.meets_all,
+            max_tolerance_ratio=check.max_ratio,
+            worst_point=check.worst_point_name,
+            unseen_points=check.unseen_points,
         )
 
     @property
@@ -321,9 +325,9 @@ class LossCheckEntry(Entry):
 
         The text is "not determined" for undetermined points.
         """
-        if self.ratio is not None:
-            return percent_text(self.ratio)
-        return "" if self.unseen else "not determined"
+        if self.max_tolerance_ratio is not None:
+            return percent_text(self.max_tolerance_ratio)
+        return "" if self.unseen_points else "not determined"
 
 
 class DetectableSize(Entry):
@@ -338,16 +342,16 @@ class DetectableSize(Entry):
     """Name of the parameter of the effect to which the sizes refer."""
     unit: str = ""
     """Unit of the sizes."""
-    best: OptionalFloat = None
+    smallest_size: OptionalFloat = None
     """Smallest of the minimal detectable sizes over stations, targets or shapes."""
-    typical: OptionalFloat = None
+    median_size: OptionalFloat = None
     """Median of the minimal detectable sizes over stations, targets or shapes."""
-    worst: OptionalFloat = None
+    largest_size: OptionalFloat = None
     """Largest of the minimal detectable sizes over stations, targets or shapes."""
-    worst_at: str = ""
-    """Station, target or shape of the effect with the largest minimal detectable size."""
-    plausible: Finite = 0.0
-    """Large but plausible size of the effect."""
+    largest_size_at: str = ""
+    """Station, target or shape constants of the effect for which the minimal detectable size is largest."""
+    plausible_size: Finite = 0.0
+    """Size of the effect in a bad but plausible instrument or hall."""
     visible_fraction: OptionalFloat = None
     """Median, over stations, targets or shapes, of the fraction of the effect's change of the readings that remains in
     the residuals."""
@@ -360,11 +364,11 @@ class DetectableSize(Entry):
             effect=row.effect,
             parameter=row.parameter,
             unit=row.unit,
-            best=row.best_size / factor,
-            typical=row.median_size / factor,
-            worst=row.worst_size / factor,
-            worst_at=row.worst_variant,
-            plausible=row.plausible_size / factor,
+            smallest_size=row.best_size / factor,
+            median_size=row.median_size / factor,
+            largest_size=row.worst_size / factor,
+            largest_size_at=row.worst_variant,
+            plausible_size=row.plausible_size / factor,
             visible_fraction=row.visible_fraction,
         )
 
@@ -374,13 +378,13 @@ class ConfusablePair(Entry):
 
     effect: str
     """Identifier of the first effect in the catalogue."""
-    taken_for: str
+    other_effect: str
     """Identifier of the second effect, for which the first one may be taken."""
-    share: Finite
+    explained_fraction: Finite
     """Fraction of the first effect's change of the residuals that the second effect explains; 1 for all of it."""
 
     @classmethod
     def from_pair(cls, pair: tuple[str, str, float]) -> Self:
         """Entry of a `pair`: identifiers of two effects, and the fraction of the first that the second explains."""
-        effect, taken_for, share = pair
-        return cls(effect=effect, taken_for=taken_for, share=share)
+        effect, other_effect, explained_fraction = pair
+        return cls(effect=effect, other_effect=other_effect, explained_fraction=explained_fraction)

@@ -11,7 +11,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.loading import require_small_grid
 from ltsim.planning.multistart_search import (
-    LayoutsByCount,
+    LayoutsByStationsAndFaces,
     PlanningProblem,
     SearchTask,
     run_searches,
@@ -42,13 +42,13 @@ SEARCH_PROGRESS_FRACTION = 0.8
 """Fraction of the progress bar for the search; the rest is for checks of tolerances and changes of reflectors."""
 MIN_STATIONS = 2
 """Smallest number of stations of a network."""
-MAX_USEFUL_ERROR_RATIO = 0.95
+MAX_ERROR_RATIO_OF_USEFUL_STATION = 0.95
 """Largest ratio at which an additional station counts as useful: largest error with the station divided by that without
 it (an error is a point error divided by its tolerance). If the last two stations together reduce the error by less than
 the square of this ratio, the search ends."""
 UNDETERMINED_LAYOUT_MESSAGE = (
     "no layout of the search determines all poses and points; let stations share more points "
-    "(stations.min_stations_per_target = 2), or give more stations or more search.starts"
+    "(stations.min_stations_per_target = 2), or increase the number of stations or search.starts"
 )
 """Error message for a search without a layout that determines all poses and points."""
 STOPPED_MESSAGE = "the search was stopped before it found a layout; let it run longer"
@@ -102,7 +102,7 @@ class _PlanSearch:
     problem: PlanningProblem
     jobs: int
     callbacks: SearchCallbacks
-    layouts: LayoutsByCount = field(default_factory=dict)
+    layouts: LayoutsByStationsAndFaces = field(default_factory=dict)
     station_count_results: list[StationCountResult] = field(default_factory=list)
     is_stopped: bool = False
 
@@ -116,7 +116,9 @@ class _PlanSearch:
         """Numbers of faces, and numbers of rounds, of the measuring procedures among which the plan chooses."""
         return candidate_procedures(self.plan_file, self.problem.scenario)
 
-    def _run_searches(self, tasks: Sequence[SearchTask], report_progress: Callable[[float], float]) -> LayoutsByCount:
+    def _run_searches(
+        self, tasks: Sequence[SearchTask], report_progress: Callable[[float], float]
+    ) -> LayoutsByStationsAndFaces:
         """Layouts of the searches `tasks`, which are also stored; the callbacks receive the best layout so far.
 
         `report_progress` converts the finished fraction of these tasks to that of the whole planning.
@@ -124,14 +126,14 @@ class _PlanSearch:
         goal = self.plan_file.goal
 
         def report_layout(survey: PlannedSurvey, objective_value: float) -> None:
-            is_point_error = goal.targets > 0 and goal.instrument == goal.diagnosis == 0
+            is_point_error = goal.targets_weight > 0 and goal.instrument_weight == goal.diagnosis_weight == 0
             quality_text = (
                 f"weighted point error {objective_value / MICROMETRE:.1f} um"
                 if is_point_error
                 else f"quality {objective_value:.4g}"
             )
             quality_text += (
-                " without the common errors of the air" if survey.air is not None and goal.targets > 0 else ""
+                " without the common errors of the air" if survey.air is not None and goal.targets_weight > 0 else ""
             )
             self.callbacks.on_progress_sentence(
                 f"best layout so far: {len(survey.station_positions)} stations, {quality_text}"
@@ -171,14 +173,14 @@ class _PlanSearch:
         options = self.tradeoff_points(self.layouts)
         if not options:
             raise SetupError(STOPPED_MESSAGE)
-        hours = file.budget.hours
+        hours = file.budget.max_hours
         if hours is None:
             return min(options, key=lambda o: (len(o.survey.station_positions) != count, o.objective_value))
         paid = [o for o in options if o.hours <= hours]
         if not paid:
             cheapest = min(o.hours for o in options)
             raise SetupError(
-                f"budget.hours is {hours:g} h, but the fastest procedure takes {cheapest:.1f} h: increase budget.hours"
+                f"budget.max_hours is {hours:g} h, but the fastest procedure takes {cheapest:.1f} h: increase it"
             )
         return min(paid, key=lambda o: o.objective_value)
 
@@ -195,7 +197,9 @@ class _PlanSearch:
         file, faces = self.plan_file, self.face_and_round_choices[0]
         min_stations = file.stations.min_stations_per_target
         min_count = max(
-            MIN_STATIONS if alone else 3, len(file.stations.fixed), 1 if min_stations == "all" else min_stations
+            MIN_STATIONS if alone else 3,
+            len(file.stations.fixed_stations),
+            1 if min_stations == "all" else min_stations,
         )
         station_counts = range(min_count, max(min_count, file.stations.max_count) + 1)
         placement = placement_seeing_all_points(
@@ -215,7 +219,7 @@ class _PlanSearch:
             options = self.tradeoff_points(
                 {key: self._layout_with_smallest_error_ratio(layouts, demands) for key, layouts in made.items()}
             )
-            paid = [o for o in options if o.hours <= (file.budget.hours or np.inf)]
+            paid = [o for o in options if o.hours <= (file.budget.max_hours or np.inf)]
             results = [
                 (*feasibility_and_error_ratio(option.survey, demands, self.problem.construction), option)
                 for option in paid
@@ -257,23 +261,27 @@ class _PlanSearch:
             outcome.max_error_ratio if outcome.max_error_ratio is not None else np.inf
             for outcome in self.station_count_results
         ]
-        return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > MAX_USEFUL_ERROR_RATIO**2 * ratios[-3]
+        return (
+            len(ratios) > 2
+            and np.isfinite(ratios[-3])
+            and ratios[-1] > MAX_ERROR_RATIO_OF_USEFUL_STATION**2 * ratios[-3]
+        )
 
     def _no_layout_message(self, station_counts: range) -> str:
         """Error message for a search that found no layout with these numbers of stations."""
-        hours = self.plan_file.budget.hours
+        hours = self.plan_file.budget.max_hours
         if self.is_stopped:
             return STOPPED_MESSAGE
         if hours and any(outcome.has_layout for outcome in self.station_count_results):
             range_text = f"{station_counts[0]} to {station_counts[-1]}"
-            return f"no layout of {range_text} stations takes at most {hours:g} h; give more budget.hours"
+            return f"no layout of {range_text} stations takes at most {hours:g} h; increase budget.max_hours"
         try:
             search_from_start(self.problem, SearchTask(station_counts[-1], self.face_and_round_choices[0][-1], 0))
         except (SetupError, NetworkError) as problem:
-            return f"{problem}, or give more stations.max_count"
-        return "the search found no layout; enlarge the floor or give more stations.max_count"
+            return f"{problem}, or increase stations.max_count"
+        return "the search found no layout; enlarge the floor or increase stations.max_count"
 
-    def tradeoff_points(self, layouts: LayoutsByCount) -> tuple[TradeoffPoint, ...]:
+    def tradeoff_points(self, layouts: LayoutsByStationsAndFaces) -> tuple[TradeoffPoint, ...]:
         """Best layout for each number of stations, faces and rounds, in ascending order of duration."""
         points = []
         for starts in layouts.values():
@@ -296,9 +304,9 @@ class _PlanSearch:
 
 
 def _never_visible_text(search_space: SearchSpace, placement: StationPlacement) -> str:
-    """Names of the points that lack sights in `placement`, the best one on the grid; empty if no point lacks any.
+    """Names of the points that lack sights even in the best placement of stations on the grid; empty for none.
 
-    The text is empty, too, if the present layout of `search_space` is feasible.
+    It is also empty if the present layout of `search_space` is feasible.
     """
     position = search_space.survey.station_positions
     if search_space.is_feasible(position[None], search_space.is_visible(position)[None])[0]:
@@ -332,15 +340,15 @@ def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanF
     value.
     """
     settings, count = file.search, len(search_space.survey.station_positions)
-    step = grid_step(search_space.allowed_areas, settings.grid_mm)
-    reachable, limiting = max_stations_seeing_every_target(search_space, step, settings.heights)
+    step = grid_step(search_space.allowed_areas, settings.grid_step_mm)
+    reachable, limiting = max_stations_seeing_every_target(search_space, step, settings.height_count)
     if reachable >= search_space.min_sights:
         return file
 
     def layout_error(min_sights: int) -> SetupError | None:
         """Error of the search for an initial layout with `min_sights` stations per target; None if one is found."""
         searcher = LayoutSearcher(
-            search_space.replace(min_sights=min_sights), grid_step=step, n_yaws=1, n_heights=settings.heights
+            search_space.replace(min_sights=min_sights), grid_step=step, n_yaws=1, n_heights=settings.height_count
         )
         try:
             searcher.random_layout(random_stream(settings.seed, "plan", "sights"))
@@ -357,7 +365,7 @@ def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanF
         return file
     if not reachable:
         raise problem
-    cure = "remove a station from stations.fixed" if len(search_space.fixed_stations) else "enlarge the floor"
+    cure = "remove a station from stations.fixed_stations" if len(search_space.fixed_stations) else "enlarge the floor"
     raise SetupError(
         f"stations.min_stations_per_target requires {search_space.min_sights} of {count} stations to see every "
         f"reflector, but at most {reachable} can, and {limiting} is visible from the fewest positions: set "
@@ -368,7 +376,7 @@ def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanF
 def placement_seeing_all_points(search_space: SearchSpace, file: PlanFile) -> StationPlacement:
     """Candidate positions of stations on the grid; raises SetupError, which names points that no position sees."""
     placement = search_space.candidate_placement(
-        grid_step(search_space.allowed_areas, file.search.grid_mm), file.search.heights
+        grid_step(search_space.allowed_areas, file.search.grid_step_mm), file.search.height_count
     )
     if not placement.is_visible.any(axis=0).all():
         raise SetupError(search_space.invisible_targets_sentence(np.flatnonzero(~placement.is_visible.any(axis=0))))

@@ -190,7 +190,7 @@ def evaluate_layout(
 
 
 def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visibility:
-    """Visibility between stations and targets of a survey; fixed nests of free direction are aimed at the stations."""
+    """Visibility between stations and targets; fixed nests without a declared normal are aimed at the stations."""
     normal, aimed = (
         best_nest_normals(survey.station_positions, survey.target_points)[0],
         _is_aimed(search_space, survey),
@@ -206,7 +206,7 @@ def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visib
 
 
 def _is_aimed(search_space: SearchSpace, survey: PlannedSurvey) -> Bools:
-    """Flags (T,) of the targets, among T, in fixed nests of free direction, which are aimed at the stations."""
+    """Flags (T,): True for a target in a fixed nest without a declared normal, which is aimed at the stations."""
     aimed = np.full(len(survey.target_points), bool(search_space.is_aimed_nest.any()))
     aimed[: len(search_space.is_aimed_nest)] = search_space.is_aimed_nest[: len(survey.target_points)]
     return aimed

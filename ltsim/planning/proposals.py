@@ -31,13 +31,13 @@ class MeasurementProposalEntry(Entry):
     most_improved_sigma_fraction: Finite = 1.0
     """Ratio of the standard deviation of `most_improved_parameter` after the measurement to that before; below 1 is
     better."""
-    evidence: dict[str, Finite] = Field(default_factory=dict)
-    """Expected chi-square difference, after the measurement, between the first effect in `between` of the result and
-    each other effect there, by name of the latter."""
-    distinguishes: tuple[str, ...] = ()
-    """Effects that the measurement would distinguish from the first effect in `between` of the result."""
-    distinguishes_all: bool = False
-    """True if the measurement would distinguish all other effects in `between` of the result from the first one."""
+    chi2_differences: dict[str, Finite] = Field(default_factory=dict)
+    """Expected difference of chi-square, after the measurement, between each other of the `compared_effects` of the
+    result and the first one, by name of the former."""
+    separated_effects: tuple[str, ...] = ()
+    """Effects that the measurement would separate from the first of the `compared_effects` of the result."""
+    separates_all_effects: bool = False
+    """True if the measurement would separate all other `compared_effects` of the result from the first one."""
     position_mm: Vector | None = None
     """Position of the head at a new set-up, workshop frame; null for other measurements."""
     yaw_deg: OptionalFloat = None
@@ -54,9 +54,9 @@ class MeasurementProposalEntry(Entry):
             remaining_sigma_fraction=p.remaining_sigma_fraction,
             most_improved_parameter=p.most_improved_parameter,
             most_improved_sigma_fraction=p.most_improved_sigma_fraction,
-            evidence=p.expected_chi2_differences,
-            distinguishes=p.distinguished_explanations,
-            distinguishes_all=p.distinguishes_all,
+            chi2_differences=p.expected_chi2_differences,
+            separated_effects=p.distinguished_explanations,
+            separates_all_effects=p.distinguishes_all,
             position_mm=to_millimetres(there[0]) if there else None,
             yaw_deg=to_degrees(there[1]) if there else None,
         )
@@ -68,13 +68,14 @@ PROPOSALS_TABLE = Table(
     columns_of(
         MeasurementProposalEntry,
         "kind minutes remaining_sigma_fraction most_improved_parameter most_improved_sigma_fraction "
-        "distinguishes distinguishes_all action",
+        "separated_effects separates_all_effects "
+        "action",
         minutes={"title": "time", "unit": "min", "display_format": ".0f"},
         remaining_sigma_fraction={"title": "factor on sigmas", "display_format": ".2f"},
         most_improved_parameter={"title": "most for"},
         most_improved_sigma_fraction={"title": "factor for it", "display_format": ".2f"},
-        distinguishes={"kind": "text"},
-        distinguishes_all={"kind": "text"},
+        separated_effects={"kind": "text"},
+        separates_all_effects={"kind": "text"},
         action={"title": "measurement"},
     ),
 )
@@ -97,11 +98,11 @@ class NextMeasurement(ResultFile):
     """Format and version of this file."""
     diagnosis: str = ""
     """Result of the diagnosis that preceded the ranking, as a sentence; empty without a diagnosis."""
-    between: tuple[str, ...] = ()
-    """Effects that each explain the recording, and between which the measurement should decide."""
-    evidence_now: dict[str, Finite] = Field(default_factory=dict)
-    """Chi-square difference in the present recording between the first effect in `between` and each other effect there,
-    by name of the latter."""
+    compared_effects: tuple[str, ...] = ()
+    """Effects that each explain the recording, and that the measurement should separate."""
+    present_chi2_differences: dict[str, Finite] = Field(default_factory=dict)
+    """Difference of chi-square, in the present recording, between each other of the `compared_effects` and the first
+    one, by name of the former."""
     advice: str = ""
     """Action that the user should take first, as a sentence."""
     site: str = ""
@@ -115,8 +116,8 @@ class NextMeasurement(ResultFile):
         """Result from a ranking of proposals for the recording `source`, with stations checked on the plan `site`."""
         return cls(
             recording=source,
-            between=ranking.compared_explanations,
-            evidence_now=ranking.present_chi2_differences,
+            compared_effects=ranking.compared_explanations,
+            present_chi2_differences=ranking.present_chi2_differences,
             advice=ranking.advice_sentence,
             site=site,
             proposals=_best_yaw_per_position(
@@ -125,7 +126,8 @@ class NextMeasurement(ResultFile):
         )
 
     def _lines(self) -> list[str]:
-        question = f" between {list_text([effect_title(name) for name in self.between])}" if self.between else ""
+        titles = [effect_title(name) for name in self.compared_effects]
+        question = f" between {list_text(titles)}" if titles else ""
         return [f"Next measurement{question} (best of {len(self.proposals)} proposals): {self.proposals[0].action}"]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
@@ -133,12 +135,12 @@ class NextMeasurement(ResultFile):
 
     def _proposals_table(self) -> Table:
         return PROPOSALS_TABLE.with_rows(
-            {**vars(p), "distinguishes": " ".join(p.distinguishes)} for p in self.proposals
+            {**vars(p), "separated_effects": " ".join(p.separated_effects)} for p in self.proposals
         )
 
     def _evidence_table(self) -> Table:
         """Table of chi-square differences between the first effect and each other one: at present, after proposals."""
-        rivals = self.between[1:]
+        rivals = self.compared_effects[1:]
         against = tuple(
             Column(f"chi2_against_{name}", "expected difference of chi-square", n_digits=3) for name in rivals
         )
@@ -147,10 +149,14 @@ class NextMeasurement(ResultFile):
             *against,
             *text_columns(decides="yes if it separates all of them"),
         )
-        table_rows = [["current recording", *(self.evidence_now.get(name, 0.0) for name in rivals), ""]]
+        table_rows = [["current recording", *(self.present_chi2_differences.get(name, 0.0) for name in rivals), ""]]
         table_rows += [
-            [p.action, *(p.evidence.get(name, 0.0) for name in rivals), "yes" if p.distinguishes_all else "no"]
+            [
+                p.action,
+                *(p.chi2_differences.get(name, 0.0) for name in rivals),
+                "yes" if p.separates_all_effects else "no",
+            ]
             for p in self.proposals
-            if p.evidence
+            if p.chi2_differences
         ]
         return Table("separation.csv", "separation of the explanations", columns).with_rows(table_rows)

@@ -15,6 +15,7 @@ from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import (
     DIAGNOSIS_QUALITY_NAME,
     INSTRUMENT_QUALITY_NAME,
+    QUALITY_PHRASES,
     TARGETS_QUALITY_NAME,
     LayoutObjective,
 )
@@ -182,8 +183,7 @@ def _reference_sentences(plan: PlannedNetwork) -> list[str]:
         factor = reference.qualities[name] / chosen.qualities[name]
         sentences.append(
             f"Compared with the scenario's layout of {len(reference.survey.station_positions)} stations, "
-            "measured in the same "
-            f"way, the quality of {name} is {max(factor, 1 / factor):.2f} times "
+            f"measured in the same way, {QUALITY_PHRASES[name]} is {max(factor, 1 / factor):.2f} times "
             f"{'better' if factor >= 1 else 'worse'} ({_quality_value_text(name, reference.qualities[name])} there)."
         )
     sentences += _parameter_sentences(reference, chosen)
@@ -215,8 +215,16 @@ def _parameter_sentences(reference: LayoutEvaluation, evaluation: LayoutEvaluati
     words = [(b.sigma / a.sigma, f"{a.name} {b.sigma:.3g} to {a.sigma:.3g} {a.unit}") for b, a in entry_pairs]
     gained = [text for ratio, text in words[:4] if ratio > 1.05]
     worse_texts = [text for ratio, text in words[::-1][:3] if ratio < 0.95]
-    sentences = [f"Parameters whose sigma falls most: {'; '.join(gained)}."] if gained else []
-    return sentences + ([f"Parameters whose sigma rises: {'; '.join(worse_texts)}."] if worse_texts else [])
+    sentences = (
+        [f"Parameters whose sigma is reduced most, relative to the scenario's layout: {'; '.join(gained)}."]
+        if gained
+        else []
+    )
+    return sentences + (
+        [f"Parameters whose sigma increases, relative to the scenario's layout: {'; '.join(worse_texts)}."]
+        if worse_texts
+        else []
+    )
 
 
 def _station_contribution_sentences(plan: PlannedNetwork) -> list[str]:
@@ -380,11 +388,11 @@ def _search_sentences(plan: PlannedNetwork) -> list[str]:
         return []
     n_searches_near_best = sum(value < 1.02 * plan.start_objectives[0] for value in plan.start_objectives)
     return [
-        f"{n_searches_near_best} of {n_searches} independent searches ended within 2 % of the best value, the worst at "
-        f"{plan.start_objectives[-1] / plan.start_objectives[0]:.2f} times it; "
+        f"{n_searches_near_best} of {n_searches} independent searches ended within 2 % of the best objective, the "
+        f"worst at {plan.start_objectives[-1] / plan.start_objectives[0]:.2f} times it; "
         + (
             "a much better layout is unlikely."
             if n_searches_near_best > 1
-            else "more search.starts may find a better layout."
+            else "a larger search.starts may give a better layout."
         )
     ]

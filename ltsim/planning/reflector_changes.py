@@ -33,18 +33,18 @@ class PlanChange(Entry):
 
     kind: Literal["move", "add", "remove"]
     """Type of the change."""
-    words: str = ""
+    sentence: str = ""
     """Sentence on the change and its benefit."""
     reflector: str = ""
     """Name of the reflector that is moved or removed; empty for an addition."""
-    place: str = ""
+    new_place: str = ""
     """Name of the new position of the reflector; empty for a removal."""
     position_mm: Vector | None = None
     """Coordinates of the new position in the hall frame; null for a removal."""
-    gain_um: Finite
+    target_rms_decrease_um: Finite
     """Decrease by the change of the weighted root mean square point error of all reflectors except the changed one
     (inner constraints); negative for an increase."""
-    quality: Finite
+    objective_ratio: Finite
     """Objective after the change divided by that of the plan; if only targets have a weight in the goal, the point
     error of all other targets after the change divided by that before. Below 1 is better."""
     most_affected_parameter: str = ""
@@ -58,7 +58,7 @@ class PlanChange(Entry):
         """Text of the change, such as "move P3 to N1 (1.00, 2.00, 0.50) m"."""
         if self.position_mm is None:
             return f"leave out {self.reflector}"
-        place = f"{self.place} ({', '.join(f'{v / 1000:.2f}' for v in self.position_mm)}) m"
+        place = f"{self.new_place} ({', '.join(f'{v / 1000:.2f}' for v in self.position_mm)}) m"
         return f"move {self.reflector} to {place}" if self.reflector else f"add a reflector at {place}"
 
 
@@ -94,8 +94,8 @@ class ReflectorChanges:
         """Sentence on the numbers of evaluated and of useful moves and additions."""
         if not self.n_tried["move"] + self.n_tried["add"]:
             return (
-                "No other place for a reflector was tested. Give candidate places as reflectors.on, reflectors.places "
-                "or reflectors.surfaces, and name the points of a list that could be moved as reflectors.movable."
+                "No other place for a reflector was tested. Give candidate places in reflectors.candidate_bodies, "
+                "reflectors.places or reflectors.surfaces, and in reflectors.movable_points the points that may move."
             )
         return (
             f"Tested one at a time: {self.n_tried['move']} moves of a reflector ({self.n_useful['move']} help), "
@@ -128,14 +128,14 @@ class _ChangeEvaluator:
     """Evaluation of changes of single reflectors of a layout whose reflectors are at their present positions."""
 
     def __init__(self, movable_reflectors: MovableReflectors, objective: LayoutObjective, spacing: float) -> None:
-        self.movable_reflectors, self.normal_matrix_table, self.objective = (
+        self.movable_reflectors, self.normal_matrix_terms, self.objective = (
             movable_reflectors,
-            movable_reflectors.normal_matrix_table,
+            movable_reflectors.normal_matrix_terms,
             objective,
         )
         self.present_place_indices = np.arange(movable_reflectors.n_present_places)
-        self.present_normal_matrix = self.normal_matrix_table.normal_matrix(self.present_place_indices)
-        self.present_objective = self.normal_matrix_table.objective_values(
+        self.present_normal_matrix = self.normal_matrix_terms.normal_matrix(self.present_place_indices)
+        self.present_objective = self.normal_matrix_terms.objective_values(
             self.present_normal_matrix[None], self.present_place_indices[None], objective
         )[0]
         self.present_sigmas = self._parameter_sigmas(self.present_normal_matrix)
@@ -157,10 +157,10 @@ class _ChangeEvaluator:
         `other_places`.
         """
         if self._has_target_goal_only:
-            rms = self.normal_matrix_table.weighted_target_rms
+            rms = self.normal_matrix_terms.weighted_target_rms
             return rms(normal_matrices, other_places) / rms(self.present_normal_matrix[None], other_places)
         return (
-            self.normal_matrix_table.objective_values(normal_matrices, occupied_places, self.objective)
+            self.normal_matrix_terms.objective_values(normal_matrices, occupied_places, self.objective)
             / self.present_objective
         )
 
@@ -169,8 +169,8 @@ class _ChangeEvaluator:
 
         The K unknowns of the normal matrix are poses, gauge targets and parameters.
         """
-        n_parameters = self.normal_matrix_table.scorer.construction.n_parameters
-        information = self.normal_matrix_table.information(normal_matrix[None])[0, :n_parameters, :n_parameters]
+        n_parameters = self.normal_matrix_terms.scorer.construction.n_parameters
+        information = self.normal_matrix_terms.information(normal_matrix[None])[0, :n_parameters, :n_parameters]
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
     def _free_places(self, used_places: Ints) -> Ints:
@@ -181,7 +181,7 @@ class _ChangeEvaluator:
 
     def evaluate_all(self) -> ReflectorChanges:
         """Results of all moves, additions and removals of one reflector, with all other reflectors unchanged."""
-        terms, chosen = self.normal_matrix_table.place_normal_matrices, self.present_place_indices
+        terms, chosen = self.normal_matrix_terms.place_normal_matrices, self.present_place_indices
         candidates: dict[ChangeKind, list[ChangeResult]] = {what: [] for what in CHANGE_KINDS}
         tried, helped = dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0)
 
@@ -226,39 +226,40 @@ class _ChangeEvaluator:
         present_indices = self.present_place_indices
         remaining_places = present_indices if removed_index is None else np.delete(present_indices, removed_index)
         matrices = np.stack([self.present_normal_matrix, normal_matrix])
-        before, after = self.normal_matrix_table.weighted_target_rms(matrices, remaining_places)
+        before, after = self.normal_matrix_terms.weighted_target_rms(matrices, remaining_places)
         if self._has_target_goal_only:
-            now = self.normal_matrix_table.point_error_by_name(self.present_normal_matrix, remaining_places)
+            now = self.normal_matrix_terms.point_error_by_name(self.present_normal_matrix, remaining_places)
             ratios = {
                 name: s / now[name]
-                for name, s in self.normal_matrix_table.point_error_by_name(normal_matrix, remaining_places).items()
+                for name, s in self.normal_matrix_terms.point_error_by_name(normal_matrix, remaining_places).items()
             }
         else:
             ratio = self._parameter_sigmas(normal_matrix) / self.present_sigmas
             ratios = dict(
-                zip(self.normal_matrix_table.scorer.construction.parameter_names, ratio.tolist(), strict=True)
+                zip(self.normal_matrix_terms.scorer.construction.parameter_names, ratio.tolist(), strict=True)
             )
         affected_parameter = (min if kind != "remove" else max)(ratios, key=lambda name: ratios[name])
         names, places = self.movable_reflectors.place_names, self.movable_reflectors.places
         change = PlanChange(
             kind=kind,
             reflector="" if removed_index is None else names[removed_index],
-            place="" if place_index is None else names[place_index],
+            new_place="" if place_index is None else names[place_index],
             position_mm=None if place_index is None else to_millimetres(places[place_index]),
-            gain_um=float(before - after) / MICROMETRE,
-            quality=value,
+            target_rms_decrease_um=float(before - after) / MICROMETRE,
+            objective_ratio=value,
             most_affected_parameter=affected_parameter,
             most_affected_ratio=float(ratios[affected_parameter]),
         )
-        return change.model_copy(update={"words": _change_sentence(change)})
+        return change.model_copy(update={"sentence": _change_sentence(change)})
 
 
 def _change_sentence(change: PlanChange) -> str:
     """Sentence on a change and its benefit, without a full stop."""
-    if abs(1 - change.quality) < MAX_NEGLIGIBLE_CHANGE:
+    if abs(1 - change.objective_ratio) < MAX_NEGLIGIBLE_CHANGE:
         return f"{change.action_text}: makes no difference"
-    better = f"{100 * abs(1 - change.quality):.1f} % {'better' if change.quality <= 1 else 'worse'}"
-    other = f"{abs(change.gain_um):.2f} um {'less' if change.gain_um >= 0 else 'more'} error of the other points"
+    better = f"{100 * abs(1 - change.objective_ratio):.1f} % {'better' if change.objective_ratio <= 1 else 'worse'}"
+    decrease = change.target_rms_decrease_um
+    other = f"{abs(decrease):.2f} um {'less' if decrease >= 0 else 'more'} error of the other points"
     sigma = 100 * (change.most_affected_ratio - 1)
     phrase = "hardest on" if change.kind == "remove" else "most for"
     parameter = change.most_affected_parameter

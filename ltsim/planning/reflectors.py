@@ -112,13 +112,13 @@ class NormalMatrixTerms:
         `normal_matrix` (K, K) is that of the layout, for K unknowns.
         """
         at, scorer = self._block_indices(1, place_indices), self.scorer
-        variance = scorer.target_variance(
+        variance = scorer.squared_point_errors(
             normal_matrix[None],
             self.target_block_inverses[at],
             self.elimination_coefficients[at],
             scorer.mesh_targets[at],
         )[0]
-        names = [scorer.survey.target_names[t] for t in scorer.requested_targets(scorer.mesh_targets[at])[0]]
+        names = [scorer.survey.target_names[t] for t in scorer.target_and_gauge_indices(scorer.mesh_targets[at])[0]]
         return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
 
     def _block_indices(self, n_layouts: int, place_indices: Ints) -> Ints:
@@ -169,8 +169,8 @@ class MovableReflectors:
     n_present_places: int
     """Number of places where there is a movable reflector at present."""
     is_visible: Bools
-    """Flags (S, k + P) of the k fixed targets, followed by the P places, that each of S stations sees."""
-    normal_matrix_table: NormalMatrixTerms
+    """Flags (S, k + P): True where one of S stations sees one of k fixed targets, followed by P places."""
+    normal_matrix_terms: NormalMatrixTerms
 
     @classmethod
     def from_search_space(
@@ -240,7 +240,7 @@ def choose_reflectors(
     start = _initial_places(
         places, np.arange(len(places)) < choice.n_present_places, wanted, search_space.min_reflector_spacing
     )
-    chosen = _exchange_places(choice.normal_matrix_table, objective, places, start, search_space.min_reflector_spacing)
+    chosen = _exchange_places(choice.normal_matrix_terms, objective, places, start, search_space.min_reflector_spacing)
     columns = np.r_[0 : is_fixed.sum(), is_fixed.sum() + chosen]
     return with_reflectors_at_places(
         survey, is_fixed, places[chosen], tuple(choice.place_names[i] for i in chosen), choice.is_visible[:, columns]
@@ -248,7 +248,7 @@ def choose_reflectors(
 
 
 def _is_usable_place(search_space: SearchSpace, survey: PlannedSurvey, places: Floats) -> Bools:
-    """Flags (P,) of those of P places that enough stations see and at which a fixed nest can face all of them."""
+    """Flags (P,): True for a place that enough stations see and where a fixed nest can face all these stations."""
     is_usable: Bools = search_space.is_visible(survey.station_positions, places).sum(axis=0) >= min(
         search_space.min_sights, len(survey.station_positions)
     )
@@ -258,7 +258,7 @@ def _is_usable_place(search_space: SearchSpace, survey: PlannedSurvey, places: F
 
 
 def _is_near_point(points: Floats, places: Floats, distance: float) -> Bools:
-    """Flags (P,) of those of P `places` (P, 3) [m] within `distance` [m] of any of k `points` (k, 3) [m]."""
+    """Flags (P,): True for each of P `places` (P, 3) [m] within `distance` [m] of any of k `points` (k, 3) [m]."""
     gap = np.linalg.norm(places[:, None] - points[None], axis=2)
     return np.asarray((gap < distance).any(axis=1))
 

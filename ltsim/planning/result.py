@@ -54,11 +54,11 @@ class Plan(ResultFile, PlannedLayoutEntry):
     """Reasons for the layout, its limits and alternatives, a sentence each."""
     frame: str = ""
     """Description of the coordinate system of all coordinates."""
-    reference: PlannedLayoutEntry | None = None
+    reference_layout: PlannedLayoutEntry | None = None
     """Layout of the scenario with its expected precision, for comparison."""
     fewest_stations: TradeoffEntry | None = None
     """Measuring procedure with the fewest stations whose best layout is as good as that of the scenario."""
-    tradeoff: tuple[TradeoffEntry, ...] = ()
+    tradeoff_points: tuple[TradeoffEntry, ...] = ()
     """All measuring procedures that were evaluated, in ascending order of duration."""
     start_objectives: tuple[OptionalFloat, ...] = ()
     """Final value of the objective of each independent search, the best first; smaller is better."""
@@ -66,23 +66,23 @@ class Plan(ResultFile, PlannedLayoutEntry):
     """Useful moves of a single reflector and useful additional reflectors, the best first, then removals."""
     changes_summary: str = ""
     """Sentence with the numbers of evaluated and of useful changes of single reflectors."""
-    bodies: tuple[str, ...] = ()
-    """Obstacles in the hall, one sentence each: type of the CAD file, size and position."""
-    reached: bool | None = None
+    obstacle_sentences: tuple[str, ...] = ()
+    """Sentence on each obstacle in the hall: type of the CAD file, size and position."""
+    goal_reached: bool | None = None
     """True if the goal is reached: no rule is broken and all tolerances are met, after any single loss if required;
     null without tolerances.
     """
     tolerances_met: bool | None = None
     """True if all points meet their tolerances while no station and no sight is lost; null without tolerances."""
-    losses: tuple[LossCheckEntry, ...] = ()
+    loss_checks: tuple[LossCheckEntry, ...] = ()
     """Check of the tolerances after the loss of each station, and of each sight of a point with a tolerance."""
     settings: PlanFile = PlanFile()
     """Content of the plan file."""
     seed: int | None = None
     """Seed of the random draws of the search."""
-    detectable: tuple[DetectableSize, ...] = ()
+    detectable_sizes: tuple[DetectableSize, ...] = ()
     """Minimal detectable sizes of effects."""
-    confusable: tuple[ConfusablePair, ...] = ()
+    confusable_effects: tuple[ConfusablePair, ...] = ()
     """Pairs of effects that the layout hardly distinguishes."""
     undetectable_effects: tuple[str, ...] = ()
     """Effects that change no residual, so that a diagnosis cannot detect them."""
@@ -105,22 +105,22 @@ class Plan(ResultFile, PlannedLayoutEntry):
             summary=sentences[0],
             reasons=tuple(sentences[1:]),
             frame=FRAME_TEXT,
-            reference=None
+            reference_layout=None
             if network.reference_evaluation is None
             else PlannedLayoutEntry.from_evaluation(network.reference_evaluation),
             fewest_stations=None if few is None else TradeoffEntry.from_tradeoff_point(few),
-            tradeoff=tuple(TradeoffEntry.from_tradeoff_point(option) for option in network.tradeoff_points),
+            tradeoff_points=tuple(TradeoffEntry.from_tradeoff_point(option) for option in network.tradeoff_points),
             reflector_changes=network.reflector_changes.reported_changes,
             changes_summary=network.reflector_changes.summary_sentence,
             start_objectives=network.start_objectives,
-            bodies=tuple(body.description for body in placed_obstacles(network.scenario)),
-            reached=None if judged is None else judged.is_goal_reached,
+            obstacle_sentences=tuple(body.description for body in placed_obstacles(network.scenario)),
+            goal_reached=None if judged is None else judged.is_goal_reached,
             tolerances_met=None if network.tolerance_check is None else network.tolerance_check.meets_all,
-            losses=tuple(LossCheckEntry.from_check(loss) for loss in network.loss_checks),
+            loss_checks=tuple(LossCheckEntry.from_check(loss) for loss in network.loss_checks),
             settings=PlanFile.model_validate(network.plan_file.model_dump(mode="json")),  # all of it goes to the file
             seed=network.plan_file.search.seed,
-            detectable=tuple(DetectableSize.from_minimal_size(row) for row in report.table()),
-            confusable=tuple(ConfusablePair.from_pair(pair) for pair in report.confusable_pairs()),
+            detectable_sizes=tuple(DetectableSize.from_minimal_size(row) for row in report.table()),
+            confusable_effects=tuple(ConfusablePair.from_pair(pair) for pair in report.confusable_pairs()),
             undetectable_effects=report.undetectable_effects,
         )
         result._network = network
@@ -142,13 +142,15 @@ class Plan(ResultFile, PlannedLayoutEntry):
             "reflectors": self._reflectors_table,
             "tolerances": self._tolerances_table,
             "losses": self._losses_table,
-            "tradeoff": lambda: tables.TRADEOFF_TABLE.with_rows(self.tradeoff),
+            "tradeoff": lambda: tables.TRADEOFF_TABLE.with_rows(self.tradeoff_points),
             "parameters": self._parameters_table,
             "expected": self._expected_table,
             "changes": self._changes_table,
-            "effects": lambda: tables.EFFECTS_TABLE.with_rows(self.detectable),
-            "confusable": lambda: tables.CONFUSABLE_TABLE.with_rows(self.confusable),
-            "nominals": lambda: tables.NOMINALS_TABLE.with_rows([r.name, *r.position_mm] for r in self.reflectors),
+            "effects": lambda: tables.DETECTABLE_SIZES_TABLE.with_rows(self.detectable_sizes),
+            "confusable": lambda: tables.CONFUSABLE_EFFECTS_TABLE.with_rows(self.confusable_effects),
+            "nominals": lambda: tables.NOMINAL_POINTS_TABLE.with_rows(
+                [r.name, *r.position_mm] for r in self.reflectors
+            ),
         }
 
     def _stations_table(self) -> Table:
@@ -159,36 +161,43 @@ class Plan(ResultFile, PlannedLayoutEntry):
 
     def _reflectors_table(self) -> Table:
         return tables.PLANNED_REFLECTORS_TABLE.with_rows(
-            [r.name, *r.position_mm, r.sigma_um, *(r.u_um or 3 * (None,)), r.within_mm, r.tolerance_mm,
-             " ".join(r.visible_from)]
+            [r.name, *r.position_mm, r.sigma_um, *(r.expanded_uncertainty_um or 3 * (None,)), r.point_error_mm,
+             r.tolerance_mm, " ".join(r.visible_from)]
             for r in self.reflectors
         )  # fmt: skip
 
     def _tolerances_table(self) -> Table:
         return tables.TOLERANCES_TABLE.with_rows(
-            [r.name, r.within_mm, r.tolerance_mm, percent_text(r.tolerance_ratio), r.met]
+            [r.name, r.point_error_mm, r.tolerance_mm, percent_text(r.tolerance_ratio), r.tolerance_met]
             for r in self.reflectors
             if r.tolerance_ratio is not None
         )
 
     def _losses_table(self) -> Table:
-        return tables.LOSSES_TABLE.with_rows(
-            [loss.lost, loss.met, loss.worst, loss.ratio_text, " ".join(loss.unseen)]
-            for loss in sorted(self.losses, key=lambda loss: loss.met)
+        return tables.LOSS_CHECKS_TABLE.with_rows(
+            [
+                loss.lost_station_or_sight,
+                loss.tolerances_met,
+                loss.worst_point,
+                loss.ratio_text,
+                " ".join(loss.unseen_points),
+            ]
+            for loss in sorted(self.loss_checks, key=lambda loss: loss.tolerances_met)
         )
 
     def _parameters_table(self) -> Table:
-        reference = {p.name: p.sigma for p in self.reference.parameters} if self.reference else {}
+        reference = {p.name: p.sigma for p in self.reference_layout.parameters} if self.reference_layout else {}
         return tables.PLANNED_PARAMETERS_TABLE.with_rows(
-            [p.name, p.unit, p.sigma, reference.get(p.name), p.prior_sigma, p.gain] for p in self.parameters
+            [p.name, p.unit, p.sigma, reference.get(p.name), p.prior_sigma, p.removed_variance_fraction]
+            for p in self.parameters
         )
 
     def _expected_table(self) -> Table:
         layouts: list[tuple[str, PlannedLayoutEntry | None]] = [
             ("this plan", self),
-            ("reference layout", self.reference),
+            ("reference layout", self.reference_layout),
         ]
-        return tables.EXPECTED_TABLE.with_rows(
+        return tables.EXPECTED_CRITERIA_TABLE.with_rows(
             [layout, name, e.before_um, e.after_um, e.improvement_percent]
             for layout, entry in layouts
             if entry is not None and entry.expected_improvement
@@ -200,8 +209,8 @@ class Plan(ResultFile, PlannedLayoutEntry):
             [
                 i,
                 c.action_text,
-                c.gain_um,
-                100 * (1 - c.quality),
+                c.target_rms_decrease_um,
+                100 * (1 - c.objective_ratio),
                 c.most_affected_parameter,
                 100 * (c.most_affected_ratio - 1),
             ]
@@ -210,7 +219,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
 
 
 def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | None = None) -> Plan:
-    """Copy of a plan with the digests of its companion files, which are written with it to `folder`.
+    """Copy of a plan that contains the digests of its companion files; plan and files are written to `folder`.
 
     Without a folder nothing is written, and the result is the plan itself. `pictures` are contents of further files by
     name.

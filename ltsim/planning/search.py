@@ -77,7 +77,7 @@ class LayoutSearcher:
     ) -> NormalBlocks:
         """Contributions of N set-ups at `position` (N, 3) [m] with `yaw` (N,) [rad], as alternatives for one station.
 
-        `is_visible` (N, T) flags the ones of T targets that each set-up sees; computed by default.
+        `is_visible` (N, T) is True where a set-up sees one of T targets; computed by default.
         """
         is_visible, parts = self.search_space.is_visible(position) if is_visible is None else is_visible, []
         for a in range(0, len(position), SETUPS_PER_BATCH):

@@ -142,7 +142,7 @@ def make_search_space(
         obstacles=make_obstacles(scenario),
         min_station_spacing=plan.stations.spacing_mm * mm,
         min_sights=least,
-        fixed_stations=tuple(survey.station_names.index(name) for name in plan.stations.fixed),
+        fixed_stations=tuple(survey.station_names.index(name) for name in plan.stations.fixed_stations),
         candidate_nests=places,
         nest_names=names,
         min_reflector_spacing=plan.reflectors.spacing_mm * mm,
@@ -168,7 +168,7 @@ def plan_without_search(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, S
 
 
 def candidate_procedures(plan_file: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
-    """Candidate numbers of faces, and of rounds; those of the scenario if the plan does not choose the procedure."""
+    """Candidate numbers of faces, and of rounds; the numbers of the scenario if the plan fixes the procedure."""
     if not plan_file.chooses_procedure:
         return [scenario.work.faces], [scenario.work.repeats]
     usual = sorted({1, 2, scenario.work.repeats})
@@ -202,7 +202,7 @@ def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None,
     _require_few_places(len(plan.reflectors.places) + sum(surface.rows * surface.columns for surface in surfaces))
     points = [np.array(p.position_mm, dtype=np.float64)[None] for p in plan.reflectors.places]
     names = [p.name for p in plan.reflectors.places]
-    for body in plan.reflectors.on:
+    for body in plan.reflectors.candidate_bodies:
         points.append(_places_on_body(plan, scenario, body))
         names += [f"{body}-{i}" for i in range(1, len(points[-1]) + 1)]
     _require_few_places(sum(map(len, points)) + sum(surface.rows * surface.columns for surface in surfaces))
@@ -241,26 +241,26 @@ def _places_on_body(plan: PlanFile, scenario: Scenario, obstacle_name: str) -> F
 
 
 def is_fixed_target(plan: PlanFile, scenario: Scenario) -> Bools:
-    """Flags (T,) of the T targets of a scenario: True if the search does not move the target.
+    """Flags (T,): True for a target of the scenario that the search does not move.
 
     If the plan has no candidate positions of reflectors, the search moves no target.
     """
     names, given = scenario.target_names, plan.reflectors
-    if not (given.surfaces or given.places or given.on):
+    if not (given.surfaces or given.places or given.candidate_bodies):
         return np.ones(len(names), dtype=bool)
     return _fixed_flags(plan, scenario, names, [point.name for point in plan.listed_points])
 
 
 def is_immovable_target(plan: PlanFile, scenario: Scenario, survey: PlannedSurvey) -> Bools:
-    """Flags (T,) of the T targets of a survey that the search does not move and the plan does not name `movable`."""
-    free = plan.reflectors.movable
+    """Flags (T,): True for a target of the survey that neither moves in the search nor may be moved afterwards."""
+    free = plan.reflectors.movable_points
     demanded = [point.name for point in plan.listed_points if point.name not in free and point.group not in free]
     return _fixed_flags(plan, scenario, survey.target_names, demanded)
 
 
 def _fixed_flags(plan: PlanFile, scenario: Scenario, names: Sequence[str], fixed_names: Sequence[str]) -> Bools:
-    """Flags (T,) of the T targets `names`: True for `fixed_names`, for the gauge, and for those that a plan keeps."""
-    fixed = {*plan.reflectors.keep, *fixed_names, *(scenario.gauge.targets if scenario.gauge else ())}
+    """Flags (T,): True for each of the targets `names` that is in `fixed_names`, in the gauge, or fixed by the plan."""
+    fixed = {*plan.reflectors.fixed_reflectors, *fixed_names, *(scenario.gauge.targets if scenario.gauge else ())}
     return np.array([name in fixed for name in names], dtype=bool)
 
 
@@ -272,12 +272,12 @@ def layout_objective(plan: PlanFile, survey: PlannedSurvey) -> LayoutObjective:
     """
     goal = plan.goal
     weights = {
-        INSTRUMENT_QUALITY_NAME: goal.instrument,
-        TARGETS_QUALITY_NAME: goal.targets,
-        DIAGNOSIS_QUALITY_NAME: goal.diagnosis,
+        INSTRUMENT_QUALITY_NAME: goal.instrument_weight,
+        TARGETS_QUALITY_NAME: goal.targets_weight,
+        DIAGNOSIS_QUALITY_NAME: goal.diagnosis_weight,
     }
     effects: list[Effect] = []
-    for name in goal.effects if goal.diagnosis else ():
+    for name in goal.effects if goal.diagnosis_weight else ():
         kind = find_effect(name)
         if kind.scope == "station":
             effects += [kind(stations=(station,)) for station in survey.station_names]

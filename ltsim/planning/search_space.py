@@ -61,7 +61,7 @@ def broken_rules_text(rules: Sequence[BrokenRule]) -> str:
 
 
 def is_too_near(position: Floats, spacing: float) -> Bools:
-    """Flags (B, S, S) of pairs of stations whose horizontal distance is smaller than `spacing` [m].
+    """Flags (B, S, S): True for a pair of stations whose horizontal distance is smaller than `spacing` [m].
 
     `position` (B, S, 3) [m] are the S stations of B layouts. Each pair is flagged once.
     """
@@ -70,7 +70,7 @@ def is_too_near(position: Floats, spacing: float) -> Bools:
 
 
 def has_too_few_sights(is_visible: Bools, min_sights: int) -> Bools:
-    """Flags (B, T) of the targets that fewer than `min_sights` stations see.
+    """Flags (B, T): True for a target that fewer than `min_sights` stations see.
 
     `is_visible` (B, S, T) flags the sights from S stations to T targets in B layouts.
     """
@@ -78,7 +78,7 @@ def has_too_few_sights(is_visible: Bools, min_sights: int) -> Bools:
 
 
 def has_too_few_targets(is_visible: Bools) -> Bools:
-    """Flags (B, S) of the stations that see fewer than `MIN_VISIBLE_TARGETS` targets.
+    """Flags (B, S): True for a station that sees fewer than `MIN_VISIBLE_TARGETS` targets.
 
     `is_visible` (B, S, T) flags the sights from S stations to T targets in B layouts.
     """
@@ -96,7 +96,7 @@ class SearchSpace(ValueEquality):
     sight_limits: SightLimits
     """Limits of range, elevation and incidence within which a station can measure a target."""
     is_aimed_nest: Bools
-    """Flags (T,) of those of T targets in fixed nests that are aimed anew for every layout; each must serve all
+    """Flags (T,): True for a target in a fixed nest that is aimed anew for every layout, so that it faces all
     stations."""
     obstacles: Obstacles | None = None
     """Obstacles that block sights and tripods; None without obstacles."""
@@ -128,11 +128,11 @@ class SearchSpace(ValueEquality):
         return replace(self, **changes)
 
     def is_allowed(self, position: Floats) -> Bools:
-        """Flags (N,) of the N positions (N, 3) [m] of heads at which a tripod may stand."""
+        """Flags (N,): True for each of N positions (N, 3) [m] of heads at which a tripod may stand."""
         return is_allowed_position(self.allowed_areas, self.forbidden_areas, self.obstacles, position)
 
     def is_visible(self, position: Floats, points: Floats | None = None) -> Bools:
-        """Flags (N, T) of the targets that are visible from everywhere within the tolerance of N positions (N, 3) [m].
+        """Flags (N, T): True for a target visible from everywhere within the tolerance of a position (N, 3) [m].
 
         `points` (T, 3) [m] are the T targets, by default those of the survey. Fixed nests are aimed later, so that
         their angles of incidence are not tested here.
@@ -155,7 +155,7 @@ class SearchSpace(ValueEquality):
         return is_visible_place
 
     def is_feasible(self, position: Floats, is_visible: Bools) -> Bools:
-        """Flags (B,) of the layouts, among B, that meet all rules on spacing, sights and nests.
+        """Flags (B,): True for a layout that meets all rules on spacing, sights and nests.
 
         `position` (B, S, 3) [m] are the S stations, `is_visible` (B, S, T) flags their sights to T targets.
         """
@@ -163,7 +163,7 @@ class SearchSpace(ValueEquality):
         is_feasible &= ~has_too_few_targets(is_visible).any(axis=1)
         is_feasible &= ~is_too_near(position, self.min_station_spacing).any(axis=(1, 2))
         if self.is_aimed_nest.any() and is_feasible.any():
-            is_feasible[is_feasible] = self._has_aimed_nest(position[is_feasible]).all(axis=1)
+            is_feasible[is_feasible] = self._has_aimable_nest(position[is_feasible]).all(axis=1)
         return is_feasible
 
     def broken_rules(self, survey: PlannedSurvey) -> tuple[BrokenRule, ...]:
@@ -211,7 +211,7 @@ class SearchSpace(ValueEquality):
             aimed = [self.survey.target_names[t] for t in np.flatnonzero(self.is_aimed_nest)]
             turned = [
                 name
-                for name, ok in zip(aimed, self._has_aimed_nest(survey.station_positions[None])[0], strict=True)
+                for name, ok in zip(aimed, self._has_aimable_nest(survey.station_positions[None])[0], strict=True)
                 if not ok
             ]
             if turned:
@@ -230,8 +230,8 @@ class SearchSpace(ValueEquality):
         linked = np.linalg.matrix_power((shared > 1).astype(np.float64), shared.shape[1])[:, 0] > 0
         return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (MIN_VISIBLE_TARGETS + 1))
 
-    def _has_aimed_nest(self, position: Floats) -> Bools:
-        """Flags (B, k) of the k fixed nests that can be aimed so that all stations are within the acceptance angle.
+    def _has_aimable_nest(self, position: Floats) -> Bools:
+        """Flags (B, k): True for each of k fixed nests that can be aimed so that it accepts the beams of all stations.
 
         `position` (B, S, 3) [m] are the S stations of B layouts.
         """
@@ -298,7 +298,7 @@ class StationPlacement:
     candidate_positions: Floats
     """Coordinates (N, 3) [m] of N candidate positions, which are referred to by index."""
     is_visible: Bools
-    """Flags (N, T) of the T targets that are visible from each of N candidate positions."""
+    """Flags (N, T): True where one of T targets is visible from one of N candidate positions."""
     min_spacing: float
     """Smallest horizontal distance between two stations [m]."""
     fixed_positions: Floats
@@ -363,7 +363,7 @@ class StationPlacement:
     def _optimal_places(
         self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None
     ) -> list[int]:
-        """Indices of the combination of positions with the fewest missing sights; empty if none keeps the spacing.
+        """Indices of the positions that together miss the fewest sights; empty if no combination keeps the spacing.
 
         It is the solution of a mixed-integer linear program; random costs make it different in each draw.
         """

@@ -33,7 +33,7 @@ class PlanPoint(TomlSection):
     z_mm: Finite
     """Coordinate z in the hall frame."""
     group: str = ""
-    """Group of the point, to which `goal.tolerances` and `reflectors.movable` refer."""
+    """Group of the point, to which `goal.tolerances` and `reflectors.movable_points` refer."""
     weight: NonNegative = 1.0
     """Weight of the squared point error in the objective of the search. In a plan with tolerances the weight is divided
     by the square of the point's tolerance; for a point without a tolerance, ten times the widest tolerance is used.
@@ -52,7 +52,7 @@ class StationSettings(TomlSection):
     """
     tradeoff_counts: DistinctValues[StationCount] = ()
     """Further numbers of stations that are searched, for the curve of cost against quality."""
-    fixed: DistinctValues[str] = ()
+    fixed_stations: DistinctValues[str] = ()
     """Stations of the scenario that do not move."""
     spacing_mm: Annotated[Finite, Field(ge=1)] = 1000.0
     """Smallest horizontal distance between two stations, at least 1 mm."""
@@ -95,17 +95,17 @@ class ReflectorSettings(TomlSection):
     """Tables `[[reflectors.surfaces]]`: rectangles with a grid of candidate positions."""
     places: tuple[CandidatePlace, ...] = ()
     """Tables `[[reflectors.places]]`: single candidate positions."""
-    on: DistinctValues[str] = ()
+    candidate_bodies: DistinctValues[str] = ()
     """Names of obstacles, or `walls`, on whose surfaces candidate positions are generated."""
     place_spacing_mm: Positive = 1000.0
     """Smallest distance between candidate positions that are generated on obstacles and walls."""
     standoff_mm: Positive = 40.0
     """Height of a reflector's centre above the surface on which it may be placed."""
-    movable: DistinctValues[str] = ()
+    movable_points: DistinctValues[str] = ()
     """Names of points of the list, or of groups of points, that could be moved. The search does not move them, but the
     plan reports the benefit of moving each.
     """
-    keep: DistinctValues[str] = ()
+    fixed_reflectors: DistinctValues[str] = ()
     """Reflectors of the scenario that do not move; the points of a list never move."""
     spacing_mm: NonNegative = 300.0
     """Smallest distance between two reflectors."""
@@ -115,14 +115,14 @@ class BudgetSettings(TomlSection):
     """Duration of the measurement, and candidate measuring procedures."""
 
     faces: Annotated[DistinctValues[Literal[1, 2]], Field(min_length=1)] | None = None
-    """Candidate numbers of faces, used with `hours` or tolerances; default one face and both."""
+    """Candidate numbers of faces, used with `max_hours` or tolerances; default one face and both."""
     repeats: Annotated[DistinctValues[Annotated[int, Field(ge=1, le=20)]], Field(min_length=1)] | None = None
-    """Candidate numbers of rounds, used with `hours` or tolerances; default 1 and 2, and that of the scenario."""
+    """Candidate numbers of rounds, used with `max_hours` or tolerances; default 1 and 2, and that of the scenario."""
     seconds_per_pointing: Positive | None = None
     """Time from one pointing to the next; default that of the scenario."""
     minutes_per_move: NonNegative | None = None
     """Time to move the instrument to the next station; default that of the scenario."""
-    hours: Positive | None = None
+    max_hours: Positive | None = None
     """Longest duration of the whole measurement [h]; without it and without tolerances, the procedure of the scenario
     is used.
     """
@@ -131,13 +131,13 @@ class BudgetSettings(TomlSection):
 class PointTolerance(TomlSection):
     """Tolerance for points: each point of a group must be within a distance of its true position.
 
-    It must be within this distance with the probability `level_pct` of the goal. Tolerances of lengths between points
-    are not goals of a plan; `ltsim uncertainty` evaluates them.
+    It must be within this distance with the probability `confidence_level_pct` of the goal. Tolerances of lengths
+    between points are not goals of a plan; `ltsim uncertainty` evaluates them.
     """
 
     group: str = ""
     """Group in the list of points to which the tolerance applies; default all points of the list."""
-    within_mm: Positive
+    tolerance_mm: Positive
     """Largest permitted distance of a point from its true position, with the mean of all reflectors as datum."""
 
 
@@ -145,14 +145,14 @@ class GoalSettings(TomlSection):
     """Goal of a layout: weights of its qualities (0 for a quality that does not count), and tolerances of points.
 
     With tolerances but without a number of stations, the search determines the smallest sufficient number. In a plan
-    with a list of points, the default weights are 1 for `targets` and 0 for all other qualities.
+    with a list of points, the default weights are 1 for `targets_weight` and 0 for the two others.
     """
 
-    instrument: NonNegative = 1.0
+    instrument_weight: NonNegative = 1.0
     """Weight of the precision of the instrument parameters."""
-    targets: NonNegative = 0.0
+    targets_weight: NonNegative = 0.0
     """Weight of the reflectors' point errors."""
-    diagnosis: NonNegative = 0.0
+    diagnosis_weight: NonNegative = 0.0
     """Weight of the minimal detectable sizes of `effects`."""
     criterion: Literal["D", "A", "E"] = "D"
     """Optimality criterion of the instrument parameters, from their standard deviations in prior sigmas. D: geometric
@@ -168,15 +168,15 @@ class GoalSettings(TomlSection):
     """Effects that a diagnosis should detect."""
     tolerances: tuple[PointTolerance, ...] = ()
     """Tolerances of groups of points, tables `[[goal.tolerances]]`; the `tolerance_mm` of a point has priority."""
-    level_pct: Annotated[float, Field(ge=50, le=99.9)] = 95.0
+    confidence_level_pct: Annotated[float, Field(ge=50, le=99.9)] = 95.0
     """Confidence level: percentage of cases in which a point must be within its tolerance."""
-    robust: Literal["no", "sight", "station"] = "no"
-    """Loss after which the tolerances must still be met: any single sight, any single station, or none."""
+    loss_to_withstand: Literal["no", "sight", "station"] = "no"
+    """Loss after which the tolerances must still be met: of any single `sight` or `station`, or `no` loss."""
 
     @model_validator(mode="after")
     def _check_any_weight(self) -> GoalSettings:
-        if self.instrument + self.targets + self.diagnosis == 0:
-            raise ValueError("it should give a weight above 0 to at least one of instrument, targets and diagnosis")
+        if self.instrument_weight + self.targets_weight + self.diagnosis_weight == 0:
+            raise ValueError("at least one of instrument_weight, targets_weight and diagnosis_weight should be above 0")
         return self
 
 
@@ -187,13 +187,13 @@ class SearchSettings(TomlSection):
     """Number of independent searches, from different initial layouts, for the plan."""
     tradeoff_starts: Annotated[int, Field(ge=1, le=1000)] = 1
     """Number of independent searches for each other point of the trade-off curve."""
-    grid_mm: Positive | None = None
+    grid_step_mm: Positive | None = None
     """Step of the grid of candidate positions of stations on the floor; default about 250 positions, at least 500 mm
     apart. The stations are moved off the grid at the end of the search.
     """
-    yaws: Annotated[int, Field(ge=1, le=72)] = 6
+    yaw_count: Annotated[int, Field(ge=1, le=72)] = 6
     """Number of candidate yaws at each grid position."""
-    heights: Annotated[int, Field(ge=1, le=10)] = 2
+    height_count: Annotated[int, Field(ge=1, le=10)] = 2
     """Number of candidate heights at each grid position."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Seed of the random draws of the search."""
@@ -246,8 +246,8 @@ class PlanFile(TomlSection):
 
     @property
     def chooses_procedure(self) -> bool:
-        """True if the search chooses faces and rounds: within `budget.hours`, or the fastest that meet tolerances."""
-        return self.budget.hours is not None or self.searches_station_count
+        """True if the search chooses faces and rounds: within `budget.max_hours`, or the fastest within tolerances."""
+        return self.budget.max_hours is not None or self.searches_station_count
 
     @property
     def searches_station_count(self) -> bool:

@@ -35,7 +35,7 @@ class PlannedSurvey:
     target_points: Floats
     """Coordinates (T, 3) [m] of the T targets."""
     is_visible: Bools
-    """Flags (S, T) of the ones of T targets that each of S stations measures."""
+    """Flags (S, T): True where one of S stations measures one of T targets."""
     faces: tuple[int, ...] = (1, 2)
     """Faces that are measured: 1, 2 or both."""
     repeats: int = 1
@@ -100,7 +100,7 @@ class PlannedSurvey:
 
     @property
     def is_recorded_observable(self) -> Bools:
-        """Flags (3,) of the recorded observables: range, azimuth, elevation."""
+        """Flags (3,): True for each observable (range, azimuth, elevation) that is recorded."""
         return np.array([name in self.observables for name in OBSERVABLES])
 
     @property

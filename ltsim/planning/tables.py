@@ -5,10 +5,10 @@ from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.planning.plan_entries import ConfusablePair, DetectableSize, TradeoffEntry
 from ltsim.planning.planner import LayoutEvaluation, PlannedNetwork
 
-PLACE_COLUMNS = number_columns(
+POSITION_COLUMNS = number_columns(
     ".10g", ".3f", x_mm="position in the hall, rounded to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm"
 )
-"""Columns with the coordinates of a position."""
+"""Columns with the coordinates of a position in the hall [mm]."""
 PLANNED_STATIONS_TABLE = Table(
     "stations.csv",
     "positions of the tripods",
@@ -27,10 +27,10 @@ PLANNED_REFLECTORS_TABLE = Table(
     "reflectors with their expected uncertainty",
     (
         *text_columns(target="name"),
-        *PLACE_COLUMNS,
+        *POSITION_COLUMNS,
         *number_columns(sigma_um="expected point error"),
         *number_columns(U_x_um="expanded uncertainty, k = 2", U_y_um="as U_x_um", U_z_um="as U_x_um"),
-        *number_columns(within_mm="error at the confidence level of the goal", tolerance_mm="limit of the error"),
+        *number_columns(point_error_mm="error at the confidence level of the goal", tolerance_mm="limit of the error"),
         *text_columns(visible_from="stations from which it is visible"),
     ),
 )
@@ -44,7 +44,7 @@ PLANNED_PARAMETERS_TABLE = Table(
             sigma_reference="standard deviation with the stations of the scenario",
             prior_sigma="standard deviation before any reading",
         ),
-        *number_columns(gain="fraction of the prior variance that the readings remove"),
+        *number_columns(removed_variance_fraction="fraction of the prior variance that the readings remove"),
     ),
 )
 VISIBILITY_TABLE = Table(
@@ -59,10 +59,10 @@ VISIBILITY_TABLE = Table(
         ),
     ),
 )
-NOMINALS_TABLE = Table(
+NOMINAL_POINTS_TABLE = Table(
     "nominals.csv",
     "every point in the hall's axes, for the tracker's software",
-    (*text_columns(name="of the point"), *PLACE_COLUMNS),
+    (*text_columns(name="of the point"), *POSITION_COLUMNS),
 )
 WORK_ORDER_TABLE = Table(
     "work-order.csv",
@@ -74,7 +74,7 @@ WORK_ORDER_TABLE = Table(
         *number_columns(azimuth_deg="expected", elevation_deg="expected", distance_mm="expected"),
     ),
 )
-SETUPS_TABLE = Table(
+TAPE_DISTANCES_TABLE = Table(
     "setups.csv",
     "tape measurements to the positions of the tripods",
     (
@@ -96,17 +96,17 @@ TRADEOFF_TABLE = Table(
     "tradeoff.csv",
     "measuring procedures, each with its best layout",
     (
-        *columns_of(TradeoffEntry, "stations faces repeats pointings hours"),
-        *columns_of(TradeoffEntry, "value", value={"title": "objective"}),
+        *columns_of(TradeoffEntry, "station_count faces repeats pointings hours"),
+        *columns_of(TradeoffEntry, "objective_value", objective_value={"title": "objective"}),
         Column(
             "point_error_um",
             "the objective in um, if it consists only of the error of the targets",
             title="weighted point error",
         ),
-        *columns_of(TradeoffEntry, "efficient", efficient={"title": "best for its duration"}),
+        *columns_of(TradeoffEntry, "is_efficient", is_efficient={"title": "best for its duration"}),
     ),
 )
-EFFECTS_TABLE = Table("effects.csv", "minimal detectable sizes of effects", columns_of(DetectableSize))
+DETECTABLE_SIZES_TABLE = Table("effects.csv", "minimal detectable sizes of effects", columns_of(DetectableSize))
 TOLERANCES_TABLE = Table(
     "tolerances.csv",
     "points against their tolerances",
@@ -114,25 +114,25 @@ TOLERANCES_TABLE = Table(
         *text_columns(point="name"),
         *number_columns(
             display_format=".5g",
-            within_mm="error at the confidence level of the goal",
+            point_error_mm="error at the confidence level of the goal",
             tolerance_mm="limit of the error",
         ),
         *text_columns(
             tolerance_ratio="error divided by the limit, with enough digits to show on which side of 1 it is"
         ),
-        *flag_columns(met="the tolerance is met"),
+        *flag_columns(tolerance_met="the tolerance is met"),
     ),
 )
-LOSSES_TABLE = Table(
+LOSS_CHECKS_TABLE = Table(
     "losses.csv",
     "tolerances after the loss of a station or a sight",
     (
-        *text_columns(lost="station or sight"),
-        *flag_columns(met="all tolerances are met"),
+        *text_columns(lost_station_or_sight="station or sight"),
+        *flag_columns(tolerances_met="all tolerances are met"),
         *text_columns(
             worst_point="point with the largest ratio of error to tolerance",
             tolerance_ratio="ratio of error to tolerance of this point",
-            unseen="points that are not visible from any station",
+            unseen_points="points that are not visible from any station",
         ),
     ),
 )
@@ -142,13 +142,15 @@ REFLECTOR_CHANGES_TABLE = Table(
     (
         *number_columns(number="on the floor plan"),
         *text_columns(change="kind of change"),
-        *number_columns("r", "+.2f", gain_um="reduction of the weighted point error of all other points"),
+        *number_columns(
+            "r", "+.2f", target_rms_decrease_um="reduction of the weighted point error of all other points"
+        ),
         *number_columns("r", "+.1f", gain_percent="reduction of the objective"),
         *text_columns(most_for="parameter, or point, that gains most"),
         *number_columns("r", "+.1f", sigma_percent="change of its standard deviation"),
     ),
 )
-EXPECTED_TABLE = Table(
+EXPECTED_CRITERIA_TABLE = Table(
     "expected.csv",
     "expected disagreement of the stations, before and after a calibration",
     (
@@ -156,13 +158,14 @@ EXPECTED_TABLE = Table(
         *number_columns("r", before_um="mean, as read", after_um="mean, corrected", improvement_percent="of the mean"),
     ),
 )
-CONFUSABLE_TABLE = Table(
+CONFUSABLE_EFFECTS_TABLE = Table(
     "confusable.csv", "pairs of effects that the layout hardly distinguishes", columns_of(ConfusablePair)
 )
 PLAN_TABLES = (
-    NOMINALS_TABLE, WORK_ORDER_TABLE, PLANNED_STATIONS_TABLE, PLANNED_REFLECTORS_TABLE, TOLERANCES_TABLE, LOSSES_TABLE,
-    TRADEOFF_TABLE, PLANNED_PARAMETERS_TABLE, EXPECTED_TABLE, REFLECTOR_CHANGES_TABLE, EFFECTS_TABLE,
-    CONFUSABLE_TABLE, VISIBILITY_TABLE,
+    NOMINAL_POINTS_TABLE, WORK_ORDER_TABLE, PLANNED_STATIONS_TABLE, PLANNED_REFLECTORS_TABLE, TOLERANCES_TABLE,
+    LOSS_CHECKS_TABLE, TRADEOFF_TABLE, PLANNED_PARAMETERS_TABLE, EXPECTED_CRITERIA_TABLE, REFLECTOR_CHANGES_TABLE,
+    DETECTABLE_SIZES_TABLE,
+    CONFUSABLE_EFFECTS_TABLE, VISIBILITY_TABLE,
 )  # fmt: skip
 """Tables that are written as CSV files together with plan.json."""
 

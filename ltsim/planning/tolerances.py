@@ -31,7 +31,7 @@ MAX_POINTS_IN_VERDICT = 5
 LOST_SIGHT_PREFIX = "the sight"
 """First words of the description of a lost sight; the description of a lost station is its name."""
 UNDETERMINED_TEXT = "the network no longer determines its points"
-"""Text for a network with free motions, in which point errors are not defined."""
+"""Text for a network whose poses or points are not all determined, so that point errors do not exist."""
 
 
 def is_tolerance_met(ratio: float) -> bool:
@@ -73,11 +73,11 @@ class PointTolerances:
         """
         limits = {}
         for point in file.listed_points:
-            named = [t.within_mm for t in file.goal.tolerances if t.group in ("", point.group)]
+            named = [t.tolerance_mm for t in file.goal.tolerances if t.group in ("", point.group)]
             limit = point.tolerance_mm if point.tolerance_mm is not None else min(named, default=None)
             if limit is not None:
                 limits[point.name] = limit * MILLIMETRE
-        return cls(limits, file.goal.level_pct / 100.0, file.goal.robust)
+        return cls(limits, file.goal.confidence_level_pct / 100.0, file.goal.loss_to_withstand)
 
     def __bool__(self) -> bool:
         return bool(self.tolerance_by_point_m)
@@ -120,7 +120,7 @@ def error_radius(covariance: Floats, confidence_level: float) -> Floats:
 class ToleranceCheck:
     """Check of a layout against its tolerances: complete, or after the loss of a station or a sight."""
 
-    lost_text: str
+    loss_text: str
     """Description of the lost station or sight; empty for the complete layout."""
     tolerance_by_point_m: Mapping[str, float]
     """Tolerance of each point [m], by name."""
@@ -141,7 +141,7 @@ class ToleranceCheck:
     @property
     def is_sight_loss(self) -> bool:
         """True if the layout lacks a sight; False if it lacks a station or is complete."""
-        return self.lost_text.startswith(LOST_SIGHT_PREFIX)
+        return self.loss_text.startswith(LOST_SIGHT_PREFIX)
 
     @property
     def exceeding_points(self) -> list[str]:
@@ -200,11 +200,11 @@ class ToleranceCheck:
 
 
 def check_tolerances(
-    survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel, lost_text: str = ""
+    survey: PlannedSurvey, tolerances: PointTolerances, construction: GeometricErrorModel, loss_text: str = ""
 ) -> ToleranceCheck:
     """Check of the layout of `survey` against `tolerances`, by a network adjustment with `construction`.
 
-    Points that no station sees are removed from the network and reported. `lost_text` describes the station or sight
+    Points that no station sees are removed from the network and reported. `loss_text` describes the station or sight
     that the survey lacks.
     """
     visible: Bools = np.asarray(survey.is_visible.any(axis=0))
@@ -216,7 +216,7 @@ def check_tolerances(
             raise NetworkError("no station sees a target")
         information = LayoutInformation.from_survey(survey.with_targets_only(visible), construction)
     except NetworkError:
-        return ToleranceCheck(lost_text, tolerances.tolerance_by_point_m, {}, np.inf, "", unseen)
+        return ToleranceCheck(loss_text, tolerances.tolerance_by_point_m, {}, np.inf, "", unseen)
     names = information.survey.target_names
     radius_by_name = dict(
         zip(names, error_radius(information.target_covariance, tolerances.confidence_level).tolist(), strict=True)
@@ -225,7 +225,7 @@ def check_tolerances(
     ratios = {name: value / tolerances.tolerance_by_point_m[name] for name, value in radii.items()}
     worst_point = unseen[0] if unseen else max(ratios, key=lambda name: ratios[name], default="")
     return ToleranceCheck(
-        lost_text,
+        loss_text,
         tolerances.tolerance_by_point_m,
         radii,
         np.inf if unseen or not ratios else ratios[worst_point],
@@ -328,7 +328,7 @@ def plan_verdict(
         lost = (
             "after the loss of any one station all are met"
             if worst_loss.meets_all
-            else f"without {worst_loss.lost_text} they are not met"
+            else f"without {worst_loss.loss_text} they are not met"
         )
         words += f". {lost[0].upper()}{lost[1:]}; {worst_loss.worst_point_text}"
     rules = f"the layout breaks a rule ({broken_rules_text(broken_rules)}). " if broken_rules else ""
@@ -338,12 +338,12 @@ def plan_verdict(
 
 def loss_sentences(loss_checks: Sequence[ToleranceCheck]) -> list[str]:
     """Sentences on the checks after losses: one for each station, and one on all sights together."""
-    texts = [f"Without {loss.lost_text}: {loss.violations_clause}." for loss in loss_checks if not loss.is_sight_loss]
+    texts = [f"Without {loss.loss_text}: {loss.violations_clause}." for loss in loss_checks if not loss.is_sight_loss]
     sights = [loss for loss in loss_checks if loss.is_sight_loss]
     broken = sorted((loss for loss in sights if not loss.meets_all), key=lambda loss: -loss.max_ratio)
     if broken:
         number = f"{len(broken)} of {len(sights)} sights"
-        texts.append(f"{number} are critical; without {broken[0].lost_text}: {broken[0].violations_clause}.")
+        texts.append(f"{number} are critical; without {broken[0].loss_text}: {broken[0].violations_clause}.")
     elif sights:
         texts.append(
             f"Any single one of the {len(sights)} sights of these points may be blocked; all tolerances are still met."

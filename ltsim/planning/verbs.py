@@ -147,7 +147,7 @@ def next_measurement(
 
 
 def _visibility_function(search_space: SearchSpace) -> VisibilityFunction:
-    """Function that gives the visible targets from positions on a site; none where no tripod may stand.
+    """Function of positions on a site that returns the targets visible from each; none where no tripod may stand.
 
     A height outside the permitted range by less than the position tolerance is accepted.
     """

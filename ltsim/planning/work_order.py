@@ -36,7 +36,7 @@ MIN_TAPE_MISCLOSURE = 0.1
 two, below which the position is ambiguous."""
 MIN_TAPE_DISTANCE = 0.3
 """Smallest distance [m] from a tripod at which a mark (end point of a tape distance) is used."""
-FREE_TAPE_HEIGHT = 0.1
+TAPE_CLEARANCE_HEIGHT = 0.1
 """Height [m] above the floor at which no obstacle may cross the tape."""
 MIN_STRENGTH_GAIN_PER_METRE = 0.03
 """Smallest increase of `intersection_strength` that justifies three tape distances whose longest one is longer by a
@@ -149,8 +149,8 @@ def _tape_marks(plan: PlannedNetwork, place: Floats, is_visible: Bools) -> list[
     crossed = [any(area.is_crossed_by_path(tape) for area in plan.search_space.forbidden_areas) for tape in tapes]
     level = [mark for mark, is_crossed in zip(level, crossed, strict=True) if not is_crossed]
     if obstacles is not None:
-        ends = np.array([[*mark.mark_position[:2], FREE_TAPE_HEIGHT] for mark in level])
-        blocked = obstacles.is_blocked(np.tile([*place[:2], FREE_TAPE_HEIGHT], (len(ends), 1)), ends)
+        ends = np.array([[*mark.mark_position[:2], TAPE_CLEARANCE_HEIGHT] for mark in level])
+        blocked = obstacles.is_blocked(np.tile([*place[:2], TAPE_CLEARANCE_HEIGHT], (len(ends), 1)), ends)
         level = [mark for mark, hidden in zip(level, blocked, strict=True) if not hidden]
     reachable = {mark.mark_name for mark in level}
     straight = [

@@ -30,8 +30,8 @@ CONTENT_SECURITY_POLICY = (
 """Content Security Policy of a page: no external resources."""
 Assessment = Literal["good", "caution", "bad", "plain"]
 """Assessment of a result; it determines the colour of the result on a page."""
-WorkshopDetail = Literal["turn", "plan", "none"]
-"""View of the hall in a section: `turn` for interactive 3D, `plan` for a floor plan, `none` for no view."""
+HallView = Literal["3d", "floor-plan", "none"]
+"""View of the hall in a section: interactive (`3d`), from above (`floor-plan`), or `none`."""
 MAX_UNFOLDED_ROWS = 30
 """Number of rows of a table above which the page shows the table folded (only its title) until it is clicked."""
 MAX_PRINTED_ROWS = 120
@@ -46,18 +46,18 @@ MAX_TERMINAL_WIDTH = 160
 
 @dataclass(frozen=True)
 class SectionContext:
-    """Data from which the section of a result is written: folder, recording, and view of the hall (`detail`).
+    """Data from which the section of a result is written: folder, recording, and view of the hall (`hall_view`).
 
-    `is_brief` is True if another section of the page shows the residuals of the same recording.
+    `omits_residuals` is True if another section of the page shows the residuals of this recording.
     """
 
     folder: Path | None = None
     recording: Recording | None = None
-    detail: WorkshopDetail = "none"
-    is_brief: bool = False
+    hall_view: HallView = "none"
+    omits_residuals: bool = False
 
     def companion_file(self, name: str, content: ResultFile) -> Path | None:
-        """Companion file of a result; None if it does not exist; raises RecordError if it belongs to another result."""
+        """Path of a companion file of the result `content`; None without it; RecordError if it is of another result."""
         return None if self.folder is None else companion_path(self.folder, name, content)
 
 
@@ -187,8 +187,8 @@ class Section:
 
     `summary` is its first sentence; `simulation_notice` comes before it if the data are simulated. `title` is the title
     of a page with this section alone; on a page with several sections `kind` and `folder` are the heading. The first
-    `n_lead_blocks` blocks are side by side at the head of the page. Blocks after the first `n_open_blocks` start
-    folded. A terminal prints the first `n_terminal_blocks` blocks, or all for None.
+    `n_side_by_side_blocks` blocks are side by side at the head of the page. Blocks after the first `n_open_blocks` are
+    folded at first. A terminal prints the first `n_terminal_blocks` blocks, or all for None.
     """
 
     title: str
@@ -206,7 +206,7 @@ class Section:
     instrument_text: str = ""
     measurement_date: str = ""
     n_open_blocks: int = 3
-    n_lead_blocks: int = 0
+    n_side_by_side_blocks: int = 0
     n_terminal_blocks: int | None = None
     simulation_notice: str = ""
     method: str = ""

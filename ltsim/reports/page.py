@@ -21,9 +21,9 @@ from ltsim.recordings.setup import ReportHeader
 from ltsim.reports.document_model import (
     CONTENT_SECURITY_POLICY,
     Document,
+    HallView,
     Section,
     SectionContext,
-    WorkshopDetail,
 )
 from ltsim.reports.formatting import natural_sort_key, typographic_text
 from ltsim.reports.sections import SECTION_WRITERS, read_content, result_section
@@ -58,9 +58,9 @@ PAGE_FILE = "report.html"
 """Name of the page in a folder."""
 CAMPAIGN_MANIFEST = "manifest.json"
 """Name of the file that identifies the folder of a campaign."""
-HEADLINE_FILES = ("diagnosis.json", "calibration.json")
-"""Result files that come first on a page; the first result of a page determines the headline."""
-UNREADABLE_KIND = "Not readable"
+FIRST_RESULT_FILES = ("diagnosis.json", "calibration.json")
+"""Names of the result files that come first on a page; the first result determines the headline of the page."""
+UNREADABLE_SECTION_KIND = "Not readable"
 """Kind of a section that shows the error of a folder that cannot be read."""
 
 
@@ -68,29 +68,29 @@ UNREADABLE_KIND = "Not readable"
 class PagePart:
     """Result for one section of a page: its folder, its file, and the recording from which it was computed.
 
-    `is_brief` is True if another section shows the residuals of the same recording.
+    `omits_residuals` is True if another section shows the residuals of the same recording.
     """
 
     folder: Path
     result_file: str
     recording: Path | None
-    is_brief: bool = False
+    omits_residuals: bool = False
 
 
 RESULT_FILES = (
     "diagnosis.json",
     "calibration.json",
     OBSERVATIONS_FILE,
-    *(k for k in SECTION_WRITERS if k not in HEADLINE_FILES),
+    *(k for k in SECTION_WRITERS if k not in FIRST_RESULT_FILES),
     CAMPAIGN_MANIFEST,
 )
 """Files that identify the content of a folder, in the order of the page; the first one determines the headline."""
 
 
-def section_of_part(page_part: PagePart, detail: WorkshopDetail = "none") -> Section:
+def section_of_part(page_part: PagePart, hall_view: HallView = "none") -> Section:
     """Section of the page for one folder; raises RecordError, and SetupError if packages are missing."""
     if page_part.result_file == OBSERVATIONS_FILE:
-        return recording_section(page_part.folder, detail=detail, is_brief=page_part.is_brief)
+        return recording_section(page_part.folder, hall_view=hall_view, omits_residuals=page_part.omits_residuals)
     if page_part.result_file == CAMPAIGN_MANIFEST:
         require_packages()
         from ltsim.reports.sections.campaign import campaign_section  # reads with packages that may be missing
@@ -98,7 +98,7 @@ def section_of_part(page_part: PagePart, detail: WorkshopDetail = "none") -> Sec
         return campaign_section(page_part.folder)
     content = read_content(page_part.folder, page_part.result_file)
     recording = read(page_part.recording) if page_part.recording else None
-    section = result_section(content, SectionContext(page_part.folder, recording, detail, page_part.is_brief))
+    section = result_section(content, SectionContext(page_part.folder, recording, hall_view, page_part.omits_residuals))
     return replace(
         section, measurement_date=(content.recording and content.recording.measured_on) or section.measurement_date
     )
@@ -118,7 +118,7 @@ def document_of_folder(
         raise RecordError("this folder does not exist; give a folder that a command wrote", file=folder)
     page_parts = _page_parts(folder, recording)
     sections = [replace(made, folder=part.folder.name) for part, made in _part_sections(page_parts, folder)]
-    sections.sort(key=lambda made: made.kind == UNREADABLE_KIND)
+    sections.sort(key=lambda made: made.kind == UNREADABLE_SECTION_KIND)
     first_section = sections[0]
     return Document(
         title=title or first_section.title,
@@ -186,7 +186,7 @@ def _page_parts(folder: Path, recording: Path | None) -> list[PagePart]:
     return [
         replace(
             part,
-            is_brief=n_parts_by_recording[part.recording] > 1
+            omits_residuals=n_parts_by_recording[part.recording] > 1
             if part.result_file == OBSERVATIONS_FILE
             else part.recording in diagnosed,
         )
@@ -204,15 +204,15 @@ def _part_sections(page_parts: list[PagePart], page_folder: Path) -> Iterator[tu
     only_from_above = (page_folder / "diagnosis.json").is_file() and not (page_folder / TRUTH_FILE).is_file()
     for part in page_parts:
         source = part.recording or _recording_digest(part)
-        detail: WorkshopDetail = (
-            "none" if source in shown_sources and source else "plan" if shown_sources or only_from_above else "turn"
+        hall_view: HallView = (
+            "none" if source in shown_sources and source else "floor-plan" if shown_sources or only_from_above else "3d"
         )
         try:
-            section = section_of_part(part, detail)
+            section = section_of_part(part, hall_view)
         except LtsimError as problem:
             if part.folder == page_folder or len(page_parts) == 1:
                 raise
-            section = Section(part.folder.name, UNREADABLE_KIND, str(problem), "bad")
+            section = Section(part.folder.name, UNREADABLE_SECTION_KIND, str(problem), "bad")
         if {block.title for block in section.blocks} & {"Floor plan", "The hall in 3D"}:
             shown_sources.add(source)
         yield part, section

@@ -171,7 +171,7 @@ def _(result: NewPointErrors) -> Figure:
 @figure_of.register
 def _(result: PairedDifferences) -> Figure:
     rows = {
-        ", ".join([e.statistic, *(f"{name} {value}" for name, value in e.settings.items())]): (
+        ", ".join([e.statistic, *(f"{name} {value}" for name, value in e.shared_levels.items())]): (
             e.difference,
             e.low,
             e.high,

@@ -105,7 +105,7 @@ def with_figure_style(draw: Callable[DrawParameters, Figure]) -> Callable[DrawPa
 
 
 class NotebookFigure(Figure):
-    """Figure that a notebook shows as a picture, whether or not pyplot is loaded."""
+    """Figure that a notebook shows as a picture, even if pyplot is not imported."""
 
     def _repr_png_(self) -> bytes:
         return png_bytes(self)
@@ -194,10 +194,10 @@ def add_legend(figure: Figure, panels: Iterable[Axes], *, n_columns: int = 3) ->
     """Add a common legend above all panels, each label once; long labels are shortened."""
     handles = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     labels = [shortened_name(label) for label in handles]
-    figure.legend(list(handles.values()), labels, ncols=legend_columns(labels, n_columns), loc="outside upper left")
+    figure.legend(list(handles.values()), labels, ncols=n_legend_columns(labels, n_columns), loc="outside upper left")
 
 
-def legend_columns(labels: Sequence[str], max_columns: int) -> int:
+def n_legend_columns(labels: Sequence[str], max_columns: int) -> int:
     """Number of legend columns that fit the longest label, at most `max_columns`."""
     return max(1, min(max_columns, LEGEND_LINE_LENGTH // (max(map(len, labels), default=0) + LEGEND_HANDLE_LENGTH)))
 
@@ -205,7 +205,7 @@ def legend_columns(labels: Sequence[str], max_columns: int) -> int:
 def legend_height(labels: Sequence[str], max_columns: int) -> float:
     """Height [inch] of a legend of labels in at most `max_columns` columns."""
     return LEGEND_LINE_HEIGHT * -(
-        -len(labels) // legend_columns([shortened_name(label) for label in labels], max_columns)
+        -len(labels) // n_legend_columns([shortened_name(label) for label in labels], max_columns)
     )
 
 

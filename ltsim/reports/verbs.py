@@ -13,7 +13,7 @@ from ltsim.recordings import Recording
 from ltsim.recordings.exchange import read
 from ltsim.recordings.files import write_text
 from ltsim.recordings.setup import ReportHeader
-from ltsim.reports.page import PAGE_FILE, UNREADABLE_KIND, document_of_folder, page_html
+from ltsim.reports.page import PAGE_FILE, UNREADABLE_SECTION_KIND, document_of_folder, page_html
 from ltsim.reports.workshop_scene import (
     WorkshopScene,
     workshop_from_recording,
@@ -171,7 +171,7 @@ def report(
         document_of_folder(Path(folder), recording=recording_path, title=title, about=header),
     )
     for section in content.sections:
-        if section.kind == UNREADABLE_KIND:
+        if section.kind == UNREADABLE_SECTION_KIND:
             print_message(section.summary)
     write_text(target, page_html(content))
     return target

@@ -2,7 +2,7 @@
 
 from ltsim.core.units import MILLIMETRE
 from ltsim.planning.result import Plan
-from ltsim.planning.tables import SETUPS_TABLE
+from ltsim.planning.tables import TAPE_DISTANCES_TABLE
 from ltsim.planning.work_order import check_sentences, station_instructions
 from ltsim.reports.document_model import (
     Block,
@@ -21,7 +21,7 @@ def work_order_page(plan: Plan) -> str:
     """HTML page of the work order of a plan."""
     survey = plan.network.layout.survey
     title = f"Work order: {plan.title or 'the plan'}"
-    is_rejected = plan.reached is False or bool(plan.broken_rules)
+    is_rejected = plan.goal_reached is False or bool(plan.broken_rules)
     section = Section(
         title=title,
         kind="Work order",
@@ -35,7 +35,7 @@ def work_order_page(plan: Plan) -> str:
 def _work_order_blocks(plan: Plan) -> list[Block]:
     network = plan.network
     stations, survey = station_instructions(network), network.layout.survey
-    places = SETUPS_TABLE.with_rows(
+    places = TAPE_DISTANCES_TABLE.with_rows(
         [
             s.name,
             *(tape.text for tape in s.tape_distances),
@@ -86,7 +86,7 @@ def _reflector_proposals_block(plan: Plan) -> list[Block]:
     if not moves_and_additions:
         return []
     lines = [
-        f"{c.action_text}: the errors of the other points decrease by {c.gain_um:.2f} µm. "
+        f"{c.action_text}: the errors of the other points decrease by {c.target_rms_decrease_um:.2f} µm. "
         f"The parameter that improves most is {c.most_affected_parameter}."
         for c in moves_and_additions
     ]

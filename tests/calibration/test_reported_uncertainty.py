@@ -24,9 +24,9 @@ count = 2
 min_stations_per_target = 2
 [search]
 starts = 1
-grid_mm = 3000
-yaws = 1
-heights = 1
+grid_step_mm = 3000
+yaw_count = 1
+height_count = 1
 """
 POINTS = [(3, 1, 1), (10, 8, 2), (16, 1, 4), (21, 7, 1), (12, 4.5, 5), (5, 7, 3), (19, 2, 2), (8, 1, 1.5)]
 

@@ -8,8 +8,8 @@ title = "for the tests"
 scenario = "paper-workshop"
 seed = 5
 trials = 600
-shard = 256
-verify = 1
+trials_per_shard = 256
+verified_trials_per_shard = 1
 
 [grid]
 "instrument.noise_factor" = [1.0, 2.0]

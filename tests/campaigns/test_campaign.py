@@ -70,7 +70,7 @@ def test_rows_carry_the_settings_of_their_cell_and_units(reference: dict[str, by
 
 def test_estimates_and_truth_carry_the_units_of_their_parameters(file: Path) -> None:
     text = FILE.replace("trials = 600", 'trials = 2\nstatistics = ["estimates", "truth", "z-scores"]')
-    file.write_text(text + '[settings]\neffects = [{name = "range-cyclic", draw = true}]\n')
+    file.write_text(text + '[scenario_changes]\neffects = [{name = "range-cyclic", draw = true}]\n')
     campaign, scenarios = load_campaign(file)
     rows = make_shard_rows(ShardTask(campaign, scenarios[0], "", 0, 0))
     units = {field.name: (field.metadata or {})[b"unit"].decode() for field in rows.schema}
@@ -141,7 +141,7 @@ if __name__ == "__main__":
 def test_killed_at_random_moments_of_resumed_runs_the_next_completes_with_the_same_rows(
     jobs: int, file: Path, tmp_path: Path, root: Path
 ) -> None:
-    file.write_text(FILE.replace("shard = 256", "shard = 32"))
+    file.write_text(FILE.replace("trials_per_shard = 256", "trials_per_shard = 32"))
     whole, out, script = tmp_path / "whole", tmp_path / "out", tmp_path / "resumed.py"
     assert run_campaign(file, whole).n_computed_shards == 38
     script.write_text(RESUMED)
@@ -301,7 +301,7 @@ def test_a_wrong_file_is_one_sentence(change: tuple[str, str], says: str, file: 
 def test_a_trial_depends_on_its_number_alone(file: Path) -> None:
     """Other shards, more trials, another method beside: the same rows."""
     campaign, scenarios = load_campaign(file)
-    long = campaign.model_copy(update={"trials": 900, "shard": 700})
+    long = campaign.model_copy(update={"trials": 900, "trials_per_shard": 700})
     table = make_shard_rows(ShardTask(campaign, scenarios[0], "", 0, 1))
     other = make_shard_rows(ShardTask(long, scenarios[0], "", 0, 0))
     same = other.slice(256, 256)
@@ -374,7 +374,7 @@ def test_statistics_are_those_of_the_rows(file: Path, tmp_path: Path) -> None:
     z = np.array(whole["z:transit-tilt"])
     score = next(s for s in results.z_score_summaries() if s.cell == 1 and s.parameter == "transit-tilt")
     assert (score.mean, score.standard_deviation) == pytest.approx((z.mean(), z.std(ddof=1)), rel=1e-4, abs=1e-6)
-    assert [c.checked for c in results.solver_comparisons()] == [3, 3]
+    assert [c.verified_trials for c in results.solver_comparisons()] == [3, 3]
     assert all((c.largest_difference_sigma or 1) < 1e-3 for c in results.solver_comparisons())
     assert json.dumps(results.summary().model_dump(mode="json"), allow_nan=False)
 
@@ -396,7 +396,7 @@ def test_paired_comparison_of_methods(file: Path, tmp_path: Path) -> None:
     run_campaign(file, tmp_path / "out")
     results = CampaignResults(tmp_path / "out")
     gap = results.paired_differences("target_error_um", method=("none", "network")).entries
-    assert [g.trials for g in gap] == [600, 600] and [g.settings for g in gap] == results.levels
+    assert [g.trials for g in gap] == [600, 600] and [g.shared_levels for g in gap] == results.levels
     means = {(s.cell, s.method): s.mean for s in results.distribution("target_error_um")}
     assert gap[0].difference == pytest.approx(means[0, "none"] - means[0, "network"], rel=1e-4)
     assert gap[0].low > 0  # an uncalibrated network errs more

@@ -98,7 +98,7 @@ def test_a_trial_written_and_calibrated_is_its_row(method: str, geometry: Any, t
             "seed": SEED,
             "trials": 8,
             "geometry": geometry,
-            "verify": 0,
+            "verified_trials_per_shard": 0,
             "statistics": ["estimates"],
             "methods": [{"method": method}],
         }

@@ -19,8 +19,8 @@ FILE = """
 format = "ltsim-campaign/1"
 seed = 8
 trials = 6144
-shard = 512
-verify = 1
+trials_per_shard = 512
+verified_trials_per_shard = 1
 """
 
 

@@ -12,7 +12,8 @@ from ltsim.campaigns.spec import load_campaign, make_cells
 from ltsim.core.errors import SetupError
 
 HEAD = 'format = "ltsim-campaign/1"\ntrials = 2\n'
-LINK = '[link]\nnoise_arcsec = ["instrument.noise.azimuth_arcsec", "instrument.noise.elevation_arcsec"]\n'
+RANGE = '[design.ranges."work.targets"]\n'
+LINK = '[linked_keys]\nnoise_arcsec = ["instrument.noise.azimuth_arcsec", "instrument.noise.elevation_arcsec"]\n'
 
 
 def made(tmp_path: Path, text: str):
@@ -47,7 +48,7 @@ def test_linked_keys_take_the_same_value_in_the_keys_unit(tmp_path: Path) -> Non
 
 
 def test_errors_and_effects_are_swept_in_their_own_units(tmp_path: Path) -> None:
-    text = '[settings]\n"workshop.temperature_c" = "27 °C"\neffects = [{name = "head-sag"}]\n'
+    text = '[scenario_changes]\n"workshop.temperature_c" = "27 °C"\neffects = [{name = "head-sag"}]\n'
     text += '[grid]\n"instrument.errors.beam-tilt" = ["1 arcsec"]\n"effects.1.values.sag" = ["0.02 mrad"]\n'
     text += '"workshop.shadow_cone_deg" = ["none", 70]\n'
     _, scenarios, factors, levels = made(tmp_path, text)
@@ -63,7 +64,7 @@ def test_errors_and_effects_are_swept_in_their_own_units(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("kind", ["sobol", "latin-hypercube"])
 def test_designs_fill_their_ranges_and_come_from_the_seed(kind: str, tmp_path: Path) -> None:
-    text = f'[design]\nkind = "{kind}"\ncells = 16\n[design.ranges."work.targets"]\nlow = 3\nhigh = 6\n'
+    text = f'[design]\nkind = "{kind}"\ncell_count = 16\n[design.ranges."work.targets"]\nlow = 3\nhigh = 6\n'
     text += '[design.ranges."instrument.noise_factor"]\nlow = 0.1\nhigh = 10\nscale = "log"\n'
     _, _, _, levels = made(tmp_path, text)
     assert levels == made(tmp_path, text)[3] != made(tmp_path, "seed = 2\n" + text)[3]
@@ -100,11 +101,11 @@ def test_names_are_as_short_as_tells_them_apart() -> None:
         ('[grid]\n"work.stations" = [6]\n', "work.stations is 6, but the scenario has 5"),
         ('[grid]\n"work.targets" = [0]\ngauge = ["none"]\n', "work.targets is 0, expected at least 3"),
         ('[grid]\n"effects.3.values.x" = [1]\n', "goes through 3, which is not a table"),
-        ('[design]\nkind = "sobol"\ncells = 50\n[design.ranges."work.targets"]\nlow = 3\nhigh = 6\n', "such as 64"),
-        ('[design]\nkind = "sobol"\ncells = 8\n[design.ranges."work.targets"]\nlow = 6\nhigh = 3\n', "low below high"),
+        ('[design]\nkind = "sobol"\ncell_count = 50\n' + RANGE + "low = 3\nhigh = 6\n", "such as 64"),
+        ('[design]\nkind = "sobol"\ncell_count = 8\n' + RANGE + "low = 6\nhigh = 3\n", "low below high"),
         (LINK + '[grid]\nnoise_arcsec = [1]\n"instrument.noise.azimuth_arcsec" = [1]\n', "vary each key once"),
-        ('[stop]\nwithin = 0\n', "greater than 0"),
-        ('statistics = ["errors"]\n[stop]\nwithin = 1\nstatistic = "z:beam-tilt"\n', "'z-scores' among its statistics"),
+        ('[stop]\nmax_half_width = 0\n', "greater than 0"),
+        ('statistics = ["errors"]\n[stop]\nmax_half_width = 1\nstatistic = "z:beam-tilt"\n', "'z-scores' among its st"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_varied_is_one_sentence(text: str, says: str, tmp_path: Path) -> None:

@@ -21,8 +21,8 @@ FILE = """
 format = "ltsim-campaign/1"
 seed = 5
 trials = 24
-shard = 16
-verify = 1
+trials_per_shard = 16
+verified_trials_per_shard = 1
 statistics = ["errors"]
 
 [grid]
@@ -151,7 +151,9 @@ def test_status_one_says_which_cell_even_when_quiet(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "sweep.toml"
-    file.write_text(FILE.replace("verify = 0", "verify = 1").replace("[1.0, 2.0]", "[2.0]"))
+    file.write_text(
+        FILE.replace("verified_trials_per_shard = 0", "verified_trials_per_shard = 1").replace("[1.0, 2.0]", "[2.0]")
+    )
     monkeypatch.setattr("ltsim.campaigns.trial_calibrators.BatchCalibrator.largest_solver_difference", lambda *_: 0.01)
     assert run(["campaign", str(file), "--quiet"]) == 1
     said = capsys.readouterr().err

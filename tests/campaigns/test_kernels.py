@@ -74,7 +74,7 @@ def test_gradient_is_that_of_the_cost(engine: BatchCalibrator) -> None:
     """Along random directions, by differences of the cost, at a state three sigma away in every unknown."""
     network: BatchNetwork = engine.batch_network
     block = engine.truth.draw_batch(3, 0)
-    size = network.end_indices[-1]
+    size = network.block_end_indices[-1]
     rng = np.random.default_rng(6)
     spread = np.sqrt(np.diag(network.covariance))[:, None]
     x = 3 * spread * rng.standard_normal((size, TRIALS_PER_STREAM))

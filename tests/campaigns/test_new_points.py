@@ -50,19 +50,23 @@ def session() -> Iterator[None]:
 
 
 def campaign(**more: Any) -> CampaignFile:
-    base = {"format": "ltsim-campaign/1", "seed": 4, "trials": 48, "verify": 1}
+    base = {"format": "ltsim-campaign/1", "seed": 4, "trials": 48, "verified_trials_per_shard": 1}
     return CampaignFile.model_validate({**base, **more})
 
 
 def rows(made: CampaignFile, scenario: Scenario = PAPER) -> dict[str, list[Any]]:
-    judge = make_validation_scenario(made.judge_in, scenario, Path("campaign.toml")) if made.judge_in else None
+    judge = (
+        make_validation_scenario(made.validation_points, scenario, Path("campaign.toml"))
+        if made.validation_points
+        else None
+    )
     return dict(make_shard_rows(ShardTask(made, scenario, "", 0, 0, judge)).to_pydict())
 
 
 @pytest.mark.long
 def test_the_same_instruments_are_judged_where_nothing_was_calibrated(tmp_path: Path) -> None:
     """Every trial's error there, against a recording of that place corrected by what the trial found."""
-    made = campaign(judge_in="paper-laboratory", statistics=["errors", "estimates", "truth"], trials=6)
+    made = campaign(validation_points="paper-laboratory", statistics=["errors", "estimates", "truth"], trials=6)
     found = rows(made)
     raw, after, perfect = (np.array(found[name]) for name in ERRORS)
     assert np.mean(perfect) < np.mean(after) and np.all(after < raw)
@@ -92,7 +96,7 @@ def test_points_of_a_table_are_measured_from_the_cells_own_stations(tmp_path: Pa
     judge = make_validation_scenario("points.csv", PAPER, tmp_path / "campaign.toml")
     assert tuple(judge.targets) == ("A", "B", "C", "D") and judge.gauge is None
     assert judge.stations == PAPER.stations and judge.instrument == PAPER.instrument
-    made = campaign(judge_in=str(tmp_path / "points.csv"), statistics=["errors"], trials=8)
+    made = campaign(validation_points=str(tmp_path / "points.csv"), statistics=["errors"], trials=8)
     assert all(value is not None for name in ERRORS for value in rows(made)[name])
     for lost, says in (("nowhere.csv", "nowhere.csv"), ("two-trackers", "should name the trackers of the cells")):
         with pytest.raises(SetupError, match=says):
@@ -137,12 +141,14 @@ def test_an_effect_of_the_session_is_checked() -> None:
 @pytest.mark.long
 def test_paired_differences_on_common_draws(tmp_path: Path) -> None:
     methods = [{"method": "network"}, {"method": "distance"}]
-    made = campaign(methods=methods, grid={"work.faces": [1, 2]}, statistics=["errors"], judge_in="paper-laboratory")
+    made = campaign(
+        methods=methods, grid={"work.faces": [1, 2]}, statistics=["errors"], validation_points="paper-laboratory"
+    )
     results = lt.campaign(made.model_dump(mode="json", exclude_none=True), out=tmp_path / "out")
     (face_1, face_2) = results.paired_differences(
         "new_point_error_calibrated_um", method=("distance", "network")
     ).entries
-    assert [e.settings for e in (face_1, face_2)] == [{"faces": 1}, {"faces": 2}] and face_1.unit == "um"
+    assert [e.shared_levels for e in (face_1, face_2)] == [{"faces": 1}, {"faces": 2}] and face_1.unit == "um"
     assert face_1.low < face_1.difference < face_1.high and face_1.trials == 48
     values = results.to_dataframe("rows").pivot_table(
         "new_point_error_calibrated_um", ["cell", "trial"], "method", aggfunc="first"
@@ -152,7 +158,7 @@ def test_paired_differences_on_common_draws(tmp_path: Path) -> None:
     apart = np.sqrt(values["distance"][0].var() + values["network"][0].var())
     assert gap.std() < 0.9 * apart  # the draws are common
     faces = results.paired_differences("share_removed", faces=(2, 1))
-    assert [e.settings for e in faces.entries] == [{"method": "network"}, {"method": "distance"}]
+    assert [e.shared_levels for e in faces.entries] == [{"method": "network"}, {"method": "distance"}]
     frame = results.to_dataframe("rows").query("method == 'network'")
     shares = [
         removed_error_fraction(
@@ -170,9 +176,11 @@ def test_paired_differences_on_common_draws(tmp_path: Path) -> None:
 
 def test_every_column_of_rows_is_defined_once() -> None:
     made = campaign(
-        trials=4, statistics=["criteria", "errors", "z-scores", "estimates", "truth"], judge_in="paper-workshop"
+        trials=4,
+        statistics=["criteria", "errors", "z-scores", "estimates", "truth"],
+        validation_points="paper-workshop",
     )
-    judge = make_validation_scenario(made.judge_in, PAPER, Path("campaign.toml"))
+    judge = make_validation_scenario(made.validation_points, PAPER, Path("campaign.toml"))
     schema = make_shard_rows(ShardTask(made, PAPER, "", 0, 0, judge)).schema
     results = [field for field in schema if field.name not in ("cell", "method", "trial", "status")]
     assert all(field.metadata[b"meaning"].decode() == find_column(field.name).meaning for field in results)

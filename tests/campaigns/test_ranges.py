@@ -87,7 +87,7 @@ def test_ranges_from_two_stations_place_nothing(truth: CellTruth) -> None:
 
 
 def test_a_distance_calibrator_and_a_mixture_of_trackers_are_refused(truth: CellTruth) -> None:
-    with pytest.raises(SetupError, match="compares points"):
+    with pytest.raises(SetupError, match="needs ranges and angles"):
         make_calibrator(CalibrationMethod(method="distance"), truth)
     mixed = lt.scenario("two-trackers")
     trackers = dict(mixed.instruments)

@@ -28,10 +28,10 @@ SWEEP = {
     "scenario": "paper-workshop",
     "seed": 3,
     "trials": 24,
-    "shard": 24,
-    "verify": 0,
+    "trials_per_shard": 24,
+    "verified_trials_per_shard": 0,
     "statistics": ["errors"],
-    "judge_in": "paper-laboratory",
+    "validation_points": "paper-laboratory",
     "methods": [{"method": "network"}, {"method": "distance"}],
 }
 
@@ -39,8 +39,16 @@ SWEEP = {
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory: pytest.TempPathFactory) -> Any:
     link = {"angle_noise_arcsec": ["instrument.noise.azimuth_arcsec", "instrument.noise.elevation_arcsec"]}
-    more = {"link": link, "grid": {"work.faces": [1, 2], "angle_noise_arcsec": [0.4, 0.8]}}
+    more = {"linked_keys": link, "grid": {"work.faces": [1, 2], "angle_noise_arcsec": [0.4, 0.8]}}
     return lt.campaign(SWEEP | more, out=tmp_path_factory.mktemp("sweep") / "rows")
+
+
+def test_a_figure_without_arguments_is_drawn_for_a_grid_and_a_design(sweep: Any, tmp_path: Path) -> None:
+    ranges = {"instrument.noise_factor": {"low": 0.5, "high": 2.0}}
+    design = {"kind": "latin-hypercube", "cell_count": 3, "ranges": ranges}
+    spread = lt.campaign(SWEEP | {"trials": 2, "trials_per_shard": 2, "design": design}, out=tmp_path / "rows")
+    for results in (sweep, spread):
+        assert results.plot().axes[0].lines
 
 
 def test_a_sweep_is_a_dataset_with_units_on_axes_that_sel_takes(sweep: Any) -> None:
@@ -120,7 +128,7 @@ def test_cells_that_are_no_grid_lie_on_one_axis_and_no_name_is_an_argument_of_se
     pytest.importorskip("xarray", reason="the dataset is xarray's")
     link = {"tolerance": ["instrument.noise_factor"]}
     cells = [{"tolerance": 1.0, "work.faces": 1}, {"tolerance": 2.0, "work.faces": 2}]
-    made = lt.campaign(SWEEP | {"link": link, "cells": cells, "methods": [{}]}, out=tmp_path / "cells")
+    made = lt.campaign(SWEEP | {"linked_keys": link, "cells": cells, "methods": [{}]}, out=tmp_path / "cells")
     cube = made.to_xarray("target_error_um")
     assert cube.sizes == {"calibrator": 1, "cell": 2}
     assert cube.sel(cell=1)["tolerance_"] == 2.0
@@ -156,21 +164,23 @@ def test_methods_are_compared_on_one_recording_as_the_campaign_compares_them_in_
     assert judged.column("calibration") == ["network", "distance"]
     alone = lt.compare_calibrations(scenario, found["network"], "paper-laboratory", seed=3, trial=17)
     assert alone.table().column("error_calibrated_um") == judged.column("error_calibrated_um")[:1]
-    with pytest.raises(SetupError, match="calibration 'network' belongs to another recording than seed 3, trial 16"):
+    with pytest.raises(SetupError, match="calibration 'network' is not from seed 3 and trial 16"):
         lt.compare_calibrations(scenario, found, "paper-laboratory", seed=3, trial=16)
     with pytest.raises(SetupError, match="no calibration is given"):
         lt.compare_calibrations(scenario, {}, "paper-laboratory", seed=3, trial=17)
 
 
 def test_what_is_applied_is_judged_as_a_campaign_judges_it(tmp_path: Path) -> None:
-    methods = [{"method": "network"}, {"name": "applied", "solver": "single", "applied": True}]
-    campaign = SWEEP | {"seed": 1, "trials": 2, "shard": 2, "methods": methods}
+    methods = [{"method": "network"}, {"name": "applied", "solver": "single", "uses_applied_corrections": True}]
+    campaign = SWEEP | {"seed": 1, "trials": 2, "trials_per_shard": 2, "methods": methods}
     rows = lt.campaign(campaign, out=tmp_path / "rows")
     recording, _ = lt.simulate("paper-workshop", seed=1, trial=1)
     found = lt.calibrate(recording)
     assert not np.array_equal(found.applied_values, found.estimates)  # else both are one
     for method, applied in (("network", False), ("applied", True)):
-        judged = lt.compare_calibrations("paper-workshop", found, "paper-laboratory", applied=applied, seed=1, trial=1)
+        judged = lt.compare_calibrations(
+            "paper-workshop", found, "paper-laboratory", uses_applied_corrections=applied, seed=1, trial=1
+        )
         sql = f"SELECT new_point_error_calibrated_um FROM rows WHERE trial = 1 AND method = '{method}'"
         (row,) = rows.query(sql)
         assert judged.table().column("error_calibrated_um") == pytest.approx([row[0]], rel=1e-4)
@@ -182,7 +192,7 @@ def test_no_trials_and_no_workers_are_no_answer(tmp_path: Path) -> None:
             lt.recover("paper-workshop", trials=trials)
     with pytest.raises(SetupError, match="jobs is 0, expected a whole number, 1 to 256"):
         lt.campaign({"trials": 2}, out=tmp_path / "rows", jobs=0)
-    with pytest.raises(ModelError, match="at least one strength"):
+    with pytest.raises(ModelError, match="at least one noncentrality"):
         lt.injection_curve(lt.simulate("paper-workshop", seed=1).recording, "index-drift", strengths=[])
 
 

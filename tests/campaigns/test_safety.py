@@ -80,9 +80,9 @@ def test_a_manifest_of_very_many_files_of_rows_is_refused(shard: int | None, fil
     file.write_text(few)
     run_campaign(file, tmp_path / "out")
     manifest = tmp_path / "out" / "manifest.json"
-    content = {**json.loads(manifest.read_text()), "trials": 10**18, "shard": shard}
+    content = {**json.loads(manifest.read_text()), "trials": 10**18, "trials_per_shard": shard}
     manifest.write_text(json.dumps({key: value for key, value in content.items() if value is not None}))
-    with pytest.raises(SetupError, match=f"files of rows, expected at most {MAX_SHARDS}"):
+    with pytest.raises(SetupError, match=f"at most {MAX_SHARDS} files of rows"):
         run_campaign(file, tmp_path / "out", resume=True)
 
 
@@ -138,7 +138,10 @@ def test_a_changed_cad_file_is_noticed_and_kept(file: Path, tmp_path: Path) -> N
     ("change", "says"),
     [
         (("[1.0, 2.0]", str([1.0] * 5000)), "at most 4096 cells, but the grid gives 5000"),
-        (("trials = 600\nshard = 256", "trials = 1000000000\nshard = 1"), "increase shard"),
+        (
+            ("trials = 600\ntrials_per_shard = 256", "trials = 1000000000\ntrials_per_shard = 1"),
+            "increase trials_per_shard",
+        ),
     ],
 )
 def test_a_campaign_that_nobody_could_keep_is_a_sentence(
@@ -187,7 +190,9 @@ def test_a_line_of_digests_that_was_cut_is_repaired(file: Path, tmp_path: Path) 
         digests.write_text(cut)
         assert run_campaign(file, out, resume=True).n_existing_shards == 2
         assert sorted(digests.read_text().splitlines()) == sorted(whole.splitlines())
-        assert CampaignFolder(out).digests().keys() == {f"rows/cell-0000/shard-00000{k}.parquet" for k in (0, 1)}
+        assert CampaignFolder(out).recorded_digests().keys() == {
+            f"rows/cell-0000/shard-00000{k}.parquet" for k in (0, 1)
+        }
     assert not list(out.rglob(".ltsim-*"))
 
 

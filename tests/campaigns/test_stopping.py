@@ -24,15 +24,15 @@ FILE = """
 format = "ltsim-campaign/1"
 seed = 5
 trials = 2048
-shard = 256
-verify = 0
+trials_per_shard = 256
+verified_trials_per_shard = 0
 statistics = ["errors"]
 
 [grid]
 "instrument.noise_factor" = [0.5, 2.0]
 "work.faces" = [1, 2]
 """
-STOP = "\n[stop]\nwithin = 0.28\n"
+STOP = "\n[stop]\nmax_half_width = 0.28\n"
 SHARD, METHOD = 100, "network"
 
 
@@ -84,7 +84,7 @@ def test_stopping_is_the_same_with_two_workers_and_after_any_interruption(
             run_campaign(file, tmp_path / "out", resume=resume, progress=stop)
     outcome = run_campaign(file, tmp_path / "out", workers=WorkerSettings(n_processes=2), resume=True)
     assert contents(tmp_path / "out") == contents(stopped)
-    assert outcome.n_existing_shards >= 2 and "were not needed" in outcome.notes[-1]
+    assert outcome.n_existing_shards >= 2 and "unnecessary" in outcome.notes[-1]
 
 
 def halves(means: list[float], shards: int, *, looks: int, seed: int) -> dict[tuple[int, str], float]:
@@ -105,8 +105,8 @@ def halves(means: list[float], shards: int, *, looks: int, seed: int) -> dict[tu
 
 def spent(means: list[float], *, within: float, seed: int = 1) -> list[int]:
     """Shards that each cell gets."""
-    stop = StoppingRule(statistic="chi2", within=within)
-    campaign = CampaignFile(format="ltsim-campaign/1", trials=40 * SHARD, shard=SHARD, stop=stop)
+    stop = StoppingRule(statistic="chi2", max_half_width=within)
+    campaign = CampaignFile(format="ltsim-campaign/1", trials=40 * SHARD, trials_per_shard=SHARD, stop=stop)
     asked = iterate_stopping_rounds(campaign, len(means), lambda _, shards: halves(means, shards, looks=40, seed=seed))
     done = [shard for now in asked for shard in now]
     assert len(done) == len(set(done))

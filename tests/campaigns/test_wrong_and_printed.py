@@ -23,10 +23,12 @@ ERROR = "new_point_error_calibrated_um"
 def rows(key: str, value: Any, trials: int, *methods: dict[str, Any], **more: Any) -> dict[str, Any]:
     """Columns as arrays; `key` of the scenario changed."""
     tables = {"format": "ltsim-campaign/1", "seed": 4, "trials": trials, "methods": methods, "statistics": ["errors"]}
-    made = CampaignFile.model_validate({**tables, "judge_in": "paper-laboratory", "verify": 2, **more})
+    made = CampaignFile.model_validate(
+        {**tables, "validation_points": "paper-laboratory", "verified_trials_per_shard": 2, **more}
+    )
     scenario = change_scenario(PAPER, {key: value}, FILE)
     table = make_shard_rows(
-        ShardTask(made, scenario, "", 0, 0, make_validation_scenario(made.judge_in, scenario, FILE))
+        ShardTask(made, scenario, "", 0, 0, make_validation_scenario(made.validation_points, scenario, FILE))
     )
     return {name: np.array(column) for name, column in table.to_pydict().items()}
 
@@ -54,13 +56,13 @@ def test_a_wrong_prior_changes_what_is_stated_and_nothing_that_is_true() -> None
 
 @pytest.mark.long
 def test_what_is_applied_minds_a_wrong_prior_less_than_the_estimates() -> None:
-    applied = {"name": "applied", "solver": "single", "applied": True}
+    applied = {"name": "applied", "solver": "single", "uses_applied_corrections": True}
     found = rows("instrument.prior_factor", 1000.0, 4, applied, {"name": "estimates"})
     assert mean(found, ERROR, "applied") < mean(found, ERROR, "estimates")
 
 
 def test_an_instrument_that_changed_reads_otherwise_where_it_is_judged() -> None:
-    still, moved = (rows("work.faces", 1, 64, {}, judge_drift=drift) for drift in (0.0, 1.0))
+    still, moved = (rows("work.faces", 1, 64, {}, validation_drift=drift) for drift in (0.0, 1.0))
     np.testing.assert_array_equal(still["error_calibrated_um"], moved["error_calibrated_um"])
     assert mean(moved, ERROR, "network") > 1.1 * mean(still, ERROR, "network")
     assert mean(moved, "new_point_error_raw_um", "network") > 1.1 * mean(still, "new_point_error_raw_um", "network")
@@ -70,7 +72,7 @@ def test_an_instrument_that_changed_reads_otherwise_where_it_is_judged() -> None
     ("tables", "sentence"),
     [
         ({"methods": [{"effects": [{"name": "range-step"}] * 201}]}, "should hold at most 200"),
-        ({"link": {f"k{i}": ["instrument.noise_factor"] for i in range(65)}}, "should hold at most 64"),
+        ({"linked_keys": {f"k{i}": ["instrument.noise_factor"] for i in range(65)}}, "should hold at most 64"),
     ],
 )
 def test_lists_are_limited_before_any_work(tables: dict[str, Any], sentence: str) -> None:
@@ -84,7 +86,10 @@ def test_a_repeated_statistic_counts_once() -> None:
     assert validate_settings(tables, CampaignFile, "campaign", FILE).statistics == ("errors",)
 
 
-@pytest.mark.parametrize("method", [{"applied": True}, {"applied": True, "solver": "single", "method": "distance"}])
+@pytest.mark.parametrize(
+    "method",
+    [{"uses_applied_corrections": True}, {"uses_applied_corrections": True, "solver": "single", "method": "distance"}],
+)
 def test_what_is_applied_is_known_of_single_networks_alone(method: dict[str, Any]) -> None:
     with pytest.raises(RecordError, match="solver single"):
         validate_settings({"format": "ltsim-campaign/1", "methods": [method]}, CampaignFile, "campaign", FILE)

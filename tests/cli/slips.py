@@ -90,23 +90,23 @@ spacing_mm = 800
 min_stations_per_target = 1
 
 [reflectors]
-on = ["walls"]
+candidate_bodies = ["walls"]
 place_spacing_mm = 4000
 
 [budget]
-hours = 2
+max_hours = 2
 faces = [1]
 repeats = [1]
 
 [goal]
-targets = 1.0
-instrument = 0.5
+targets_weight = 1.0
+instrument_weight = 0.5
 
 [search]
 starts = 1
-grid_mm = 2500
-yaws = 1
-heights = 1
+grid_step_mm = 2500
+yaw_count = 1
+height_count = 1
 """
 POINTS_PLAN = """format = "ltsim-plan/1"
 title = "A press"
@@ -121,13 +121,13 @@ count = 2
 min_stations_per_target = 1
 
 [goal]
-tolerances = [{ group = "gap", within_mm = 0.5 }]
+tolerances = [{ group = "gap", tolerance_mm = 0.5 }]
 
 [search]
 starts = 1
-grid_mm = 3000
-yaws = 1
-heights = 1
+grid_step_mm = 3000
+yaw_count = 1
+height_count = 1
 """
 POINTS = "name,x_mm,y_mm,z_mm,group,weight,tolerance_mm\n" + "".join(
     f"P{i},{1000 + 900 * i},{1500 + 700 * (i % 3)},{600 + 400 * (i % 2)},gap,1,0.2\n" for i in range(6)
@@ -135,8 +135,8 @@ POINTS = "name,x_mm,y_mm,z_mm,group,weight,tolerance_mm\n" + "".join(
 CAMPAIGN = """format = "ltsim-campaign/1"
 title = "few"
 trials = 2
-shard = 2
-verify = 0
+trials_per_shard = 2
+verified_trials_per_shard = 0
 seed = 3
 statistics = ["errors"]
 

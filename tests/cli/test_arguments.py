@@ -74,7 +74,7 @@ WRONG: list[tuple[Callable[..., Any], dict[str, Any], list[str], str]] = [
      "=1: expected KEY=VALUE"),
     (lt.campaign, {"source": SMALL, "out": "x", "backend": "dask"}, ["campaign", "a.toml", "--backend=dask"],
      ", an address such as tcp://127.0.0.1:8786 or a cluster file"),
-    (lt.campaign, {"source": SMALL | {"stop": {"statistic": "speed", "within": 1.0}}, "out": "x"}, [],
+    (lt.campaign, {"source": SMALL | {"stop": {"statistic": "speed", "max_half_width": 1.0}}, "out": "x"}, [],
      "stop.statistic: there is no column of the rows called 'speed'"),
     (lt.campaign, {"source": ""}, ["campaign", ""], "the source is '', expected the path"),
     (lt.campaign, {"source": "a\0b"}, ["campaign", "a\0b"], "the source is 'a\\x00b', expected the path"),

@@ -12,8 +12,8 @@ FILE = """
 format = "ltsim-campaign/1"
 title = "two noise levels"
 trials = 300
-shard = 256
-verify = 1
+trials_per_shard = 256
+verified_trials_per_shard = 1
 
 [grid]
 "instrument.noise_factor" = [1.0, 2.0]

@@ -31,7 +31,7 @@ def test_a_fault_of_ltsim_has_a_status_of_its_own(
     def broken(*_: object, **__: object) -> None:
         raise IndexError("nobody expects this")
 
-    monkeypatch.setattr(effects, "_line", broken)
+    monkeypatch.setattr(effects, "_list_line", broken)
     assert run(["effects"]) == 70
     said = capsys.readouterr().err
     assert "Traceback" in said and "nobody expects this" in said
@@ -65,7 +65,7 @@ def test_sizes_that_no_machine_holds_are_a_sentence(
     tmp_path: Path,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("fine.toml").write_text('format = "ltsim-plan/1"\n[search]\ngrid_mm = 0.001\n')
+    Path("fine.toml").write_text('format = "ltsim-plan/1"\n[search]\ngrid_step_mm = 0.001\n')
     assert run(["simulate", "paper-workshop", "--show"]) == 0
     scenario = capsys.readouterr().out.replace("size_mm = [6000, 6000, 6000]", "size_mm = [1e9, 1e9, 6000]")
     Path("wide.toml").write_text(scenario)
@@ -88,7 +88,7 @@ def test_an_interrupted_campaign_says_what_is_kept(
         return real(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(campaign, "n_rows_of_shard", stop)
-    (tmp_path / "few.toml").write_text('format = "ltsim-campaign/1"\ntrials = 8\nshard = 4\n')
+    (tmp_path / "few.toml").write_text('format = "ltsim-campaign/1"\ntrials = 8\ntrials_per_shard = 4\n')
     assert run(["campaign", str(tmp_path / "few.toml")]) == 130
     said = capsys.readouterr().err
     remaining = f"1 files with results of finished trials remain in {tmp_path / 'few'}"
@@ -121,7 +121,7 @@ def test_an_interruption_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(effects, "_line", stop)
+    monkeypatch.setattr(effects, "_list_line", stop)
     assert run(["effects"]) == 130
     assert capsys.readouterr().err == "interrupted; no partial file remains\n"
 

@@ -46,7 +46,7 @@ size_mm = [6000, 4000, 3000]
 count = 2
 [search]
 starts = 1
-grid_mm = 1500
+grid_step_mm = 1500
 """
 POINTS = "name,x_mm,y_mm,z_mm\n" + "".join(
     f"P{k},{1000 + 900 * (k % 5)},{1000 + 700 * (k // 2)},{500 + 300 * (k % 4)}\n" for k in range(7)

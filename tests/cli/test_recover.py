@@ -22,7 +22,7 @@ def test_passes_on_the_paper_workshop(capsys, tmp_path: Path) -> None:
     assert run(["recover", "paper-workshop-re-aimed", "--trials", "20", "--out", str(tmp_path), "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     assert content["passed"]
-    assert content["trials"] == content["converged"] == 20
+    assert content["trials"] == content["trials_with_result"] == 20
     assert json.loads((tmp_path / "recovery.json").read_text()) == content
     rows = (tmp_path / "trials.csv").read_text().splitlines()
     assert len(rows) == 1 + 20 * 16

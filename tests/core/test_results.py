@@ -172,7 +172,9 @@ def drawn(request: pytest.FixtureRequest, kept: dict[str, Any], tmp_path_factory
     chances = {f"{n}{e}": v for n in CHANCES for e, v in (("", 2.0), ("_low", 0.1), ("_high", 0.8))}
     row = {"noncentrality": 25.0, "largest_um": 20.0, "largest_urad": 5.0, "injections": 5, "right": 2.0} | chances
     plan = folder / "plan.toml"
-    plan.write_text('format = "ltsim-plan/1"\n[search]\nstarts = 1\ngrid_mm = 3000\nyaws = 1\nheights = 1\n')
+    plan.write_text(
+        'format = "ltsim-plan/1"\n[search]\nstarts = 1\ngrid_step_mm = 3000\nyaw_count = 1\nheight_count = 1\n'
+    )
     return [
         *(result for name, result in kept.items() if name not in ("truth", "catalogue")),
         lt.adjust(recording),

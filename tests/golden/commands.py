@@ -67,8 +67,8 @@ title = "Two cells"
 scenario = "paper-workshop"
 seed = 5
 trials = 24
-shard = 12
-verify = 1
+trials_per_shard = 12
+verified_trials_per_shard = 1
 statistics = ["criteria", "errors", "z-scores"]
 
 [grid]
@@ -115,23 +115,23 @@ spacing_mm = 800
 min_stations_per_target = 1
 
 [reflectors]
-on = ["walls"]
+candidate_bodies = ["walls"]
 place_spacing_mm = 4000
 
 [budget]
-hours = 2
+max_hours = 2
 faces = [1]
 repeats = [1]
 
 [goal]
-targets = 1.0
-instrument = 0.5
+targets_weight = 1.0
+instrument_weight = 0.5
 
 [search]
 starts = 1
-grid_mm = 2500
-yaws = 1
-heights = 1
+grid_step_mm = 2500
+yaw_count = 1
+height_count = 1
 """
 TASKS = """format = "ltsim-tasks/1"
 title = "A length and a plane"

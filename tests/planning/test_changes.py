@@ -37,7 +37,7 @@ def changed(survey: PlannedSurvey, change: PlanChange) -> PlannedSurvey:
     points = survey.target_points[keep]
     names = tuple(survey.target_names[i] for i in keep)
     if change.position_mm is not None:
-        points, names = np.vstack([points, 1e-3 * np.array(change.position_mm)]), (*names, change.place)
+        points, names = np.vstack([points, 1e-3 * np.array(change.position_mm)]), (*names, change.new_place)
     return survey.replace(
         target_names=names, target_points=points, is_visible=np.ones((len(survey.station_positions), len(names)), bool)
     )
@@ -62,14 +62,16 @@ def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
         made = changed(where.survey, change)
         common = [name for name in where.survey.target_names if name in made.target_names]
         gain = 1e6 * (point_error(where.survey, common) - point_error(made, common))
-        assert change.gain_um == pytest.approx(gain, abs=1e-3)
+        assert change.target_rms_decrease_um == pytest.approx(gain, abs=1e-3)
         if INSTRUMENT_QUALITY_NAME in weights:
-            assert change.quality == pytest.approx(
+            assert change.objective_ratio == pytest.approx(
                 objective_and_qualities(made, objective, misalignment_construction())[0] / before, rel=1e-6
             )
         else:
-            assert change.quality == pytest.approx(1 - 1e-6 * gain / point_error(where.survey, common), rel=1e-4)
-    moves = [change.quality for change in found.reported_changes if change.kind == "move"]
+            assert change.objective_ratio == pytest.approx(
+                1 - 1e-6 * gain / point_error(where.survey, common), rel=1e-4
+            )
+    moves = [change.objective_ratio for change in found.reported_changes if change.kind == "move"]
     assert moves == sorted(moves)
     assert moves[-1] < 1.0
 
@@ -98,7 +100,11 @@ def test_reflectors_are_chosen_for_the_targets_alone() -> None:
 
 def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
-    ways = {"none": "", "walls": 'on = ["walls", "machine"]', "both": 'on = ["machine"]\nmovable = ["wall"]'}
+    ways = {
+        "none": "",
+        "walls": 'candidate_bodies = ["walls", "machine"]',
+        "both": 'candidate_bodies = ["machine"]\nmovable_points = ["wall"]',
+    }
     for name, given in ways.items():
         text = HALL.replace("box_mm", 'name = "machine"\nbox_mm').replace(
             "[search]", f"[reflectors]\n{given}\n[search]"
@@ -123,13 +129,16 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
                     np.linalg.norm(survey.target_points - 1e-3 * np.array(change.position_mm), axis=1).min()
                     >= where.min_reflector_spacing
                 )
-    places = [change.place for change in found.reported_changes if change.kind == "move"]
+    places = [change.new_place for change in found.reported_changes if change.kind == "move"]
     assert len(places) == len(set(places)), "each place is told once"
 
 
 def test_bodies_and_groups_that_are_not_there_are_told(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
-    for given, sentence in (('on = ["wals"]', "did you mean walls"), ('movable = ["wal"]', "did you mean wall")):
+    for given, sentence in (
+        ('candidate_bodies = ["wals"]', "did you mean walls"),
+        ('movable_points = ["wal"]', "did you mean wall"),
+    ):
         text = HALL.replace("[search]", f"[reflectors]\n{given}\n[search]")
         (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
         with pytest.raises(SetupError, match=sentence):

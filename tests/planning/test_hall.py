@@ -53,9 +53,9 @@ from_mm = [12000, 5500]
 to_mm = [12000, 7000]
 [search]
 starts = 1
-grid_mm = 1500
-yaws = 3
-heights = 1
+grid_step_mm = 1500
+yaw_count = 3
+height_count = 1
 """
 
 
@@ -112,9 +112,9 @@ def test_holes_ceilings_and_clearance_take_floor_away() -> None:
         ("ceiling_mm = 2300", "ceiling_mm = 1500", "floor.areas.2.ceiling_mm is 1500, but tracker heads are at 1400"),
         ("[workshop]\n", 'scenario = "paper-workshop"\n[workshop]\n', "either scenario or [workshop], not both"),
         ("12000, 8000, 5000", "12000, 2000, 5000", "outside the hall"),
-        ("[search]", '[[goal.tolerances]]\ngroup = "machin"\nwithin_mm = 0.1\n[search]', "did you mean machine?"),
+        ("[search]", '[[goal.tolerances]]\ngroup = "machin"\ntolerance_mm = 0.1\n[search]', "did you mean machine?"),
         ('points = "points.csv"', "", "has 0 reflectors"),
-        ("[search]", "[stations]\ncount = 3\n[budget]\nfaces = [1]\n[search]", "budget.faces without budget.hours"),
+        ("[search]", "[stations]\ncount = 3\n[budget]\nfaces = [1]\n[search]", "budget.faces without budget.max_hours"),
         ('"points.csv"', '"nowhere.csv"', "nowhere.csv: there is no such file"),
     ],
 )  # fmt: skip
@@ -205,7 +205,7 @@ def test_a_radius_holds_the_stated_share_of_errors() -> None:
 
 @pytest.mark.long
 def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) -> None:
-    goal = '[goal]\nrobust = "ROBUST"\n[[goal.tolerances]]\ngroup = "machine"\nwithin_mm = 0.03\n[search]'
+    goal = '[goal]\nloss_to_withstand = "ROBUST"\n[[goal.tolerances]]\ngroup = "machine"\ntolerance_mm = 0.03\n[search]'
     counts = {}
     for robust in ("no", "station"):
         hall.write_text(HALL.replace("[search]", goal.replace("ROBUST", robust)), encoding="utf-8")
@@ -215,13 +215,15 @@ def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) 
         assert made.tolerance_check.meets_all
         counts[robust] = len(made.layout.survey.station_positions)
         assert content.tolerances_met
-        assert sum(r.within_mm is not None and r.within_mm <= 0.03 for r in content.reflectors) == 8
-        stations = [loss for loss in content.losses if loss.lost in made.layout.survey.station_names]
+        assert sum(r.point_error_mm is not None and r.point_error_mm <= 0.03 for r in content.reflectors) == 8
+        stations = [
+            loss for loss in content.loss_checks if loss.lost_station_or_sight in made.layout.survey.station_names
+        ]
         assert len(stations) == counts[robust]
-        assert all(loss.met for loss in stations) == (robust == "station")
+        assert all(loss.tolerances_met for loss in stations) == (robust == "station")
         assert content.summary.startswith("Reached: all 8 tolerances are met at 95 % confidence; worst point M")
         assert ("any one station all are met" if robust == "station" else "they are not met") in content.summary
-        assert content.reached
+        assert content.goal_reached
         assert any(s.startswith(f"{counts[robust]} stations are the fewest") for s in content.reasons)
         first = 2 if robust == "no" else 3
         assert f"Layouts with fewer than {first} stations were not searched." in content.reasons
@@ -230,20 +232,20 @@ def test_the_fewest_stations_keep_the_tolerances_and_a_loss_is_told(hall: Path) 
 
 
 def test_a_tolerance_that_nothing_keeps_is_answered_with_what_can_be_had(hall: Path) -> None:
-    goal = "[[goal.tolerances]]\nwithin_mm = 0.0001\n[stations]\nmax_count = 2\n[budget]\nrepeats = [1]\n[search]"
+    goal = "[[goal.tolerances]]\ntolerance_mm = 0.0001\n[stations]\nmax_count = 2\n[budget]\nrepeats = [1]\n[search]"
     hall.write_text(HALL.replace("[search]", goal), encoding="utf-8")
     content = lt.plan(hall)
     assert content.network.tolerance_check is not None
     assert not content.network.tolerance_check.meets_all
     assert content.summary.startswith("Not reached: 0 of 30 tolerances are met")
-    assert not content.reached
+    assert not content.goal_reached
     page = work_order_page(content)
     assert "Do not measure this layout: Not reached: 0 of 30 tolerances are met" in page
     assert any("with 2 to 2 stations" in sentence for sentence in content.reasons)
 
 
 def test_the_headline_is_the_root_mean_square_of_all_points(hall: Path, tmp_path: Path) -> None:
-    goal = "[[goal.tolerances]]\ngroup = 'machine'\nwithin_mm = 0.05\n[search]"
+    goal = "[[goal.tolerances]]\ngroup = 'machine'\ntolerance_mm = 0.05\n[search]"
     hall.write_text(HALL.replace("[search]", "[stations]\ncount = 2\n[work]\nfaces = 1\n" + goal), encoding="utf-8")
     content = lt.plan(hall)
     sigma = np.array([r.sigma_um for r in content.reflectors], dtype=np.float64)
@@ -251,7 +253,7 @@ def test_the_headline_is_the_root_mean_square_of_all_points(hall: Path, tmp_path
     tolerated = sigma[[r.tolerance_mm is not None for r in content.reflectors]]
     weight = np.where([r.tolerance_mm is not None for r in content.reflectors], 1.0, 0.01)
     weighted = np.sqrt(np.average(sigma**2, weights=weight))  # ten times the tolerance for points without one
-    assert 1e6 * (content.quality["targets"] or 0.0) == pytest.approx(weighted, rel=1e-3)
+    assert 1e6 * (content.qualities["targets"] or 0.0) == pytest.approx(weighted, rel=1e-3)
     assert np.sqrt(np.mean(tolerated**2)) < 0.95 * content.rms_sigma_um
     text = f"targets known to {content.rms_sigma_um:.1f} um (root mean square of all points; weighted point error"
     assert text in content.reasons[0]
@@ -270,7 +272,7 @@ def test_the_headline_is_the_root_mean_square_of_all_points(hall: Path, tmp_path
 
 
 def test_points_in_sight_from_nowhere_are_named(hall: Path) -> None:
-    goal = "[[goal.tolerances]]\ngroup = 'machine'\nwithin_mm = 0.05\n[search]"
+    goal = "[[goal.tolerances]]\ngroup = 'machine'\ntolerance_mm = 0.05\n[search]"
     hall.write_text(HALL.replace("[search]", goal), encoding="utf-8")
     inside = points_csv() + "IN,6000,4000,1000,machine,\n"
     (hall.parent / "points.csv").write_text(inside, encoding="utf-8")

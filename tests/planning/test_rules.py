@@ -46,9 +46,9 @@ count = 2
 min_stations_per_target = 1
 [search]
 starts = 1
-grid_mm = 1500
+grid_step_mm = 1500
 [[goal.tolerances]]
-within_mm = 0.5
+tolerance_mm = 0.5
 """
 POINTS = """name,x_mm,y_mm,z_mm
 A,500,300,500
@@ -111,7 +111,7 @@ def test_two_tripods_in_one_place_are_never_reached(hall: Path) -> None:
     survey = site.survey.replace(station_positions=together, is_visible=site.is_visible(together))
     network = evaluate_plan(file, load_plan_and_scenario(hall)[1], survey)
     assert network.verdict is not None and not network.verdict.is_goal_reached
-    assert not Plan.from_network(network).reached and "S1 and S2" in Plan.from_network(network).summary
+    assert not Plan.from_network(network).goal_reached and "S1 and S2" in Plan.from_network(network).summary
 
 
 def test_the_rules_of_the_search_are_those_that_are_named(hall: Path) -> None:
@@ -134,7 +134,7 @@ def test_sights_that_break_a_rule_are_reported_and_never_reached(hall: Path) -> 
     content = lt.plan(hall, move={"S1": (3300, 3200), "S2": (5300, 2200, 1500, 30)})
     assert content.network.layout.survey.station_yaws[1] == pytest.approx(np.radians(30))
     assert any("fewer than 2 stations (stations.min_stations_per_target)" in rule for rule in content.broken_rules)
-    assert content.reached is False and content.tolerances_met
+    assert content.goal_reached is False and content.tolerances_met
     assert content.summary.startswith("Not reached: the layout breaks a rule (")
 
 
@@ -191,13 +191,13 @@ def test_the_page_marks_what_the_verdict_does_not_keep(hall: Path, tmp_path: Pat
     move = {"S1": (1200, 2000), "S2": (4700, 1200)}
     made = lt.plan(hall, move=move).network
     worst = made.tolerance_check.error_by_point_m[made.tolerance_check.worst_point_name]  # type: ignore[union-attr]
-    hall.write_text(PLAN.replace("within_mm = 0.5", f"within_mm = {worst * 1000 / 1.0004!r}"))
+    hall.write_text(PLAN.replace("tolerance_mm = 0.5", f"tolerance_mm = {worst * 1000 / 1.0004!r}"))
     content = lt.plan(hall, move=move)
     (grid, *_) = _tolerance_tables(content)
-    assert isinstance(grid, TableBlock) and len(grid.marked_rows) == 1 and content.reached is False
+    assert isinstance(grid, TableBlock) and len(grid.marked_rows) == 1 and content.goal_reached is False
     (row,) = (grid.rows[i] for i in grid.marked_rows)
     assert row[0] == made.tolerance_check.worst_point_name and row[3] == "100.04 %"  # type: ignore[union-attr]
-    assert [entry.met for entry in content.reflectors if entry.name == row[0]] == [False]
+    assert [entry.tolerance_met for entry in content.reflectors if entry.name == row[0]] == [False]
 
 
 @pytest.mark.parametrize("rows", [200, 31])
@@ -219,7 +219,7 @@ def test_places_of_reflectors_are_bounded_before_any_is_made(rows: int, hall: Pa
 def test_a_fine_grid_of_a_hall_is_refused_before_it_is_built(tmp_path: Path) -> None:
     """A million places took 1.3 GB and 27 s; a thousandth of a millimetre would take all memory."""
     (tmp_path / "points.csv").write_text(POINTS)
-    (tmp_path / "plan.toml").write_text(re.sub(r"grid_mm = .*", "grid_mm = 5", PLAN))
+    (tmp_path / "plan.toml").write_text(re.sub(r"grid_step_mm = .*", "grid_step_mm = 5", PLAN))
     tracemalloc.start()
     try:
         with pytest.raises(SetupError, match=r"a grid of 5 mm .* the limit is 200000"):

@@ -114,9 +114,9 @@ corners_mm = [[1000, 2500], [5000, 2500], [5000, 22500], [1000, 22500]]
 count = 4
 min_stations_per_target = 1
 [search]
-grid_mm = 1500
-yaws = 1
-heights = 1
+grid_step_mm = 1500
+yaw_count = 1
+height_count = 1
 """
 
 

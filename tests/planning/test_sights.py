@@ -53,7 +53,7 @@ def test_the_default_is_found() -> None:
 def test_an_exchange_finds_what_one_after_the_other_misses(tmp_path: Path) -> None:
     """A machine in the middle: three stations see every point twice, but not when the first takes the best place."""
     (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
-    (tmp_path / "hall.toml").write_text(HALL.replace("grid_mm = 1500", "grid_mm = 1000"), encoding="utf-8")
+    (tmp_path / "hall.toml").write_text(HALL.replace("grid_step_mm = 1500", "grid_step_mm = 1000"), encoding="utf-8")
     file, scenario = load_plan(tmp_path / "hall.toml")
     where = make_search_space(file, scenario, n_stations=3, n_faces=1)
     assert max_stations_seeing_every_target(where, 1.0, 1)[0] == 2

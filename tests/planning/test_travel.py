@@ -17,7 +17,7 @@ from ltsim.reports.board.board import MovableLayout
 from tests.planning.test_hall import HALL, points_csv
 
 BOX = "box_mm = [2500, 1500, 2200]\nposition_mm = [6000, 4000, 0]\n"
-WANTED = "[stations]\ncount = 3\n[[goal.tolerances]]\ngroup = 'machine'\nwithin_mm = 0.05\n[search]"
+WANTED = "[stations]\ncount = 3\n[[goal.tolerances]]\ngroup = 'machine'\ntolerance_mm = 0.05\n[search]"
 
 
 @pytest.fixture(scope="module")

@@ -44,7 +44,7 @@ def two_faces(tmp_path: Path) -> Any:
 @pytest.mark.long
 def test_the_calibrator_of_the_docs_passes_and_fails_with_sigmas_three_times_too_small(two_faces: Any) -> None:
     right = lt.recover(SCENE, trials=30, seed=2, calibrator=two_faces)
-    assert right.errors == "stated" and {p.parameter for p in right.parameters} == set(ERRORS) and right.passed
+    assert right.error_origin == "stated" and {p.parameter for p in right.parameters} == set(ERRORS) and right.passed
     assert [check.sentence() for check in right.failed_checks()] == []
     wrong = lt.recover(SCENE, trials=30, seed=2, calibrator=lambda recording: two_faces(recording, 3.0))
     assert {check.subject for check in wrong.failed_checks() if "coverage" in check.statistic} == {*ERRORS}
@@ -83,7 +83,7 @@ def test_ltsim_stands_beside_it_on_the_same_recordings(two_faces: Any) -> None:
     assert lt.recover(SCENE, trials=2, seed=2).comparison_sentences() == []
     table = result.to_dataframe("parameters")
     assert tuple(table["parameter"]) == found.parameter_names and np.all(
-        table["difference_low"] <= table["difference_high"]
+        table["absolute_error_difference_low"] <= table["absolute_error_difference_high"]
     )
 
 
@@ -148,7 +148,7 @@ def test_checks_are_a_function_of_estimate_sigma_and_truth() -> None:
 )
 def test_a_result_that_is_not_as_documented_is_a_failed_trial(given: Any, reason: str) -> None:
     found = lt.recover(SCENE, trials=2, calibrator=lambda recording: given)
-    assert not found.passed and found.converged == 0
+    assert not found.passed and found.trials_with_result == 0
     assert found.failed_checks()[0].subject == "convergence"
     assert reason in found.failure_sentences()[0]
 
@@ -187,7 +187,7 @@ def test_broken_output_of_a_program_is_a_failed_test_case_with_its_reason(
     assert reason in message and "mine.py" in message and "for trial 2" in message
     assert ("its last line was: warm" in message) == (name != "crash")
     assert message in capfd.readouterr().err
-    assert json.loads((tmp_path / "out" / "recovery.json").read_text())["problem"] == message
+    assert json.loads((tmp_path / "out" / "recovery.json").read_text())["last_failure_reason"] == message
     assert run(command) == 1
     junit.write_text(junit.read_text().replace("testcase", "case"))
     assert run(command) == 2
@@ -199,7 +199,7 @@ def constant(value: float, sigma: float | None, unit: str = "urad") -> Any:
 
 def test_a_parameter_without_a_sigma_is_not_checked_and_does_not_pass() -> None:
     silent = lt.recover(SCENE, trials=3, seed=2, calibrator=constant(1000.0, None))
-    assert silent.unchecked == ("beam-tilt",) and not silent.failed_checks() and not silent.passed
+    assert silent.unchecked_parameters == ("beam-tilt",) and not silent.failed_checks() and not silent.passed
     assert (
         silent.verdict_text()
         == "1 of 2 parameters are recovered within its declared uncertainty, the others are not checked"
@@ -215,7 +215,7 @@ def test_a_parameter_without_a_sigma_is_not_checked_and_does_not_pass() -> None:
     assert allowed.passed and "allow_unchecked" not in allowed.failure_sentences()[-1]
     assert allowed.parameters[0].coverage_95 is None and allowed.parameters[1].coverage_95 is not None
     judged = lt.recover(SCENE, trials=3, calibrator=constant(1000.0, None), tolerance={"beam-tilt": "2 urad"})
-    assert not judged.unchecked and not judged.passed
+    assert not judged.unchecked_parameters and not judged.passed
     nothing = lt.recover(SCENE, trials=2, calibrator=lambda recording: {"beam-tilt": (8.0, None, "urad")})
     assert nothing.verdict_text() == "no parameter is checked" and not nothing.passed
 
@@ -226,7 +226,7 @@ def test_of_many_parameters_without_a_sigma_three_are_named() -> None:
     silent = {name: (*given, units[name]) for name, given in values.items()}
     found = lt.recover("paper-workshop", trials=2, calibrator=lambda recording: silent)
     sentence = found.failure_sentences()[-1]
-    assert len(found.unchecked) == 4
+    assert len(found.unchecked_parameters) == 4
     assert sentence.startswith("4 of 4 parameters (")
     assert " and 1 more) are not checked: the calibrator does not declare" in sentence
 
@@ -234,7 +234,7 @@ def test_of_many_parameters_without_a_sigma_three_are_named() -> None:
 def test_a_sigma_in_a_part_of_the_trials_is_none() -> None:
     sigmas = iter([3.0, None, 3.0])
     found = lt.recover(SCENE, trials=3, calibrator=lambda recording: {"beam-tilt": (8.0, next(sigmas), "urad")})
-    assert found.unchecked == ("beam-tilt",) and not found.passed
+    assert found.unchecked_parameters == ("beam-tilt",) and not found.passed
 
 
 def test_a_shift_inside_the_intervals_fails_by_its_mean(two_faces: Any) -> None:
@@ -259,7 +259,7 @@ def test_units_and_order_may_differ_from_trial_to_trial_but_not_the_parameters()
     )
     answers = iter([{"beam-tilt": (8.0, 3.0, "urad")}, {"transit-tilt": (5.0, 3.0, "urad")}])
     partial = lt.recover(SCENE, trials=2, calibrator=lambda recording: next(answers))
-    assert partial.converged == 1
+    assert partial.trials_with_result == 1
     assert partial.failure_sentences()[0] == "trial 1: the calibrator gives beam-tilt only in some of the trials"
 
 
@@ -301,7 +301,7 @@ def test_junit_and_json_hold_what_is_not_checked(tmp_path: Path, capfd: pytest.C
     printed = capfd.readouterr()
     assert "beam-tilt is not checked" in printed.err and "recovered within" not in printed.out
     content = json.loads((out / "recovery.json").read_text())
-    assert content["unchecked"] == ["beam-tilt"] and not content["passed"]
+    assert content["unchecked_parameters"] == ["beam-tilt"] and not content["passed"]
     assert 'failures="1"' in junit.read_text() and "beam-tilt is not checked" in junit.read_text()
     assert run([*command, "--allow-unchecked", "--force"]) == 0
     printed = capfd.readouterr()

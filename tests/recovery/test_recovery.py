@@ -12,7 +12,7 @@ from scipy import stats
 import ltsim as lt
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.recovery import Recovery
-from ltsim.campaigns.recovery_checks import FALSE_ALARM_RATE, mean_check, parameter_checks
+from ltsim.campaigns.recovery_checks import RECOVERY_FALSE_ALARM_RATE, mean_check, parameter_checks
 from ltsim.campaigns.recovery_trials import RecoverySettings, RecoveryTrials, run_trials, with_errors_from_prior
 from ltsim.campaigns.scoring import NetworkScore, TrialScore
 from ltsim.physics.effects.smr_incidence import SmrIncidence
@@ -67,7 +67,7 @@ def test_every_built_in_scenario_is_recovered_in_many_trials(name: str) -> None:
         trials._stack_attribute("standard_z_scores").std(axis=0, ddof=1),
         np.mean(np.abs(z) < COVERED_AT, axis=0),
     )
-    tight = stats.norm.isf(0.5 * FALSE_ALARM_RATE / (2 * z.shape[1]))
+    tight = stats.norm.isf(0.5 * RECOVERY_FALSE_ALARM_RATE / (2 * z.shape[1]))
     assert np.abs(deviation - 1.0).max() < 0.05 + tight / np.sqrt(2 * len(z))
     assert np.abs(covered - 0.95).max() < 0.015 + tight * np.sqrt(0.95 * 0.05 / len(z))
     for what in ("target_mean_square", "station_mean_square"):
@@ -151,9 +151,9 @@ def with_errors(name: str, **errors: float | bool) -> Scenario:
 def test_stated_errors_are_injected_as_stated_and_recovered() -> None:
     scenario = with_errors("paper-workshop-two-face", beam_tilt=30.0, transit_offset=-12.0, draw=True)
     result = lt.recover(scenario, trials=15, seed=4)
-    assert result.errors == "stated"
+    assert result.error_origin == "stated"
     assert [c.sentence() for c in result.failed_checks()] == []
-    assert lt.recover(scenario, trials=2, errors="drawn").errors == "drawn"
+    assert lt.recover(scenario, trials=2, errors="drawn").error_origin == "drawn"
     _, truth = lt.simulate(scenario, seed=4)
     assert truth.instrument_values["beam-tilt"] == pytest.approx(30e-6)
 
@@ -170,7 +170,7 @@ def test_a_scatter_smaller_than_stated_fails_with_stated_errors_too() -> None:
     """Readings half as noisy as stated: the errors less what the prior makes of them scatter too little."""
     scenario = with_errors("paper-workshop-two-face", beam_tilt=30.0, draw=False)
     quiet = scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"noise_factor": 0.5})})
-    low = [f for f in lt.recover(quiet, trials=20, seed=4).failed_checks() if f.value < f.low]
+    low = [f for f in lt.recover(quiet, trials=20, seed=4).failed_checks() if f.value < f.lower_limit]
     assert {"chi-square", "targets", "stations"} <= {f.subject for f in low}
     assert any("standard deviation" in f.statistic for f in low)
 
@@ -180,7 +180,7 @@ def test_stated_errors_of_one_of_several_trackers_are_recovered(method: str) -> 
     errors = {"instruments.B.errors": {"draw": True, "beam-tilt": 30.0, "vertical-index": -25.0}}
     scenario = change_scenario(load_scenario("two-trackers"), errors, Path("hall.toml"))
     result = lt.recover(scenario, trials=10, seed=2, method=method)
-    assert result.errors == "stated"
+    assert result.error_origin == "stated"
     assert [c.sentence() for c in result.failed_checks()] == []
 
 
@@ -188,22 +188,22 @@ def test_limits_do_not_widen_with_a_sample_that_fails() -> None:
     values = 1.0 + 0.3 * np.random.default_rng(0).standard_normal(40)
     right = mean_check("targets", "mean", values, 1e-3)
     assert right.passed
-    assert mean_check("targets", "mean", 100 * values, 1e-3).high == pytest.approx(right.high)
+    assert mean_check("targets", "mean", 100 * values, 1e-3).upper_limit == pytest.approx(right.upper_limit)
     values[:4] = 500.0
-    assert mean_check("targets", "mean", values, 1e-3).high < right.high + 0.15
+    assert mean_check("targets", "mean", values, 1e-3).upper_limit < right.upper_limit + 0.15
 
 
 def test_tolerances_are_those_of_the_specification_for_many_trials() -> None:
     z = stats.norm.ppf((np.arange(100_000) + 0.5) / 100_000)
-    mean, spread, coverage = parameter_checks("x", z, FALSE_ALARM_RATE / 48)
-    assert (mean.low, mean.high) == (-0.1, 0.1)
-    assert (spread.low, spread.high) == pytest.approx((0.95, 1.05))
-    assert (coverage.low, coverage.high) == pytest.approx((0.935, 0.965))
+    mean, spread, coverage = parameter_checks("x", z, RECOVERY_FALSE_ALARM_RATE / 48)
+    assert (mean.lower_limit, mean.upper_limit) == (-0.1, 0.1)
+    assert (spread.lower_limit, spread.upper_limit) == pytest.approx((0.95, 1.05))
+    assert (coverage.lower_limit, coverage.upper_limit) == pytest.approx((0.935, 0.965))
     assert mean.passed
     assert spread.passed
     assert coverage.passed
     for wrong in (z + 0.12, 1.06 * z, 0.9 * z):
-        assert not all(check.passed for check in parameter_checks("x", wrong, FALSE_ALARM_RATE / 48))
+        assert not all(check.passed for check in parameter_checks("x", wrong, RECOVERY_FALSE_ALARM_RATE / 48))
 
 
 def test_chance_alone_fails_one_run_in_a_hundred() -> None:
@@ -212,10 +212,10 @@ def test_chance_alone_fails_one_run_in_a_hundred() -> None:
     runs, count, size = 150, 30, 16
     failed = 0
     for _ in range(runs):
-        level = FALSE_ALARM_RATE / (3 * size + 3)
+        level = RECOVERY_FALSE_ALARM_RATE / (3 * size + 3)
         z = rng.standard_normal((count, size))
         failed += any(not c.passed for k in range(size) for c in parameter_checks("x", z[:, k], level))
-    assert failed <= stats.binom.ppf(0.999, runs, FALSE_ALARM_RATE)
+    assert failed <= stats.binom.ppf(0.999, runs, RECOVERY_FALSE_ALARM_RATE)
 
 
 def test_a_trial_that_does_not_converge_fails() -> None:

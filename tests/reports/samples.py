@@ -175,11 +175,13 @@ def _rows(cell: int, method: str, trials: int) -> pa.Table:
 
 
 REFLECTOR_CHANGES = [
-    {"kind": "move", "reflector": "T01", "place": "walls-17", "position_mm": [40, 3100, 2600], "gain_um": 0.412,
-     "quality": 0.953, "most_affected_parameter": "elevation-eccentricity-cos", "most_affected_ratio": 0.81},
-    {"kind": "add", "place": "milling machine-8", "position_mm": [2800, 900, 1100], "gain_um": 0.31, "quality": 0.97,
+    {"kind": "move", "reflector": "T01", "new_place": "walls-17", "position_mm": [40, 3100, 2600],
+     "target_rms_decrease_um": 0.412, "objective_ratio": 0.953,
+     "most_affected_parameter": "elevation-eccentricity-cos", "most_affected_ratio": 0.81},
+    {"kind": "add", "new_place": "milling machine-8", "position_mm": [2800, 900, 1100],
+     "target_rms_decrease_um": 0.31, "objective_ratio": 0.97,
      "most_affected_parameter": "T09", "most_affected_ratio": 0.9},
-    {"kind": "remove", "reflector": "T05", "gain_um": -0.004, "quality": 1.001,
+    {"kind": "remove", "reflector": "T05", "target_rms_decrease_um": -0.004, "objective_ratio": 1.001,
      "most_affected_parameter": "beam-tilt", "most_affected_ratio": 1.02},
 ]  # fmt: skip
 
@@ -188,7 +190,7 @@ def plan_folder(folder: Path) -> Path:
     """A plan in the form of the planner's files, own-made, with the paper's workshop as its scenario."""
     scenario = load_scenario("paper-workshop")
     own = {
-        "broken_rules": [], "hours": 2.25, "pointings": 140, "quality": {"instrument": 0.2},
+        "broken_rules": [], "hours": 2.25, "pointings": 140, "qualities": {"instrument": 0.2},
         "stations": [
             {"name": name, "position_mm": s.position_mm, "yaw_deg": s.yaw_deg, "sigma_position_um": [1, 2, 3]}
             for name, s in scenario.stations.items()
@@ -199,12 +201,12 @@ def plan_folder(folder: Path) -> Path:
     content = own | {
         "format": "ltsim-plan-result/1", "title": "Own-made plan",
         "summary": "5 stations determine the instrument twice as well as the scenario's own.",
-        "reasons": ["S1 at (1.78, 1.02) m: without it the quality is 14 % worse."], "quality": {"instrument": 0.1},
+        "reasons": ["S1 at (1.78, 1.02) m: without it the quality is 14 % worse."], "qualities": {"instrument": 0.1},
         "parameters": [{"name": "beam-tilt", "unit": "urad", "sigma": 1.1, "prior_sigma": 9.7}],
-        "reference": own,
-        "tradeoff": [
-            {"stations": n, "faces": f, "repeats": 1, "pointings": 28 * n * f, "hours": h, "value": q,
-             "quality": {"instrument": q}, "efficient": best}
+        "reference_layout": own,
+        "tradeoff_points": [
+            {"station_count": n, "faces": f, "repeats": 1, "pointings": 28 * n * f, "hours": h, "objective_value": q,
+             "qualities": {"instrument": q}, "is_efficient": best}
             for n, f, h, q, best in ways
         ],
         "undetectable_effects": ["dead-path"], "settings": {}, "seed": 5, "reflector_changes": REFLECTOR_CHANGES,

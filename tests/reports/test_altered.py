@@ -104,11 +104,11 @@ CONTENTS: dict[str, dict[str, Any]] = {
                                      "largest_point_error_um": 90.0},
     },
     "next.json": {
-        "format": "ltsim-next/1", "between": ["vertical-index", "transit-tilt"], "advice": "measure",
-        "evidence_now": {"transit-tilt": 1.0},
+        "format": "ltsim-next/1", "compared_effects": ["vertical-index", "transit-tilt"], "advice": "measure",
+        "present_chi2_differences": {"transit-tilt": 1.0},
         "proposals": [{"action": "two faces", "minutes": 9.0, "remaining_sigma_fraction": 0.7,
                        "most_improved_parameter": "beam-tilt", "most_improved_sigma_fraction": 0.6,
-                       "evidence": {"transit-tilt": 9.0}, "distinguishes_all": True}],
+                       "chi2_differences": {"transit-tilt": 9.0}, "separates_all_effects": True}],
     },
 }  # fmt: skip
 
@@ -129,8 +129,8 @@ def altered(content: Any) -> Iterator[Any]:
 def plan(folder: Path) -> dict[str, Any]:
     """Content of a plan with one station."""
     content: dict[str, Any] = json.loads((samples.plan_folder(folder) / "plan.json").read_text())
-    content["reference"]["stations"] = content["stations"] = content["stations"][:1]
-    return content | {"settings": {"goal": {"level_pct": 95}, "floor": {"margin_mm": 500}}}
+    content["reference_layout"]["stations"] = content["stations"] = content["stations"][:1]
+    return content | {"settings": {"goal": {"confidence_level_pct": 95}, "floor": {"margin_mm": 500}}}
 
 
 def sentence(file: Path, content: Any) -> str:

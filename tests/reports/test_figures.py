@@ -84,7 +84,7 @@ def cell_rows_figure() -> Figure:
         for s in range(3)
         for method in ("network", "distance")
     ]
-    return sweeps.cell_rows_figure(rows, label="improvement [%]", published_value=40.1)
+    return sweeps.cell_rows_figure(rows, statistic_title="improvement [%]", published_value=40.1)
 
 
 def factor_panels_figure() -> Figure:
@@ -94,7 +94,7 @@ def factor_panels_figure() -> Figure:
         for m, method in enumerate(("network", "distance"))
         for panel in (1, 2)
     ]
-    return sweeps.factor_panels_figure(rows, y_title="error [µm]", x_title="noise factor", published_value=3.0)
+    return sweeps.factor_panels_figure(rows, statistic_title="error [µm]", x_title="noise factor", published_value=3.0)
 
 
 def sigma_figure() -> Figure:
@@ -188,9 +188,9 @@ def finding_comparison_figure() -> Figure:
 
 
 def trade_off_figure() -> Figure:
-    tried = [{"stations": 2 + i, "hours": 0.3 + i / 60, "quality": {MARKUP: 9.0 - 0.2 * i}} for i in range(12)]
-    best = {"stations": 3, "hours": 0.4, "quality": {MARKUP: 5.0}, "efficient": True}
-    plan = {"summary": "", "stations": [], "hours": 0.7, "quality": {MARKUP: 3.0}, "tradeoff": [*tried, best]}
+    tried = [{"station_count": 2 + i, "hours": 0.3 + i / 60, "qualities": {MARKUP: 9.0 - 0.2 * i}} for i in range(12)]
+    best = {"station_count": 3, "hours": 0.4, "qualities": {MARKUP: 5.0}, "is_efficient": True}
+    plan = {"summary": "", "stations": [], "hours": 0.7, "qualities": {MARKUP: 3.0}, "tradeoff_points": [*tried, best]}
     return estimates.trade_off_figure(Plan.model_validate(plan), MARKUP)
 
 
@@ -418,7 +418,7 @@ def test_coverage_is_red_exactly_where_its_caption_says() -> None:
     rows = scores(z)
     (drawn,) = (line for line in sweeps.coverage_figure(rows).axes[0].lines if line.get_color() == style.RED)
     assert (
-        sweeps.outside_coverage_flags(rows)
+        sweeps.is_coverage_outside_band(rows)
         == [i in drawn.get_ydata() for i in range(6)]
         == [i in (1, 3) for i in range(6)]
     )
@@ -431,17 +431,17 @@ def test_coverage_is_red_exactly_where_its_caption_says() -> None:
 
 def test_factors_with_words_and_designs_have_axes_that_read() -> None:
     rows = [sweeps.SweepPoint(x, "network", "", 1.0, 0.9, 1.1, 0.5, 1.5) for x in ("no", "yes")]
-    ax = sweeps.factor_panels_figure(rows, y_title="error [µm]", x_title="corrected").axes[0]
+    ax = sweeps.factor_panels_figure(rows, statistic_title="error [µm]", x_title="corrected").axes[0]
     assert [t.get_text() for t in ax.get_xticklabels()] == ["no", "yes"]
     spread = [sweeps.SweepPoint(x, "network", "noise", 1.0, 0.9, 1.1, 0.5, 1.5) for x in np.geomspace(0.1, 3, 20)]
-    ax = sweeps.factor_panels_figure(spread, y_title="error [µm]", x_title="", joins_points=False).axes[0]
+    ax = sweeps.factor_panels_figure(spread, statistic_title="error [µm]", x_title="", joins_points=False).axes[0]
     assert [t.get_text() for t in ax.get_xticklabels()] == ["0.1", "0.2", "0.5", "1", "2"]
     assert ax.get_xlabel() == "noise"
 
 
 def test_panels_above_nothing_have_ticks_and_nothing_is_shaded_where_nothing_spreads() -> None:
     rows = [sweeps.SweepPoint(x, "network", panel, 1.0, 0.9, 1.1, 1.0, 1.0) for x in (1.0, 2.0) for panel in "abc"]
-    figure = sweeps.factor_panels_figure(rows, y_title="error [µm]", x_title="noise")
+    figure = sweeps.factor_panels_figure(rows, statistic_title="error [µm]", x_title="noise")
     figure.draw_without_rendering()
     seen = [any(t.get_visible() and t.get_text() for t in ax.get_xticklabels()) for ax in figure.axes[:3]]
     assert seen == [False, True, True]

@@ -313,7 +313,7 @@ def test_next_measurement_says_what_it_decides(tmp_path: Path) -> None:
     content = document_of_folder(samples.next_folder(tmp_path / "next", between=("range-step", "station-weather")))
     best = json.loads((tmp_path / "next" / "next.json").read_text())["proposals"][0]
     pair = [effect_title(name) for name in ("range-step", "station-weather")]
-    begin = [best["action"]] if best["distinguishes"] else pair
+    begin = [best["action"]] if best["separated_effects"] else pair
     assert all(words.lower() in content.summary.lower() for words in begin)
     assert "Separation of the alternatives" in [block.title for block in content.sections[0].blocks]
 

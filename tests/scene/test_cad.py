@@ -123,9 +123,9 @@ count = 3
 min_stations_per_target = 1
 [search]
 starts = 1
-grid_mm = 8000
-yaws = 1
-heights = 1
+grid_step_mm = 8000
+yaw_count = 1
+height_count = 1
 """
 POINTS = [
     f"P{i}{k},{x},{y},{z}"

@@ -12,7 +12,7 @@ from pydantic import ConfigDict
 from ltsim.core.descriptions import DescribedModel
 from ltsim.core.results import Result, Table, columns_of, text_columns
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.physics.effects.catalogue import BUILTIN_PROVIDER, ListedEffect, catalogue_entry
+from ltsim.physics.effects.catalogue import BUILTIN_PROVIDER, DOCSTRING_SECTIONS, ListedEffect, catalogue_entry
 from ltsim.physics.effects.effect import Parameter, ShapeParameter
 
 
@@ -135,6 +135,20 @@ class EffectDescription(Description):
             parameters=tuple(ParameterDescription.from_parameter(p) for p in effect.parameters),
             constants=tuple(ConstantDescription.from_constant(s) for s in effect.shape_parameters),
         )
+
+    @property
+    def labelled_texts(self) -> tuple[tuple[str, str], ...]:
+        """Pairs (label, text) below the equation: sections of the catalogue entry, then properties of the class."""
+        pairs = (
+            *zip(DOCSTRING_SECTIONS, (getattr(self, field) for field in SECTION_FIELDS), strict=True),
+            ("Acts on", self.observables_text),
+            ("Scope", self.scope),
+            ("Stage", self.light_path_stage),
+            ("Base rate", f"{self.base_rate:g} (relative frequency in service; 1 is occasional)"),
+            ("Depends on", ", ".join(self.covariates)),
+            ("Comes from", self.external_provider),
+        )
+        return tuple((label, text) for label, text in pairs if text)
 
     @property
     def summary(self) -> str:

@@ -105,8 +105,8 @@ class MovableLayout:
                 for name, place in zip(survey.target_names, survey.target_points.tolist(), strict=True)
             ],
             "stations": [
-                {"name": name, "mm": np.round(place / MILLIMETRE, 1).tolist(),
-                 "yaw": round(float(yaw) / DEGREE % 360, 2)}
+                {"name": name, "position_mm": np.round(place / MILLIMETRE, 1).tolist(),
+                 "yaw_deg": round(float(yaw) / DEGREE % 360, 2)}
                 for name, place, yaw in stations
             ],
             "places": np.round(self._offered_positions / MILLIMETRE, 1).tolist(),
@@ -120,7 +120,7 @@ class MovableLayout:
         """
         search = self.plan_file.search
         places = self.search_space.grid_places(
-            grid_step(self.search_space.allowed_areas, search.grid_mm), search.heights
+            grid_step(self.search_space.allowed_areas, search.grid_step_mm), search.height_count
         )
         places = places[:: max(1, -(-len(places) // MAX_OFFERED_POSITIONS))]
         return (
@@ -128,7 +128,7 @@ class MovableLayout:
         )
 
     def survey(self, stations: Sequence[Mapping[str, Any]]) -> PlannedSurvey:
-        """Survey with the given stations (mappings with `name`, `mm` (x, y, z), `yaw` [deg]); raises SetupError.
+        """Survey with the given stations (mappings with `name`, `position_mm` and `yaw_deg`); raises SetupError.
 
         A station that is not in the plan has the lines of sight and the order of targets of a station of the plan; the
         stations of the plan are taken in turn.
@@ -136,10 +136,10 @@ class MovableLayout:
         survey = self.search_space.survey
         try:
             names = tuple(str(s["name"]) for s in stations)
-            positions_mm = np.array([s["mm"] for s in stations], dtype=np.float64).reshape(-1, 3)
-            yaws_deg = np.array([s["yaw"] for s in stations], dtype=np.float64)
+            positions_mm = np.array([s["position_mm"] for s in stations], dtype=np.float64).reshape(-1, 3)
+            yaws_deg = np.array([s["yaw_deg"] for s in stations], dtype=np.float64)
         except (KeyError, TypeError, ValueError):
-            raise SetupError("each station needs name, mm (x, y, z) and yaw") from None
+            raise SetupError("each station needs name, position_mm (x, y, z) and yaw_deg") from None
         if not np.all(np.abs([*positions_mm.ravel(), *yaws_deg]) < MAX_COORDINATE_MM):
             raise SetupError(
                 f"coordinates and yaw of a station must be smaller than {MAX_COORDINATE_MM:g} mm and degrees"
@@ -228,7 +228,7 @@ class MovableLayout:
             plan.pop(key, None)
         names = list(scenario.stations)
         plan |= {"format": self.plan_file.format, "scenario": SCENARIO_FILE}
-        plan["stations"] = plan.get("stations", {}) | {"count": len(names), "fixed": names}
+        plan["stations"] = plan.get("stations", {}) | {"count": len(names), "fixed_stations": names}
         scenario, cad_files = copy_cad_files(scenario)
         texts = {SCENARIO_FILE: scenario_to_toml(scenario), PLAN_FILE: to_toml(plan)}
         write_texts(folder, {**cad_files, **texts})

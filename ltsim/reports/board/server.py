@@ -57,8 +57,8 @@ class StationPosition(BaseModel):
     model_config = ConfigDict(strict=True)
 
     name: str
-    mm: FiniteTriple
-    yaw: FiniteFloat
+    position_mm: FiniteTriple
+    yaw_deg: FiniteFloat
 
 
 class LayoutRequest(BaseModel):

@@ -96,7 +96,7 @@ def sweep_points(
 
     Parameters
     ----------
-    results : Results
+    results : CampaignResults
     statistic : str
         Name of a result column of the campaign. Columns of calibrated errors have a further line, the noise floor: the
         error that remains with the true parameters.
@@ -135,7 +135,7 @@ def sweep_points(
 
 
 def sweep_figure(results: CampaignResults, statistic: str, along: str, *, panel: str = "", **levels: Any) -> Figure:
-    """Figure of the means of a result column along a factor, with one line per method, as from `Results.plot`."""
+    """Figure of the means of a result column along a factor, one line per method; used by `CampaignResults.plot`."""
     if not along:
         names = " or ".join(f.name for f in results.factors) or "none, because no setting varies"
         raise ModelError(f"along is empty; give a factor of the campaign: {names}")
@@ -147,14 +147,14 @@ def sweep_figure(results: CampaignResults, statistic: str, along: str, *, panel:
     if len({(row.level, row.line_label, row.panel_label) for row in rows}) < len(rows):
         others = [f.name for f in results.factors if f.name not in (along, panel, *levels)]
         raise ModelError(f"several cells have the same place; give panel, or a level of {' or '.join(others)}")
-    return factor_panels_figure(rows, y_title=label, x_title=axis)
+    return factor_panels_figure(rows, statistic_title=label, x_title=axis)
 
 
 @style.with_figure_style
 def factor_panels_figure(
     plotted_points: Sequence[SweepPoint],
     *,
-    y_title: str,
+    statistic_title: str,
     x_title: str,
     published_value: float | None = None,
     joins_points: bool = True,
@@ -164,7 +164,7 @@ def factor_panels_figure(
     Parameters
     ----------
     plotted_points : sequence of SweepPoint
-    y_title : str
+    statistic_title : str
         The statistic with its unit.
     x_title : str
         The factor along the lines, with its unit.
@@ -198,7 +198,7 @@ def factor_panels_figure(
     for ax in axes.flat[max(len(panels) - n_columns, 0) : len(panels)]:
         ax.tick_params(labelbottom=True)
     figure.supxlabel(x_title, fontsize=8.5)
-    label_lines = textwrap.fill(y_title, LABEL_WIDTH_PER_PANEL_ROW * n_rows)
+    label_lines = textwrap.fill(statistic_title, LABEL_WIDTH_PER_PANEL_ROW * n_rows)
     if n_rows > 1:
         figure.supylabel(label_lines, fontsize=8.5)
     else:  # beside its panel: that of a figure is centred on panel and legend together
@@ -264,14 +264,16 @@ MAX_DRAWN_CELLS = 40
 
 
 @style.with_figure_style
-def cell_rows_figure(points: Sequence[SweepPoint], *, label: str, published_value: float | None = None) -> Figure:
+def cell_rows_figure(
+    points: Sequence[SweepPoint], *, statistic_title: str, published_value: float | None = None
+) -> Figure:
     """Figure with one row per cell: means with 95 % intervals, and thin lines for the central 90 % of the trials.
 
     Parameters
     ----------
     points : sequence of SweepPoint
         `level` is the description of the cell, `line_label` the method.
-    label : str
+    statistic_title : str
         The statistic with its unit.
     published_value : float, optional
         A published value to compare with.
@@ -290,7 +292,7 @@ def cell_rows_figure(points: Sequence[SweepPoint], *, label: str, published_valu
         ax.plot([r.mean for r in mine], y, style.MARKERS[m % len(style.MARKERS)], ms=4.5, color=colour, label=method)
     if published_value is not None:
         ax.axvline(published_value, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
-    ax.set_xlabel(label)
+    ax.set_xlabel(statistic_title)
     style.add_legend(figure, [ax], n_columns=2)
     return figure
 
@@ -369,8 +371,8 @@ def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
     return float(interval.low), float(interval.high)
 
 
-def outside_coverage_flags(summaries: Sequence[ZScoreSummary]) -> list[bool]:
-    """Flags of the parameters: True if the 95 % interval of the observed coverage lies outside the allowed band."""
+def is_coverage_outside_band(summaries: Sequence[ZScoreSummary]) -> list[bool]:
+    """Flags (parameters): True if the 95 % interval of the observed coverage lies outside the allowed band."""
     return [high < ALLOWED_COVERAGE[0] or low > ALLOWED_COVERAGE[1] for low, high in map(coverage_interval, summaries)]
 
 
@@ -387,7 +389,7 @@ def coverage_figure(summaries: Sequence[ZScoreSummary]) -> Figure:
     band = f"allowed {100 * ALLOWED_COVERAGE[0]:.1f} to {100 * ALLOWED_COVERAGE[1]:.1f} %"
     ax.axvspan(*ALLOWED_COVERAGE, color=style.BAND_COLOUR, linewidth=0, zorder=0, label=band)
     ax.axvline(0.95, color=style.INK_COLOUR, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
-    red = np.array(outside_coverage_flags(summaries), dtype=bool)
+    red = np.array(is_coverage_outside_band(summaries), dtype=bool)
     for chosen, colour, word in ((~red, style.BLUE, "share, its 95 % interval"), (red, style.RED, "outside the band")):
         if chosen.any():
             ax.hlines(places[chosen], *bounds[chosen].T, color=colour, linewidth=1.8)

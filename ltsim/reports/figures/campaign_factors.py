@@ -68,13 +68,13 @@ def statistic_figures(
     """
     factors = varying_factors(results)
     trials_sentence = f"{results.manifest.trials} trials for each combination of factor levels."
-    figure_options: dict[str, Any] = {"label": label, "published_value": published_value}
+    panels_figure = partial(factor_panels_figure, statistic_title=label, published_value=published_value)
     n_cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
     is_grid = n_cells == len(results.levels) == math.prod(len(set(levels_of_cells(results, f))) for f in factors)
     if factors and results.manifest.settings.get("design"):
         points = [(f, _axis_position(f, results.levels[s.cell]), s) for f in factors for s in summaries]
         rows = [_sweep_point(s, place, s.method, factor_axis_title(factor)) for factor, place, s in points]
-        figure = partial(factor_panels_figure, rows, x_title="", joins_points=False, **figure_options)
+        figure = partial(panels_figure, rows, x_title="", joins_points=False)
         markers_sentence = "Each marker is the mean of one combination of factor levels; each panel shows one factor."
         yield f"{markers_sentence} {trials_sentence}", figure
     elif factors and is_grid and n_cells > 2:
@@ -89,12 +89,7 @@ def statistic_figures(
             )
             yield (
                 trials_sentence + panels_sentence,
-                partial(
-                    factor_panels_figure,
-                    [row for row in rows if row.panel_label in shown],
-                    x_title=axis,
-                    **figure_options,
-                ),
+                partial(panels_figure, [row for row in rows if row.panel_label in shown], x_title=axis),
             )
     else:
         cell_texts = cell_descriptions(results)
@@ -103,7 +98,8 @@ def statistic_figures(
             partial(
                 cell_rows_figure,
                 [_sweep_point(s, cell_texts[s.cell], s.method, "") for s in summaries],
-                **figure_options,
+                statistic_title=label,
+                published_value=published_value,
             ),
         )
 
@@ -112,7 +108,7 @@ def _factor_lines(
     results: CampaignResults, factors: Sequence[Factor], summaries: Sequence[StatisticSummary]
 ) -> tuple[str, list[SweepPoint]]:
     """Title of the x axis, and the points of all lines over the factor on this axis."""
-    x_factor, line_factor, panel_factors = factor_arrangement(results, factors)
+    x_factor, line_factor, panel_factors = axis_line_and_panel_factors(results, factors)
     line_points = []
     for s in summaries:
         level = results.levels[s.cell]
@@ -128,7 +124,7 @@ def _factor_lines(
     return factor_axis_title(x_factor), line_points
 
 
-def factor_arrangement(
+def axis_line_and_panel_factors(
     results: CampaignResults, factors: Sequence[Factor]
 ) -> tuple[Factor, Factor | None, list[Factor]]:
     """Factor on the x axis, factor that distinguishes the lines (None for the method), and factors of the panels."""

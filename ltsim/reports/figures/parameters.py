@@ -293,7 +293,7 @@ def lines_figure(
 MAX_NAMED_LAYOUTS = 14
 """Largest number of layouts with a label in a figure; the first ones are labelled."""
 LAYOUT_COLOURS = {"tried": style.GREY, "best": style.BLUE, "chosen": style.RED, "reference": style.GREEN}
-"""Colour of a layout in the figure of quality over duration, by its role."""
+"""Colour of a layout in the figure of quality over duration, by its role (`chosen` is the plan)."""
 LAYOUT_MARKERS = {"tried": ".", "best": "o", "chosen": "*", "reference": "D"}
 """Marker of a layout, by its role."""
 LAYOUT_MARKER_SIZES = {"tried": 34, "best": 30, "chosen": 150, "reference": 46}
@@ -310,14 +310,14 @@ def trade_off_figure(plan: Plan, quality_name: str) -> Figure:
     """
     label, factor = QUALITY_MEASURES.get(quality_name, (quality_name, 1.0))
     points_by_role: dict[str, list[tuple[float, float, str]]] = {"tried": [], "best": [], "reference": [], "chosen": []}
-    for option in plan.tradeoff:
-        layout_text = f"{option.stations}s {option.faces}f {option.repeats}r"
-        points_by_role["best" if option.efficient else "tried"].append(
-            (option.hours, option.quality.get(quality_name) or np.nan, layout_text)
+    for option in plan.tradeoff_points:
+        layout_text = f"{option.station_count}s {option.faces}f {option.repeats}r"
+        points_by_role["best" if option.is_efficient else "tried"].append(
+            (option.hours, option.qualities.get(quality_name) or np.nan, layout_text)
         )
-    for role, layout in (("reference", plan.reference), ("chosen", plan)):
-        if layout is not None and layout.quality.get(quality_name) is not None:
-            points_by_role[role].append((layout.hours, layout.quality[quality_name] or np.nan, ""))
+    for role, layout in (("reference", plan.reference_layout), ("chosen", plan)):
+        if layout is not None and layout.qualities.get(quality_name) is not None:
+            points_by_role[role].append((layout.hours, layout.qualities[quality_name] or np.nan, ""))
     figure, ax = style.new_panel(3.2)
     all_qualities = np.array([factor * quality for points in points_by_role.values() for _, quality, _ in points])
     for role, points in points_by_role.items():

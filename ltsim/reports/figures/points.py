@@ -224,4 +224,4 @@ def _draw_misfit_over_time(ax: Axes, check: Check) -> None:
     if not ax.lines:
         ax.text(0.5, 0.5, "no target was measured twice from one set-up", transform=ax.transAxes, ha="center")
     if names := ax.get_legend_handles_labels()[1]:
-        ax.legend(loc="upper right", ncols=style.legend_columns(names, 5))
+        ax.legend(loc="upper right", ncols=style.n_legend_columns(names, 5))

@@ -83,7 +83,7 @@ def calibration_section(content: Calibration, context: SectionContext) -> Sectio
         agreement_words = "the noise was estimated from the same readings, so the global test does not apply"
     converged = content.fit.status in CONVERGED_STATUSES
     targets, residuals = (context.companion_file(table.file, content) for table in (TARGETS_TABLE, RESIDUALS_TABLE))
-    adjustments = None if residuals is None or context.is_brief else adjustment_pair_if_possible(recording)
+    adjustments = None if residuals is None or context.omits_residuals else adjustment_pair_if_possible(recording)
     before = Residuals.from_adjustment(adjustments[0]) if adjustments else None
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
     coordinate_table = target_tables(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
@@ -102,7 +102,7 @@ def calibration_section(content: Calibration, context: SectionContext) -> Sectio
     blocks += coordinate_table if is_accepted else []  # coordinates of a rejected fit are in the details
     n_open_blocks = len(blocks) + 1
     if targets is not None and content.stations:
-        blocks += workshop_blocks(lambda: calibrated_workshop(content, recording, targets, after), context.detail)
+        blocks += workshop_blocks(lambda: calibrated_workshop(content, recording, targets, after), context.hall_view)
     blocks += determined_tables("Determined in combination", content.determined)
     blocks += [
         *([] if first_reference_tables else reference_value_tables),
@@ -110,7 +110,7 @@ def calibration_section(content: Calibration, context: SectionContext) -> Sectio
         *([] if is_accepted else coordinate_table),
         *_station_blocks(content),
     ]
-    if after is not None and not context.is_brief:
+    if after is not None and not context.omits_residuals:
         blocks += residual_figures(after, before)
     if content.effects:
         blocks.append(
@@ -190,7 +190,8 @@ def _corrections_sentence(content: Calibration) -> str:
     excluded_names = {entry.name for entry in content.reference_values if entry.excluded}
     for test in faults:
         if test.kind == "reference-value" and not excluded_names.intersection(test.where.targets):
-            return f" {test.sentence} This adjustment contains them; calibrate tests them with the constants estimated."
+            remedy = "ltsim calibrate also estimates the constants of the instrument and tests them again"
+            return f" {test.sentence} This adjustment uses the reference values; {remedy}."
     if not faults:
         return ""
     places = dict.fromkeys(name for test in faults for name in (*test.where.stations, *test.where.targets))

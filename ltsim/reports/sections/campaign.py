@@ -113,7 +113,7 @@ def campaign_section(folder: Path) -> Section:
                 *([comparison.sentence()] if comparison else []),
             ]
         ),
-        assessment=assessment_of(not sum(comparison.failed for comparison in comparisons)),
+        assessment=assessment_of(not sum(comparison.failed_trials for comparison in comparisons)),
         key_figures=_key_figures(manifest, comparisons, z_scores),
         blocks=blocks,
         seed_text=str(manifest.seed),
@@ -176,7 +176,7 @@ def _list_text(texts: Sequence[str]) -> str:
 def _key_figures(
     manifest: ManifestFile, comparisons: Sequence[SolverComparison], z_scores: Sequence[ZScoreSummary]
 ) -> list[KeyFigure]:
-    failed = sum(comparison.failed for comparison in comparisons)
+    failed = sum(comparison.failed_trials for comparison in comparisons)
     differences = [
         comparison.largest_difference_sigma
         for comparison in comparisons
@@ -331,16 +331,18 @@ def _statistic_tables(
     extra_fields = {
         "cell",
         "standard_deviation",
-        "least",
-        "largest",
+        "minimum",
+        "maximum",
         *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5")),
     }
     shown_table = _table_with_levels_as_in_file(
         results, cells.with_columns(" ".join(name for name in cells.header if name not in extra_fields))
     )
     definitions = [f"{_column_label(c)} [{results.units.get(c, '')}]: {_column_meaning(c)}" for c in summaries]
-    note = "Verified: trials repeated with the full solver; difference of the estimates."
-    failed = frozenset(i for i, comparison in enumerate(comparisons) if comparison.failed)
+    note = (
+        "Verified trials were repeated with the full solver; the difference is between the estimates of both solvers."
+    )
+    failed = frozenset(i for i, comparison in enumerate(comparisons) if comparison.failed_trials)
     convergence_table = results.table("solver_comparisons")
     convergence_table = _table_with_levels_as_in_file(
         results, convergence_table.with_columns(" ".join(name for name in convergence_table.header if name != "cell"))

@@ -9,7 +9,7 @@ from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.schema import ManifestFile
 from ltsim.campaigns.summary import ZScoreSummary
 from ltsim.reports.document_model import Block, KeyFigure, PictureBlock, table_blocks
-from ltsim.reports.figures.campaign import ALLOWED_COVERAGE, coverage_figure, outside_coverage_flags
+from ltsim.reports.figures.campaign import ALLOWED_COVERAGE, coverage_figure, is_coverage_outside_band
 from ltsim.reports.figures.campaign_factors import cell_descriptions
 
 MAX_COVERAGE_FIGURES = 3
@@ -59,7 +59,7 @@ def coverage_blocks(results: CampaignResults, z_scores: Sequence[ZScoreSummary])
 def coverage_sentence(z_scores: Sequence[ZScoreSummary]) -> str:
     """Sentence on the parameters whose observed coverage, with its interval, lies outside the allowed band."""
     low, high = (f"{100 * bound:.1f}" for bound in ALLOWED_COVERAGE)
-    outside = [row.parameter for row, out in zip(z_scores, outside_coverage_flags(z_scores), strict=True) if out]
+    outside = [row.parameter for row, out in zip(z_scores, is_coverage_outside_band(z_scores), strict=True) if out]
     band = f"the allowed band of {low} to {high} %"
     if not outside:
         return f"No parameter is red: each interval overlaps {band}."

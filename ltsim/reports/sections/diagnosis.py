@@ -86,14 +86,14 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
     before, after = _residuals_before_and_after(content, context, adjustments)
     truth = truth_in_folder(context)
     blocks: list[Block] = truth_blocks(content, truth, adjustments) if truth is not None and truth.effects else []
-    if adjustments is not None and context.detail == "turn" and blocks:
+    if adjustments is not None and context.hall_view == "3d" and blocks:
         from ltsim.reports.workshop_scene import workshop_from_adjustment
 
         blocks = [
             scene_block(workshop_from_adjustment(adjustments[1], adjustment_without_parameters=adjustments[0])),
             *blocks,
         ]
-    n_lead_blocks = len(blocks)
+    n_side_by_side_blocks = len(blocks)
     for finding_number, finding in enumerate(content.findings, start=1):
         blocks += _finding_blocks(
             finding, finding_number, capitalised_sentence(content.summary), adjustments, (before, after)
@@ -130,7 +130,7 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
     return Section(
         f"Diagnosis: {recording_title}" if recording_title else "Diagnosis of a tracker network", "Diagnosis", answer,
         assessment_of(content.verdict == "consistent"), _key_figures(content), blocks,
-        n_open_blocks=n_open_blocks, n_lead_blocks=n_lead_blocks, n_terminal_blocks=n_open_blocks,
+        n_open_blocks=n_open_blocks, n_side_by_side_blocks=n_side_by_side_blocks, n_terminal_blocks=n_open_blocks,
         next_actions=_next_actions(content), simulation_notice=simulation_notice,
     )  # fmt: skip
 

@@ -24,6 +24,7 @@ from ltsim.reports import figures
 from ltsim.reports.document_model import (
     Block,
     CodeBlock,
+    HallView,
     KeyFigure,
     NoteBlock,
     PictureBlock,
@@ -31,7 +32,6 @@ from ltsim.reports.document_model import (
     Section,
     SectionContext,
     TableBlock,
-    WorkshopDetail,
     assessment_of,
     entries_table_blocks,
     picture_or_note,
@@ -87,7 +87,9 @@ def residual_figures(residuals: Residuals, reference: Residuals | None) -> list[
 
     `reference` are residuals of the adjustment without the instrument's parameters, for comparison.
     """
-    comparison_text = " Grey: without the instrument's parameters; blue: with." if reference is not None else ""
+    comparison_text = (
+        " Grey: adjusted without the instrument's parameters; blue: with them." if reference is not None else ""
+    )
     text = "Observed minus adjusted reading of every pointing; the bar is the root mean square."
     picture = PictureBlock(
         "Residuals by station",
@@ -109,9 +111,9 @@ def residuals_over_covariates(residuals: Residuals) -> list[Block]:
     )
 
 
-def workshop_blocks(make_scene: Callable[[], WorkshopScene], detail: WorkshopDetail) -> list[Block]:
-    """Floor plan for the detail `plan`, 3D view and floor plan for `turn`; empty for `none`."""
-    if detail == "none":
+def workshop_blocks(make_scene: Callable[[], WorkshopScene], hall_view: HallView) -> list[Block]:
+    """Floor plan for `floor-plan`, 3D view and floor plan for `3d`; empty for `none`."""
+    if hall_view == "none":
         return []
     workshop = make_scene()
     text = (
@@ -122,7 +124,7 @@ def workshop_blocks(make_scene: Callable[[], WorkshopScene], detail: WorkshopDet
     plan = picture_or_note(
         "Floor plan", lambda: figures.floor_plan.floor_plan(workshop), caption, len(workshop.stations)
     )
-    return [scene_block(workshop), plan] if detail == "turn" else [plan]
+    return [scene_block(workshop), plan] if hall_view == "3d" else [plan]
 
 
 def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
@@ -218,8 +220,8 @@ def target_uncertainty_sentence(sigma: Floats) -> str:
     return f"Expanded uncertainty of a target in {space_text}: U = {typical} um (k = 2), {worst} um for the worst."
 
 
-def recording_section(folder: Path, *, detail: WorkshopDetail = "turn", is_brief: bool = False) -> Section:
-    """Section of a recording; if `is_brief`, without residuals, because the section of its calibration shows them.
+def recording_section(folder: Path, *, hall_view: HallView = "3d", omits_residuals: bool = False) -> Section:
+    """Section of a recording; residuals are omitted if the section of its calibration shows them.
 
     Raises
     ------
@@ -254,14 +256,14 @@ def recording_section(folder: Path, *, detail: WorkshopDetail = "turn", is_brief
     ]
     workshop = (
         workshop_from_adjustment(with_parameters, adjustment_without_parameters=without_parameters)
-        if detail != "none"
+        if hall_view != "none"
         else None
     )
-    if not is_brief:
+    if not omits_residuals:
         before, after = Residuals.from_adjustment(without_parameters), Residuals.from_adjustment(with_parameters)
         last_blocks = [*residual_figures(after, before), *last_blocks]
     del without_parameters, with_parameters  # whose designs take more memory than all pictures
-    blocks = workshop_blocks(lambda: workshop, detail) if workshop is not None else []
+    blocks = workshop_blocks(lambda: workshop, hall_view) if workshop is not None else []
     size_sentence = _recording_size_sentence(recording)
     answer = f"{size_sentence} With the instrument's parameters adjusted, {agreement_text}.{outlier_text}"
     return Section(

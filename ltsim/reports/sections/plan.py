@@ -39,7 +39,7 @@ def plan_section(content: Plan, context: SectionContext) -> Section:
     blocks: list[Block] = [*table_blocks("Positions of the tripod", content.table("stations"), note=frame)]
     scenario_file = context.companion_file("scenario.toml", content)
     scenario = None if scenario_file is None else load_scenario(scenario_file)
-    layout_pictures, change_pictures = _layout_pictures(content, scenario, has_3d_view=context.detail == "turn")
+    layout_pictures, change_pictures = _layout_pictures(content, scenario, has_3d_view=context.hall_view == "3d")
     blocks += layout_pictures
     if content.blocked_sights:
         blocks.append(BulletListBlock("Blocked lines of sight", content.blocked_sights))
@@ -53,10 +53,10 @@ def plan_section(content: Plan, context: SectionContext) -> Section:
     note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
     points = content.table("reflectors").with_columns("target x_mm y_mm z_mm U_x_um U_y_um U_z_um visible_from")
     blocks += table_blocks("Points", points, note=note)
-    if content.bodies:
-        blocks.append(BulletListBlock("Bodies in the hall", content.bodies))
+    if content.obstacle_sentences:
+        blocks.append(BulletListBlock("Bodies in the hall", content.obstacle_sentences))
     blocks.append(CodeBlock("Settings of the plan", content.settings.model_dump_json(indent=1)))
-    assessment = assessment_of(not content.broken_rules and content.reached is not False)
+    assessment = assessment_of(not content.broken_rules and content.goal_reached is not False)
     return Section(
         title=content.title or "Plan of a network", kind="Plan", summary=content.summary, assessment=assessment,
         key_figures=_key_figures(content), blocks=blocks, seed_text="" if content.seed is None else str(content.seed),
@@ -70,8 +70,8 @@ def _tolerance_tables(content: Plan) -> list[Block]:
     tolerance_table = content.table("tolerances")
     if not tolerance_table.rows:
         return []
-    level = content.settings.goal.level_pct
-    missed_rows = frozenset(i for i, is_met in enumerate(tolerance_table.column("met")) if not is_met)
+    level = content.settings.goal.confidence_level_pct
+    missed_rows = frozenset(i for i, is_met in enumerate(tolerance_table.column("tolerance_met")) if not is_met)
     blocks: list[Block] = [
         *table_blocks(f"Points against their tolerances, at {level:g} %", tolerance_table, marked_rows=missed_rows)
     ]
@@ -92,12 +92,15 @@ def _key_figures(content: Plan) -> list[KeyFigure]:
         KeyFigure("pointings", str(content.pointings)),
         KeyFigure("work", duration_text(3600.0 * content.hours)),
     ]
-    if content.reached is not None:
+    if content.goal_reached is not None:
         facts.insert(
-            0, KeyFigure("goal", "reached" if content.reached else "not reached", assessment_of(content.reached))
+            0,
+            KeyFigure(
+                "goal", "reached" if content.goal_reached else "not reached", assessment_of(content.goal_reached)
+            ),
         )
     facts += [KeyFigure("broken rule", rule, "bad") for rule in content.broken_rules]
-    reference_measures = {} if content.reference is None else _quality_measures(content.reference)
+    reference_measures = {} if content.reference_layout is None else _quality_measures(content.reference_layout)
     for label, value in _quality_measures(content).items():
         reference_value = reference_measures.get(label)
         assessment = "plain" if reference_value is None else assessment_of(value <= reference_value)
@@ -108,7 +111,7 @@ def _key_figures(content: Plan) -> list[KeyFigure]:
 
 def _quality_measures(layout: PlannedLayoutEntry) -> dict[str, float]:
     """Qualities of a layout in display units, by label: rms sigma of all points, then the measures of the goal."""
-    measures = {name: value for name, value in layout.quality.items() if value is not None}
+    measures = {name: value for name, value in layout.qualities.items() if value is not None}
     labels = {name: QUALITY_MEASURES.get(name, (name, 1.0)) for name in measures}
     rms = {} if layout.rms_sigma_um is None else {"all points: rms sigma [um]": layout.rms_sigma_um}
     return rms | {label: factor * measures[name] for name, (label, factor) in labels.items()}
@@ -124,7 +127,7 @@ def _layout_pictures(content: Plan, scenario: Scenario | None, *, has_3d_view: b
     from ltsim.reports.workshop_scene import workshop_from_scenario
 
     workshop = workshop_from_scenario(scenario)
-    reference = content.reference.stations if content.reference else ()
+    reference = content.reference_layout.stations if content.reference_layout else ()
     reference_positions = np.array([s.position_mm for s in reference], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
     text = "Seen from above; x and y in metres. Inside the circles the elevation limit hides the floor." + (
         " Hollow: the stations of the reference layout." if len(reference_positions) else ""
@@ -154,19 +157,21 @@ def _trade_off_picture(content: Plan) -> list[Block]:
     text = "Each dot is the best layout for one combination of the numbers of stations, faces and rounds."
     blocks: list[Block] = [
         PictureBlock(f"Time against quality: {name}", partial(figures.parameters.trade_off_figure, content, name), text)
-        for name, value in content.quality.items()
-        if value is not None and sum(option.quality.get(name) is not None for option in content.tradeoff) > 1
+        for name, value in content.qualities.items()
+        if value is not None and sum(option.qualities.get(name) is not None for option in content.tradeoff_points) > 1
     ]
     alternatives = content.table("tradeoff")
-    objective = "point_error_um" if any(alternatives.column("point_error_um")) else "value"
-    shown_columns = alternatives.with_columns(f"stations faces repeats pointings hours {objective} efficient")
+    objective = "point_error_um" if any(alternatives.column("point_error_um")) else "objective_value"
+    shown_columns = alternatives.with_columns(f"station_count faces repeats pointings hours {objective} is_efficient")
     note = "A smaller objective is better."
     return [*blocks, *table_blocks("Alternatives: stations, faces and rounds", shown_columns, note=note)]
 
 
 def _parameter_picture(content: Plan) -> list[Block]:
     """List with the figure of the predicted sigmas of the instrument's parameters; empty without parameters."""
-    reference_sigmas = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
+    reference_sigmas = (
+        {p.name: p.sigma for p in content.reference_layout.parameters} if content.reference_layout else {}
+    )
     estimated_parameters = [p for p in content.parameters if p.prior_sigma and p.sigma > 0]
     text = "Prediction; on the dashed line the recording would add no information."
     figure = partial(figures.parameters.sigma_figure, estimated_parameters, reference_sigmas)

@@ -51,8 +51,8 @@ MIN_PASS_PROBABILITY = 0.5
 """Smallest probability (0 to 1) to pass all tests at which a prediction is assessed as good; by convention one half."""
 ASSESSMENT_BY_JUDGEMENT: dict[Judgement, Assessment] = {"accepted": "good", "rejected": "bad", "undecided": "caution"}
 """Assessment of measured errors by their judgement."""
-MAX_ZERO_CONSTANT = 1e-6
-"""Largest absolute value of an instrument constant, in its display unit, that counts as zero and is not printed."""
+MAX_NEGLIGIBLE_CONSTANT = 1e-6
+"""Largest absolute value of an instrument constant, in its display unit, that is treated as zero and not printed."""
 UNCERTAINTY_NOTE = (
     "U: expanded uncertainty; mc: limits of the Monte Carlo interval; they replace U if the two do not agree "
     "(JCGM 101, clause 8)."
@@ -193,7 +193,7 @@ def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
         constants = ", ".join(
             f"{name} {number_text(value, 2)}"
             for name, value in worst_test.constants.items()
-            if abs(value) > MAX_ZERO_CONSTANT
+            if abs(value) > MAX_NEGLIGIBLE_CONSTANT
         )
         undetected_constants = [s.name for s in content.sensitivities if s.smallest_failing_value is None]
         text = f"No test detects {', '.join(undetected_constants)}. " if undetected_constants else ""
@@ -287,7 +287,7 @@ def _site_sentence(content: NextMeasurement) -> str:
 def next_measurement_section(content: NextMeasurement, _: SectionContext) -> Section:
     """Section of proposed further measurements."""
     best_proposal = content.proposals[0]
-    assessment = assessment_of(best_proposal.distinguishes_all) if content.between else "plain"
+    assessment = assessment_of(best_proposal.separates_all_effects) if content.compared_effects else "plain"
     fractions = best_proposal.remaining_sigma_fraction, best_proposal.most_improved_sigma_fraction
     reductions = [100 * (1 - fraction) for fraction in fractions]
     answer = f"Measure next: {best_proposal.action} ({duration_text(60 * best_proposal.minutes)}); "
@@ -295,7 +295,7 @@ def next_measurement_section(content: NextMeasurement, _: SectionContext) -> Sec
         f"the standard deviations of the instrument's parameters fall by {reductions[0]:.0f} % on average, "
         f"of the {parameter_text(best_proposal.most_improved_parameter)} by {reductions[1]:.0f} %."
     )
-    answer = capitalised_sentence(content.advice) if content.between and content.advice else answer
+    answer = capitalised_sentence(content.advice) if content.compared_effects and content.advice else answer
     note = "Factors: standard deviation of a parameter after divided by before the measurement; mean and smallest."
     in_words = [
         entry.with_values(most_improved_parameter=parameter_text(entry.most_improved_parameter))
@@ -306,8 +306,8 @@ def next_measurement_section(content: NextMeasurement, _: SectionContext) -> Sec
     )
     note = f"{note} {_site_sentence(content)}".rstrip()
     blocks: list[Block] = [*table_blocks("Further measurements, the best first", proposals, note=note)]
-    if content.between:
-        effect = effect_title(content.between[0])
+    if content.compared_effects:
+        effect = effect_title(content.compared_effects[0])
         explanation = f"The larger the chi2, the more reliably {effect} is separated from the alternative."
         blocks += table_blocks("Separation of the alternatives", content.table("separation"), note=explanation)
     blocks += [NoteBlock("Diagnosis of the recording", content.diagnosis)] if content.diagnosis else []

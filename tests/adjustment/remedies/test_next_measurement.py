@@ -152,10 +152,10 @@ def test_the_command_ranks_and_writes(drifting: tuple[Recording, Truth], tmp_pat
     arguments = ["plan", "--after", str(tmp_path / "rec"), "--between", "index-drift,station-settling"]
     assert run([*arguments, "--out", str(tmp_path / "next"), "--quiet"]) == 0
     content = json.loads((tmp_path / "next" / "next.json").read_text(encoding="utf-8"))
-    assert content["between"] == ["index-drift", "station-settling"]
+    assert content["compared_effects"] == ["index-drift", "station-settling"]
     assert {p["kind"] for p in content["proposals"]} == {"pointings", "return", "station", "survey", "length"}
     assert content["advice"].startswith(content["proposals"][0]["action"])
-    assert content["evidence_now"]["station-settling"] > 0
+    assert content["present_chi2_differences"]["station-settling"] > 0
     assert run([*arguments[:3], "--between", "index-drift"]) == 2
     assert run([*arguments[:3], "--between", "index-drift,range-stp"]) == 2
 

@@ -25,7 +25,7 @@ from tests.planning.test_hall import HALL, points_csv
 from tests.reports.board.tab import opened
 from tests.reports.browser import find_browser
 
-TOLERANCES = '[[goal.tolerances]]\ngroup = "machine"\nwithin_mm = 0.05\n[search]'
+TOLERANCES = '[[goal.tolerances]]\ngroup = "machine"\ntolerance_mm = 0.05\n[search]'
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def hall(tmp_path: Path) -> Path:
 def test_the_board_says_what_the_planner_says(hall: Path) -> None:
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
-    stations[1]["mm"][0] += 500.0
+    stations[1]["position_mm"][0] += 500.0
     found = board.evaluation_json(stations)
     survey = board.survey(stations)
     survey = survey.replace(is_visible=layout_visibility(board.search_space, survey).is_visible)
@@ -63,23 +63,23 @@ def test_the_verdict_says_when_a_station_less_is_too_few(hall: Path) -> None:
     assert said is not None
     assert said["words"].startswith("Reached: all 8 tolerances" if said["reached"] else "Not reached: ")
     assert ("any one station all are met" in said["words"]) == all(one.meets_all for one in lost)
-    stations[0]["mm"] = [1000.0 * v for v in board.search_space.survey.target_points[0]]
+    stations[0]["position_mm"] = [1000.0 * v for v in board.search_space.survey.target_points[0]]
     assert board.verdict_json(stations) is None
 
 
 def test_a_layout_that_breaks_a_rule_is_never_reached(hall: Path) -> None:
     text = hall.read_text()
-    hall.write_text(text.replace("within_mm = 0.05", "within_mm = 5"))
+    hall.write_text(text.replace("tolerance_mm = 0.05", "tolerance_mm = 5"))
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
     assert board.verdict_json(stations)["reached"] and board.evaluation_json(stations)["problem"] == ""  # type: ignore[index]
-    stations[1]["mm"][:2] = stations[0]["mm"][:2]
+    stations[1]["position_mm"][:2] = stations[0]["position_mm"][:2]
     said = board.verdict_json(stations)
     rule = "S1 and S2 are 0.00 m apart, closer than 1 m (stations.spacing_mm)"
     assert said is not None and not said["reached"]
     assert said["words"].startswith(f"Not reached: the layout breaks a rule ({rule}). All 8 tolerances are met")
     assert board.evaluation_json(stations)["problem"] == rule
-    place = ",".join(f"{v}" for v in stations[0]["mm"])
+    place = ",".join(f"{v}" for v in stations[0]["position_mm"])
     move = {name: [float(v) for v in place.split(",")] for name in ("S1", "S2")}
     with pytest.raises(SetupError, match=re.escape(f"move: {rule}")):
         lt.plan(hall, move=move)
@@ -88,7 +88,7 @@ def test_a_layout_that_breaks_a_rule_is_never_reached(hall: Path) -> None:
 def test_stations_are_added_and_removed(hall: Path, tmp_path: Path) -> None:
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
-    more = [*stations, {"name": "S9", "mm": [1500.0, 6500.0, 1600.0], "yaw": 10.0}]
+    more = [*stations, {"name": "S9", "position_mm": [1500.0, 6500.0, 1600.0], "yaw_deg": 10.0}]
     found = board.evaluation_json(more)
     assert len(found["reasons"]) == 4 and found["rms_um"] < board.evaluation_json(stations)["rms_um"]
     assert found["hours"] > board.evaluation_json(stations)["hours"]
@@ -109,30 +109,30 @@ def test_stations_are_added_and_removed(hall: Path, tmp_path: Path) -> None:
 def test_what_breaks_a_rule_is_said_and_judged_all_the_same(hall: Path) -> None:
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
-    stations[0]["mm"][:2] = [4700.0, 1500.0]  # in the crane way
+    stations[0]["position_mm"][:2] = [4700.0, 1500.0]  # in the crane way
     found = board.evaluation_json(stations)
     assert found["problem"] == "S1 stands in an area to be kept free (floor.keep_outs, floor.doors)"
     assert found["may_stand"][0] is False
     assert found["points"]
-    stations[0]["mm"][:2] = [6000.0, 4000.0]  # inside the machine: it sees nothing
+    stations[0]["position_mm"][:2] = [6000.0, 4000.0]  # inside the machine: it sees nothing
     assert "S1 stands outside the permitted floor" in board.evaluation_json(stations)["problem"]
-    stations[0]["mm"][:2] = stations[1]["mm"][:2]
+    stations[0]["position_mm"][:2] = stations[1]["position_mm"][:2]
     assert "closer than 1 m" in board.evaluation_json(stations)["problem"]
-    stations[0]["mm"] = [1000.0 * v for v in board.search_space.survey.target_points[0]]
+    stations[0]["position_mm"] = [1000.0 * v for v in board.search_space.survey.target_points[0]]
     assert "station S1 coincides with target M00" in board.evaluation_json(stations)["problem"]
 
 
 def test_what_is_saved_is_planned_and_simulated_where_it_stands(hall: Path, tmp_path: Path) -> None:
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
-    stations[0]["mm"][:2] = [2000.0, 2000.0]
+    stations[0]["position_mm"][:2] = [2000.0, 2000.0]
     wanted = board.evaluation_json(stations)
     board.save(stations, tmp_path / "moved")
     file, scenario = load_plan(tmp_path / "moved" / "plan.toml")
     assert len(file.listed_points) == 30
     assert len(scenario.targets) == 30
     made = lt.plan(tmp_path / "moved").network
-    assert made.layout.survey.station_positions[0] == pytest.approx([2.0, 2.0, stations[0]["mm"][2] / 1000])
+    assert made.layout.survey.station_positions[0] == pytest.approx([2.0, 2.0, stations[0]["position_mm"][2] / 1000])
     assert made.layout.information.target_rms == pytest.approx(1e-6 * wanted["rms_um"])
     assert made.tolerance_check is not None
     recording, _ = lt.simulate(tmp_path / "moved" / "scenario.toml", seed=1)
@@ -148,7 +148,7 @@ def test_a_folder_of_a_plan_begins_where_the_plan_stands(hall: Path, tmp_path: P
     assert run(["plan", "hall.toml", "--out", "made", "--jobs", "1", "--quiet"]) == 0
     planned = json.loads((tmp_path / "made" / "plan.json").read_text())
     board = MovableLayout.from_plan(tmp_path / "made")
-    assert [s["mm"] for s in board.hall_json()["stations"]] == [s["position_mm"] for s in planned["stations"]]
+    assert [s["position_mm"] for s in board.hall_json()["stations"]] == [s["position_mm"] for s in planned["stations"]]
     assert board.evaluation_json(board.hall_json()["stations"])["rms_um"] == pytest.approx(
         planned["rms_sigma_um"], rel=1e-4
     )
@@ -177,7 +177,8 @@ START = "import signal; signal.signal(2, signal.default_int_handler); from ltsim
 """A shell in the background starts what it starts deaf to Ctrl-C."""
 SIGMA = "document.querySelector('tr[data-point=M31] td:nth-child(3)').textContent"
 
-COVERED = """(() => { stations[1].mm = [stations[0].mm[0] - 1200, stations[0].mm[1], stations[1].mm[2]]; placeLabels();
+COVERED = """(() => { stations[1].position_mm = [stations[0].position_mm[0] - 1200, stations[0].position_mm[1],
+  stations[1].position_mm[2]]; placeLabels();
   const shown = [...layer.names.children].filter(label => label.getAttribute("visibility") === "visible");
   const boxes = shown.map(label => [label.textContent, label.getBBox()]);
   const across = (a, b) => a.x + 1e-6 < b.x + b.width && a.y + 1e-6 < b.y + b.height;
@@ -205,11 +206,16 @@ def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path
         assert address.startswith("http://127.0.0.1:")
         with opened(address, tmp_path) as tab:
             tab.until("evaluation && evaluation.points")
-            before = tab.value("evaluation"), tab.value(SIGMA), tab.value("stations[0].mm"), tab.value("stations")
+            before = (
+                tab.value("evaluation"),
+                tab.value(SIGMA),
+                tab.value("stations[0].position_mm"),
+                tab.value("stations"),
+            )
             x, y = tab.middle("[data-station=S1] .head")
             tab.drag((x, y), (x + 60, y + 8))
             tab.until(f"!busy && {SIGMA} != '{before[1]}'")
-            after = tab.value("evaluation"), tab.value(SIGMA), tab.value("stations[0].mm")
+            after = tab.value("evaluation"), tab.value(SIGMA), tab.value("stations[0].position_mm")
             assert after[2][0] > before[2][0] + 100
             assert after[2][1] < before[2][1]
             judged = MovableLayout.from_plan(hall).evaluation_json(tab.value("stations"))

@@ -89,7 +89,7 @@ def board(hall: Path) -> Iterator[Open]:
     assert process.stdout is not None
     _, _, place, token, _ = process.stdout.readline().strip().split("/")
     stations = [
-        {"name": s["name"], "mm": s["mm"], "yaw": s["yaw"]}
+        {"name": s["name"], "position_mm": s["position_mm"], "yaw_deg": s["yaw_deg"]}
         for s in MovableLayout.from_plan(hall).hall_json()["stations"]
     ]
     yield Open(int(place.partition(":")[2]), token, folder, stations)
@@ -198,12 +198,12 @@ BODIES = {
     "deep": deep(100_000),
     "no stations": b"{}",
     "stations of another kind": b'{"stations": [1, 2, 3]}',
-    "stations by name": b'{"stations": {"mm": 1}}',
-    "one station of three": b'{"stations": [{"name": "S1", "mm": [0, 0, 0], "yaw": 0}]}',
-    "no number": b'{"stations": [{"name": "S1", "mm": [NaN, 0, 0], "yaw": 0}]}',
-    "a number of 5000 digits": b'{"stations": [{"mm": [' + b"9" * 5000 + b', 0, 0], "yaw": 0}]}',
-    "a huge number": b'{"stations": [{"name": "a", "mm": [1e308, 0, 0], "yaw": 1e308}, '
-    b'{"name": "b", "mm": [1e308, 0, 0], "yaw": 1e308}]}',
+    "stations by name": b'{"stations": {"position_mm": 1}}',
+    "one station of three": b'{"stations": [{"name": "S1", "position_mm": [0, 0, 0], "yaw_deg": 0}]}',
+    "no number": b'{"stations": [{"name": "S1", "position_mm": [NaN, 0, 0], "yaw_deg": 0}]}',
+    "a number of 5000 digits": b'{"stations": [{"position_mm": [' + b"9" * 5000 + b', 0, 0], "yaw_deg": 0}]}',
+    "a huge number": b'{"stations": [{"name": "a", "position_mm": [1e308, 0, 0], "yaw_deg": 1e308}, '
+    b'{"name": "b", "position_mm": [1e308, 0, 0], "yaw_deg": 1e308}]}',
     "a camera of another kind": b'{"stations": [], "camera": 5}',
     "a camera of words": b'{"stations": [], "camera": [["a"], 2, {}]}',
 }
