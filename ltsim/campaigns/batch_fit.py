@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from ltsim.core.arrays import Bools, Floats
 
 MAX_DISTANCE_TO_OPTIMUM = 5e-5
@@ -34,3 +36,10 @@ class BatchFit:
     def has_converged(self) -> Bools:
         """Mask (trials,) of the converged trials; a distance of NaN counts as not converged."""
         return self.distance_to_optimum < MAX_DISTANCE_TO_OPTIMUM
+
+
+def multiply_by_trial(matrix: Floats, columns: Floats) -> Floats:
+    """Product (rows, trials) of one matrix for all trials, or of one per trial, with `columns` (terms, trials)."""
+    if matrix.ndim == 2:
+        return matrix @ columns
+    return np.matmul(matrix, columns.T[:, :, None])[:, :, 0].T

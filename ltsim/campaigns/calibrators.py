@@ -18,9 +18,10 @@ from scipy.linalg.lapack import dpotrs
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.campaigns.batch_distance import BatchDistance
-from ltsim.campaigns.batch_network import BatchNetwork, SharedDerivatives
+from ltsim.campaigns.batch_network import BatchNetwork
 from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.kernels import compute_readings
+from ltsim.campaigns.nominal_network import SharedDerivatives
 from ltsim.campaigns.spec import CalibrationMethod
 from ltsim.campaigns.trial_calibrators import (
     BatchCalibrator,
@@ -121,7 +122,7 @@ class GeometryStack(CellTruth):
         return self.stack_arrays(truth.sightings.local_derivatives for truth in self.truths)
 
     def _effect_design(self, effects: tuple[Effect, ...]) -> Floats:
-        return self.stack_arrays(truth.effect_design_function(effects)[..., 0] for truth in self.truths)
+        return self.stack_arrays(truth.effect_design(effects)[..., 0] for truth in self.truths)
 
     def _compute_chain_and_design(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
         """Kinematic chain of all trials, and derivative of the readings by the instrument parameters.

@@ -22,7 +22,7 @@ from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaigns.calibrators import estimated_construction, estimated_effects
 from ltsim.campaigns.design import Factor, cell_label
-from ltsim.campaigns.rows import ShardTask, n_rows_of_shard, run_task
+from ltsim.campaigns.rows import ShardTask, cell_context, n_rows_of_shard, run_task
 from ltsim.campaigns.schema import ManifestFile, ScenarioSettings, number_of_shards
 from ltsim.campaigns.spec import (
     VALIDATION_STREAM_KEY,
@@ -37,13 +37,13 @@ from ltsim.campaigns.spec import (
 from ltsim.campaigns.statistics import CampaignStatistics
 from ltsim.campaigns.stopping import ShardKey, iterate_stopping_rounds
 from ltsim.campaigns.store import CAMPAIGN_FILE, CampaignFolder, interruption_error
+from ltsim.campaigns.truth import make_small_geometry
 from ltsim.core.arguments import check_bounds, check_choice
 from ltsim.core.errors import SetupError, WorkerError, as_setup_error, option_text
 from ltsim.core.parallel import run_parallel
 from ltsim.core.storage import check_writable
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.settings import to_toml
-from ltsim.simulation.fieldwork import make_measurement_geometry
 from ltsim.simulation.simulator import ineffective_effect_notes
 
 VERSIONED_PACKAGES = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
@@ -149,6 +149,7 @@ def run_campaign(
                     progress(n_rows_of_shard(campaign, task.shard))
             except WorkerError as problem:
                 raise interruption_error(folder, problem) from None
+            cell_context.cache_clear()
     n_reused = len(cells) * campaign.n_shards_per_cell - done - existing
     if n_reused:
         share = 100 * n_reused / (len(cells) * campaign.n_shards_per_cell)
@@ -187,12 +188,10 @@ def _configuration_notes(
     for number, cell in enumerate(cells, start=1):
         where = f"cell {number} ({cell_label(factors, cell.levels)})"
         with as_setup_error(f"{file}: {where}"):
-            unused_settings += [
-                f"{where}: {note}"
-                for note in ineffective_effect_notes(make_measurement_geometry(cell.scenario, campaign.seed))
-            ]
+            geometry = make_small_geometry(cell.scenario, campaign.seed)
+            unused_settings += [f"{where}: {note}" for note in ineffective_effect_notes(geometry)]
             if cell.validation_scenario is not None:
-                make_measurement_geometry(cell.validation_scenario, campaign.seed, VALIDATION_STREAM_KEY)
+                make_small_geometry(cell.validation_scenario, campaign.seed, VALIDATION_STREAM_KEY)
     return unused_settings
 
 

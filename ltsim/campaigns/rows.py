@@ -48,6 +48,16 @@ CORRECTED_STATISTICS = {"criteria", "errors"}
 """Groups of statistics for which the readings are corrected by the calibration."""
 MAX_TRIALS_PER_STACK = 64
 """Largest number of trials that are calibrated together if each trial has a separate network geometry."""
+MAX_BATCH_VALUES = 5_000_000
+"""Largest number of values (8 bytes each) in the arrays of a batch of trials; more trials are divided into batches."""
+BATCH_VALUES_PER_POINTING = 30
+"""Number of values by pointing and trial in memory at the same time: readings, and measured or predicted points."""
+BATCH_VALUES_PER_SIGHT = 12
+"""Number of values by station, target and trial in memory at the same time: points before and after a correction."""
+GEOMETRY_VALUES_PER_POINTING = 300
+"""Number of values by pointing in memory for each separate network geometry: derivatives by 16 parameters and the chain
+of the construction.
+"""
 
 
 @dataclass(frozen=True)
@@ -143,18 +153,35 @@ class CellContext:
         seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
             judge, calibrators = self.shared_geometry_evaluator_and_calibrators
-            for number in range(first_trial // TRIALS_PER_STREAM, -(-end_trial // TRIALS_PER_STREAM)):
-                yield judge, calibrators, judge.truth.draw_batch(seed, number)
+            size = self._max_batch_trials(TRIALS_PER_STREAM, 0)
+            for number in range(first_trial // size, -(-end_trial // size)):
+                yield judge, calibrators, judge.truth.draw_batch(seed, number, size)
             return
-        for low in range(first_trial, end_trial, MAX_TRIALS_PER_STACK):
-            for stack, numbers in stack_geometries(
-                self._trial_geometries(range(low, min(low + MAX_TRIALS_PER_STACK, end_trial)))
-            ):
+        size = self._max_batch_trials(MAX_TRIALS_PER_STACK, GEOMETRY_VALUES_PER_POINTING)
+        for low in range(first_trial, end_trial, size):
+            for stack, numbers in stack_geometries(self._trial_geometries(range(low, min(low + size, end_trial)))):
                 yield (
                     TrialEvaluator(stack),
                     [StackCalibrator.for_stack(m, stack) for m in methods],
                     stack.draw_numbered_trials(seed, numbers),
                 )
+
+    def _max_batch_trials(self, default_number: int, geometry_values_per_pointing: int) -> int:
+        """Number of trials of a batch: `default_number`, halved until the arrays have at most `MAX_BATCH_VALUES`.
+
+        It does not depend on the trials that are requested, because sums may depend on the number of trials in a batch.
+        """
+        evaluators = (self.shared_geometry_evaluator_and_calibrators[0], self.validation_evaluator)
+        values = 0
+        for recording in (evaluator.truth.recording for evaluator in evaluators if evaluator is not None):
+            n_unknowns = 6 * len(recording.stations) + 3 * len(recording.targets)
+            values += BATCH_VALUES_PER_SIGHT * len(recording.stations) * len(recording.targets)
+            values += (BATCH_VALUES_PER_POINTING + geometry_values_per_pointing) * len(recording)
+            values += 3 * n_unknowns**2 if geometry_values_per_pointing else 0
+        size = default_number
+        while size > 1 and values * size > MAX_BATCH_VALUES:
+            size //= 2
+        return size
 
     def _trial_geometries(self, trials: range) -> dict[int, CellTruth]:
         """True network geometry of each trial with a possible geometry, by number of the trial.
@@ -174,11 +201,11 @@ class CellContext:
         return geometries
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=1)
 def cell_context(campaign: str, scenario: str, validation_scenario: str) -> CellContext:
     """Quantities that all trials of a cell share, from campaign file, scenario and validation scenario as JSON texts.
 
-    The result is cached, because a worker process computes many shards of the same cell.
+    The last result is cached, because a worker process computes many shards of the same cell one after the other.
     """
     validation_model = Scenario.model_validate_json(validation_scenario) if validation_scenario else None
     return CellContext(

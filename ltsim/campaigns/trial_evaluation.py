@@ -186,7 +186,7 @@ class TrialEvaluator:
             deviation[:, 0] -= self.truth.incidence_errors(estimates.incidence_parameters)
         if effects:
             deviation = deviation - np.einsum(
-                "ncqb,qb->ncb", self.truth.effect_design_function(tuple(effects)), estimates.effect_values
+                "ncqb,qb->ncb", self.truth.effect_design(tuple(effects)), estimates.effect_values
             )
         corrected_clouds = self.station_clouds(deviation, construction, estimates.instrument_values)
         columns: ResultColumns = self.criteria_columns(corrected_clouds, "after") if self.has_criteria else {}

@@ -6,9 +6,9 @@ use the same random streams, so that they differ by their factor levels and not 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,12 @@ from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.kernels import compute_readings
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
+from ltsim.core.limits import (
+    MAX_CAMPAIGN_POINTINGS,
+    MAX_CAMPAIGN_UNKNOWNS,
+    POINTINGS_LIMIT_VARIABLE,
+    max_pointings,
+)
 from ltsim.core.randomness import TRIALS_PER_STREAM as TRIALS_PER_STREAM
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects.effect import Effect
@@ -39,6 +45,30 @@ MAX_NONLINEARITY = 1e-3
 """Largest difference between the exact and the linear change of a reading by an effect with the size of three prior
 standard deviations, divided by the standard deviation of the reading, at which the linear form of the effect is used
 for all trials. For a larger difference the exact change is computed trial by trial."""
+
+MAX_CACHED_DESIGNS = 8
+"""Largest number of design matrices of effects, one for each combination of effects, that a network geometry keeps."""
+
+
+def make_small_geometry(scenario: Scenario, seed: int, *stream_key: str | int) -> MeasurementGeometry:
+    """Result of `make_measurement_geometry` for a scenario of a campaign.
+
+    SetupError is raised for a network of more than `MAX_CAMPAIGN_POINTINGS` or `MAX_CAMPAIGN_UNKNOWNS`.
+    """
+    geometry = make_measurement_geometry(scenario, seed, *stream_key)
+    layout, n_pointings = geometry.layout, len(geometry.sightings)
+    n_unknowns = 6 * len(layout.station_names) + 3 * len(layout.target_names)
+    limits = (
+        (n_pointings, MAX_CAMPAIGN_POINTINGS, "pointings", "repeats or targets"),
+        (n_unknowns, MAX_CAMPAIGN_UNKNOWNS, "coordinates and angles of stations and targets", "targets"),
+    )
+    for number, default_limit, name, advice in limits:
+        if number > (limit := max_pointings(default_limit)):
+            raise SetupError(
+                f"the network has {number} {name}; a campaign takes at most {limit}: use fewer {advice}; on a machine "
+                f"with more memory set the environment variable {POINTINGS_LIMIT_VARIABLE} to {number}"
+            )
+    return geometry
 
 
 @dataclass(frozen=True)
@@ -99,13 +129,22 @@ class CellTruth:
         return self.distributions.effects
 
     @cached_property
-    def effect_design_function(self) -> Callable[[tuple[Effect, ...]], Floats]:
-        """Function that returns the change of the readings per unit of each parameter of given effects.
+    def _effect_design_cache(self) -> dict[tuple[Effect, ...], Floats]:
+        """Design matrix of each tuple of effects for which it was computed."""
+        return {}
 
-        The result of the function has the shape (pointings, 3, effect parameters, 1), or (pointings, 3, effect
-        parameters, trials) if trials have separate network geometries.
+    def effect_design(self, effects: tuple[Effect, ...]) -> Floats:
+        """Change of the readings per unit of each parameter of `effects`.
+
+        The shape is (pointings, 3, effect parameters, 1), or (pointings, 3, effect parameters, trials) if trials have
+        separate network geometries.
         """
-        return lru_cache(maxsize=8)(self._effect_design)
+        cache = self._effect_design_cache  # no cached function, whose reference to this object would keep both alive
+        if effects not in cache:
+            while len(cache) >= MAX_CACHED_DESIGNS:
+                del cache[next(iter(cache))]
+            cache[effects] = self._effect_design(effects)
+        return cache[effects]
 
     def _effect_design(self, effects: tuple[Effect, ...]) -> Floats:
         return np.concatenate([effect.design(self.sightings) for effect in effects], axis=2)[..., None]
@@ -125,7 +164,7 @@ class CellTruth:
         range_errors = np.zeros((len(self.recording), 1))
         for name, pointings in self.reflector_masks.items():
             if name in parameters_by_reflector:
-                design, values = self.effect_design_function((SmrIncidence(),))[:, 0], parameters_by_reflector[name]
+                design, values = self.effect_design((SmrIncidence(),))[:, 0], parameters_by_reflector[name]
                 shared = design.shape[2] == 1  # one network geometry for all trials
                 errors = design[..., 0] @ values if shared else np.einsum("nqb,qb->nb", design, values)
                 range_errors = range_errors + pointings[:, None] * errors

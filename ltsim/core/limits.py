@@ -57,6 +57,12 @@ and 310 MB with 2,000 pointings, 30 to 95 s and 450 to 530 MB with a ring of 210
 and 0.85 GB with 8,000 (measured while other processes ran)."""
 MAX_SIMULATED_POINTINGS = 300_000
 """Largest number of pointings of a simulated recording; each takes 1 kB and 30 us."""
+MAX_CAMPAIGN_POINTINGS = 15_000
+"""Largest number of pointings of a network of a campaign. Libraries take 400 MB; a pointing takes 6 kB, most of it in
+the derivatives of its readings and in the full solver that verifies a trial."""
+MAX_CAMPAIGN_UNKNOWNS = 2_000
+"""Largest number of coordinates and angles of stations and targets of a network of a campaign: six for each station and
+three for each target. Three matrices of this size take 100 MB."""
 POINTINGS_LIMIT_VARIABLE = "LTSIM_MAX_POINTINGS"
 """Environment variable with a larger limit of the numbers of pointings, set-ups and targets for all commands, for
 machines with more memory."""

@@ -16,6 +16,8 @@ SEED_UPPER_BOUND = 2**32
 """Upper bound of the integers in a seed: NumPy's SeedSequence takes unsigned integers of 32 bits."""
 TRIALS_PER_STREAM = 256
 """Number of consecutive trials whose random numbers come from one stream. Another value would change all draws."""
+VALUES_PER_BATCH = 4096
+"""Number of values of each trial of a stream that are drawn at a time; together they take 8 MiB."""
 
 
 @lru_cache(maxsize=4096)
@@ -64,28 +66,29 @@ def standard_normal_trials(
     other trials share one stream in groups of `TRIALS_PER_STREAM` consecutive trials.
     """
     first, count = int(trial_numbers[0]), len(trial_numbers)
-    if (
-        count == TRIALS_PER_STREAM
-        and not first % TRIALS_PER_STREAM
-        and np.array_equal(trial_numbers, np.arange(first, first + TRIALS_PER_STREAM))
-    ):
-        return _normals_of_stream(seed, first // TRIALS_PER_STREAM, n_values, *stream_key)
     if count == 1 and not first:
         return random_stream(seed, *stream_key).standard_normal((n_values, 1))
     stream_numbers, stream_columns = np.divmod(trial_numbers, TRIALS_PER_STREAM)
-    normal_numbers = np.empty((n_values, count))
-    for stream_number in np.unique(stream_numbers).tolist():
-        in_stream = stream_numbers == stream_number
-        stream_normals = _normals_of_stream(seed, stream_number, n_values, *stream_key)
-        normal_numbers[:, in_stream] = stream_normals[:, stream_columns[in_stream]]
+    if np.array_equal(trial_numbers, TRIALS_PER_STREAM * stream_numbers[0] + np.arange(TRIALS_PER_STREAM)):
+        normal_numbers = _stream_of_trials(seed, int(stream_numbers[0]), *stream_key).standard_normal(
+            (n_values, TRIALS_PER_STREAM)
+        )
+    else:
+        normal_numbers = np.empty((n_values, count))
+        for stream_number in np.unique(stream_numbers).tolist():
+            in_stream = np.flatnonzero(stream_numbers == stream_number)
+            generator = _stream_of_trials(seed, stream_number, *stream_key)
+            for first_value in range(0, n_values, VALUES_PER_BATCH):
+                n_batch_values = min(VALUES_PER_BATCH, n_values - first_value)
+                batch = generator.standard_normal((n_batch_values, TRIALS_PER_STREAM))
+                normal_numbers[first_value : first_value + n_batch_values, in_stream] = batch[
+                    :, stream_columns[in_stream]
+                ]
+    if not trial_numbers.all():
+        normal_numbers[:, trial_numbers == 0] = random_stream(seed, *stream_key).standard_normal((n_values, 1))
     return normal_numbers
 
 
-def _normals_of_stream(seed: int, stream_number: int, n_values: int, *stream_key: str | int) -> NDArray[np.float64]:
-    """Standard normal numbers of all trials in stream number `stream_number`, (n_values, `TRIALS_PER_STREAM`)."""
-    normal_numbers = random_stream(seed, *stream_key, "block", stream_number).standard_normal(
-        (n_values, TRIALS_PER_STREAM)
-    )
-    if not stream_number:
-        normal_numbers[:, 0] = random_stream(seed, *stream_key).standard_normal(n_values)
-    return normal_numbers
+def _stream_of_trials(seed: int, stream_number: int, *stream_key: str | int) -> np.random.Generator:
+    """Random generator of the stream that `TRIALS_PER_STREAM` consecutive trials share."""
+    return random_stream(seed, *stream_key, "block", stream_number)

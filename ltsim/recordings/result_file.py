@@ -7,6 +7,7 @@ mixed.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -163,7 +164,9 @@ class ResultFile(Entry, Result):
 
     def text(self) -> str:
         """Text of the JSON file."""
-        return json.dumps(self.content(), indent=1, allow_nan=False) + "\n"
+        stream = io.StringIO()
+        json.dump(self.content(), stream, indent=1, allow_nan=False)  # `dumps` would hold each part as an object
+        return stream.getvalue() + "\n"
 
     def is_ltsim_file(self, folder: Path, name: str) -> bool:
         """True if the file `name` in `folder` has the digest in `files`: it was written together with this result.

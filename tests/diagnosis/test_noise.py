@@ -111,9 +111,7 @@ def test_evidence_is_the_restricted_likelihood_of_correlated_residuals(repeated)
     """Against determinants of the whole covariance in coordinates of the residual space."""
     space, pair, bank = repeated
     basis = bank.parameter_basis
-    free = np.linalg.svd(np.eye(space.n_equations) - basis @ basis.T)[0][
-        :, : space.n_equations - basis.shape[1]
-    ]
+    free = np.linalg.svd(np.eye(space.n_equations) - basis @ basis.T)[0][:, : space.n_equations - basis.shape[1]]
     residual = scattered(space, pair, shared=False)
     nothing = np.zeros((space.n_equations, 0))
     sums = bank.averaging_matrix.toarray()

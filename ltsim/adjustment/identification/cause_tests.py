@@ -160,7 +160,9 @@ def reported_kind(fit: NetworkFit, hypothesis: CauseHypothesis) -> CauseKind:
     return hypothesis.kind
 
 
-def _estimate_sigma_and_unit(hypothesis: CauseHypothesis, shift_components: Floats, covariance: Floats) -> dict[str, Any]:
+def _estimate_sigma_and_unit(
+    hypothesis: CauseHypothesis, shift_components: Floats, covariance: Floats
+) -> dict[str, Any]:
     """Entries `estimate`, `sigma`, `unit` for the length of p `shift_components` (p,), `covariance` (p, p) [SI]."""
     assert isinstance(hypothesis.model_change, ReadingShiftChange)
     unit, factor = ("mm", MILLIMETRE)

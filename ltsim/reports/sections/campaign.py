@@ -58,6 +58,8 @@ MAX_DRAWN_TRIALS = 200_000
 """Largest number of trials in a figure; tables and intervals use all trials."""
 MAX_LISTED_LEVELS = 8
 """Number of levels of a factor above which only the first and the last are listed."""
+MAX_SHOWN_SCENARIOS = 100
+"""Largest number of cells whose scenarios a report contains; the manifest contains all of them."""
 MAX_OPEN_BLOCKS = 4
 """Largest number of blocks that are open on the page."""
 MAX_CELL_ROWS = 48
@@ -101,8 +103,9 @@ def campaign_section(folder: Path) -> Section:
     blocks: list[Block] = [*open_blocks, *(b for b in distribution_blocks if b not in open_blocks)]
     blocks += [*coverage_blocks(results, z_scores), *_statistic_tables(results, summaries, comparisons)]
     blocks.append(CodeBlock("Campaign file as JSON", json.dumps(manifest.settings, indent=1)))
-    scenarios = [scenario.model_dump(mode="json") for scenario in manifest.scenarios]
-    blocks.append(CodeBlock("Scenarios of the cells", json.dumps(scenarios, indent=1)))
+    scenarios = [scenario.model_dump(mode="json") for scenario in manifest.scenarios[:MAX_SHOWN_SCENARIOS]]
+    which = f"first {MAX_SHOWN_SCENARIOS} " if len(manifest.scenarios) > MAX_SHOWN_SCENARIOS else ""
+    blocks.append(CodeBlock(f"Scenarios of the {which}cells", json.dumps(scenarios, indent=1)))
     versions = [*manifest.versions.items(), *([("commit", manifest.commit[:12])] if manifest.commit else [])]
     return Section(
         title=f"Campaign: {manifest.title}" if manifest.title else "Campaign of simulated calibrations",

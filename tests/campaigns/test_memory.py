@@ -1,0 +1,146 @@
+"""Memory of campaigns: nothing outlives its trials, and batches are small where networks are large."""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from ltsim.campaigns.batch_fit import MAX_DISTANCE_TO_OPTIMUM
+from ltsim.campaigns.campaign import run_campaign
+from ltsim.campaigns.rows import cell_context
+from ltsim.campaigns.spec import load_campaign
+from ltsim.campaigns.truth import CellTruth, TrialBatch
+from ltsim.core.errors import SetupError
+from ltsim.core.limits import POINTINGS_LIMIT_VARIABLE
+from ltsim.core.randomness import TRIALS_PER_STREAM, standard_normal_trials
+from tests.campaigns.small import FILE
+
+FEW = FILE.replace("trials = 600", "trials = 12").replace("[1.0, 2.0]", "[1.0]")
+
+
+@pytest.mark.parametrize("geometry", ["shared", "per-trial"])
+def test_no_geometry_of_a_trial_outlives_its_batch(geometry: str, file: Path, tmp_path: Path) -> None:
+    """Each geometry kept itself alive through a cached function: 4,096 trials took 900 MB."""
+    file.write_text(FEW.replace("trials = 12", f'trials = 12\ngeometry = "{geometry}"'))
+    gc.collect()
+    gc.disable()
+    try:
+        run_campaign(file, tmp_path / "out")
+        assert not [found for found in gc.get_objects() if isinstance(found, CellTruth | TrialBatch)]
+    finally:
+        gc.enable()
+    assert not cell_context.cache_info().currsize
+
+
+@pytest.mark.parametrize("geometry", ["shared", "per-trial"])
+def test_a_large_network_is_calibrated_in_small_batches(
+    geometry: str, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A batch of 256 trials of 28,000 pointings took 1.9 GB, 64 geometries of them 11 GB."""
+    file.write_text(FEW.replace("trials = 12", f'trials = 12\ngeometry = "{geometry}"'))
+    sizes, draw = [], CellTruth.batch_from_draw
+    monkeypatch.setattr(
+        CellTruth, "batch_from_draw", lambda self, drawn, gap: sizes.append(gap.shape[2]) or draw(self, drawn, gap)
+    )
+    run_campaign(file, tmp_path / "whole")
+    assert max(sizes) == (TRIALS_PER_STREAM if geometry == "shared" else 1)
+    sizes.clear()
+    monkeypatch.setattr("ltsim.campaigns.rows.MAX_BATCH_VALUES", 200_000)
+    run_campaign(file, tmp_path / "parts")
+    assert max(sizes) == (32 if geometry == "shared" else 1)
+    assert_equal_rows(tmp_path / "whole", tmp_path / "parts", MAX_DISTANCE_TO_OPTIMUM)
+
+
+def test_a_sparse_design_gives_the_same_rows(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three dense matrices of all readings and unknowns took 260 MB for 28,000 pointings."""
+    file.write_text(FEW)
+    run_campaign(file, tmp_path / "dense")
+    monkeypatch.setattr("ltsim.campaigns.nominal_network.MAX_DENSE_ENTRIES", 0)
+    monkeypatch.setattr("ltsim.solve.design.MAX_DENSE_ENTRIES", 0)
+    run_campaign(file, tmp_path / "sparse")
+    assert_equal_rows(tmp_path / "dense", tmp_path / "sparse", 1e-6)
+
+
+def assert_equal_rows(first: Path, second: Path, tolerance: float) -> None:
+    tables = [pq.read_table(next(folder.rglob("*.parquet"))) for folder in (first, second)]
+    assert tables[0].column_names == tables[1].column_names and len(tables[0]) == len(tables[1])
+    for name in tables[0].column_names:
+        if name != "full_difference_sigma":
+            values = [table[name].to_numpy() for table in tables]
+            if values[0].dtype.kind == "f":
+                np.testing.assert_allclose(values[1], values[0], rtol=tolerance, atol=tolerance)
+            else:
+                assert (values[0] == values[1]).all()
+
+
+def test_numbers_of_a_trial_do_not_depend_on_how_they_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = np.concatenate([standard_normal_trials(3, np.arange(k, k + 256), 50, "noise") for k in (0, 256)], axis=1)
+    monkeypatch.setattr("ltsim.core.randomness.VALUES_PER_BATCH", 7)
+    for trials in ([0], [5], [0, 1, 2], [300, 7, 0, 256], range(10, 500)):
+        assert np.array_equal(standard_normal_trials(3, np.array(trials), 50, "noise"), whole[:, list(trials)])
+
+
+@pytest.mark.parametrize(("limit", "word"), [("MAX_CAMPAIGN_POINTINGS", "pointings"), ("MAX_CAMPAIGN_UNKNOWNS", "coo")])
+def test_a_network_that_takes_too_much_memory_is_refused_with_the_way_to_permit_it(
+    limit: str, word: str, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file.write_text(FEW)
+    monkeypatch.setattr(f"ltsim.campaigns.truth.{limit}", 20)
+    with pytest.raises(
+        SetupError, match=rf"the network has \d+ {word}.* takes at most 20: .*{POINTINGS_LIMIT_VARIABLE}"
+    ):
+        run_campaign(file, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    monkeypatch.setenv(POINTINGS_LIMIT_VARIABLE, "5000")
+    assert run_campaign(file, tmp_path / "out").n_computed_shards == 1
+
+
+def test_cells_share_what_they_have_in_common(file: Path) -> None:
+    """Scenarios of 4,096 cells took 270 MB."""
+    file.write_text(FILE)
+    _, (first, second) = load_campaign(file)
+    assert first.targets is second.targets and first.stations is second.stations
+    assert first.instrument.noise_factor != second.instrument.noise_factor
+
+
+def test_cells_whose_scenarios_no_reader_takes_are_refused_before_the_work(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The rows of 4,096 cells were computed, and then the manifest was refused."""
+    file.write_text(FILE)
+    monkeypatch.setattr("ltsim.campaigns.spec.MAX_MANIFEST_VALUES", 500)
+    with pytest.raises(
+        SetupError, match=r"the scenarios of 2 cells have \d+ values together, expected at most 500: div"
+    ):
+        run_campaign(file, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+VERB = "import sys; from ltsim.cli.main import run; sys.exit(run(sys.argv[1:]))"
+LARGE = {
+    "4,096 geometries": 'trials = 4096\ngeometry = "per-trial"\n',
+    "50 rounds in two faces": 'trials = 256\n[settings]\n"work.repeats" = 50\n"work.faces" = 2\n',
+    "50 rounds in two faces, 4 geometries": (
+        'trials = 4\nverify = 1\ngeometry = "per-trial"\n[settings]\n"work.repeats" = 50\n"work.faces" = 2\n'
+    ),
+    "all statistics": 'trials = 65536\nshard = 65536\nstatistics = ["criteria", "errors", "z-scores", "estimates"]\n',
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", LARGE)
+def test_a_large_campaign_takes_500_mb(name: str, tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text(f'format = "ltsim-campaign/1"\nseed = 5\n{LARGE[name]}')
+    words = [VERB, "campaign", str(tmp_path / "a.toml"), "--out", str(tmp_path / "out")]
+    with subprocess.Popen([sys.executable, "-c", *words], stdout=subprocess.DEVNULL) as process:
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0
+    assert used.ru_maxrss < 500 * 1024
