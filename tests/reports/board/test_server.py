@@ -325,6 +325,17 @@ def test_a_fault_is_told_and_the_board_goes_on(hall: Path, tmp_path: Path, monke
     assert json.loads(answer.content)["problem"].startswith("internal error of ltsim (IndexError: nobody expects this)")
 
 
+def test_a_layout_is_not_saved_through_a_link(board: Open, tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("mine")
+    board.folder.mkdir()
+    (board.folder / "plan.toml").symlink_to(tmp_path / "mine")
+    status, content = board.request("save", board.own)
+    assert status == 200 and "leads out of the folder" in json.loads(content)["problem"]
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert [p.name for p in board.folder.iterdir()] == ["plan.toml"]
+    shutil.rmtree(board.folder)
+
+
 def test_a_layout_is_saved(board: Open) -> None:
     status, content = board.request("save", board.own)
     assert status == 200
