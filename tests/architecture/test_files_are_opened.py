@@ -29,7 +29,7 @@ ALLOWED = {
 
 
 def opened(source: ast.Module) -> set[str]:
-    """Names of the functions by which a module opens files; functions of the same names that take a path are ltsim's."""
+    """Names of the functions by which a module opens files; functions that take a path are ltsim's."""
     found = set()
     for node in ast.walk(source):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in OPENING:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.cli.main import run
+from ltsim.core import storage
 from ltsim.core.errors import RecordError
 from ltsim.core.storage import check_writable, complete_interrupted_moves, path_in_folder, write_files
 from ltsim.recordings.files import write_texts
