@@ -41,7 +41,7 @@ from ltsim.campaigns.truth import make_small_geometry
 from ltsim.core.arguments import check_bounds, check_choice
 from ltsim.core.errors import SetupError, WorkerError, as_setup_error, option_text
 from ltsim.core.parallel import run_parallel
-from ltsim.core.storage import check_writable
+from ltsim.core.storage import check_writable, read_whole_file
 from ltsim.recordings.files import quoted_text
 from ltsim.recordings.settings import to_toml
 from ltsim.simulation.simulator import ineffective_effect_notes
@@ -166,15 +166,15 @@ def _input_files(
     """
     names = (campaign.scenario, campaign.validation_points)
     named = [path for name in names if name and (path := local_file(name, file))]
-    contents, root = {path.name: path.read_bytes() for path in named}, (named[0] if named else file).resolve().parent
-    for path in cad_files(
-        [place for cell in cells for place in (cell.scenario, cell.validation_scenario) if place is not None]
-    ):
+    contents = {path.name: read_whole_file(path) for path in named}
+    root = (named[0] if named else file).resolve().parent
+    scenarios = (place for cell in cells for place in (cell.scenario, cell.validation_scenario) if place is not None)
+    for path in cad_files(scenarios):
         whole = path.resolve()
         name = whole.relative_to(root).as_posix() if whole.is_relative_to(root) else path.name
         contents[name] = read_cad(path)
     settings = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return contents | {CAMPAIGN_FILE: file.read_bytes() if copies_file else to_toml(settings).encode()}
+    return contents | {CAMPAIGN_FILE: read_whole_file(file) if copies_file else to_toml(settings).encode()}
 
 
 def _configuration_notes(

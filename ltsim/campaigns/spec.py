@@ -24,6 +24,7 @@ from ltsim.campaigns.schema import (
 )
 from ltsim.core.errors import SetupError, as_setup_error, unknown_name_error
 from ltsim.core.limits import MAX_ADDITIONAL_EFFECTS
+from ltsim.core.storage import read_whole_file
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.keys import DistinctValues
 from ltsim.recordings.settings import read_toml, validate_settings
@@ -398,6 +399,6 @@ def _with_cad_digests(scenario: Scenario) -> Scenario:
 def read_cad(path: Path) -> bytes:
     """Content of a CAD file; raises SetupError."""
     try:
-        return path.read_bytes()
+        return read_whole_file(path)
     except OSError as problem:
         raise SetupError(f"{path}: cannot be read ({problem.strerror})") from None

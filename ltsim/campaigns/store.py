@@ -29,7 +29,15 @@ from filelock import FileLock, Timeout
 from ltsim.campaigns.schema import SUMMARY_FILE, ManifestFile
 from ltsim.core.errors import RecordError, SetupError, option_text
 from ltsim.core.limits import MAX_SHARD_ROWS
-from ltsim.core.storage import complete_interrupted_moves, path_in_folder, write_files
+from ltsim.core.storage import (
+    append_text,
+    complete_interrupted_moves,
+    open_for_reading,
+    path_in_folder,
+    read_whole_file,
+    require_single_name,
+    write_files,
+)
 from ltsim.recordings.result_file import read_result
 
 MANIFEST_FILE = ManifestFile.FILE
@@ -71,6 +79,7 @@ def read_shard(path: Path) -> pa.Table:
 
     Raises `pyarrow.ArrowException` or OSError, also for more rows than a shard can have.
     """
+    open_for_reading(path).close()  # the library would wait for a pipe
     file = pq.ParquetFile(path, page_checksum_verification=True)
     _require_few_rows(path, file.metadata)
     return file.read()
@@ -133,7 +142,7 @@ class CampaignFolder:
     def recorded_digests(self) -> dict[str, str]:
         """Recorded digest of each shard, by the path of the shard in the folder."""
         try:
-            text = (self.folder / DIGESTS_FILE).read_text(encoding="ascii", errors="replace")
+            text = read_whole_file(self.folder / DIGESTS_FILE).decode("ascii", "replace")
         except OSError:
             return {}
         return {match["name"]: match["digest"] for match in DIGEST_LINE.finditer(text)}
@@ -172,8 +181,7 @@ class CampaignFolder:
             self._append_digest(path.relative_to(self.folder).as_posix(), _file_digest(path))
 
     def _append_digest(self, name: str, digest: str) -> None:
-        with path_in_folder(self.folder, DIGESTS_FILE).open("a", encoding="ascii") as stream:
-            stream.write(f"{digest}  {name}\n")
+        append_text(self.folder, DIGESTS_FILE, f"{digest}  {name}\n")
 
     def conflicting_files(self, sources: Mapping[str, bytes]) -> list[str]:
         """Names of files in the folder that a new campaign with the input files `sources` would overwrite.
@@ -183,7 +191,7 @@ class CampaignFolder:
         remaining = [name for name in (ROWS_FOLDER, DIGESTS_FILE, SUMMARY_FILE) if (self.folder / name).exists()]
         existing_paths = {name: self.folder / name for name in sources if (self.folder / name).exists()}
         return remaining + [
-            n for n, path in existing_paths.items() if not path.is_file() or path.read_bytes() != sources[n]
+            n for n, path in existing_paths.items() if not path.is_file() or read_whole_file(path) != sources[n]
         ]
 
     def remove_campaign(self) -> None:
@@ -236,8 +244,8 @@ class CampaignFolder:
             for folder in (self.folder, *self.folder.glob(f"{ROWS_FOLDER}/cell-*")):
                 complete_interrupted_moves(path_in_folder(self.folder, folder.relative_to(self.folder).as_posix()))
             lines = "".join(f"{digest}  {name}\n" for name, digest in self.recorded_digests().items()).encode()
-            file = self.folder / DIGESTS_FILE
-            if file.exists() and file.read_bytes() != lines:
+            file = path_in_folder(self.folder, DIGESTS_FILE)
+            if file.exists() and read_whole_file(file) != lines:
                 write_files(self.folder, {DIGESTS_FILE: lines}, flush_to_disk=True)
 
     @contextlib.contextmanager
@@ -245,6 +253,7 @@ class CampaignFolder:
         """Context in which the folder is locked for other processes; the lock ends with the process in any case."""
         with self._storage_errors():
             self.folder.mkdir(parents=True, exist_ok=True)
+            require_single_name(self.folder, LOCK_FILE)  # the library may empty the file
             lock = FileLock(self.folder / LOCK_FILE, blocking=False)
             try:
                 lock.acquire()
@@ -276,7 +285,7 @@ def _shard_metadata(table: pa.Table) -> dict[str, str]:
 
 
 def _file_digest(path: Path) -> str:
-    with path.open("rb") as stream:
+    with open_for_reading(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 

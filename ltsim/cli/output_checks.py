@@ -22,7 +22,15 @@ import typer
 
 from ltsim.core.errors import RecordError, SetupError
 from ltsim.core.notation import listing
-from ltsim.core.storage import check_writable, complete_interrupted_moves, is_device, is_unmodified, path_in_folder
+from ltsim.core.storage import (
+    check_writable,
+    complete_interrupted_moves,
+    is_device,
+    is_unmodified,
+    open_for_reading,
+    path_in_folder,
+    read_whole_file,
+)
 
 if TYPE_CHECKING:
     from ltsim.recordings.result_file import ResultFile
@@ -178,8 +186,11 @@ def _compare_content(path: Path, write: Callable[[Path], Any]) -> _SameContent |
         existing = [name for name in written if os.path.lexists(path / name)]
         if not existing:
             return None
-        if existing == written and all((path / p).read_bytes() == (copy / p).read_bytes() for p in written):
-            return _SameContent(returned_value)
+        try:
+            if existing == written and all(read_whole_file(path / p) == read_whole_file(copy / p) for p in written):
+                return _SameContent(returned_value)
+        except OSError as problem:
+            raise RecordError(f"cannot be read ({problem.strerror})", file=problem.filename) from None
     if path.is_file():
         raise RecordError("exists with another content; choose another name, or replace it with --force", file=path)
     names = listing([str(name) for name in existing], 3)
@@ -209,7 +220,7 @@ def check_new_file(file: Path, force: bool) -> None:
     if file.is_file() and is_unmodified(file):
         return
     if file.is_file() and file.suffix == ".html":
-        with file.open("rb") as stream:
+        with open_for_reading(file) as stream:
             if GENERATOR_TAG.encode() in stream.read(MAX_SEARCHED_BYTES):
                 return
     raise RecordError("exists already; choose another name, or replace it with --force", file=file)
@@ -245,7 +256,7 @@ def _result_and_companion_names(file: Path) -> set[str]:
     from ltsim.recordings.result_file import read_json
 
     try:
-        with file.open("rb") as stream:
+        with open_for_reading(file) as stream:
             if not LTSIM_FILE_PATTERN.search(stream.read(MAX_SEARCHED_BYTES).decode("latin-1")):
                 return set()
         companions = read_json(file, "result").get("files") if file.suffix == ".json" else None

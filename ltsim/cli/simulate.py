@@ -27,6 +27,7 @@ from ltsim.cli.output_checks import (
 )
 from ltsim.cli.terminal import Terminal
 from ltsim.core.errors import ModelError, SetupError
+from ltsim.core.storage import path_in_folder
 from ltsim.recordings.files import write_text, write_texts
 from ltsim.simulation.builtin import builtin_names, builtin_text
 
@@ -240,6 +241,7 @@ def demo(
     """
     require_packages()
     for name, output_rule in DEMO_OUTPUTS.items():
+        path_in_folder(out, name)
         output_rule.check(out / name, True)
     outcomes = []
     terminal.print_note_on_compilation()

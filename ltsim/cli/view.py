@@ -114,7 +114,7 @@ def view(
 
 def _serve_planner(terminal: Terminal, plan: str, result_folder: Path, port: int, *, force: bool) -> None:
     """Serve the page on which the stations of a plan are moved by hand, until Ctrl-C."""
-    from ltsim.planning.result import PLAN_FILE, SCENARIO_FILE
+    from ltsim.planning.result import PLAN_FILE, SCENARIO_FILE, copy_cad_files
     from ltsim.reports.board.board import MovableLayout
     from ltsim.reports.board.server import PlannerRequests, serve_planner
 
@@ -122,6 +122,8 @@ def _serve_planner(terminal: Terminal, plan: str, result_folder: Path, port: int
         check_new_file(result_folder / name, force)
     with terminal.show_progress("reading the plan"):
         requests = PlannerRequests(MovableLayout.from_plan(plan), result_folder)
+        for name in copy_cad_files(requests.layout.scenario)[1]:
+            check_new_file(result_folder / name, force)
 
     def announce(address: str) -> None:
         terminal.print_always(address)

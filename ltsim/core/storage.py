@@ -15,7 +15,9 @@ import json
 import os
 import re
 import secrets
+import stat
 from collections.abc import Iterator, Mapping
+from io import BufferedReader
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -35,9 +37,9 @@ _TEMPORARY_NAME_PATTERN = re.compile(r"\.ltsim-(\d{1,9})-([0-9a-f]{8})-[0-9a-f]{
 def write_files(folder: Path, content_by_name: Mapping[str, bytes], *, flush_to_disk: bool = False) -> None:
     """Atomic writing of files into a folder, which is created if necessary: all files are written, or none.
 
-    A file name may contain subfolders. A device or a pipe is written directly. With `flush_to_disk`, the operating
-    system must write the files to the disk before the function returns. OSError is raised if a file cannot be written,
-    and RecordError for a link that leads out of the folder.
+    A file name may contain subfolders. With `flush_to_disk`, the operating system must write the files to the disk
+    before the function returns. OSError is raised if a file cannot be written, and RecordError for a link that leads
+    out of the folder and for a pipe or device in it.
     """
     folder.mkdir(parents=True, exist_ok=True)
     complete_interrupted_moves(folder)
@@ -49,9 +51,6 @@ def write_files(folder: Path, content_by_name: Mapping[str, bytes], *, flush_to_
             final_path.parent.mkdir(parents=True, exist_ok=True)
             if final_path.is_dir():
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(folder / name))
-            if is_device(final_path):
-                final_path.write_bytes(content)
-                continue
             temporary = final_path.parent / _temporary_name("tmp")
             moves[os.path.relpath(temporary, folder)] = name
             _create_file(temporary, content, flush_to_disk=flush_to_disk)
@@ -68,6 +67,65 @@ def write_files(folder: Path, content_by_name: Mapping[str, bytes], *, flush_to_
                 temporary.unlink(missing_ok=True)
 
 
+def write_to_device(path: Path, content: bytes) -> None:
+    """Writing to a pipe or device that the user names.
+
+    OSError is raised if it cannot be written; so it is for a pipe from which no process reads, where writing would wait
+    without end.
+    """
+    try:
+        handle = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
+    except OSError as problem:
+        if problem.errno == errno.ENXIO:
+            raise OSError(errno.ENXIO, "no process reads from this pipe", str(path)) from None
+        raise
+    if hasattr(os, "O_NONBLOCK"):
+        os.set_blocking(handle, True)  # a reader may be slow
+    with os.fdopen(handle, "wb") as stream:
+        stream.write(content)
+
+
+def require_single_name(folder: Path, name: str) -> None:
+    """Check that a file in a folder, if it exists, is no link, neither symbolic nor hard; raises RecordError."""
+    path = path_in_folder(folder, name)
+    if path.exists() and path.stat().st_nlink > 1:
+        raise RecordError("has another name elsewhere (hard link); remove it, or choose another folder", file=path)
+
+
+def append_text(folder: Path, name: str, text: str) -> None:
+    """Appending of ASCII text to a file in a folder, without change of other names (hard links) of the same file.
+
+    OSError is raised if the file cannot be written, and RecordError for a link that leads out of the folder and for a
+    pipe or device.
+    """
+    path = path_in_folder(folder, name)
+    if path.exists() and path.stat().st_nlink > 1:
+        write_files(folder, {name: path.read_bytes()})
+    with path.open("a", encoding="ascii") as stream:
+        stream.write(text)
+
+
+def open_for_reading(path: Path) -> BufferedReader:
+    """File, opened for reading in binary mode.
+
+    OSError is raised if it cannot be opened, and for a folder, a pipe or a device, from which reading might not end.
+    """
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    mode = os.fstat(handle).st_mode
+    if stat.S_ISREG(mode):
+        return os.fdopen(handle, "rb")
+    os.close(handle)
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    raise OSError(errno.EINVAL, "it is a pipe or a device, expected a file", str(path))
+
+
+def read_whole_file(path: Path) -> bytes:
+    """Content of a file of any size; OSError as for `open_for_reading`."""
+    with open_for_reading(path) as stream:
+        return stream.read()
+
+
 def complete_interrupted_moves(folder: Path) -> set[str]:
     """Names of the files whose interrupted renaming was completed; temporary files of killed processes are removed.
 
@@ -76,13 +134,13 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
     finished_names: set[str] = set()
     for journal in _abandoned_files(folder, "moves"):
         try:
-            with journal.open("rb") as stream:
+            with open_for_reading(journal) as stream:
                 moves = json.loads(stream.read(MAX_JOURNAL_BYTES))
             valid = isinstance(moves, dict) and all(
                 isinstance(name, str) and _TEMPORARY_NAME_PATTERN.fullmatch(Path(source).name)
                 for source, name in moves.items()
             )
-        except (ValueError, RecursionError):  # killed while it wrote the journal, or not written by ltsim
+        except (ValueError, RecursionError, OSError):  # killed while it wrote the journal, or not written by ltsim
             valid = False
         if valid:
             moves = {source: name for source, name in moves.items() if _is_inside_folder(folder, source)}
@@ -95,13 +153,18 @@ def complete_interrupted_moves(folder: Path) -> set[str]:
 
 
 def path_in_folder(folder: Path, file_name: str) -> Path:
-    """Path of a file in a folder after resolution of links; RecordError for a link that leads out of the folder."""
+    """Path of a file in a folder after resolution of links.
+
+    RecordError is raised for a link that leads out of the folder, and for a pipe or device.
+    """
     final_path = Path(os.path.realpath(folder / file_name))
     if not _is_inside_folder(folder, file_name):
         raise RecordError(
             f"is a link that leads out of the folder, to {final_path}; remove the link, or choose another folder",
             file=folder / file_name,
         )
+    if is_device(final_path):
+        raise RecordError("is a pipe or device; remove it, or choose another folder", file=folder / file_name)
     return final_path
 
 
@@ -113,7 +176,7 @@ def with_digest_comment(text: str) -> str:
 def is_unmodified(path: Path) -> bool:
     """True for a file with a text of `with_digest_comment` that has not been modified since it was written."""
     n_bytes = len(with_digest_comment("").encode())
-    with path.open("rb") as stream:
+    with open_for_reading(path) as stream:
         stream.seek(-min(n_bytes, path.stat().st_size), os.SEEK_END)
         if not stream.read().startswith(b"<!-- written by ltsim"):
             return False
@@ -143,7 +206,7 @@ def check_writable(path: Path, *, is_folder: bool) -> None:
             _check_folder_above(path, path if is_folder else path.parent)
     except (OSError, ValueError) as problem:
         raise RecordError(f"cannot be written ({getattr(problem, 'strerror', problem)})", file=path) from None
-    if not is_folder:
+    if not is_folder and not (is_device(path) and not path.is_symlink()):
         path_in_folder(path.parent, path.name)
 
 

@@ -10,6 +10,7 @@ from ltsim.adjustment.remedies.detectability import catalogue_detectability
 from ltsim.core.arguments import path_of_file_or_built_in
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.core.results import Table
+from ltsim.core.storage import read_whole_file
 from ltsim.physics.effects import CATALOGUE
 from ltsim.planning import tables
 from ltsim.planning.loading import load_plan
@@ -295,7 +296,7 @@ def copy_cad_files(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
         file_name = Path(path).name
         names[path] = file_name if file_name not in contents else f"{len(contents) + 1}-{file_name}"
         try:
-            contents[names[path]] = Path(path).read_bytes()
+            contents[names[path]] = read_whole_file(Path(path))
         except OSError as problem:
             raise SetupError(f"{path}: cannot be read ({problem.strerror})") from None
     obstacles = tuple(

@@ -24,7 +24,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import require_small_joint_covariance
 from ltsim.core.results import escape_formula, unescape_formula
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
-from ltsim.recordings.files import SourceLocation, decode_head, quoted_text
+from ltsim.recordings.files import SourceLocation, quoted_text, read_head
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
     COORDINATE_ROLES,
@@ -281,8 +281,7 @@ def is_coordinate_file(path: Path) -> bool:
     path = _targets_path(path)
     if not path.is_file():
         return False
-    with path.open("rb") as stream:
-        beginning = decode_head(stream.read(4096)).lstrip()
+    beginning = read_head(path, 4096).lstrip()
     return "<gama-local-adjustment" in beginning if beginning.startswith("<") else recognises(beginning)
 
 
@@ -291,8 +290,7 @@ def read_coordinates(path: Path) -> EpochCoordinates:
     if not path.exists():
         raise RecordError("there is no such file", file=path)
     folder, path = path, _targets_path(path)
-    with path.open("rb") as stream:
-        is_xml = decode_head(stream.read(256)).lstrip().startswith("<")
+    is_xml = read_head(path, 256).lstrip().startswith("<")
     epoch = _coordinates_from_gama(path) if is_xml else _coordinates_from_list(path)
     if len(set(epoch.names)) < len(epoch.names):
         twice = next(name for name in epoch.names if epoch.names.count(name) > 1)

@@ -16,7 +16,7 @@ from ltsim.recordings.conventions import (
     mirror_image_sentences,
     vertical_pointings_notes,
 )
-from ltsim.recordings.files import decode_head, with_unix_line_ends
+from ltsim.recordings.files import read_head, with_unix_line_ends
 from ltsim.recordings.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
 from ltsim.recordings.formats.unsupported import UNSUPPORTED_FORMATS
 from ltsim.recordings.recording import Recording
@@ -195,12 +195,8 @@ def recognise_format(path: Path) -> FileFormat:
             advice = f"{len(inside)} recordings; give one of them, such as {inside[0].parent}"
         raise RecordError(f"is not a recording, but contains {advice}", file=path)
     beginning = ""
-    if path.is_file():
-        try:
-            with path.open("rb") as stream:
-                beginning = with_unix_line_ends(decode_head(stream.read(MAX_HEAD_BYTES)))
-        except OSError as problem:
-            raise RecordError(f"cannot be read ({problem.strerror})", file=path) from None
+    if not path.is_dir():
+        beginning = with_unix_line_ends(read_head(path, MAX_HEAD_BYTES))
     unread_format = next((f for f in UNSUPPORTED_FORMATS if f.pattern.match(beginning)), None)
     if unread_format is not None:
         raise RecordError(

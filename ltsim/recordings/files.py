@@ -3,13 +3,14 @@
 import codecs
 import re
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import BYTES_PER_MIB, MAX_FILE_BYTES, MAX_LINE_CHARACTERS, MAX_TEXT_LINES
-from ltsim.core.storage import write_files
+from ltsim.core.storage import is_device, open_for_reading, write_files, write_to_device
 
 MAX_RECORDING_NAME_LENGTH = 100
 """Number of characters above which the name of a station, target or instrument is refused."""
@@ -36,10 +37,10 @@ _FORBIDDEN_CHARACTERS = re.compile(r"[<>/\\]")
 def read_bytes(path: Path, max_bytes: int = MAX_FILE_BYTES) -> bytes:
     """Content of a file of at most `max_bytes` bytes.
 
-    Raises RecordError when it is missing, a folder, unreadable, empty or too large.
+    Raises RecordError when it is missing, a folder, a pipe or device, unreadable, empty or too large.
     """
     try:
-        with path.open("rb") as stream:
+        with open_for_reading(path) as stream:
             content = stream.read(max_bytes + 1)
     except FileNotFoundError:
         raise RecordError("there is no such file", file=path) from None
@@ -66,6 +67,19 @@ def decode_head(content: bytes) -> str:
         return codecs.getincrementaldecoder("utf-8-sig")().decode(content)
     except UnicodeDecodeError:
         return content.removeprefix(UTF8_BYTE_ORDER_MARK).decode("latin-1")
+
+
+def read_head(path: Path, n_bytes: int) -> str:
+    """Text of the first `n_bytes` bytes of a file, decoded as by `decode_head`.
+
+    Raises RecordError if the file cannot be read, and for a pipe or device.
+    """
+    try:
+        with open_for_reading(path) as stream:
+            return decode_head(stream.read(n_bytes))
+    except (OSError, ValueError) as problem:
+        reason = getattr(problem, "strerror", None) or "not a usable path"
+        raise RecordError(f"cannot be read ({reason})", file=path) from None
 
 
 def read_text(path: Path, *, replaces_undecodable: bool = False, max_bytes: int = MAX_FILE_BYTES) -> str:
@@ -205,13 +219,31 @@ def write_texts(folder: Path, texts: Mapping[str, str | bytes]) -> None:
 
     Raises RecordError if the folder cannot be created or written to, or a link leads out of it.
     """
-    try:
-        write_files(folder, {name: t.encode() if isinstance(t, str) else t for name, t in texts.items()})
-    except (OSError, UnicodeEncodeError) as problem:
-        reason = getattr(problem, "strerror", None) or "text that UTF-8 cannot represent"
-        raise RecordError(f"cannot be written ({reason})", file=folder) from None
+    with _writing_errors(folder):
+        write_files(folder, {name: _encoded(text) for name, text in texts.items()})
 
 
 def write_text(path: Path, text: str | bytes) -> None:
-    """Atomic writing of one file: a temporary file is written and then renamed to `path`."""
-    write_texts(path.parent, {path.name: text})
+    """Atomic writing of one file, by renaming a temporary file; a pipe or device is written directly.
+
+    Raises RecordError if it cannot be written, or a link leads out of its folder.
+    """
+    if is_device(path) and not path.is_symlink():
+        with _writing_errors(path):
+            write_to_device(path, _encoded(text))
+    else:
+        write_texts(path.parent, {path.name: text})
+
+
+def _encoded(text: str | bytes) -> bytes:
+    return text.encode() if isinstance(text, str) else text
+
+
+@contextmanager
+def _writing_errors(path: Path) -> Iterator[None]:
+    """Context in which errors of writing to `path` are raised as RecordError."""
+    try:
+        yield
+    except (OSError, UnicodeEncodeError) as problem:
+        reason = getattr(problem, "strerror", None) or "text that UTF-8 cannot represent"
+        raise RecordError(f"cannot be written ({reason})", file=path) from None

@@ -15,6 +15,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import SetupError, is_installed
 from ltsim.core.limits import BYTES_PER_MIB, MAX_CAD_BYTES
+from ltsim.core.storage import read_whole_file
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.recordings.files import quoted_text
 from ltsim.scene.cad_process import EXACT_SURFACE_SUFFIXES, FACET_SUFFIXES, read_triangles
@@ -151,7 +152,7 @@ def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
             f'{path}: has exact surfaces, which need the library cascadio: pip install "ltsim[step]", or export it '
             "from the CAD system as STL, OBJ or GLB"
         )
-    if suffix == ".gltf" and (others := re.findall(rb'"uri"\s*:\s*"(?!data:)([^"]*)"', path.read_bytes())):
+    if suffix == ".gltf" and (others := re.findall(rb'"uri"\s*:\s*"(?!data:)([^"]*)"', read_whole_file(path))):
         raise SetupError(
             f"{path}: stores its surfaces in other files "
             f"({quoted_text(others[0].decode(errors='replace'))}); export it as "

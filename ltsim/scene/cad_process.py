@@ -26,6 +26,7 @@ from ltsim.core.limits import (
     MAX_IN_PROCESS_CAD_BYTES,
     MAX_OBSTACLE_TRIANGLES,
 )
+from ltsim.core.storage import open_for_reading, read_whole_file
 from ltsim.recordings.files import quoted_text
 
 EXACT_SURFACE_SUFFIXES = (".step", ".stp", ".iges", ".igs")
@@ -46,7 +47,7 @@ def read_triangles(path: Path) -> Floats:
 
     Raises SetupError for a damaged file, for one with too many triangles, and for one without triangles.
     """
-    content = path.read_bytes()
+    content = read_whole_file(path)
     suffix = path.suffix.lower()
     if suffix == ".stl":
         _require_few_triangles(path, max_stl_facets(content))
@@ -116,7 +117,7 @@ def run_reader_process() -> None:
     path, memory_bytes, processor_seconds = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     limit_process_resources(memory_bytes, processor_seconds)
     try:
-        with path.open("rb") as stream, without_library_output():
+        with open_for_reading(path) as stream, without_library_output():
             triangles = parse_triangles(stream.read(), path.suffix.lower())
         if len(triangles) > MAX_OBSTACLE_TRIANGLES:
             raise MemoryError

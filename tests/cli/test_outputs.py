@@ -38,15 +38,20 @@ def outputs_of(verb: str) -> dict[str, str]:
     }
 
 
+def inputs_of(verb: str) -> list[str]:
+    """Names of the options and arguments of a verb that are paths and not marked as outputs."""
+    parameters = signature(typer_command(verb, command_function(verb))).parameters
+    paths = {p.name for p in command(verb).params if re.search("FILE|DIR|REC|IN$|OUT$|SCENARIO", p.metavar or "")}
+    paths |= {name for name, parameter in parameters.items() if "Path" in str(parameter.annotation)}
+    return sorted(paths - outputs_of(verb).keys())
+
+
 OUTPUTS = [(verb, name, flag) for verb in COMMANDS for name, flag in outputs_of(verb).items()]
 
 
 @pytest.mark.parametrize("verb", COMMANDS)
 def test_every_path_is_marked_as_an_output_or_listed_as_an_input(verb: str) -> None:
-    parameters = signature(typer_command(verb, command_function(verb))).parameters
-    paths = {p.name for p in command(verb).params if re.search("FILE|DIR|REC|IN$|OUT$|SCENARIO", p.metavar or "")}
-    paths |= {name for name, parameter in parameters.items() if "Path" in str(parameter.annotation)}
-    assert paths - outputs_of(verb).keys() <= INPUTS
+    assert {*inputs_of(verb)} <= INPUTS
 
 
 def arguments_of(verb: str, name: str, place: Path) -> list[str]:

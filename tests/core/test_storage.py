@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.cli.main import run
+from ltsim.core import storage
 from ltsim.core.errors import RecordError
 from ltsim.core.storage import check_writable, complete_interrupted_moves, path_in_folder, write_files
 from ltsim.recordings.files import write_texts
@@ -143,6 +144,30 @@ def test_nothing_behind_a_link_is_removed_or_written(tmp_path: Path) -> None:
     assert os.read(reader, 100) == b""
     os.close(reader)
     assert sorted(p.name for p in elsewhere.iterdir()) == [left, "note", "pipe"]
+
+
+def test_a_pipe_or_device_is_neither_read_nor_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero")):
+        with pytest.raises(OSError, match="pipe or a device"):
+            storage.open_for_reading(path)
+    with pytest.raises(RecordError, match="is a pipe or device"):
+        storage.write_files(tmp_path, {"pipe": b""})
+    with pytest.raises(OSError, match="no process reads from this pipe"):
+        storage.write_to_device(tmp_path / "pipe", b"text")
+
+
+def test_another_name_of_a_file_is_not_appended_to(tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("mine\n")
+    (tmp_path / "folder").mkdir()
+    os.link(tmp_path / "mine", tmp_path / "folder" / "lines")
+    for _ in range(2):
+        storage.append_text(tmp_path / "folder", "lines", "more\n")
+    assert (tmp_path / "mine").read_text() == "mine\n"
+    assert (tmp_path / "folder" / "lines").read_text() == "mine\nmore\nmore\n"
+    os.link(tmp_path / "mine", tmp_path / "folder" / "lock")
+    with pytest.raises(RecordError, match="hard link"):
+        storage.require_single_name(tmp_path / "folder", "lock")
 
 
 def test_what_another_process_is_writing_is_left_alone(tmp_path: Path) -> None:

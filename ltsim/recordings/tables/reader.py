@@ -1,5 +1,6 @@
 """Reader of recordings from delimited text, a folder of such files, or a workbook."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -184,7 +185,7 @@ def _setup_path(path: Path, hints: Hints) -> Path:
 def _read_setup(path: Path, hints: Hints) -> Setup | None:
     """Set-up from the `setup.toml` of a table; None if there is no such file."""
     file = _setup_path(path, hints)
-    return read_setup(file) if hints.setup is not None or file.is_file() else None
+    return read_setup(file) if hints.setup is not None or os.path.lexists(file) else None
 
 
 def _pointing_faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]]:

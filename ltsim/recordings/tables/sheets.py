@@ -165,7 +165,9 @@ def table_files(path: Path) -> list[Path]:
     """Paths of the tables in a folder, ordered by name; only `path` itself if it is no folder."""
     if not path.is_dir():
         return [path]
-    return sorted(f for f in path.iterdir() if f.is_file() and f.suffix.lower() in TABLE_SUFFIXES and f.name[0] != ".")
+    return sorted(
+        f for f in path.iterdir() if not f.is_dir() and f.suffix.lower() in TABLE_SUFFIXES and f.name[0] != "."
+    )
 
 
 def read_sheets(path: Path) -> list[TableSheet]:

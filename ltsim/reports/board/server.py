@@ -10,6 +10,8 @@ view must stay in one thread. No request ends the server.
 from __future__ import annotations
 
 import json
+import math
+import os
 import secrets
 import socket
 import threading
@@ -17,14 +19,15 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from http import HTTPStatus
-from http.client import HTTP_PORT
+from http.client import HTTP_PORT, LineTooLong
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
+from io import BufferedIOBase
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator
 
 from ltsim.core.errors import LtsimError, SetupError
 from ltsim.reports.board.board import MovableLayout
@@ -34,12 +37,19 @@ LOOPBACK_ADDRESS = "127.0.0.1"
 """Address of this machine, which other machines cannot reach."""
 MAX_BODY_BYTES = 1 << 20
 """Largest size of the body of a request [byte]."""
+MAX_HEADER_BYTES = 1 << 16
+"""Largest size of the request line and the headers of a request together [byte]; browsers send 1 to 10 kB."""
 MAX_CONNECTIONS = 32
-"""Largest number of simultaneous connections; further ones are closed. A browser opens six."""
+"""Largest number of simultaneous connections; a browser opens six. A further one replaces the oldest of those that have
+not sent headers with the token yet, and is closed if there is none."""
+REPLACEMENT_TIMEOUT_S = 1.0
+"""Longest time [s] that a new connection waits for the end of the one that it replaces."""
 REQUEST_TIMEOUT_S = 10.0
 """Time [s] within which a request must arrive completely; its connection is closed afterwards."""
 INTERRUPT_CHECK_INTERVAL_S = 0.2
 """Longest time [s] that the server waits for a request before it reacts to Ctrl-C."""
+MIN_CAMERA_LENGTH = 1e-6
+"""Smallest distance [m] of the camera from its focal point, and smallest length of its up direction."""
 RESPONSE_HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -68,6 +78,15 @@ class LayoutRequest(BaseModel):
 
     stations: list[StationPosition] = Field(max_length=1000)
     camera: Annotated[list[FiniteTriple], Field(min_length=3, max_length=3)] | None = None
+    """Position [m], focal point [m] and up direction."""
+
+    @field_validator("camera")
+    @classmethod
+    def check_camera(cls, camera: list[list[float]] | None) -> list[list[float]] | None:
+        """Unchanged `camera`; raises ValueError if a direction has no length."""
+        if camera is not None and min(math.dist(*camera[:2]), math.hypot(*camera[2])) < MIN_CAMERA_LENGTH:
+            raise ValueError("the camera is at its focal point, or its up direction is zero")
+        return camera
 
 
 class HttpResponse(NamedTuple):
@@ -130,11 +149,37 @@ class PlannerRequests:
         return HttpResponse(status, "application/json", json.dumps(content).encode())
 
 
+class _RequestStream(BufferedIOBase):
+    """Bytes of one request, of which lines are read up to a total of `MAX_HEADER_BYTES`."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream, self._n_free = stream, MAX_HEADER_BYTES
+
+    def readline(self, size: int | None = -1) -> bytes:
+        """Next line; raises LineTooLong beyond the limit."""
+        line: bytes = self._stream.readline(self._n_free + 1)
+        self._n_free -= len(line)
+        if self._n_free < 0:
+            raise LineTooLong("header")
+        return line
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Next `size` bytes, fewer at the end of the request."""
+        content: bytes = self._stream.read(size)
+        return content
+
+    def close(self) -> None:
+        """Close the stream of the connection."""
+        self._stream.close()
+        super().close()
+
+
 class _RequestHandler(BaseHTTPRequestHandler):
     """Handler of one connection: it checks a request, passes it to the serving thread, and sends the response."""
 
     work_queue: SimpleQueue[tuple[Future[HttpResponse], str, str, bytes]]
     requests: PlannerRequests
+    server: _LimitedServer
     allowed_hosts: frozenset[str]
     """Allowed values of the HTTP header Host, and of the header Origin after `http://`."""
     timeout = REQUEST_TIMEOUT_S
@@ -143,6 +188,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
     def setup(self) -> None:
         """Prepare the connection, from which nothing is read after `REQUEST_TIMEOUT_S`."""
         super().setup()
+        self.rfile = _RequestStream(self.rfile)
         self._deadline = threading.Timer(REQUEST_TIMEOUT_S, self._stop_reading)
         self._deadline.daemon = True
         self._deadline.start()
@@ -170,12 +216,17 @@ class _RequestHandler(BaseHTTPRequestHandler):
 
     def _refusal(self) -> HttpResponse | None:
         """Response that refuses a request of another page or program; None for a request of the page."""
+        if not self.request_version.startswith("HTTP/1."):
+            return HttpResponse(HTTPStatus.HTTP_VERSION_NOT_SUPPORTED)
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
         if len(hosts) != 1 or hosts[0].lower() not in self.allowed_hosts:
             return HttpResponse(HTTPStatus.MISDIRECTED_REQUEST)
         if not {origin.lower() for origin in origins} <= {f"http://{host}" for host in self.allowed_hosts}:
             return HttpResponse(HTTPStatus.FORBIDDEN)
-        return None if self.requests.has_token(self.path) else MISSING_PAGE_RESPONSE
+        if not self.requests.has_token(self.path):
+            return MISSING_PAGE_RESPONSE
+        self.server.keep_connection(self.connection)
+        return None
 
     def _read_body(self) -> bytes | HttpResponse:
         """Body of a request, or the response to an invalid length or a timeout."""
@@ -204,33 +255,62 @@ class _RequestHandler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(response.content)
 
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Send the status of a malformed request or an unknown method, without any text of the request."""
+        self.request_version = "HTTP/1.0"  # of a malformed request unknown, and then no status would be sent
+        self._send_response(HttpResponse(HTTPStatus(code)))
+
     def log_message(self, *_: Any) -> None:
         """Suppress the log of requests."""
 
 
 class _LimitedServer(ThreadingHTTPServer):
-    """Server with a limited number of connections, which ignores broken connections."""
+    """Server with a limited number of connections, which ignores broken connections.
+
+    Silent or slow connections of another program do not keep the page from its server: a new connection replaces the
+    oldest one without the token.
+    """
 
     daemon_threads = True
+    allow_reuse_address = os.name != "nt"
+    """False on Windows, where another program could take over the port."""
     request_queue_size = 2 * MAX_CONNECTIONS
     """Length of the queue of waiting connections."""
 
     def __init__(self, address: tuple[str, int], handler: type[_RequestHandler]) -> None:
         self._free_connections = threading.BoundedSemaphore(MAX_CONNECTIONS)
+        self._replaceable: dict[Any, None] = {}
+        """Connections that have not sent headers with the token, the oldest first."""
         super().__init__(address, handler)
 
     def process_request(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:
         """Start the thread of a connection."""
-        if self._free_connections.acquire(blocking=False):
+        if self._free_connections.acquire(blocking=False) or self._replaces_oldest():
+            self._replaceable[request] = None
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
+
+    def _replaces_oldest(self) -> bool:
+        """True if the oldest replaceable connection was ended, whose place the next one takes."""
+        oldest = next(iter([*self._replaceable]), None)
+        if oldest is None:
+            return False
+        self.keep_connection(oldest)
+        with suppress(OSError):  # it has just ended by itself
+            oldest.shutdown(socket.SHUT_RDWR)
+        return self._free_connections.acquire(timeout=REPLACEMENT_TIMEOUT_S)
+
+    def keep_connection(self, request: Any) -> None:
+        """Exclude a connection from replacement, since it has sent the token or has ended."""
+        self._replaceable.pop(request, None)
 
     def process_request_thread(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:
         """Serve a connection."""
         try:
             super().process_request_thread(request, client_address)
         finally:
+            self.keep_connection(request)
             self._free_connections.release()
 
     def handle_error(self, request: object, client_address: object) -> None:

@@ -20,6 +20,7 @@ from ltsim.core.probability import p_text, two_sided_p_value
 from ltsim.core.results import Table, number_columns, text_columns
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings import Recording, read
+from ltsim.recordings.files import read_text
 from ltsim.reports import figures
 from ltsim.reports.document_model import (
     Block,
@@ -306,4 +307,4 @@ def _settings_block(folder: Path) -> Block:
     file = folder / "setup.toml"
     if not file.is_file():
         return NoteBlock("Set-up", "There is no setup.toml; the default noise and priors were used.")
-    return CodeBlock("Set-up of the recording (setup.toml)", file.read_text(encoding="utf-8"))
+    return CodeBlock("Set-up of the recording (setup.toml)", read_text(file))

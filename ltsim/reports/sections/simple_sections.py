@@ -19,6 +19,7 @@ from ltsim.measurands.comparison import DISPLACEMENTS_TABLE, Comparison
 from ltsim.measurands.uncertainty import Uncertainty
 from ltsim.physics.effects import effect_title, parameter_text
 from ltsim.planning.proposals import PROPOSALS_TABLE, NextMeasurement
+from ltsim.recordings.files import read_text
 from ltsim.reports import figures
 from ltsim.reports.document_model import (
     Assessment,
@@ -85,7 +86,7 @@ def check_section(content: Check, context: SectionContext) -> Section:
     picture_file = context.companion_file("check.svg", content)
     caption = "Above: half two-face differences divided by their limits. Below: misfit of each pointing over time."
     blocks: list[Block] = (
-        [] if picture_file is None else [PictureBlock("At a glance", lambda: picture_file.read_text("utf-8"), caption)]
+        [] if picture_file is None else [PictureBlock("At a glance", lambda: read_text(picture_file), caption)]
     )
     fields = ("station", "kind=test", "sentence=result", "targets", "p_value")
     for title, passed in (("Tests failed", False), ("Tests passed", True)):

@@ -18,13 +18,19 @@ import pytest
 
 from ltsim.reports.board import server
 from ltsim.reports.board.board import MovableLayout
-from ltsim.reports.board.server import MAX_BODY_BYTES, MAX_CONNECTIONS, PlannerRequests
+from ltsim.reports.board.server import (
+    MAX_BODY_BYTES,
+    MAX_CONNECTIONS,
+    MAX_HEADER_BYTES,
+    RESPONSE_HEADERS,
+    PlannerRequests,
+)
 from tests.planning.test_hall import HALL, points_csv
 from tests.reports.browser import FLAGS, find_browser
 
 START = (
     "import signal; signal.signal(2, signal.default_int_handler); from ltsim.reports.board import server; "
-    "server.PATIENCE = server._RequestHandler.timeout = 1.5; from ltsim.cli.main import main; main()"
+    "server.REQUEST_TIMEOUT_S = server._RequestHandler.timeout = 1.5; from ltsim.cli.main import main; main()"
 )
 
 
@@ -205,6 +211,8 @@ BODIES = {
     "a huge number": b'{"stations": [{"name": "a", "position_mm": [1e308, 0, 0], "yaw_deg": 1e308}, '
     b'{"name": "b", "position_mm": [1e308, 0, 0], "yaw_deg": 1e308}]}',
     "a camera of another kind": b'{"stations": [], "camera": 5}',
+    "a camera at its focal point": b'{"stations": [], "camera": [[1, 2, 3], [1, 2, 3], [0, 0, 1]]}',
+    "a camera without an up direction": b'{"stations": [], "camera": [[1, 2, 3], [0, 0, 0], [0, 0, 1e-300]]}',
     "a camera of words": b'{"stations": [], "camera": [["a"], 2, {}]}',
 }
 
@@ -238,6 +246,7 @@ def test_a_body_that_makes_no_sense_is_a_problem_and_the_board_goes_on(kind: str
         "no colon",
         "Content-Length: 2\r\n" + "X: y\r\n" * 200,
         "Long: " + "y" * 100_000,
+        f"Two: {'y' * (MAX_HEADER_BYTES // 2)}\r\n" * 2,
     ],
     ids=lambda more: more[:40],
 )
@@ -254,6 +263,31 @@ def test_a_malformed_request_ends_nothing(more: str, board: Open) -> None:
 def test_what_is_no_request_ends_nothing(raw: bytes, board: Open) -> None:
     board.sent(raw)
     assert board.lives
+
+
+@pytest.mark.parametrize("method", ["HEAD", "OPTIONS", "TRACE", "PUT", "CONNECT", "get", "<script>", "__init__"])
+def test_another_method_is_refused_without_a_word_of_the_request(method: str, board: Open) -> None:
+    for path in (f"/{board.token}/save", "/<script>"):
+        raw = board.sent(f"{method} {path} HTTP/1.1\r\nHost: 127.0.0.1:{board.port}\r\nX: <script>\r\n\r\n".encode())
+        head, _, content = raw.partition(b"\r\n\r\n")
+        assert head.split()[1] == b"501" and content == b"" and b"script" not in head
+        assert all(f"\r\n{name}: {value}".encode() in head for name, value in RESPONSE_HEADERS.items())
+
+
+def test_a_request_without_a_version_gets_no_page(board: Open) -> None:
+    assert board.sent(f"GET /{board.token}/\r\nHost: 127.0.0.1:{board.port}\r\n\r\n".encode()) == b""
+
+
+@pytest.mark.parametrize("beginning", [b"", b"POST / HTTP/1.1\r\nX: ", b"X: " + b"y" * 60_000])
+def test_connections_of_another_program_keep_no_page_from_the_board(beginning: bytes, board: Open) -> None:
+    """More than the board serves at once, all open: each new one replaces the oldest without the token."""
+    waiting = []
+    for _ in range(3 * MAX_CONNECTIONS):
+        waiting.append(socket.create_connection(("127.0.0.1", board.port), timeout=30))
+        waiting[-1].sendall(beginning)
+    assert all(board.lives for _ in range(3))
+    for connection in waiting:
+        connection.close()
 
 
 def test_slow_and_silent_connections_end_by_themselves(board: Open) -> None:
@@ -289,6 +323,17 @@ def test_a_fault_is_told_and_the_board_goes_on(hall: Path, tmp_path: Path, monke
     answer = server._respond_or_report(access, "POST", f"/{access.token}/judged", b"")
     assert answer.status == 500
     assert json.loads(answer.content)["problem"].startswith("internal error of ltsim (IndexError: nobody expects this)")
+
+
+def test_a_layout_is_not_saved_through_a_link(board: Open, tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("mine")
+    board.folder.mkdir()
+    (board.folder / "plan.toml").symlink_to(tmp_path / "mine")
+    status, content = board.request("save", board.own)
+    assert status == 200 and "leads out of the folder" in json.loads(content)["problem"]
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert [p.name for p in board.folder.iterdir()] == ["plan.toml"]
+    shutil.rmtree(board.folder)
 
 
 def test_a_layout_is_saved(board: Open) -> None:
