@@ -21,7 +21,7 @@ from ltsim.core.limits import (
     MAX_CAMPAIGN_POINTINGS,
     MAX_CAMPAIGN_UNKNOWNS,
     POINTINGS_LIMIT_VARIABLE,
-    max_pointings,
+    overridable_limit,
 )
 from ltsim.core.randomness import TRIALS_PER_STREAM as TRIALS_PER_STREAM
 from ltsim.geometry.polar import wrap_angle
@@ -63,7 +63,7 @@ def make_small_geometry(scenario: Scenario, seed: int, *stream_key: str | int) -
         (n_unknowns, MAX_CAMPAIGN_UNKNOWNS, "coordinates and angles of stations and targets", "targets"),
     )
     for number, default_limit, name, advice in limits:
-        if number > (limit := max_pointings(default_limit)):
+        if number > (limit := overridable_limit(default_limit)):
             raise SetupError(
                 f"the network has {number} {name}; a campaign takes at most {limit}: use fewer {advice}; on a machine "
                 f"with more memory set the environment variable {POINTINGS_LIMIT_VARIABLE} to {number}"

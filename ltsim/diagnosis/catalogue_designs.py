@@ -150,7 +150,7 @@ class CatalogueDesigns:
     """Names of the families, which are the names of the catalogue effects."""
     family_indices: Ints
     """Index (h,) of the family (catalogue effect) of each of h effects."""
-    n_rows: int
+    n_equations: int
     """Number of rows of the residual space."""
     reading_sigmas: Floats
     """Standard deviations (n, 3) of the readings of n pointings, by which the design columns are divided."""
@@ -221,7 +221,7 @@ class CatalogueDesigns:
         names = tuple(dict.fromkeys(effect.name for effect in touching))
         index = {name: i for i, name in enumerate(names)}
         family_indices = np.array([index[e.name] for e in touching], dtype=np.int64)
-        return cls(touching, effect_groups, names, family_indices, space.n_rows, space.sigma)
+        return cls(touching, effect_groups, names, family_indices, space.n_equations, space.sigma)
 
     def with_weights_of(self, new_space: ResidualSpace) -> CatalogueDesigns:
         """Design matrices with the weights of another adjustment of the same readings.
