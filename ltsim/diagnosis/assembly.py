@@ -1,22 +1,49 @@
-"""Assembly of the result of a diagnosis from the selected model and from the findings of tests."""
+"""Assembly of the result of a diagnosis: findings of the selected model, of tests, and on changes of the noise."""
 
 from collections.abc import Sequence
+
+import numpy as np
 
 from ltsim.adjustment import Adjustment
 from ltsim.adjustment.identification import CauseSelection, cause_tests
 from ltsim.adjustment.refit import Refit
+from ltsim.adjustment.significance import MIN_SIGNIFICANT_SIGMAS
 from ltsim.core.arrays import Floats
+from ltsim.core.notation import number_text, with_sigma
 from ltsim.diagnosis.averaging import average_over_explanations
 from ltsim.diagnosis.cross_validation import HeldOutErrors
 from ltsim.diagnosis.detectability import DetectabilityReport
 from ltsim.diagnosis.diagnosis import AveragedTargets, Diagnosis, DiagnosisArrays
 from ltsim.diagnosis.findings import SelectedModelFit
+from ltsim.diagnosis.global_test import GlobalTestResult
 from ltsim.diagnosis.instruments import instrument_entries
-from ltsim.diagnosis.noise_findings import noise_finding
-from ltsim.diagnosis.schema import DetectableEntry, Finding, GlobalTest, Misfit, MisfitBeforeAfter
-from ltsim.diagnosis.sentences import MIN_PROBABILITY_OF_PROBABLE_CAUSE, diagnosis_summary
+from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
+from ltsim.diagnosis.schema import (
+    DetectableEntry,
+    Finding,
+    FindingEvidence,
+    GlobalTest,
+    Misfit,
+    MisfitBeforeAfter,
+    ParameterEstimate,
+)
+from ltsim.diagnosis.scopes import effect_scope
+from ltsim.diagnosis.sentences import (
+    MIN_PROBABILITY_OF_PROBABLE_CAUSE,
+    catalogue_effect_sentence,
+    diagnosis_summary,
+    unknown_noise_sentence,
+)
+from ltsim.physics.laws.centring import CentringVariance
+from ltsim.physics.laws.text_form import covariate_value_text, region_text
+from ltsim.physics.laws.variance import VarianceFunction
+from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.recordings.specification import noise_origin
+from ltsim.scene.sightings import Sightings
+
+MAX_REPORTED_NOISE_SIZES = 12
+"""Largest number of targets, set-ups or readings whose noise a finding reports separately."""
 
 
 def assemble_diagnosis(
@@ -46,7 +73,7 @@ def assemble_diagnosis(
     ]
     has_clock = state.recording.has_clock
     noise_findings = [
-        noise_finding(change, baseline.sightings, global_test, has_clock=has_clock) for change in state.noise_changes
+        _noise_finding(change, baseline.sightings, global_test, has_clock=has_clock) for change in state.noise_changes
     ]
     findings = _reported_findings(test_findings, shift_findings, noise_findings)
     before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=held_out_errors.rms_without_model)
@@ -123,3 +150,65 @@ def _averaged_targets_and_reading_change(
             state.searcher, state.empty_model, (), Refit(state.baseline_adjustment, (), ())
         )
     return targets, change
+
+
+def _noise_finding(
+    hypothesis: NoiseHypothesis, sightings: Sightings, global_test: GlobalTestResult, *, has_clock: bool = True
+) -> Finding:
+    """Finding that reports a change of the noise, limited to the observables in which the change is significant."""
+    effect = hypothesis.effect
+    scope = effect_scope(effect, _observables_with_changed_noise(hypothesis, sightings))
+    size_estimates = zip(effect.parameters, hypothesis.sizes, hypothesis.size_sigmas, strict=True)
+    estimates = [ParameterEstimate.from_si(*estimate) for estimate in size_estimates if np.isfinite(estimate[2])]
+    sentence, further_values = "", dict[str, object]()
+    if isinstance(effect, VarianceFunction):
+        further_values = {"formula": effect.text, "carrier": effect.response_text, "driver": effect.regressor_text}
+        most = ""
+        if effect.group_kind:
+            estimates = sorted(estimates, key=lambda e: -e.value)[:MAX_REPORTED_NOISE_SIZES]
+            sure = [e for e in estimates if e.value > MIN_SIGNIFICANT_SIGMAS * e.sigma] or estimates
+            worst = {e.name.partition(" at ")[2]: number_text(np.sqrt(1.0 + e.value), 2) for e in reversed(sure)}
+            names = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
+            most = f", most at {' and '.join(names)}, as a factor on the declared standard deviation"
+        if effect.covariate_band:
+            ends = [covariate_value_text(effect.covariates[0], x, has_clock=has_clock) for x in effect.covariate_band]
+            most = f", from {', '.join(f'{low} to {high}' for low, high in zip(ends[::2], ends[1::2], strict=True))}"
+        if effect.region is not None:
+            most += f", {region_text(effect.region)}"
+            estimates += [
+                ParameterEstimate(name=f"centre-{axis}", value=value, sigma=effect.region.width, unit="m")
+                for axis, value in zip(effect.region.bounded_axes, effect.region.centre, strict=True)
+            ]
+        sentence = unknown_noise_sentence(scope, effect.text + most)
+        if isinstance(effect, CentringVariance):
+            sentence = effect.sentence(with_sigma(estimates[0].value, estimates[0].sigma, estimates[0].unit))
+    return Finding(
+        effect=effect.name,
+        known=not isinstance(effect, VarianceFunction),
+        where=scope,
+        parameters=tuple(estimates),
+        evidence=FindingEvidence(
+            chi2_drop=hypothesis.chi2_drop,
+            parameters=len(estimates),
+            p_value=global_test.p_value_of(hypothesis.log_evidence),
+            probability=hypothesis.probability,
+        ),
+        sentence=sentence or catalogue_effect_sentence(effect.name, scope, estimates, hypothesis.probability),
+        equivalents=hypothesis.equivalents,
+    ).with_values(**{name: value for name, value in further_values.items() if value})
+
+
+def _observables_with_changed_noise(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
+    """Observables whose noise is significantly larger than declared, or smaller if the largest change is a decrease."""
+    plausible_sizes = hypothesis.effect.plausible_sizes
+    sizes_in_units = np.array(hypothesis.sizes) / plausible_sizes
+    signed_sizes = (
+        sizes_in_units * np.sign(sizes_in_units[np.argmax(np.abs(sizes_in_units))])
+        > MIN_SIGNIFICANT_SIGMAS * np.array(hypothesis.size_sigmas) / plausible_sizes
+    )
+    unit_variance = np.ones((len(sightings), len(OBSERVABLES)))
+    is_changed = (
+        hypothesis.effect.variance(sightings, unit_variance, np.where(signed_sizes, plausible_sizes, 0.0))
+        != unit_variance
+    ).any(axis=0)
+    return tuple(name for name, act in zip(OBSERVABLES, is_changed, strict=True) if act)

@@ -31,6 +31,7 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.identification import CauseSelection, identify_causes
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS
 from ltsim.adjustment.structure import raise_for_singular_network
 from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.core.arrays import Bools
@@ -52,7 +53,6 @@ from ltsim.diagnosis.model_selection import ConstantComparisonFunction, select_n
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.preprocessing import (
     adjustment_without_blunders,
-    explained_reading_mask,
     identified_effects,
 )
 from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS
@@ -128,7 +128,7 @@ def diagnose(
     state, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
     if selection is not None and model.hypotheses:
         rejected_mask = np.isfinite(recording.readings) & ~state.is_used_reading
-        readmitted_mask = explained_reading_mask(refit.adjustment, rejected_mask)
+        readmitted_mask = _explained_reading_mask(refit.adjustment, rejected_mask)
         if readmitted_mask.any():  # the effects of the model explain these rejected readings
             del state, initial_space, initial_designs, model, refit  # their memory is for the second search
             state, blunder_findings = start_state(level=None, readmitted_mask=readmitted_mask)
@@ -203,6 +203,12 @@ def _state_without_blunders(
         identified_effects=() if selection is None else identified_effects(selection),
     )
     return state, blunder_findings
+
+
+def _explained_reading_mask(adjustment: Adjustment, is_omitted: Bools) -> Bools:
+    """Flags (n, 3) of omitted readings of n pointings whose residuals are small in an adjustment with effects."""
+    whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
+    return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)
 
 
 def _varies_constant(constant_name: str, effects: Sequence[CandidateEffect]) -> bool:

@@ -226,7 +226,7 @@ def _scaled_eigen_decomposition(gram: Floats, plausible_sizes: Floats) -> tuple[
 
 MAX_AVERAGED_HYPOTHESES = 12
 """Number of the most probable hypotheses over which an estimate is averaged; a limit of the computing time."""
-N_EXACTLY_EVALUATED = 7
+N_EXACTLY_EVALUATED_HYPOTHESES = 7
 """Number of hypotheses of each kind (catalogue effects, changes of the noise, laws) that are evaluated without
 approximation; a limit of the computing time. The hypotheses with the largest approximate log evidence are evaluated. A
 screening returns the same number of laws for each place.

@@ -18,7 +18,7 @@ from ltsim.diagnosis.evidence_calculator import EvidenceCalculator
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.law_products import may_have_a_second_factor, product_forms
 from ltsim.diagnosis.law_search_space import MIN_POINTINGS_PER_COEFFICIENT
-from ltsim.diagnosis.prior import FORM_WEIGHTS, P_EVEN_ODDS, P_RARE_FORM, P_SINGLE_SET_UP_BY_RESPONSE_KIND
+from ltsim.diagnosis.prior import P_EVEN_ODDS, P_RARE_FORM, P_SINGLE_SET_UP_BY_RESPONSE_KIND, PRIOR_WEIGHT_BY_FORM
 from ltsim.diagnosis.schema import ResponseCurve
 from ltsim.diagnosis.switches import (
     MAX_PIECES,
@@ -119,9 +119,10 @@ def _functional_forms(
 ) -> list[Hypothesis]:
     """Forms of a law as a curve, a formula, a piecewise function or a product, with the log evidence of each."""
     forms = law.candidate_forms(calculator.space.sightings)
-    weight_sum = sum(FORM_WEIGHTS[kind] for kind in forms)
+    weight_sum = sum(PRIOR_WEIGHT_BY_FORM[kind] for kind in forms)
     shares = {
-        kind: log_prior + float(np.log(FORM_WEIGHTS[kind] / weight_sum / len(sets))) for kind, sets in forms.items()
+        kind: log_prior + float(np.log(PRIOR_WEIGHT_BY_FORM[kind] / weight_sum / len(sets)))
+        for kind, sets in forms.items()
     }
     form_scales = [(shares[kind], scales) for kind, sets in forms.items() for scales in sets]
     single, several = (

@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from ltsim.calibration.evidence import log_evidence, log_sum_exp
 from ltsim.core.arrays import Floats, Floats32, Ints, batches
 from ltsim.core.rounding import MAX_LOG_EVIDENCE_ROUNDING_ERROR
-from ltsim.diagnosis.evidence import N_EXACTLY_EVALUATED, simulated_log_total_evidence
+from ltsim.diagnosis.evidence import N_EXACTLY_EVALUATED_HYPOTHESES, simulated_log_total_evidence
 from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
 from ltsim.physics.laws.places import LawPlace
 from ltsim.physics.laws.regressors import Regressor
@@ -183,7 +183,7 @@ class LawBatch:
         )
         null = log_sum_exp(np.stack([null for _, null in batch_results]))
         best_index = np.argsort(-np.round(log_evidences / MAX_LOG_EVIDENCE_ROUNDING_ERROR), axis=1, kind="stable")[
-            :, :N_EXACTLY_EVALUATED
+            :, :N_EXACTLY_EVALUATED_HYPOTHESES
         ]
         hits = [
             ScreenedLaw(self.responses[i // count], self.regressors[i % count], place, v, prior)

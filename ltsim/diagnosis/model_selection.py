@@ -7,7 +7,7 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment
 from ltsim.calibration.evidence import log_sum_exp
-from ltsim.diagnosis.evidence import N_EXACTLY_EVALUATED
+from ltsim.diagnosis.evidence import N_EXACTLY_EVALUATED_HYPOTHESES
 from ltsim.diagnosis.hypotheses import Hypothesis, Model, most_probable_name, probability_and_equivalents
 from ltsim.diagnosis.instruments import ContradictingConstants
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
@@ -89,7 +89,7 @@ def _select_effects_given_noise(
     """
     searcher = state.searcher
     model = searcher.select_effects(requires_effect=True, start_hypotheses=start_hypotheses)
-    leading = searcher.ranking(searcher.empty_model).most_probable_of_each_kind()[:N_EXACTLY_EVALUATED]
+    leading = searcher.ranking(searcher.empty_model).most_probable_of_each_kind()[:N_EXACTLY_EVALUATED_HYPOTHESES]
     candidates = [model.hypotheses, *((h,) for h in leading)]
     best = max(candidates[:1] if searcher.is_large_network else candidates, key=state.log_evidence_with_effects)
     with_effects = state.with_pruned_noise([h.effect for h in best])

@@ -26,7 +26,7 @@ from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats, Floats32, Ints, batches
 from ltsim.diagnosis.evidence import (
     MAX_AVERAGED_HYPOTHESES,
-    N_EXACTLY_EVALUATED,
+    N_EXACTLY_EVALUATED_HYPOTHESES,
     log_mean_exp_by_group,
     normalised_probabilities,
 )
@@ -244,7 +244,7 @@ class NoiseHypothesisSet:
             members = np.flatnonzero(self.family_indices == family)
             likeliest = int(members[int(np.argmax(ratio[members, 0]))])
             value = float(evidence[family])
-            if rank < N_EXACTLY_EVALUATED:
+            if rank < N_EXACTLY_EVALUATED_HYPOTHESES:
                 value = self._log_evidence_on_fine_grid(members, likeliest, ratio[members, 0], residual, redundancy)
                 value += self.log_prior_of_family(self.families[family])
                 value += self._excess_over_diagonal_form(likeliest, float(ratio[likeliest, 0]), residual, model_basis)

@@ -18,7 +18,6 @@ from ltsim.adjustment.identification.hypothesis import (
     ReadingShiftChange,
 )
 from ltsim.adjustment.significance import (
-    MAX_CHANCE_SIGMAS,
     MAX_TRACKER_ERROR,
     MIN_GROSS_SIGMAS,
     MIN_LOG_EVIDENCE_CERTAIN,
@@ -82,12 +81,6 @@ def single_error_mask(fit: NetworkFit) -> Bools:
         count = np.stack([np.bincount(place, fit.is_outlier[:, k], place.max() + 1) for k in range(3)], axis=1)
         isolated &= count[place] <= MAX_SINGLE_OUTLIERS_PER_PLACE
     return gross | isolated
-
-
-def explained_reading_mask(adjustment: Adjustment, is_omitted: Bools) -> Bools:
-    """Flags (n, 3) of omitted readings of n pointings whose residuals are small in an adjustment with effects."""
-    whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
-    return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)
 
 
 def adjustment_without_blunders(

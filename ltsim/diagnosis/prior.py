@@ -60,7 +60,7 @@ reading. If all targets seem to move, it is more probable that the stands move."
 RESPONSE_PRIOR_AT_TARGETS = {"reading": 0.15, "target": 0.75, "reflector": 0.1}
 """Prior probability of each kind of response of a law that acts at some targets only. Mostly the target itself changes,
 because an error of the instrument does not depend on the target."""
-FORM_WEIGHTS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
+PRIOR_WEIGHT_BY_FORM = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
 """Prior weights of the forms that a law may have. The weights are divided by their sum over the forms that are possible
 for the law. The most probable forms are a curve and a formula."""
 P_RARE_FORM = 0.1

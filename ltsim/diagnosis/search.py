@@ -28,7 +28,7 @@ from ltsim.diagnosis.catalogue_designs import (
     catalogue_candidate_effects,
 )
 from ltsim.diagnosis.evidence import (
-    N_EXACTLY_EVALUATED,
+    N_EXACTLY_EVALUATED_HYPOTHESES,
     coefficient_posterior,
     ranked_indices,
 )
@@ -124,7 +124,7 @@ class Searcher:
     @property
     def _n_exactly_evaluated(self) -> int:
         """Number of effects of the catalogue, and of laws, that a ranking evaluates without approximation."""
-        return N_EXACTLY_EVALUATED_IN_LARGE_NETWORK if self.uses_fewer_evaluations else N_EXACTLY_EVALUATED
+        return N_EXACTLY_EVALUATED_IN_LARGE_NETWORK if self.uses_fewer_evaluations else N_EXACTLY_EVALUATED_HYPOTHESES
 
     def without_rows(self, rows: Ints) -> Searcher:
         """Search without the f rows `rows` (f,) of the residual space, with as few evaluations as in large networks.

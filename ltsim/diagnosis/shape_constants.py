@@ -235,7 +235,7 @@ def region_centre_estimates(
     The covariance is the inverse of the negative second differences of the log evidence at the centre (Laplace
     approximation). A coordinate that the readings do not determine has a standard deviation of 1 m.
     """
-    centre = np.array(effect.source_position)
+    centre = np.array(effect.region_centre)
     if not len(centre):
         return ()
     k = len(centre)
@@ -262,7 +262,7 @@ def region_centre_estimates(
     )
     return tuple(
         ParameterEstimate(name=f"centre-{axis}", value=float(value), sigma=float(np.sqrt(v)), unit="m")
-        for axis, value, v in zip(effect.source_position_axes, centre, variance, strict=True)
+        for axis, value, v in zip(effect.region_centre_axes, centre, variance, strict=True)
     )
 
 

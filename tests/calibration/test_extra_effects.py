@@ -90,7 +90,7 @@ def test_a_law_that_each_set_up_follows_in_its_own_way_says_so(drifting: Recordi
 
 
 def test_a_curve_is_told_by_its_swing_beside_an_effect(drifting: Recording) -> None:
-    wanted = ["range-cyclic", "vertical index ~ a smooth function of station-time:S3", "place of targets ~ time:T02"]
+    wanted = ["range-cyclic", "vertical index ~ a smooth function of station-time:S3", "position of targets ~ time:T02"]
     _, curve, moved = lt.calibrate(drifting, with_effects=wanted, advise=False).effects
     swing = next(p for p in curve.parameters if p.name == "swing")
     assert swing.sigma is not None and isinstance(swing.value, float)

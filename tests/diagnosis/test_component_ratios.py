@@ -68,7 +68,7 @@ def test_a_law_along_a_ratio_changes_readings_as_separate_coefficients_in_that_r
         free = EmpiricalLaw(
             stations,
             (),
-            RESPONSE_AND_DESIGN_BY_NAME["place of the stand"][0],
+            RESPONSE_AND_DESIGN_BY_NAME["position of the stand"][0],
             smooth_regressor("time"),
             has_coefficients_per_setup=each,
         )
@@ -84,12 +84,12 @@ def test_a_law_along_a_ratio_changes_readings_as_separate_coefficients_in_that_r
 
 
 def test_a_ratio_is_read_as_it_is_written(recording: Recording) -> None:
-    stand = RESPONSE_AND_DESIGN_BY_NAME["place of the stand"][0]
+    stand = RESPONSE_AND_DESIGN_BY_NAME["position of the stand"][0]
     for each in (False, True):
         stations = recording.stations if each else ()
         bare = EmpiricalLaw(stations, (), stand, scalar_regressor("time", "power"), has_coefficients_per_setup=each)
         ratio = tuple(np.round(np.linspace(-0.4, 0.3, bare.n_components), 4).tolist())
         law = EmpiricalLaw(stations, (), stand, bare.regressor, has_coefficients_per_setup=each, direction=ratio)
-        assert parse_law("place of the stand", regressor_text(law.regressor) + law_suffix(law), recording) == law
+        assert parse_law("position of the stand", regressor_text(law.regressor) + law_suffix(law), recording) == law
     with pytest.raises(ModelError, match="a ratio of 3 components, not of 2"):
-        parse_law("place of the stand", "time, components in the ratio 0.6 / 0.8", recording)
+        parse_law("position of the stand", "time, components in the ratio 0.6 / 0.8", recording)

@@ -134,7 +134,7 @@ def test_neighbours_that_move_together_are_found_together():
     assert first.effect == "unknown"
     assert set(first.where.targets) == {recording.targets[t] for t in corner}
     assert first.where.covariates == ("time",)
-    assert first.carrier == "place of targets"
+    assert first.carrier == "position of targets"
     assert max(first.parameters, key=lambda p: abs(p.value)).name == "swing along z"
 
 

@@ -97,7 +97,7 @@ def test_a_gauge_that_moves_once_is_one_group() -> None:
     later = group & (recording.time > np.median(recording.time))
     change = exact_change_by_displacement(sightings, np.outer(later, [1e-6, -1e-6, 0.0])) * 1e6
     finding, _ = changed((recording, adjustment), change, 400.0)
-    assert finding.carrier == "place of targets" and set(finding.where.targets) == set(names)
+    assert finding.carrier == "position of targets" and set(finding.where.targets) == set(names)
     assert finding.evidence.parameters <= 6
 
 

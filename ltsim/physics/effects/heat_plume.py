@@ -106,7 +106,7 @@ class HeatPlume(WarmAirEffect):
         return [self.with_constants(offset=_rounded_to_mm(np.array(self.offset) + move)) for move in offsets]
 
     @property
-    def source_position(self) -> tuple[float, ...]:
+    def region_centre(self) -> tuple[float, ...]:
         """Centre [m] of a plume that is fixed in the hall; empty otherwise."""
         return () if self.stations or self.targets else self.offset
 

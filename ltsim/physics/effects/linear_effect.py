@@ -232,7 +232,7 @@ class CandidateEffect(LinearEffect, Protocol):
         return ()
 
     @property
-    def source_position(self) -> tuple[float, ...]:
+    def region_centre(self) -> tuple[float, ...]:
         """Coordinates [m] of the centre of the region of the hall where the effect acts, network frame.
 
         Empty for an effect that is not confined to a region.
@@ -240,9 +240,9 @@ class CandidateEffect(LinearEffect, Protocol):
         return ()
 
     @property
-    def source_position_axes(self) -> str:
-        """Axes of the coordinates of `source_position`, such as `xyz`."""
-        return "xyz"[: len(self.source_position)]
+    def region_centre_axes(self) -> str:
+        """Axes of the coordinates of `region_centre`, such as `xyz`."""
+        return "xyz"[: len(self.region_centre)]
 
     def centred_at(self, centre: tuple[float, ...]) -> Self:
         """Copy of the effect with its region of the hall centred at `centre` [m]; the effect itself if it has none."""

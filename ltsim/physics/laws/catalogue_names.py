@@ -46,7 +46,7 @@ def catalogue_name(law: EmpiricalLaw) -> str:
     if regressor.kind == "constant" and response_name == "distance" and not law.targets:
         return "reflector-constant" if len(law.stations) == 1 else "range-offset"
     if (
-        response_name == "place of targets"
+        response_name == "position of targets"
         and len(law.targets) == 1
         and regressor.covariates == ("time",)
         and _is_step_or_creep(regressor)

@@ -166,13 +166,13 @@ class EmpiricalLaw(CandidateEffect):
         return replace(self, regressor=first) if gated else self
 
     @property
-    def source_position(self) -> tuple[float, ...]:
+    def region_centre(self) -> tuple[float, ...]:
         """Centre [m] of the region of the hall on which the law depends; empty for a law without region."""
         return self.regressor.hall_region.centre if self.regressor.hall_region else ()
 
     @property
-    def source_position_axes(self) -> str:
-        """Axes of the coordinates of `source_position`, such as `xy`."""
+    def region_centre_axes(self) -> str:
+        """Axes of the coordinates of `region_centre`, such as `xy`."""
         return self.regressor.hall_region.bounded_axes if self.regressor.hall_region else ""
 
     def centred_at(self, centre: tuple[float, ...]) -> EmpiricalLaw:

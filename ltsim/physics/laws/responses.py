@@ -142,10 +142,10 @@ VARIED_CONSTANTS_BY_RESPONSE = (
 """Names of the instrument constants of the ordinary calibration that a law varies, by the name of its response."""
 _STAND_TILT_RESPONSE = Response("lean of the stand", "urad", PLAUSIBLE_ANGLE_ERROR, (), "stand", ("about x", "about y"))
 _STAND_POSITION_RESPONSE = Response(
-    "place of the stand", "um", PLAUSIBLE_MOTION, (), "stand", ("along x", "along y", "along z")
+    "position of the stand", "um", PLAUSIBLE_MOTION, (), "stand", ("along x", "along y", "along z")
 )
 _TARGET_POSITION_RESPONSE = Response(
-    "place of targets", "um", PLAUSIBLE_MOTION, (), "target", ("along x", "along y", "along z")
+    "position of targets", "um", PLAUSIBLE_MOTION, (), "target", ("along x", "along y", "along z")
 )
 _TARGET_HEIGHT_RESPONSE = Response("height of targets in their nests", "um", PLAUSIBLE_MOTION, (), "target")
 _AIR_GRADIENT_RESPONSE = Response("air gradient", "K/m", 1.0, (), "air")

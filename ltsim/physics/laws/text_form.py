@@ -47,7 +47,7 @@ GROUP_COVARIATES = ("station", "target", "last-target")
 REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("constant", "", None): "constant",
     ("smooth", "", None): "a smooth function of {x}",
-    ("field", "", None): "the place in the room",
+    ("field", "", None): "the position in the hall",
     ("amounts", "", None): "{x}, another at each",
     ("lagging", "", None): "{x} with a lag of {value}",
     ("state", "fades", None): "{x} fading with a time constant of {value}",

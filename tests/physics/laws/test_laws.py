@@ -220,7 +220,7 @@ def test_coordinates_are_those_of_the_start_or_of_a_column_at_rest(sightings):
 def test_how_far_targets_move_is_told_as_far_as_they_move(sightings):
     decay = EmpiricalLaw(
         targets=("T02",),
-        response=RESPONSE_AND_DESIGN_BY_NAME["place of targets"][0],
+        response=RESPONSE_AND_DESIGN_BY_NAME["position of targets"][0],
         regressor=scalar_regressor("time", "decay", 600.0),
     )
     mean = np.array([0.0, 0.0, 3e-5])
@@ -301,4 +301,6 @@ def test_a_law_that_a_card_describes_has_its_name(carrier, driver, stations, nam
     ],
 )
 def test_a_step_or_creep_of_one_target_is_a_moved_target(targets, driver, name):
-    assert catalogue_name(EmpiricalLaw((), targets, RESPONSE_AND_DESIGN_BY_NAME["place of targets"][0], driver)) == name
+    assert (
+        catalogue_name(EmpiricalLaw((), targets, RESPONSE_AND_DESIGN_BY_NAME["position of targets"][0], driver)) == name
+    )

@@ -160,12 +160,12 @@ def test_what_a_diagnosis_may_tell_of_a_recording_is_read(recording: Recording) 
 
 
 def test_a_group_tilts_and_the_whole_bends(recording: Recording) -> None:
-    words = "press_load_kn times the place in the room"
-    group = parse_law("place of targets", words, recording, targets=("T01", "T02"))
+    words = "press_load_kn times the position in the hall"
+    group = parse_law("position of targets", words, recording, targets=("T01", "T02"))
     assert group.regressor == with_position_dependence([scalar_regressor("press_load_kn", "power")], 1)[
         0
     ].with_field_centred_on(("T01", "T02"))
-    assert parse_law("place of targets", words, recording).regressor.factors[1].constant == 2
+    assert parse_law("position of targets", words, recording).regressor.factors[1].constant == 2
 
 
 def test_another_amount_for_each_target_goes_with_targets(recording: Recording) -> None:
@@ -175,7 +175,7 @@ def test_another_amount_for_each_target_goes_with_targets(recording: Recording) 
     assert len(law.parameters) == 2
     for words in ("the target, another at each", "time times the target, another at each"):
         with pytest.raises(ModelError, match=r"needs the names of its targets .*:TARGET,TARGET"):
-            parse_law("place of targets", words, recording)
+            parse_law("position of targets", words, recording)
 
 
 def test_each_set_up_may_follow_in_its_own_way(recording: Recording) -> None:
