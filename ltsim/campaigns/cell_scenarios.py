@@ -1,8 +1,12 @@
 """Memory of the scenarios of a campaign's cells, of which thousands differ in a few values."""
 
+from pathlib import Path
 from typing import TypeVar
 
 from pydantic import BaseModel
+
+from ltsim.core.errors import SetupError
+from ltsim.simulation.scenario import Scenario
 
 MAX_MANIFEST_VALUES = 1_400_000
 """Largest number of values in the scenarios of all cells together; the manifest contains all of them."""
@@ -29,3 +33,17 @@ def with_shared_values(model: ModelType, base: ModelType) -> ModelType:
                 for key, entry in value.items()
             }
     return model.model_copy(update=shared_values)
+
+
+def require_small_manifest(scenario: Scenario, n_cells: int, path: Path) -> None:
+    """Check that the manifest, which contains the scenario of every cell, has at most `MAX_MANIFEST_VALUES` values.
+
+    `scenario` is the base scenario of `n_cells` cells. SetupError names the campaign file `path`.
+    """
+    text = scenario.model_dump_json(by_alias=True)
+    n_values = n_cells * (text.count(",") + text.count("[") + text.count("{"))
+    if n_values > MAX_MANIFEST_VALUES:
+        raise SetupError(
+            f"{path}: the scenarios of {n_cells} cells have {n_values} values together, expected at most "
+            f"{MAX_MANIFEST_VALUES}: divide the campaign"
+        )

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from ltsim.adjustment.evaluation.criteria import read_nominal
-from ltsim.campaigns.cell_scenarios import MAX_MANIFEST_VALUES, with_shared_values
+from ltsim.campaigns.cell_scenarios import require_small_manifest, with_shared_values
 from ltsim.campaigns.design import MAX_DESIGN_KEYS, Factor, SpaceFillingDesign, cell_label, short_key_names
 from ltsim.campaigns.schema import (
     RESULT_COLUMNS,
@@ -266,27 +266,13 @@ def load_campaign(
         for key, value in campaign.values_by_key(campaign.scenario_changes).items()
     }
     units = change_scenario(base, common_values, path)  # with the effects that `scenario_changes` adds
-    _require_small_manifest(campaign, base, path)
+    require_small_manifest(base, sum(1 for _ in campaign.cell_changes()), path)
     items = []
     for number, values in enumerate(campaign.cell_changes(), start=1):
         where = f"{path}: cell {number}"
         inside = {key: convert_value(units, key, value, where) for key, value in values.items()}
         items.append(with_shared_values(change_scenario(base, inside, path, where), base))
     return campaign, tuple(items)
-
-
-def _require_small_manifest(campaign: CampaignFile, scenario: Scenario, path: Path) -> None:
-    """Check that the manifest, which contains the scenario of every cell, has at most `MAX_MANIFEST_VALUES` values.
-
-    `scenario` is the base scenario. SetupError names the campaign file `path`.
-    """
-    text, n_cells = scenario.model_dump_json(by_alias=True), sum(1 for _ in campaign.cell_changes())
-    n_values = n_cells * (text.count(",") + text.count("[") + text.count("{"))
-    if n_values > MAX_MANIFEST_VALUES:
-        raise SetupError(
-            f"{path}: the scenarios of {n_cells} cells have {n_values} values together, expected at most "
-            f"{MAX_MANIFEST_VALUES}: divide the campaign"
-        )
 
 
 def override_campaign(campaign: CampaignFile, key_changes: Mapping[str, Any], path: Path) -> CampaignFile:

@@ -62,8 +62,8 @@ def test_a_sparse_design_gives_the_same_rows(file: Path, tmp_path: Path, monkeyp
     """Three dense matrices of all readings and unknowns took 260 MB for 28,000 pointings."""
     file.write_text(FEW)
     run_campaign(file, tmp_path / "dense")
-    monkeypatch.setattr("ltsim.campaigns.nominal_network.MAX_DENSE_ENTRIES", 0)
-    monkeypatch.setattr("ltsim.solve.design.MAX_DENSE_ENTRIES", 0)
+    monkeypatch.setattr("ltsim.campaigns.nominal_network.MAX_DENSE_NETWORK_ENTRIES", 0)
+    monkeypatch.setattr("ltsim.solve.design.MAX_DENSE_NETWORK_ENTRIES", 0)
     run_campaign(file, tmp_path / "sparse")
     assert_equal_rows(tmp_path / "dense", tmp_path / "sparse", 1e-6)
 
@@ -115,7 +115,7 @@ def test_cells_whose_scenarios_no_reader_takes_are_refused_before_the_work(
 ) -> None:
     """The rows of 4,096 cells were computed, and then the manifest was refused."""
     file.write_text(FILE)
-    monkeypatch.setattr("ltsim.campaigns.spec.MAX_MANIFEST_VALUES", 500)
+    monkeypatch.setattr("ltsim.campaigns.cell_scenarios.MAX_MANIFEST_VALUES", 500)
     with pytest.raises(
         SetupError, match=r"the scenarios of 2 cells have \d+ values together, expected at most 500: div"
     ):

@@ -345,10 +345,8 @@ def _outlier_tests(fit: NetworkFit) -> list[CauseTest]:
     for i, k in indices.tolist():
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         unit, factor = ("mm", MILLIMETRE) if k == 0 else ("arcsec", ARCSECOND)
-        value, sigma = (
-            float(fit.residuals[i, k]),
-            float(fit.problem.sigma[i, k] * fit.outlier_prediction_error_sigmas[i, k]),
-        )
+        prediction_sigma = fit.outlier_prediction_error_sigmas[i, k]
+        value, sigma = float(fit.residuals[i, k]), float(fit.problem.sigma[i, k] * prediction_sigma)
         drop = (value / sigma) ** 2
         sentence = (
             f"The {OBSERVABLES[k]} from {station} to {target} (row {i + 1}) is off by "

@@ -105,7 +105,7 @@ class GeometricErrorModel:
     def chain_errors(self, readings: Floats, parameter_values: Floats) -> dict[str, Floats]:
         """Errors (n,) or one number [m, rad] of the kinematic chain's motions, by key, at n raw readings (n, 3).
 
-        Keys are the `error_slot` of the motions. `parameter_values` (p,), or (n, p) for each reading, are in SI units.
+        Keys are those of the motions. `parameter_values` (p,), or (n, p) for each reading, are in SI units.
         """
         errors: dict[str, Floats] = {}
         for term, value in zip(self.terms, parameter_values.T, strict=True):

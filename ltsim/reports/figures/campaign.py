@@ -367,8 +367,8 @@ def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
     """Lower and upper limit of the 95 % interval of an observed coverage (Wilson 1927)."""
     from scipy.stats import binomtest  # slow to load
 
-    interval = binomtest(round(row.coverage_95 * row.trials), row.trials).proportion_ci(0.95, method="wilson")
-    return float(interval.low), float(interval.high)
+    low, high = binomtest(round(row.coverage_95 * row.trials), row.trials).proportion_ci(0.95, method="wilson")
+    return float(low), float(high)
 
 
 def is_coverage_outside_band(summaries: Sequence[ZScoreSummary]) -> list[bool]:
