@@ -20,7 +20,7 @@ from ltsim.recordings.specification import data_sheet_names, data_sheet_values
 def formats() -> str:
     """Markdown table of the formats that are read and written."""
     lines = ["| `--format` | format | can be written with `--to` |", "|---|---|---|"]
-    lines += [f"| `{f.name}` | {f.about} | {'yes' if f.write else ''} |" for f in FORMATS]
+    lines += [f"| `{f.name}` | {f.description} | {'yes' if f.write else ''} |" for f in FORMATS]
     return "\n".join(lines)
 
 

@@ -21,7 +21,7 @@ def files() -> str:
 
 
 def _columns(table: Table) -> list[str]:
-    said = about(table.about)
+    said = about(table.description)
     lines = ["", f"### {table.file}", "", f"{said[0].upper()}{said[1:]}.", ""]
     rows = [[f"`{c.name}`", c.kind, unit(c.name), about(c.meaning)] for c in table.columns]
     return [*lines, *markdown(["column", "value", "unit", "meaning"], rows)]

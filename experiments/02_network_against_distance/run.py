@@ -11,12 +11,12 @@ def run(given: Options) -> Made:
     write_figure(
         given.out / "new_points.svg",
         factor_panels_figure(
-            sweep_points(results, ERROR, "prior_factor", panel="title"), y_title=NEW_POINTS, x_title=AXIS
+            sweep_points(results, ERROR, "prior_factor", panel="title"), statistic_title=NEW_POINTS, x_title=AXIS
         ),
     )
     shown = sweep_points(results, "distance_improvement_percent", "prior_factor", panel="title")
     label = "improvement shown [%]"
-    write_figure(given.out / "criterion.svg", factor_panels_figure(shown, y_title=label, x_title=AXIS))
+    write_figure(given.out / "criterion.svg", factor_panels_figure(shown, statistic_title=label, x_title=AXIS))
     # The same draws by both methods, with one prior: differences are known better than either mean.
     rivals = [name for name in results.manifest.methods if name != "network"]
     write_pairs(

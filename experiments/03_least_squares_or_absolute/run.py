@@ -106,6 +106,6 @@ def run(given: Options) -> Made:
     write_table(given.out / "methods.csv", table)
     write_figure(
         given.out / "new_points.svg",
-        factor_panels_figure(rows, y_title=NEW_POINTS, x_title="outliers [% of the readings]"),
+        factor_panels_figure(rows, statistic_title=NEW_POINTS, x_title="outliers [% of the readings]"),
     )
     return Made(campaign.seed, campaign.trials)

@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from defusedxml.ElementTree import parse
 
-from experiments.common import RECORDINGS as DATA
+from experiments.common import RECORDINGS
 from ltsim.adjustment import Adjustment
 from ltsim.core.arrays import Floats
 from ltsim.core.units import ARCSECOND
@@ -39,7 +39,7 @@ class GamaResult:
 
 def gama_result(name: str, folder: str | Path = "gama-3d-networks") -> GamaResult:
     """Read the published result of one network."""
-    root: Element = parse(DATA / folder / f"{name}.xml").getroot()
+    root: Element = parse(RECORDINGS / folder / f"{name}.xml").getroot()
     axes = root.find(".//{*}network-general-parameters")
     turned = axes is None or axes.get("axes-xy", "ne") in MIRRORED_AXES
 
@@ -87,7 +87,7 @@ ROUNDING = 1e-4 / np.sqrt(12)
 
 def scanner(known: bool = True) -> Recording:
     """The two scans of the scanner exercise, as readings; object points known or not."""
-    folder = DATA / "eth-tls-calibration-simulated"
+    folder = RECORDINGS / "eth-tls-calibration-simulated"
     scans = [_points(folder / f"PPE_TLS_T1_Scan{i}.dat") for i in (1, 2)]
     return scanner_recording(scans, _points(folder / "PPE_TLS_T1_OP.txt"), known)
 

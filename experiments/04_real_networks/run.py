@@ -13,7 +13,7 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import least_squares
 
-from experiments.common import Made, Options, run_steps, show_table, tell
+from experiments.common import RECORDINGS, Made, Options, run_steps, show_table, tell
 from ltsim.adjustment import Adjustment, adjust, adjust_from_state
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.network import calibrate_network
@@ -29,9 +29,9 @@ from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings import Recording, read
 from ltsim.recordings.recording import HEIGHT_COLUMNS, OBSERVABLES
 
-from .published import DATA, GAMA, SCANNER_TRUTH, beside, gama_result, scanner, scanner_recording
+from .published import GAMA, SCANNER_TRUTH, beside, gama_result, scanner, scanner_recording
 
-OWN = DATA.parents[1] / "gama" / "tests"
+OWN = RECORDINGS.parents[1] / "gama" / "tests"
 AGREE_UM = 5.0
 """Half of the last digit that gama-local prints of a coordinate."""
 UNIT = (MILLIMETRE, ARCSECOND, ARCSECOND)
@@ -42,7 +42,7 @@ def gama(out: Path) -> None:
     """Coordinates, sigma0, standard deviations and sums of squares beside those that gama-local published."""
     rows: Rows = []
     for name in GAMA:
-        recording, theirs = read(DATA / "gama-3d-networks" / f"{name}.gkf"), gama_result(name)
+        recording, theirs = read(RECORDINGS / "gama-3d-networks" / f"{name}.gkf"), gama_result(name)
         ours = adjust(recording)
         reduced = adjust_from_state(to_marks(ours), start_state=ours.state)
         unit = theirs.apriori**2
@@ -147,7 +147,7 @@ def cern(out: Path) -> None:
     """Adjusted as stated, robustly, and with the noise of each instrument; what does not fit, reading by reading."""
     summary, misfits, noise = [], [], []
     for name, file in CERN.items():
-        recording = read(DATA / "cern-lgc-trackers" / file)
+        recording = read(RECORDINGS / "cern-lgc-trackers" / file)
         for way, options in WAYS.items():
             start = time.process_time()
             found = adjust(recording, **options)
@@ -207,7 +207,7 @@ CLEAR = 8.0
 
 def ring(out: Path) -> None:
     """How far what each tracker leaves by distance in half of its set-ups foretells what it leaves in the others."""
-    recording = read(DATA / RING)
+    recording = read(RECORDINGS / RING)
     space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
     left = np.full(space.is_used_reading.shape, np.nan)
     left[space.is_used_reading] = space.residuals[: int(space.is_used_reading.sum())]
@@ -240,7 +240,7 @@ def foretold(left: np.ndarray, group: np.ndarray, asked: np.ndarray) -> float:
 
 def geoeasy(out: Path) -> None:
     """A total station on 22 marks in two faces: noise with and without the instrument's errors."""
-    recording = read(DATA / "geoeasy-total-station-22st" / "network.GSI")
+    recording = read(RECORDINGS / "geoeasy-total-station-22st" / "network.GSI")
     rows: Rows = []
     for name, built in (("none", ideal_construction()), ("16", misalignment_construction())):
         for way, options in (("as stated", {}), ("noise estimated", {"noise_grouping": "observable"})):

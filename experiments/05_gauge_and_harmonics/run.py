@@ -8,7 +8,7 @@ from ltsim.reports.figures.campaign import NOISE_FLOOR_LABEL, cell_rows_figure, 
 
 def run(given: Options) -> Made:
     gauges, orders = campaign("gauge.toml", given), campaign("config.toml", given, "harmonics")
-    figure = cell_rows_figure(sweep_points(gauges, ERROR, ("title", "range_scale_ppm")), label=NEW_POINTS)
+    figure = cell_rows_figure(sweep_points(gauges, ERROR, ("title", "range_scale_ppm")), x_label=NEW_POINTS)
     figure.axes[0].set_ylabel("reflectors of the gauge, true error of the range scale")
     write_figure(given.out / "gauge.svg", figure)
     rows = sweep_points(orders, ERROR, "beyond_second_urad")
@@ -16,6 +16,6 @@ def run(given: Options) -> Made:
     floor = next(row for row in rows if row.line_label == NOISE_FLOOR_LABEL and not row.level)
     rows = [replace(floor, level=row.level) if row.line_label == NOISE_FLOOR_LABEL else row for row in rows]
     axis = "each coefficient of orders 3 and 4 in the truth [µrad]"
-    write_figure(given.out / "harmonics.svg", factor_panels_figure(rows, y_title=NEW_POINTS, x_title=axis))
+    write_figure(given.out / "harmonics.svg", factor_panels_figure(rows, statistic_title=NEW_POINTS, x_title=axis))
     write_pairs(given.out / "paired.csv", orders.paired_differences(ERROR, method=("order 2", "order 4")))
     return Made(orders.manifest.seed, orders.manifest.trials)

@@ -83,7 +83,7 @@ def run(given: Options) -> Made:
         moved = {f"targets.{name}.position_mm": [*own.position_mm[:2], height] for (name, own), height in dealt}
         cells.append({"title": title if len(heights) <= 3 else f"{len(heights)} heights"} | moved)
     results = campaign("config.toml", given, cells=cells)
-    figure = cell_rows_figure(sweep_points(results, ERROR, "title"), label=NEW_POINTS)
+    figure = cell_rows_figure(sweep_points(results, ERROR, "title"), x_label=NEW_POINTS)
     figure.axes[0].set_ylabel("heights of the reflectors")
     write_figure(given.out / "designs.svg", figure)
     # The same instruments, mesh by mesh: the difference from the paper's is known better than either mean.

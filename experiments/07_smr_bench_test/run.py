@@ -91,5 +91,5 @@ def run(given: Options) -> Made:
         tell(f"{name}: done")
     write_table(given.out / "bench.csv", rows)
     label = "table found less table put in [µm]"
-    write_figure(given.out / "tables.svg", factor_panels_figure(shown, y_title=label, x_title="incidence [°]"))
+    write_figure(given.out / "tables.svg", factor_panels_figure(shown, statistic_title=label, x_title="incidence [°]"))
     return Made(seed, trials)

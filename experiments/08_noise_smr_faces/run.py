@@ -10,7 +10,9 @@ def run(given: Options) -> Made:
     results = campaign("config.toml", given)
     for faces in (1, 2):
         rows = sweep_points(results, ERROR, "noise_factor", panel="title", faces=faces)
-        write_figure(given.out / f"faces-{faces}.svg", factor_panels_figure(rows, y_title=NEW_POINTS, x_title=AXIS))
+        write_figure(
+            given.out / f"faces-{faces}.svg", factor_panels_figure(rows, statistic_title=NEW_POINTS, x_title=AXIS)
+        )
     pairs = (
         results.paired_differences(ERROR, faces=(2, 1)),
         results.paired_differences(ERROR, method=("network", "distance")),

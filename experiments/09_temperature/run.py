@@ -19,7 +19,7 @@ def run(given: Options) -> Made:
         ]
         as_read = sweep_points(results, AS_READ, "gauge_scale_ppm", panel="gauge_scale_ppm", method="network")
         rows += [replace(s, level=drift, line_label="not calibrated") for s in as_read]
-    figure = factor_panels_figure(rows, y_title=NEW_POINTS, x_title="change until it is used, over the prior")
+    figure = factor_panels_figure(rows, statistic_title=NEW_POINTS, x_title="change until it is used, over the prior")
     for ax in figure.axes:
         # A wrong gauge makes eq. 9 many times worse than nothing: it is shown.
         ax.set(yscale="log", yticks=(ticks := (10, 20, 50, 100, 200, 500)), yticklabels=ticks)

@@ -31,7 +31,7 @@ PROMISED = ("before", "um", MICRO), ("after", "um", MICRO), ("improvement", "per
 
 def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tuple[Floats, PlannedSurvey]:
     """Values of layouts that are drawn evenly over floor, heights and turns, `count` that keep all rules; the best."""
-    site = make_search_space(file, scenario, stations=file.stations.count, faces=scenario.work.faces)
+    site = make_search_space(file, scenario, n_stations=file.stations.count, n_faces=scenario.work.faces)
     search = LayoutSearcher(site, layout_objective(file, site.survey))
     corners = np.vstack(
         [search.grid_setups(0).setup_positions.min(axis=0), search.grid_setups(0).setup_positions.max(axis=0)]

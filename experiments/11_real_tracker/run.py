@@ -110,13 +110,11 @@ def transfer(out: Path) -> None:
         own = {k: calibrate_network(r, construction, recommend_measurements=False) for k, r in used.items()}
         for name, s in raw:
             others = [(f"{k[0]} {k[1]}", c) for k, c in own.items() if k[0] != name]
-            used = (
-                CalibrationSeries.from_labelled(others).with_population_prior(own[name, s])
-                if informed
-                else own[name, s]
-            )
+            calibration = own[name, s]
+            if informed:
+                calibration = CalibrationSeries.from_labelled(others).with_population_prior(calibration)
             to = s if method == CEILING else 1 - s
-            values = used.applied_values[0] if method == DEFAULT else used.estimates[0]
+            values = calibration.applied_values[0] if method == DEFAULT else calibration.estimates[0]
             faces = two_face_pairs(raw[name, to]), two_face_pairs(raw[name, to], construction, values)
             columns = np.hstack([(1e6 * half.half_differences) ** 2 for half in faces])
             about = {"method": method, "epoch": name, "from": s, "to": to, "clean": good[name, to]}

@@ -41,8 +41,10 @@ def draw(folder: Path) -> None:
               for p in points(answers, f"error of targets over told, {level}", who, level)]  # fmt: skip
     axis = "strength: noncentrality left by least squares"
     if told:
-        write_figure(folder / "told.svg", factor_panels_figure(told, label="share of recordings [%]", axis=axis))
-        figure = factor_panels_figure(errors, label="targets' error over told", axis=axis)
+        write_figure(
+            folder / "told.svg", factor_panels_figure(told, statistic_title="share of recordings [%]", x_title=axis)
+        )
+        figure = factor_panels_figure(errors, statistic_title="targets' error over told", x_title=axis)
         figure.axes[0].set(yscale="log", yticks=(ticks := (1, 2, 5, 10, 20, 50)), yticklabels=ticks)
         write_figure(folder / "targets.svg", figure)
 

@@ -9,8 +9,9 @@ from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.truth import TRIALS_PER_STREAM, CellTruth, make_cell_truth
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
+from ltsim.geometry.rigid import align_with_scale
 from ltsim.measurands.inputs import TaskInputs
-from ltsim.measurands.measurands import Measurand, align_with_scale
+from ltsim.measurands.measurands import Measurand
 from ltsim.measurands.propagation import LinearUncertainty, propagate, thermal_expansion_of_part
 from ltsim.measurands.spec import Tasks, load_tasks
 from ltsim.physics.model.construction import misalignment_construction

@@ -8,7 +8,7 @@ def run(given: Options) -> Made:
     results = campaign("config.toml", given)
     for errors in dict.fromkeys(level["error_factor"] for level in results.levels):
         rows = sweep_points(results, ERROR, "prior_factor", panel="noise_factor", error_factor=errors)
-        figure = factor_panels_figure(rows, y_title=NEW_POINTS, x_title="stated prior over the paper's")
+        figure = factor_panels_figure(rows, statistic_title=NEW_POINTS, x_title="stated prior over the paper's")
         write_figure(given.out / f"errors-{errors:g}.svg", figure)
     # The ratio to the error as read, instrument by instrument.
     ratio = f"{ERROR} / new_point_error_raw_um"

@@ -39,7 +39,10 @@ def run(given: Options) -> Made:
     write_table(given.out / "intervals.csv", rows)
     ends = [(row["instrument"], LINES[row["trackers"]], AXIS, row["inside"], row["low"], row["high"]) for row in rows]
     figure = factor_panels_figure(
-        [SweepPoint(*own, 0, 0) for own in ends], y_title="inside 95 % intervals [%]", x_title="", joins_points=False
+        [SweepPoint(*own, 0, 0) for own in ends],
+        statistic_title="inside 95 % intervals [%]",
+        x_title="",
+        joins_points=False,
     )
     write_figure(given.out / "intervals.svg", figure)
     return Made(results.manifest.seed, results.manifest.trials)

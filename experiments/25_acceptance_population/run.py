@@ -69,11 +69,11 @@ def run(given: Options) -> Made:
     for row in rows:
         for name in found.columns.drop("share"):
             ends = np.clip(row[name] + np.array([0.0, -1.96, 1.96]) * row[f"{name}_uncertainty"], 0, 100)
-            curves.append(SweepPoint(row["error_over_limit"], name, "", *ends, ends[0], ends[0]))
+            curves.append(SweepPoint(row["error_over_limit"], name, "", ends[0], ends[1], ends[2], ends[0], ends[0]))
     rows += [row_of("all within", found[found.share <= 1]), row_of("all beyond", found[found.share > 1])]
     show_table(given.out / "population.csv", rows)
     axis = "largest point error over its limit, in steps"
     write_figure(
-        given.out / "population.svg", factor_panels_figure(curves, y_title="pass every test [%]", x_title=axis)
+        given.out / "population.svg", factor_panels_figure(curves, statistic_title="pass every test [%]", x_title=axis)
     )
     return Made(config["seed"], trials)

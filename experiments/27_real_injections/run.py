@@ -133,4 +133,5 @@ def draw_curves(out: Path, table: list[Row]) -> None:
     curves = [SweepPoint(str(r["strength"]), r["measure"], "", *(100 * r[k] for k in ends))
               for r in table if r["network"] == "all" and r["strength"] != "all" and r["measure"] in DRAWN]  # fmt: skip
     axis = "noncentrality after the adjustment"
-    write_figure(out / "curves.svg", factor_panels_figure(curves, label="share of causes, of findings [%]", axis=axis))
+    title = "share of causes, of findings [%]"
+    write_figure(out / "curves.svg", factor_panels_figure(curves, statistic_title=title, x_title=axis))

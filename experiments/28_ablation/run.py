@@ -98,6 +98,6 @@ def run(given: Options) -> Made:
     lines = [SweepPoint(str(r["strength"]), what, "", *(100 * r[k] for k in ("share", "low", "high", "share", "share")))
              for what in (WHOLE, CHI2, *least.index) for r in table.get_group(what).to_dict("records")]  # fmt: skip
     axis = "strength: noncentrality left by least squares"
-    figure = factor_panels_figure(lines, y_title="laws found at 5 % false alarms [%]", x_title=axis)
+    figure = factor_panels_figure(lines, statistic_title="laws found at 5 % false alarms [%]", x_title=axis)
     write_figure(given.out / "power.svg", figure)
     return Made(cases[0].seed, more=more)

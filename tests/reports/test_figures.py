@@ -84,7 +84,7 @@ def cell_rows_figure() -> Figure:
         for s in range(3)
         for method in ("network", "distance")
     ]
-    return sweeps.cell_rows_figure(rows, statistic_title="improvement [%]", published_value=40.1)
+    return sweeps.cell_rows_figure(rows, x_label="improvement [%]", published_value=40.1)
 
 
 def factor_panels_figure() -> Figure:

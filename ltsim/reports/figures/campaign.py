@@ -264,16 +264,14 @@ MAX_DRAWN_CELLS = 40
 
 
 @style.with_figure_style
-def cell_rows_figure(
-    points: Sequence[SweepPoint], *, statistic_title: str, published_value: float | None = None
-) -> Figure:
+def cell_rows_figure(points: Sequence[SweepPoint], *, x_label: str, published_value: float | None = None) -> Figure:
     """Figure with one row per cell: means with 95 % intervals, and thin lines for the central 90 % of the trials.
 
     Parameters
     ----------
     points : sequence of SweepPoint
         `level` is the description of the cell, `line_label` the method.
-    statistic_title : str
+    x_label : str
         The statistic with its unit.
     published_value : float, optional
         A published value to compare with.
@@ -292,7 +290,7 @@ def cell_rows_figure(
         ax.plot([r.mean for r in mine], y, style.MARKERS[m % len(style.MARKERS)], ms=4.5, color=colour, label=method)
     if published_value is not None:
         ax.axvline(published_value, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
-    ax.set_xlabel(statistic_title)
+    ax.set_xlabel(x_label)
     style.add_legend(figure, [ax], n_columns=2)
     return figure
 
@@ -367,8 +365,8 @@ def coverage_interval(row: ZScoreSummary) -> tuple[float, float]:
     """Lower and upper limit of the 95 % interval of an observed coverage (Wilson 1927)."""
     from scipy.stats import binomtest  # slow to load
 
-    low, high = binomtest(round(row.coverage_95 * row.trials), row.trials).proportion_ci(0.95, method="wilson")
-    return float(low), float(high)
+    interval = binomtest(round(row.coverage_95 * row.trials), row.trials).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def is_coverage_outside_band(summaries: Sequence[ZScoreSummary]) -> list[bool]:
