@@ -98,7 +98,7 @@ def statistic_figures(
             partial(
                 cell_rows_figure,
                 [_sweep_point(s, cell_texts[s.cell], s.method, "") for s in summaries],
-                statistic_title=label,
+                x_label=label,
                 published_value=published_value,
             ),
         )
