@@ -12,7 +12,7 @@ from ltsim.core.parallel import run_parallel
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.loading import load_plan
 from ltsim.planning.plan_search import make_plan
-from ltsim.planning.reflector_changes import PlanChange
+from ltsim.planning.reflector_changes import ReflectorChangeEntry
 from ltsim.planning.result import Plan, scenario_of_plan
 from ltsim.reports.figures.marked_floor_plans import reflector_changes_figure
 from ltsim.reports.workshop_scene import workshop_from_scenario
@@ -22,7 +22,7 @@ from ltsim.simulation.sections import PlannedTarget
 TRIALS, SEED = 100_000, 15
 
 
-def changed(scenario: Scenario, change: PlanChange) -> Scenario:
+def changed(scenario: Scenario, change: ReflectorChangeEntry) -> Scenario:
     """The scenario with a reflector moved (under its own name), added or left out."""
     targets = {name: target for name, target in scenario.targets.items() if name != change.reflector}
     if change.position_mm is not None:

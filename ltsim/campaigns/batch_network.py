@@ -26,7 +26,7 @@ from ltsim.solve.design import to_dense
 
 MAX_NETWORK_FIT_STEPS = 8
 """Largest number of Gauss-Newton steps in the network adjustment of a trial."""
-MIN_CONVERGENCE_RATE = 1e-3
+MIN_STEP_CONTRACTION_RATIO = 1e-3
 """Smallest assumed ratio of the distances to the optimum after and before a step; a larger ratio is estimated from the
 last two steps."""
 
@@ -79,7 +79,7 @@ class BatchNetwork(NominalNetwork):
             step = self.gauss_newton_step(gradient)
             x += step
             squared = np.maximum(np.einsum("kb,kb->b", step, gradient), 0.0)
-            remainder = np.sqrt(squared) * np.maximum(MIN_CONVERGENCE_RATE, np.sqrt(squared / last_costs))
+            remainder = np.sqrt(squared) * np.maximum(MIN_STEP_CONTRACTION_RATIO, np.sqrt(squared / last_costs))
             if not np.any(remainder >= MAX_DISTANCE_TO_OPTIMUM):
                 break
             last_costs = squared

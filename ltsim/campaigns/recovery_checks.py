@@ -26,7 +26,7 @@ MIN_RECOVERY_TRIALS = 2
 """Smallest number of trials for which a standard deviation is computed."""
 MEAN_Z_MARGIN = 0.1
 """Permitted deviation of the mean z-score from 0, in addition to its sampling error."""
-DEVIATION_Z_MARGIN = 0.05
+STANDARD_DEVIATION_Z_MARGIN = 0.05
 """Permitted deviation of the standard deviation of z-scores from 1, in addition to its sampling error."""
 COVERAGE_MARGIN = 0.015
 """Permitted deviation of the coverage from its nominal value, in addition to its sampling error."""
@@ -175,7 +175,10 @@ def parameter_checks(name: str, z_scores: Floats, alpha: float) -> list[Recovery
     tails = stats.chi2.ppf([alpha / 2, 1 - alpha / 2], n_scores - 1) / (n_scores - 1)
     coverage_limits = stats.binom.ppf([alpha / 2, 1 - alpha / 2], n_scores, NOMINAL_COVERAGE) / n_scores
     coverage = float(np.mean(np.abs(z_scores) <= stats.norm.isf(0.5 * (1 - NOMINAL_COVERAGE))))
-    deviation = min(1 - DEVIATION_Z_MARGIN, np.sqrt(tails[0])), max(1 + DEVIATION_Z_MARGIN, np.sqrt(tails[1]))
+    deviation = (
+        min(1 - STANDARD_DEVIATION_Z_MARGIN, np.sqrt(tails[0])),
+        max(1 + STANDARD_DEVIATION_Z_MARGIN, np.sqrt(tails[1])),
+    )
     limits = (
         min(NOMINAL_COVERAGE - COVERAGE_MARGIN, coverage_limits[0]),
         max(NOMINAL_COVERAGE + COVERAGE_MARGIN, coverage_limits[1]),

@@ -130,7 +130,7 @@ class CellContext:
         return {factor.name: factor.level(tables) for factor in self.factors}
 
     @cached_property
-    def units(self) -> dict[str, str]:
+    def parameter_units(self) -> dict[str, str]:
         """Units of the parameters in the rows, by label of the parameter."""
         names = tuple(self.scenario.trackers_in_use)
         labels = parameter_labels(make_scenario_construction(self.scenario), names, scenario_effects(self.scenario))
@@ -280,7 +280,7 @@ def _compute_new_rows(task: ShardTask, n_existing_trials: int, *, truth_only: bo
         for method, part in zip(campaign.methods, tables_by_method, strict=True)
     ]
     full_table = pa.concat_tables(tables, promote_options="default").combine_chunks()
-    return append_factor_levels(full_table, cell.factors, cell.levels, cell.units)
+    return append_factor_levels(full_table, cell.factors, cell.levels, cell.parameter_units)
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,7 @@ class TrueParameterDistribution:
     bias_matrix: Floats
     """Matrix (parameters, parameters) of the bias by the prior: without noise, estimate minus true value is
     -bias_matrix @ true values."""
-    network_columns: Ints
+    network_column_indices: Ints
     """Columns of the parameters in the design of the adjusted network, (parameters,); empty for a method without a
     network."""
     prior_sigmas: Floats
@@ -271,7 +271,7 @@ def _network_scores(calibration: Calibration, truth: Truth, expected: TrueParame
     bias, less = size.copy(), size.copy()
     if not expected.is_drawn_from_prior:
         pick = np.zeros((len(size), len(expected.mean_true_values)))
-        pick[expected.network_columns, np.arange(len(expected.mean_true_values))] = 1.0 / expected.prior_sigmas
+        pick[expected.network_column_indices, np.arange(len(expected.mean_true_values))] = 1.0 / expected.prior_sigmas
         missed = adjustment.factorised_normals.multiply_by_covariance(pick)
         bias, less = -missed @ expected.mean_true_values, missed**2 @ expected.missing_variance_fraction
     points = (truth.target_points - origin) @ turn + held.station_positions[0]

@@ -231,7 +231,7 @@ class CampaignFile(TomlSection):
         )
         return tuple(factor for factor in factors if factor.kind != "table" or "title" not in self.varied_keys)
 
-    def cell_changes(self) -> Iterator[dict[str, Any]]:
+    def scenario_changes_of_cells(self) -> Iterator[dict[str, Any]]:
         """Values that replace those of the base scenario in each cell, by dotted key."""
         first_key_by_name = {name: self.linked_keys.get(name, (name,))[0] for name in self.varied_keys}
         points = self.design.points(self.seed, first_key_by_name) if self.design else [{}]
@@ -268,7 +268,7 @@ def load_campaign(
     units = change_scenario(base, common_values, path)  # with the effects that `scenario_changes` adds
     require_small_manifest(base, sum(1 for _ in campaign.cell_changes()), path)
     items = []
-    for number, values in enumerate(campaign.cell_changes(), start=1):
+    for number, values in enumerate(campaign.scenario_changes_of_cells(), start=1):
         where = f"{path}: cell {number}"
         inside = {key: convert_value(units, key, value, where) for key, value in values.items()}
         items.append(with_shared_values(change_scenario(base, inside, path, where), base))
@@ -318,7 +318,7 @@ def make_cells(
     factors, cells = campaign.factors(scenarios[0]), []
     deciding = {"seed", "trials_per_shard", "geometry", "verified_trials_per_shard", "methods", "validation_drift"}
     cell_seed_text = campaign.model_dump_json(include=deciding, by_alias=True)
-    for scenario, scenario_changes in zip(scenarios, campaign.cell_changes(), strict=True):
+    for scenario, scenario_changes in zip(scenarios, campaign.scenario_changes_of_cells(), strict=True):
         tables = scenario.model_dump(mode="json", by_alias=True)
         points_name = campaign.validation_points
         judge = make_validation_scenario(points_name, scenario, path) if points_name else None

@@ -13,7 +13,7 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_packages
-from ltsim.cli.output_checks import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOption
+from ltsim.cli.output_checks import FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption
 from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, write_line
 from ltsim.core.arguments import bounded_parser, bounds_text, path_of_file_or_built_in
@@ -39,7 +39,7 @@ ShowTemplateOption = Annotated[
 CampaignFolderOption = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its suffix."),
-    COMMAND_CHECKED_OUTPUT,
+    RESULT_FOLDER_OUTPUT,
 ]
 
 

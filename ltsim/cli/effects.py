@@ -75,11 +75,11 @@ def catalogue_entry_text(effect: EffectDescription, tables: list[Table]) -> str:
         )
     for table in tables:
         if table.rows:
-            lines += ["", _text_without_effect(table)]
+            lines += ["", _text_without_effect_column(table)]
     return "\n".join([*lines, "", CONVENTIONS_TEXT])
 
 
-def _text_without_effect(table: Table) -> str:
+def _text_without_effect_column(table: Table) -> str:
     """Text of a table without its first column, the name of the effect."""
     rows = [cells[1:] for cells in table.cells()]
     return align_columns(table.headings[1:], rows, n_text_columns=len(table.headings) - 1)

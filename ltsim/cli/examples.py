@@ -9,13 +9,13 @@ from typing import Annotated
 
 import typer
 
-from ltsim.cli.output_checks import COMMAND_CHECKED_OUTPUT, COMPARED_FILE_OUTPUT, ForceOption, write_outputs
+from ltsim.cli.output_checks import COMPARED_FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption, write_outputs
 from ltsim.cli.terminal import Terminal
 from ltsim.recordings.files import write_text
 from ltsim.simulation.builtin import builtin_text
 
 ExamplesFolderArgument = Annotated[
-    Path, typer.Argument(metavar="DIR", help="Folder to write to."), COMMAND_CHECKED_OUTPUT
+    Path, typer.Argument(metavar="DIR", help="Folder to write to."), RESULT_FOLDER_OUTPUT
 ]
 EXAMPLE_COMMANDS = {
     "survey.csv": "ltsim diagnose survey.csv --frame hall.csv --out diagnosis",

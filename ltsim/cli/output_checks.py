@@ -281,7 +281,7 @@ RECORDING_OUTPUT = OutputKind(check_recording_folder)
 """Kind of output folder for a recording, which must not contain files of other programs."""
 EMPTY_FOLDER_OUTPUT = OutputKind(check_empty_folder)
 """Kind of output folder that must be new or empty."""
-COMMAND_CHECKED_OUTPUT = OutputKind(lambda folder, force: check_writable(folder, is_folder=True))
+RESULT_FOLDER_OUTPUT = OutputKind(lambda folder, force: check_writable(folder, is_folder=True))
 """Kind of output folder of which only write permission is checked; the command checks the files that it would replace.
 """
 FILE_OR_FOLDER_OUTPUT = OutputKind(lambda path, force: check_writable(path, is_folder=path.is_dir()))

@@ -11,7 +11,7 @@ import typer
 
 import ltsim as lt
 from ltsim.cli.options import JobsOption, ReadingOptions
-from ltsim.cli.output_checks import COMMAND_CHECKED_OUTPUT, ForceOption, check_overwrite
+from ltsim.cli.output_checks import RESULT_FOLDER_OUTPUT, ForceOption, check_overwrite
 from ltsim.cli.terminal import Terminal
 from ltsim.core.errors import RecordError, SetupError
 
@@ -29,7 +29,7 @@ PlanSourceArgument = Annotated[
 PlanFolderOption = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="Folder to write to; default plan-NAME, none with --json."),
-    COMMAND_CHECKED_OUTPUT,
+    RESULT_FOLDER_OUTPUT,
 ]
 ShowPlanOption = Annotated[bool, typer.Option("--show", help="Print a built-in plan as a file to edit, and stop.")]
 RecordingToExtendOption = Annotated[

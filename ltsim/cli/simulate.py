@@ -15,11 +15,11 @@ import ltsim as lt
 from ltsim.campaigns import require_packages
 from ltsim.cli.options import ReadingOptionsWithFrame, RecordingArgument
 from ltsim.cli.output_checks import (
-    COMMAND_CHECKED_OUTPUT,
     COMPARED_FILE_OUTPUT,
     EMPTY_FOLDER_OUTPUT,
     FILE_OUTPUT,
     RECORDING_OUTPUT,
+    RESULT_FOLDER_OUTPUT,
     ForceOption,
     check_new_file,
     check_recording_folder,
@@ -72,7 +72,7 @@ InjectionFolderOption = Annotated[
     typer.Option(
         "--out", metavar="REC2", help="Folder of the changed recording or, with --curve, of the detection curve."
     ),
-    COMMAND_CHECKED_OUTPUT,
+    RESULT_FOLDER_OUTPUT,
 ]
 InjectedValuesFileOption = Annotated[
     Path | None,
@@ -319,10 +319,10 @@ DEMO_STEPS: dict[str, Callable[[Path, int], str]] = {
 DEMO_OUTPUTS = {
     "workshop/recording": RECORDING_OUTPUT,
     "workshop/truth.json": FILE_OUTPUT,
-    "concealed": COMMAND_CHECKED_OUTPUT,
+    "concealed": RESULT_FOLDER_OUTPUT,
     "concealed/truth.json": FILE_OUTPUT,
     "campaign.toml": FILE_OUTPUT,
-    "campaign": COMMAND_CHECKED_OUTPUT,
+    "campaign": RESULT_FOLDER_OUTPUT,
     "report.html": FILE_OUTPUT,
 }
 """Output files and folders of the steps with the rules by which they are checked before the first step."""

@@ -16,7 +16,7 @@ from typing import IO, TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from ltsim.cli.output_checks import COMMAND_CHECKED_OUTPUT, ForceOption, check_overwrite
+from ltsim.cli.output_checks import RESULT_FOLDER_OUTPUT, ForceOption, check_overwrite
 from ltsim.core.errors import as_printable
 
 if TYPE_CHECKING:
@@ -214,7 +214,7 @@ class ResultFolderTerminal(Terminal):
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder to write the results to."),
-        COMMAND_CHECKED_OUTPUT,
+        RESULT_FOLDER_OUTPUT,
     ] = None
     force: ForceOption = False
 

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 import ltsim as lt
 from ltsim.cli.options import ReadingOptionsWithFrame
-from ltsim.cli.output_checks import COMMAND_CHECKED_OUTPUT, FILE_OUTPUT, ForceOption, OutputKind, check_new_file
+from ltsim.cli.output_checks import FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption, OutputKind, check_new_file
 from ltsim.cli.terminal import QuietOption, Terminal, flush_streams
 from ltsim.core.errors import RecordError, SetupError, require_extra
 from ltsim.recordings.settings import validation_sentence
@@ -37,7 +37,7 @@ MovedPlanOption = Annotated[
 MovedPlanFolderOption = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="With --plan: folder to save to; default NAME-moved."),
-    COMMAND_CHECKED_OUTPUT,
+    RESULT_FOLDER_OUTPUT,
 ]
 PortOption = Annotated[
     int, typer.Option("--port", min=0, max=65535, help="With --plan: port of the page; 0 for any free port.")

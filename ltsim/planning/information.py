@@ -170,20 +170,20 @@ class ExpectedCriteria:
     the sizes of the errors.
     """
 
-    distance_before: Floats
-    distance_after: Floats
-    coordinate_before: Floats
-    coordinate_after: Floats
+    distance_criterion_before: Floats
+    distance_criterion_after: Floats
+    coordinate_criterion_before: Floats
+    coordinate_criterion_after: Floats
 
     @property
     def distance_improvement(self) -> Floats:
         """Relative reduction (k,) [%] of the disagreement in distances by calibration, for k assumptions on errors."""
-        return 100.0 * (1.0 - self.distance_after / self.distance_before)
+        return 100.0 * (1.0 - self.distance_criterion_after / self.distance_criterion_before)
 
     @property
     def coordinate_improvement(self) -> Floats:
         """Relative reduction (k,) [%] of the disagreement in coordinates by calibration, for k assumptions."""
-        return 100.0 * (1.0 - self.coordinate_after / self.coordinate_before)
+        return 100.0 * (1.0 - self.coordinate_criterion_after / self.coordinate_criterion_before)
 
 
 @dataclass(frozen=True)

@@ -173,8 +173,8 @@ class AgreementImprovementEntry(Entry):
         """
         e = expected_criteria
         criteria = {
-            "distance": (e.distance_before, e.distance_after, e.distance_improvement),
-            "coordinate": (e.coordinate_before, e.coordinate_after, e.coordinate_improvement),
+            "distance": (e.distance_criterion_before, e.distance_criterion_after, e.distance_improvement),
+            "coordinate": (e.coordinate_criterion_before, e.coordinate_criterion_after, e.coordinate_improvement),
         }
         return {
             name: cls(before_um=before[0] / MICROMETRE, after_um=after[0] / MICROMETRE, improvement_percent=percent[0])
@@ -320,7 +320,7 @@ class LossCheckEntry(Entry):
         )
 
     @property
-    def ratio_text(self) -> str:
+    def max_tolerance_ratio_text(self) -> str:
         """Text of the largest ratio of error to tolerance in percent; '' for points that no station sees.
 
         The text is "not determined" for undetermined points.

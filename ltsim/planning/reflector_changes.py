@@ -28,7 +28,7 @@ def to_degrees(angle: float) -> float:
     return round(float(angle) / DEGREE % 360, 2)
 
 
-class PlanChange(Entry):
+class ReflectorChangeEntry(Entry):
     """Change of one reflector of a plan: moved, added or removed."""
 
     kind: Literal["move", "add", "remove"]
@@ -72,7 +72,7 @@ MAX_REPORTED_CHANGES = 3
 ChangeKind = Literal["move", "add", "remove"]
 CHANGE_KINDS: tuple[ChangeKind, ...] = get_args(ChangeKind)
 """Kinds of changes of a reflector."""
-ChangeResult = tuple[float, int | None, int | None, Floats]
+ReflectorChangeResult = tuple[float, int | None, int | None, Floats]
 """Ratio of the objective after a change to that before, index of the removed or moved reflector (None for an addition),
 index of its new position (None for a removal), and resulting normal matrix (K, K) of the K unknowns without targets.
 """
@@ -82,7 +82,7 @@ index of its new position (None for a removal), and resulting normal matrix (K, 
 class ReflectorChanges:
     """Results of all moves, additions and removals of one reflector, each with all other reflectors unchanged."""
 
-    reported_changes: tuple[PlanChange, ...]
+    reported_changes: tuple[ReflectorChangeEntry, ...]
     """Reported changes: useful moves and additions, the best first, then removals with the smallest loss."""
     n_tried: dict[ChangeKind, int]
     """Number of evaluated changes, by kind."""
@@ -182,7 +182,7 @@ class _ChangeEvaluator:
     def evaluate_all(self) -> ReflectorChanges:
         """Results of all moves, additions and removals of one reflector, with all other reflectors unchanged."""
         terms, chosen = self.normal_matrix_terms.place_normal_matrices, self.present_place_indices
-        candidates: dict[ChangeKind, list[ChangeResult]] = {what: [] for what in CHANGE_KINDS}
+        candidates: dict[ChangeKind, list[ReflectorChangeResult]] = {what: [] for what in CHANGE_KINDS}
         tried, helped = dict.fromkeys(CHANGE_KINDS, 0), dict.fromkeys(CHANGE_KINDS, 0)
 
         def record_change(kind: ChangeKind, removed_index: int | None, places: Ints) -> None:
@@ -210,7 +210,7 @@ class _ChangeEvaluator:
             record_change("move", i, self._free_places(np.delete(chosen, i)))
             record_change("remove", i, chosen[:0])
         record_change("add", None, self._free_places(chosen))
-        reported: list[PlanChange] = []
+        reported: list[ReflectorChangeEntry] = []
         for what, made in candidates.items():
             best = _best_change_per_place(sorted(made, key=lambda pair: pair[0]))[:MAX_REPORTED_CHANGES]
             reported += [
@@ -222,7 +222,7 @@ class _ChangeEvaluator:
 
     def _make_change(
         self, kind: ChangeKind, value: float, removed_index: int | None, place_index: int | None, normal_matrix: Floats
-    ) -> PlanChange:
+    ) -> ReflectorChangeEntry:
         present_indices = self.present_place_indices
         remaining_places = present_indices if removed_index is None else np.delete(present_indices, removed_index)
         matrices = np.stack([self.present_normal_matrix, normal_matrix])
@@ -240,7 +240,7 @@ class _ChangeEvaluator:
             )
         affected_parameter = (min if kind != "remove" else max)(ratios, key=lambda name: ratios[name])
         names, places = self.movable_reflectors.place_names, self.movable_reflectors.places
-        change = PlanChange(
+        change = ReflectorChangeEntry(
             kind=kind,
             reflector="" if removed_index is None else names[removed_index],
             new_place="" if place_index is None else names[place_index],
@@ -253,7 +253,7 @@ class _ChangeEvaluator:
         return change.model_copy(update={"sentence": _change_sentence(change)})
 
 
-def _change_sentence(change: PlanChange) -> str:
+def _change_sentence(change: ReflectorChangeEntry) -> str:
     """Sentence on a change and its benefit, without a full stop."""
     if abs(1 - change.objective_ratio) < MAX_NEGLIGIBLE_CHANGE:
         return f"{change.action_text}: makes no difference"
@@ -266,7 +266,7 @@ def _change_sentence(change: PlanChange) -> str:
     return f"{change.action_text}: quality {better}, {other}, {phrase} {parameter} (sigma {sigma:+.1f} %)"
 
 
-def _best_change_per_place(change_results: list[ChangeResult]) -> list[ChangeResult]:
+def _best_change_per_place(change_results: list[ReflectorChangeResult]) -> list[ReflectorChangeResult]:
     """Best change for each new position of a reflector, and all removals, from results in the order of benefit."""
     distinct, places = [], set()
     for change in change_results:

@@ -24,7 +24,7 @@ from ltsim.planning.plan_entries import (
 )
 from ltsim.planning.planner import PlannedNetwork
 from ltsim.planning.reasons import fewest_stations_not_worse_than_scenario, reason_sentences
-from ltsim.planning.reflector_changes import PlanChange, to_millimetres
+from ltsim.planning.reflector_changes import ReflectorChangeEntry, to_millimetres
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import percent_text
@@ -63,7 +63,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
     """All measuring procedures that were evaluated, in ascending order of duration."""
     start_objectives: tuple[OptionalFloat, ...] = ()
     """Final value of the objective of each independent search, the best first; smaller is better."""
-    reflector_changes: tuple[PlanChange, ...] = ()
+    reflector_changes: tuple[ReflectorChangeEntry, ...] = ()
     """Useful moves of a single reflector and useful additional reflectors, the best first, then removals."""
     changes_summary: str = ""
     """Sentence with the numbers of evaluated and of useful changes of single reflectors."""
@@ -180,7 +180,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
                 loss.lost_station_or_sight,
                 loss.tolerances_met,
                 loss.worst_point,
-                loss.ratio_text,
+                loss.max_tolerance_ratio_text,
                 " ".join(loss.unseen_points),
             ]
             for loss in sorted(self.loss_checks, key=lambda loss: loss.tolerances_met)

@@ -174,7 +174,7 @@ class GoalSettings(TomlSection):
     """Loss after which the tolerances must still be met: of any single `sight` or `station`, or `no` loss."""
 
     @model_validator(mode="after")
-    def _check_any_weight(self) -> GoalSettings:
+    def _check_positive_weight(self) -> GoalSettings:
         if self.instrument_weight + self.targets_weight + self.diagnosis_weight == 0:
             raise ValueError("at least one of instrument_weight, targets_weight and diagnosis_weight should be above 0")
         return self

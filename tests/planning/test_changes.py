@@ -14,7 +14,7 @@ from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import INSTRUMENT_QUALITY_NAME, TARGETS_QUALITY_NAME, LayoutObjective
 from ltsim.planning.planner import objective_and_qualities
-from ltsim.planning.reflector_changes import PlanChange, evaluate_reflector_changes
+from ltsim.planning.reflector_changes import ReflectorChangeEntry, evaluate_reflector_changes
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search_inputs import is_fixed_target, is_immovable_target, make_search_space
 from ltsim.planning.survey import PlannedSurvey
@@ -31,7 +31,7 @@ def wall_places() -> tuple[Floats, tuple[str, ...]]:
     return places, tuple(f"P{i}" for i in range(len(places)))
 
 
-def changed(survey: PlannedSurvey, change: PlanChange) -> PlannedSurvey:
+def changed(survey: PlannedSurvey, change: ReflectorChangeEntry) -> PlannedSurvey:
     """The survey with a change made by hand."""
     keep = [i for i, name in enumerate(survey.target_names) if name != change.reflector]
     points = survey.target_points[keep]

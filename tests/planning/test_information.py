@@ -246,5 +246,5 @@ def test_fixed_nests_have_the_reflectors_error_in_both() -> None:
     with_error, without = (
         CriteriaPredictor.from_information(slow).expected_criteria({"reflectors": size}) for size in (1.0, 0.0)
     )
-    assert with_error.distance_before[0] > without.distance_before[0]
-    assert with_error.distance_after[0] > without.distance_after[0]
+    assert with_error.distance_criterion_before[0] > without.distance_criterion_before[0]
+    assert with_error.distance_criterion_after[0] > without.distance_criterion_after[0]

@@ -28,7 +28,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.diagnosis.schema import FindingScope, ResponseCurve
 from ltsim.measurands.comparison import Comparison
 from ltsim.planning.plan_entries import PlannedParameterEntry as PlannedEntry
-from ltsim.planning.reflector_changes import PlanChange
+from ltsim.planning.reflector_changes import ReflectorChangeEntry
 from ltsim.planning.result import Plan
 from ltsim.recordings.specification import data_sheet
 from ltsim.reports import style
@@ -167,7 +167,7 @@ def parameter_figure() -> Figure:
 
 
 def reflector_changes_figure() -> Figure:
-    changes = [PlanChange.model_validate(change) for change in samples.REFLECTOR_CHANGES]
+    changes = [ReflectorChangeEntry.model_validate(change) for change in samples.REFLECTOR_CHANGES]
     return marked_floors.reflector_changes_figure(workshop_from_scenario(load_scenario("paper-workshop")), changes)
 
 

@@ -174,8 +174,7 @@ def factor_panels_figure(
         True to join the points of a line. If False, each panel has a separate factor, named by the panel.
     """
     panels = list(dict.fromkeys(row.panel_label for row in plotted_points))[:MAX_FIGURE_PANELS]
-    n_columns = min(len(panels), 2)
-    n_rows = -(-len(panels) // n_columns)
+    n_rows, n_columns = -(-len(panels) // 2), min(len(panels), 2)
     figure = style.new_figure(0.9 + (1.9 if n_columns > 1 else 2.6) * n_rows)
     axes = figure.subplots(n_rows, n_columns, sharex=joins_points, sharey=True, squeeze=False)
     words = list(dict.fromkeys(row.level for row in plotted_points if isinstance(row.level, str)))

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from ltsim.core.units import MILLIMETRE
-from ltsim.planning.reflector_changes import PlanChange
+from ltsim.planning.reflector_changes import ReflectorChangeEntry
 from ltsim.reports import style
 from ltsim.reports.figures.floor_plan import MapLabel, floor_plan
 from ltsim.reports.workshop_scene import WorkshopScene
@@ -69,7 +69,7 @@ def marked_floor_plan(
 
 @style.with_figure_style
 def reflector_changes_figure(
-    workshop: WorkshopScene, planned_changes: Sequence[PlanChange], floor: Floor | None = None
+    workshop: WorkshopScene, planned_changes: Sequence[ReflectorChangeEntry], floor: Floor | None = None
 ) -> Figure:
     """Floor plan with numbered changes of reflectors: moves as arrows, reflectors that can be omitted as crosses."""
     position_by_target = dict(zip(workshop.targets, workshop.target_points[:, :2].tolist(), strict=True))
