@@ -45,7 +45,7 @@ from ltsim.physics.laws.responses import Response, response_designs
 MAX_SEPARATE_PLACES = 400
 """Number of set-ups, or of targets, up to which laws that act at a single set-up, or a single target, are tried; a
 limit of the computing time."""
-GROUPED_TARGET_COUNTS = range(12, 101)
+TARGET_COUNTS_FOR_GROUP_LAWS = range(12, 101)
 """Numbers of targets in a network for which laws that act at a group of targets are tried. Fewer targets hardly form a
 group, and more targets take too much computing time."""
 MIN_POINTINGS_PER_FINE_COEFFICIENT = 4
@@ -104,7 +104,7 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
     targets = tuple(
         LawPlace((), (name,), rows) for name, rows in rows_by_name(_names_of_separate_places(s.target_names), s.target)
     )
-    is_grouped = len(s.target_names) in GROUPED_TARGET_COUNTS
+    is_grouped = len(s.target_names) in TARGET_COUNTS_FOR_GROUP_LAWS
     lengths = ((d.from_, d.to) for d in space.adjustment.recording.gauge.distance)
     sets = target_clusters(s) | neighbour_groups(s) | connected_groups(s, lengths) if is_grouped else set()
     place_groups = tuple(group_places(s, sets))

@@ -14,18 +14,18 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.regions import candidate_regions
 from ltsim.scene.sightings import Sightings
 
-ADDED_VARIANCES_OF_ALL = (0.25, 0.6, 1.5, 4.0, 12.0)
+ADDED_VARIANCES_OF_ALL_READINGS = (0.25, 0.6, 1.5, 4.0, 12.0)
 """Added variances, divided by the declared variance, that a search tries for all readings."""
-ADDED_VARIANCES_AT_MAXIMUM = (2.0, 6.0, 20.0)
+ADDED_VARIANCES_AT_PATTERN_MAXIMUM = (2.0, 6.0, 20.0)
 """Added variances, divided by the declared variance, that a search tries at the maximum of a pattern."""
 ADDED_VARIANCES_OF_TARGETS = (3.0, 15.0, 75.0)
 """Added variances, divided by the declared variance, that a search tries for the readings to a target."""
-MAX_POINTINGS_WITH_BANDS = 2000
+MAX_POINTINGS_FOR_NOISE_BANDS = 2000
 """Largest number of pointings for which a search tries larger noise in intervals of a covariate, to limit the computing
 time."""
-SECTOR_WIDTHS = (np.pi / 4.0, np.pi / 2.0)
+NOISY_SECTOR_WIDTHS = (np.pi / 4.0, np.pi / 2.0)
 """Widths [rad] of the sectors of horizontal directions in which the noise may be larger."""
-THRESHOLD_QUANTILES = (0.25, 0.5, 0.75)
+NOISY_COVARIATE_QUANTILES = (0.25, 0.5, 0.75)
 """Thresholds above or below which the noise may be larger, as quantiles of a covariate other than a direction."""
 MIN_SECTOR_FRACTION = 0.05
 """Smallest fraction of the pointings inside a sector, and also outside it, for which the sector is tried."""
@@ -50,8 +50,8 @@ def candidate_variance_functions(
         places, NOISY_OBSERVABLE_SETS[:-1], [*regressors, *additional_column_names(sightings)], (False, True)
     ):
         pattern = replace(at, observables=acts, covariates=(name,), decreases=falling)
-        yield " and ".join(acts), pattern, ADDED_VARIANCES_AT_MAXIMUM
-    if len(sightings) <= MAX_POINTINGS_WITH_BANDS:
+        yield " and ".join(acts), pattern, ADDED_VARIANCES_AT_PATTERN_MAXIMUM
+    if len(sightings) <= MAX_POINTINGS_FOR_NOISE_BANDS:
         for at, acts, (name, band) in product(places, NOISY_OBSERVABLE_SETS, _covariate_bands(sightings)):
             yield (
                 "band",
@@ -66,7 +66,7 @@ def candidate_variance_functions(
     )
     for acts in NOISY_OBSERVABLE_SETS:
         for faces in REPETITION_KINDS if acts == ("distance",) and np.ptp(sightings.face) else REPETITION_KINDS[:1]:
-            yield "repeating", VarianceFunction(acts, repetition=faces), ADDED_VARIANCES_OF_ALL
+            yield "repeating", VarianceFunction(acts, repetition=faces), ADDED_VARIANCES_OF_ALL_READINGS
         for group in target_groups:
             yield "target", VarianceFunction(acts, targets=tuple(names[t] for t in group)), ADDED_VARIANCES_OF_TARGETS
     for region, acts in product(
@@ -81,7 +81,7 @@ def candidate_variance_functions(
 
 def _covariate_bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, float]]]:
     """Iterator over pairs of a covariate and an interval (two values) of it in which the noise may be larger."""
-    for name, width in product(("azimuth", "bearing"), SECTOR_WIDTHS):
+    for name, width in product(("azimuth", "bearing"), NOISY_SECTOR_WIDTHS):
         for start in np.arange(0.0, 2.0 * np.pi, 0.5 * width).tolist():
             band = start, start + width
             inside = VarianceFunction(covariates=(name,), covariate_band=band).is_in_band(sightings)
@@ -93,7 +93,7 @@ def _covariate_bands(sightings: Sightings) -> Iterator[tuple[str, tuple[float, f
     for name in names:
         x = noise_covariate(sightings, name)
         low, high = float(x.min()), float(x.max())
-        for threshold in np.unique(np.quantile(x, THRESHOLD_QUANTILES)).tolist():
+        for threshold in np.unique(np.quantile(x, NOISY_COVARIATE_QUANTILES)).tolist():
             if low < threshold < high:
                 yield name, (low, threshold)
                 yield name, (threshold, high)

@@ -135,11 +135,11 @@ class ShapeConstantsNode(NamedTuple):
     """Effect with these shape constants."""
     log_weight: float
     """Log of the evidence times the volume of the node's cell of the grid."""
-    constants: dict[str, float]
+    shape_constants: dict[str, float]
     """Values [SI] of the shape constants by name, including the time of a change."""
-    mean: Floats
+    parameter_means: Floats
     """Posterior mean (k,) of the k parameters [SI]."""
-    variance: Floats
+    parameter_variances: Floats
     """Posterior variance (k,) of the k parameters [SI]."""
     gap_duration: float
     """Time [s] between the pointings before and after a change, which may have happened at any time in between."""
@@ -284,9 +284,12 @@ def estimates_averaged_over_shapes(
     if not nodes:
         return {}
     weight = normalised_probabilities(np.array([node.log_weight for node in nodes]))
-    node_values = np.array([[*node.mean, *node.constants.values()] for node in nodes])
+    node_values = np.array([[*node.parameter_means, *node.shape_constants.values()] for node in nodes])
     within = np.array(
-        [[*s.variance, *((name == "time") * s.gap_duration**2 / 12.0 for name in s.constants)] for s in nodes]
+        [
+            [*s.parameter_variances, *((name == "time") * s.gap_duration**2 / 12.0 for name in s.shape_constants)]
+            for s in nodes
+        ]
     )
     posterior_mean = weight @ node_values
     sigma = np.sqrt(np.maximum(weight @ (within + node_values**2) - posterior_mean**2, 0.0))
@@ -295,7 +298,7 @@ def estimates_averaged_over_shapes(
         | {s.name: s.unit for s in type(effect).shape_parameters}
         | {p.name: p.unit for p in effect.parameters}
     )
-    names = [*(p.name for p in effect.parameters), *nodes[0].constants]
+    names = [*(p.name for p in effect.parameters), *nodes[0].shape_constants]
     return {
         name: ParameterEstimate(
             name=name, value=m / SI_PER_UNIT[units[name]], sigma=d / SI_PER_UNIT[units[name]], unit=units[name]
