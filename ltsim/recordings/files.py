@@ -120,7 +120,7 @@ def read_lines(path: Path, *, replaces_undecodable: bool = False) -> list[str]:
 
 def with_unix_line_ends(text: str) -> str:
     """Copy of `text` in which all line breaks are those of Unix."""
-    return re.sub("\r+\n|\r", "\n", text) if "\r" in text else text
+    return re.sub("(?<!\r)\r++\n|\r", "\n", text) if "\r" in text else text  # one look at each of many returns
 
 
 def is_number(text: str) -> bool:

@@ -28,9 +28,9 @@ from ltsim.core.limits import (
 )
 from ltsim.recordings import read
 from ltsim.recordings.coordinates import read_coordinates, read_points
-from ltsim.recordings.files import read_lines
+from ltsim.recordings.files import read_lines, with_unix_line_ends
 from ltsim.recordings.result_file import read_json
-from ltsim.recordings.settings import check_toml_limits, read_setup, read_toml
+from ltsim.recordings.settings import _TOML_TOKEN_PATTERN, check_toml_limits, read_setup, read_toml
 from ltsim.recordings.tables.sheets import table_rows
 from ltsim.recordings.xml import parse_xml
 from tests.cli.slips import PLAN
@@ -61,6 +61,24 @@ def test_a_string_of_toml_that_is_not_closed_is_looked_at_once(quotes: str) -> N
     check_toml_limits(f"a = {quotes}" + '\\"' * 250_000, "a.toml")
     check_toml_limits(f"a = {quotes}" + "\\'" * 250_000, "a.toml")
     assert os.times().user - before < 2
+
+
+@pytest.mark.parametrize(
+    ("quotes", "content"), [('"""', '\\"""x'), ("'''", "''x"), ('"', '\\"x'), ("'", '"x'), ('"""', '"x'), ('"""', "\\")]
+)
+def test_a_string_of_toml_that_is_not_closed_is_one_token_without_memory_of_its_parts(
+    quotes: str, content: str
+) -> None:
+    """Without its optional end it was 10,000 tokens, each looked at to the end; with backtracking it took 5 MB."""
+    text = f"a = {quotes}" + content * 10_000
+    tracemalloc.start()
+    try:
+        spans = [token.span() for token in _TOML_TOKEN_PATTERN.finditer(text)]
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert spans == [(2, 3), (4, len(text))]
+    assert peak < 100_000
 
 
 def test_strings_and_comments_of_toml_are_no_structure() -> None:
@@ -228,6 +246,15 @@ def test_long_cells_take_no_time(mark: str, tmp_path: Path) -> None:
     with pytest.raises(LtsimError):
         read(tmp_path / "a.csv")
     assert os.times().user - before < 20
+
+
+@pytest.mark.parametrize("end", ["", "\n", "x"])
+def test_many_carriage_returns_are_looked_at_once(end: str) -> None:
+    """Each was tried as the beginning of one line break: 2 s for 80,000, and minutes for a megabyte."""
+    before = os.times().user
+    assert with_unix_line_ends("\r" * 1_000_000 + end) == ("\n" if end == "\n" else "\n" * 1_000_000 + end)
+    assert os.times().user - before < 5
+    assert with_unix_line_ends("a\r\r\nb\r\nc\rd\n") == "a\nb\nc\nd\n"
 
 
 AT_LIMITS = {
