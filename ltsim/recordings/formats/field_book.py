@@ -3,6 +3,7 @@
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from ltsim.recordings.pointings import (
     Pointing,
     index_names,
     name_with_number,
+    readings_of,
     recording_of_pointings,
     separate_constant_heights,
 )
@@ -40,6 +42,8 @@ class FieldBook:
     pointings: list[Pointing] = field(default_factory=list)
     n_skipped: int = 0
     """Number of records that are not used."""
+    _shared: dict[object, Any] = field(default_factory=dict)
+    """Equal names and columns of pointings, each held once: they take half of the memory of a pointing."""
 
     def add_setup(self, name: str, height: float, coordinates_mm: Vector | None, location: SourceLocation) -> None:
         """Addition of a set-up over the point `name`, with instrument height [m] and coordinates [mm] of the point.
@@ -82,16 +86,23 @@ class FieldBook:
         self.pointings.append(
             Pointing(
                 self.station,
-                location.name(target, "target"),
+                self._shared.setdefault(target, location.name(target, "target")),
                 2 if elevation > np.pi / 2 + 1e-9 else 1,
                 distance,
                 float(np.mod(-horizontal, 2 * np.pi)),
                 elevation,
-                covariates={HEIGHT_COLUMNS[1]: height / MILLIMETRE} if np.isfinite(height) else {},
-                labels={DISTANCE_KIND_COLUMN: "horizontal"} if is_horizontal and np.isfinite(distance) else {},
+                covariates=self._shared_column(HEIGHT_COLUMNS[1], height / MILLIMETRE if np.isfinite(height) else None),
+                labels=self._shared_column(
+                    DISTANCE_KIND_COLUMN, "horizontal" if is_horizontal and np.isfinite(distance) else None
+                ),
                 source=f"{self.path.name}, line {location.row}",
             )
         )
+
+    def _shared_column(self, name: str, value: object) -> dict[str, Any]:
+        """Value of an additional column of a pointing, by the name of the column; empty if the value is None."""
+        column: dict[str, Any] = self._shared.setdefault((name, value), {} if value is None else {name: value})
+        return column
 
     def make_recording(self, kind: str, *notes: str) -> Recording:
         """Recording with levelled set-ups over points and the noise of a total station.
@@ -121,7 +132,7 @@ class FieldBook:
                 instrument_height_mm=round(height / MILLIMETRE, 6),
                 position_mm=coordinates_mm,
             )
-        readings = np.array([[p.distance, p.azimuth, p.elevation] for p in pointings])
+        readings = readings_of(pointings)
         instrument, noise = default_total_station(readings, f"it is {kind}")
         setup = Setup(
             title=self.path.stem,
@@ -140,8 +151,10 @@ class FieldBook:
         The result is a list of notes to the user.
         """
         occupations, occupation = index_names([p.station for p in self.pointings], "station", self.path)
-        _, sight = np.unique([f"{p.station}\n{p.target}\n{p.face}" for p in self.pointings], return_inverse=True)
-        readings = np.array([[p.distance, p.azimuth, p.elevation] for p in self.pointings])
+        targets, target = index_names([p.target for p in self.pointings], "target", self.path)
+        face = np.fromiter((p.face for p in self.pointings), dtype=np.int64, count=len(self.pointings))
+        sight = 2 * (occupation * len(targets) + target) + face
+        readings = readings_of(self.pointings)
         orientation = circle_orientations(occupation, sight, readings)
         if orientation is None:
             return []
