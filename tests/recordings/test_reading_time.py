@@ -15,6 +15,7 @@ from ltsim.core.units import parse_in_unit
 from ltsim.recordings import Hints, read
 from ltsim.recordings.exchange import MAX_HEAD_BYTES, MAX_NOTES
 from ltsim.recordings.files import SourceLocation
+from ltsim.recordings.formats import field_book
 from ltsim.recordings.formats.field_book import FieldBook
 from ltsim.recordings.settings import setup_to_toml, validate_setup
 
@@ -143,6 +144,12 @@ def test_pointings_of_a_field_book_hold_equal_columns_once(tmp_path: Path) -> No
     assert len({id(p.covariates) for p in book.pointings}) == 2
     assert len({id(p.labels) for p in book.pointings}) == 1
     assert len({id(p.target) for p in book.pointings}) == 3
+
+
+def test_pointings_of_a_field_book_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(field_book, "MAX_FIELD_BOOK_POINTINGS", 1)
+    (tmp_path / "a.gsi").write_text(GSI_SETUP.format("S") + GSI_POINTING.format(1) * 2)
+    assert "row 3: more than 1 measurements, the limit for reading; divide the file" in sentence_of(tmp_path / "a.gsi")
 
 
 def test_a_set_up_that_could_not_be_read_again_is_not_written() -> None:

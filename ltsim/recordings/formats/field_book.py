@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.core.errors import RecordError
+from ltsim.core.limits import MAX_FIELD_BOOK_POINTINGS
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
 from ltsim.recordings.circle_orientations import circle_orientations, circle_rotation_note
@@ -70,8 +71,13 @@ class FieldBook:
         A reading that was not measured is NaN. `horizontal` is the direction; `is_horizontal` is True for a distance
         that is reduced to the horizontal plane.
 
-        Raises RecordError if no set-up was added before, and for impossible readings.
+        Raises RecordError if no set-up was added before, and for impossible readings and too many
+        pointings.
         """
+        if len(self.pointings) >= MAX_FIELD_BOOK_POINTINGS:
+            raise location.error(
+                f"more than {MAX_FIELD_BOOK_POINTINGS} measurements, the limit for reading; divide the file"
+            )
         if not self.station:
             raise location.error("this measurement precedes the first named station; give --hint station=NAME")
         distance = distance or NOT_MEASURED
