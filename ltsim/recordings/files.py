@@ -220,7 +220,7 @@ def write_texts(folder: Path, texts: Mapping[str, str | bytes]) -> None:
     Raises RecordError if the folder cannot be created or written to, or a link leads out of it.
     """
     with _writing_errors(folder):
-        write_files(folder, {name: _encoded(text) for name, text in texts.items()})
+        write_files(folder, {name: _text_bytes(text) for name, text in texts.items()})
 
 
 def write_text(path: Path, text: str | bytes) -> None:
@@ -230,12 +230,12 @@ def write_text(path: Path, text: str | bytes) -> None:
     """
     if is_device(path) and not path.is_symlink():
         with _writing_errors(path):
-            write_to_device(path, _encoded(text))
+            write_to_device(path, _text_bytes(text))
     else:
         write_texts(path.parent, {path.name: text})
 
 
-def _encoded(text: str | bytes) -> bytes:
+def _text_bytes(text: str | bytes) -> bytes:
     return text.encode() if isinstance(text, str) else text
 
 

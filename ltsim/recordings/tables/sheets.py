@@ -6,7 +6,6 @@ import csv
 import io
 import re
 import warnings
-import zipfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -23,14 +22,12 @@ from ltsim.core.limits import (
     MAX_LINE_CHARACTERS,
     MAX_ROW_FIELDS,
     MAX_TEXT_LINES,
-    MAX_WORKBOOK_BYTES,
     MAX_WORKBOOK_CELLS,
-    MAX_WORKBOOK_PARTS,
     MAX_WORKBOOK_SHEETS,
 )
 from ltsim.recordings.files import SourceLocation, is_number, quoted_text, read_bytes, read_lines
 from ltsim.recordings.tables.cells import is_value, thousands_separator
-from ltsim.recordings.xml import check_xml_part
+from ltsim.recordings.tables.workbook_archive import checked_archive
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
 """Suffixes of the names of files that are read as tables."""
@@ -318,7 +315,7 @@ def workbook_cells(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
         raise RecordError(message, file=file) from None
     packed = io.BytesIO(read_bytes(file))  # of a damaged file the library would leave its own handle open
     try:
-        checked = _checked_archive(file, packed)
+        checked = checked_archive(file, packed)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # on styles and extensions, which hold no cell
             book = load_workbook(checked, read_only=True, data_only=True, keep_links=False)
@@ -333,31 +330,6 @@ def workbook_cells(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
     except Exception as problem:  # the library raises whatever its parts raise
         what = f"is not a readable workbook ({type(problem).__name__}): it is damaged; save it again, or as CSV"
         raise RecordError(what, file=file) from None
-
-
-def _checked_archive(file: Path, workbook_archive: io.BytesIO) -> io.BytesIO:
-    """Archive with the parts of a workbook, whose number, unpacked size and XML are checked; raises RecordError.
-
-    It is written anew, because the library would unpack a part without regard to the size that the archive declares.
-    """
-    checked = io.BytesIO()
-    with zipfile.ZipFile(workbook_archive) as archive, zipfile.ZipFile(checked, "w") as copy:
-        parts = archive.infolist()
-        if len(parts) > MAX_WORKBOOK_PARTS:
-            raise RecordError(f"holds more than {MAX_WORKBOOK_PARTS} parts, the limit for reading", file=file)
-        if sum(part.file_size for part in parts) > MAX_WORKBOOK_BYTES:
-            most = f"{MAX_WORKBOOK_BYTES // BYTES_PER_MIB} MiB"
-            raise RecordError(f"unpacks to more than {most}, the limit for reading; save the table as CSV", file=file)
-        for part in {part.filename: part for part in parts}.values():
-            if part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                raise RecordError("is packed in a way that spreadsheets do not use; save it again", file=file)
-            with archive.open(part) as stream:
-                content = stream.read(part.file_size + 1)
-            if part.filename.lower().endswith(".xml") or b"<" in content.lstrip()[:4]:  # after any byte-order mark
-                check_xml_part(content, file)
-            copy.writestr(part.filename, content)
-    checked.seek(0)
-    return checked
 
 
 def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[WorkbookRow]]]:
