@@ -92,6 +92,12 @@ def declares_noise(recording: Recording) -> bool:
     return bool(np.isfinite(sigmas[recording.is_measured]).all())
 
 
+def readings_of(pointings: Sequence[Pointing]) -> Floats:
+    """Range, azimuth and elevation (n, 3) [m, rad, rad] of n pointings."""
+    values = (value for p in pointings for value in (p.distance, p.azimuth, p.elevation))
+    return np.fromiter(values, dtype=np.float64, count=3 * len(pointings)).reshape(-1, 3)
+
+
 def recording_of_pointings(
     pointings: Sequence[Pointing], setup: Setup, *, notes: Sequence[str] = (), file: object = None
 ) -> Recording:
@@ -107,7 +113,7 @@ def recording_of_pointings(
         [p.station for p in pointings],
         [p.target for p in pointings],
         np.array([p.face for p in pointings], dtype=np.int64),
-        np.array([[p.distance, p.azimuth, p.elevation] for p in pointings]),
+        readings_of(pointings),
         np.array([p.time for p in pointings]),
         {name: np.array([p.covariates.get(name, NOT_MEASURED) for p in pointings]) for name in covariate_names},
         {name: [p.labels.get(name, "") for p in pointings] for name in label_names},

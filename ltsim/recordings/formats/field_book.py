@@ -3,10 +3,12 @@
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ltsim.core.errors import RecordError
+from ltsim.core.limits import MAX_FIELD_BOOK_POINTINGS
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
 from ltsim.recordings.circle_orientations import circle_orientations, circle_rotation_note
@@ -17,6 +19,7 @@ from ltsim.recordings.pointings import (
     Pointing,
     index_names,
     name_with_number,
+    readings_of,
     recording_of_pointings,
     separate_constant_heights,
 )
@@ -40,6 +43,8 @@ class FieldBook:
     pointings: list[Pointing] = field(default_factory=list)
     n_skipped: int = 0
     """Number of records that are not used."""
+    _shared: dict[object, Any] = field(default_factory=dict)
+    """Equal names and columns of pointings, each held once: they take half of the memory of a pointing."""
 
     def add_setup(self, name: str, height: float, coordinates_mm: Vector | None, location: SourceLocation) -> None:
         """Addition of a set-up over the point `name`, with instrument height [m] and coordinates [mm] of the point.
@@ -66,8 +71,13 @@ class FieldBook:
         A reading that was not measured is NaN. `horizontal` is the direction; `is_horizontal` is True for a distance
         that is reduced to the horizontal plane.
 
-        Raises RecordError if no set-up was added before, and for impossible readings.
+        Raises RecordError if no set-up was added before, and for impossible readings and too many
+        pointings.
         """
+        if len(self.pointings) >= MAX_FIELD_BOOK_POINTINGS:
+            raise location.error(
+                f"more than {MAX_FIELD_BOOK_POINTINGS} measurements, the limit for reading; divide the file"
+            )
         if not self.station:
             raise location.error("this measurement precedes the first named station; give --hint station=NAME")
         distance = distance or NOT_MEASURED
@@ -82,16 +92,23 @@ class FieldBook:
         self.pointings.append(
             Pointing(
                 self.station,
-                location.name(target, "target"),
+                self._shared.setdefault(target, location.name(target, "target")),
                 2 if elevation > np.pi / 2 + 1e-9 else 1,
                 distance,
                 float(np.mod(-horizontal, 2 * np.pi)),
                 elevation,
-                covariates={HEIGHT_COLUMNS[1]: height / MILLIMETRE} if np.isfinite(height) else {},
-                labels={DISTANCE_KIND_COLUMN: "horizontal"} if is_horizontal and np.isfinite(distance) else {},
+                covariates=self._shared_column(HEIGHT_COLUMNS[1], height / MILLIMETRE if np.isfinite(height) else None),
+                labels=self._shared_column(
+                    DISTANCE_KIND_COLUMN, "horizontal" if is_horizontal and np.isfinite(distance) else None
+                ),
                 source=f"{self.path.name}, line {location.row}",
             )
         )
+
+    def _shared_column(self, name: str, value: object) -> dict[str, Any]:
+        """Value of an additional column of a pointing, by the name of the column; empty if the value is None."""
+        column: dict[str, Any] = self._shared.setdefault((name, value), {} if value is None else {name: value})
+        return column
 
     def make_recording(self, kind: str, *notes: str) -> Recording:
         """Recording with levelled set-ups over points and the noise of a total station.
@@ -121,7 +138,7 @@ class FieldBook:
                 instrument_height_mm=round(height / MILLIMETRE, 6),
                 position_mm=coordinates_mm,
             )
-        readings = np.array([[p.distance, p.azimuth, p.elevation] for p in pointings])
+        readings = readings_of(pointings)
         instrument, noise = default_total_station(readings, f"it is {kind}")
         setup = Setup(
             title=self.path.stem,
@@ -140,8 +157,10 @@ class FieldBook:
         The result is a list of notes to the user.
         """
         occupations, occupation = index_names([p.station for p in self.pointings], "station", self.path)
-        _, sight = np.unique([f"{p.station}\n{p.target}\n{p.face}" for p in self.pointings], return_inverse=True)
-        readings = np.array([[p.distance, p.azimuth, p.elevation] for p in self.pointings])
+        targets, target = index_names([p.target for p in self.pointings], "target", self.path)
+        face = np.fromiter((p.face for p in self.pointings), dtype=np.int64, count=len(self.pointings))
+        sight = 2 * (occupation * len(targets) + target) + face
+        readings = readings_of(self.pointings)
         orientation = circle_orientations(occupation, sight, readings)
         if orientation is None:
             return []

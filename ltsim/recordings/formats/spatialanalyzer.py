@@ -7,9 +7,12 @@ points with one name in different groups are the same point.
 """
 
 import csv
+import math
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +37,8 @@ REPORT_TITLE = "CompositeReport"
 """Word in the title of a report by which it is recognised."""
 MAX_SAME_POINT_DISTANCE = 2e-3
 """Distance [m] below which points with the same name in two groups count as the same target."""
+MAX_REPORT_OBSERVATIONS = 150_000
+"""Largest number of observations in a report; each takes 2.4 kB and 0.1 ms."""
 SPATIALANALYZER_COLUMN_MAP = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
 """Roles of the columns in the table of a set-up, in the notation of the option --columns."""
 PERMITTED_UNITS_BY_COLUMN = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
@@ -148,7 +153,7 @@ def _read_setup_sections(path: Path) -> list[_SetupSection]:
     """
     blocks: dict[tuple[str, str], _SetupSection] = {}
     block_of_row: _SetupSection | None = None
-    section = ""
+    section, n_observations = "", 0
     for row in _read_cells(path):
         where, first = SourceLocation(path, row.line), row.fields[0].split("\n")[0]
         if first in ("Transform", "Observations"):
@@ -161,6 +166,10 @@ def _read_setup_sections(path: Path) -> list[_SetupSection]:
             block_of_row.rows = block_of_row.rows or [row]
         elif block_of_row is not None and block_of_row.rows and len(row.fields) > 1:
             row.check_width(len(block_of_row.rows[0].fields), path)
+            n_observations += 1
+            if n_observations > MAX_REPORT_OBSERVATIONS:
+                expected = f"expected at most {MAX_REPORT_OBSERVATIONS}; export the instruments separately"
+                raise where.error(f"more observations than a report may hold, {expected}")
             block_of_row.rows.append(row)
     for block in blocks.values():
         if block.rows and block.n_declared_observations not in (None, len(block.rows) - 1):
@@ -172,10 +181,13 @@ def _read_setup_sections(path: Path) -> list[_SetupSection]:
 
 def _parse_heading(cell: str, location: SourceLocation) -> tuple[str, str, str]:
     """Collection, number and model of the instrument from ``A::0 - Leica AT960``."""
-    match = re.fullmatch(r"(?:(.*)::)?(.+?)(?: - (.*))?", cell.partition("\n")[2].strip())
-    if match is None:
+    text = cell.partition("\n")[2].strip()
+    if not text or "\n" in text:
         raise location.error("the block has no name of its set-up")
-    return match[1] or "", match[2], (match[3] or "").replace("/", "-").strip()
+    end = text.rfind("::", 0, len(text) - 1)
+    instrument = text if end < 0 else text[end + 2 :]
+    number, _, model = instrument[1:].partition(" - ")
+    return text[: max(end, 0)], instrument[0] + number, model.replace("/", "-").strip()
 
 
 def _read_pose(block: _SetupSection, fields: Sequence[str], location: SourceLocation) -> None:
@@ -265,13 +277,19 @@ def _new_names_by_group(name: str, groups: dict[str, list[tuple[str, Floats]]]) 
     most stations, and among equals with most pointings, keeps the name.
     """
     clusters: list[tuple[Floats, list[str]]] = []
+    indices_by_cell: defaultdict[tuple[float, ...], list[int]] = defaultdict(list)
+    """Indices of the clusters in each cell of a grid, of which a point has near ones in its own and adjacent cells."""
     for group, members in groups.items():
         centre = np.median([position for _, position in members], axis=0)
-        near = next((c for c in clusters if np.linalg.norm(c[0] - centre) < MAX_SAME_POINT_DISTANCE), None)
+        cell = np.floor(centre / MAX_SAME_POINT_DISTANCE).tolist()
+        adjacent = product(*((value - 1, value, value + 1) for value in cell)) if clusters else ()
+        candidates = sorted(index for place in adjacent for index in indices_by_cell.get(place, ()))
+        near = next((i for i in candidates if math.dist(clusters[i][0], centre) < MAX_SAME_POINT_DISTANCE), None)
         if near is None:
+            indices_by_cell[tuple(cell)].append(len(clusters))
             clusters.append((centre, [group]))
         else:
-            near[1].append(group)
+            clusters[near][1].append(group)
 
     def n_stations_and_pointings(cluster: tuple[Floats, list[str]]) -> tuple[int, int]:
         stations = [station for group in cluster[1] for station, _ in groups[group]]

@@ -6,7 +6,6 @@ import csv
 import io
 import re
 import warnings
-import zipfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -23,14 +22,12 @@ from ltsim.core.limits import (
     MAX_LINE_CHARACTERS,
     MAX_ROW_FIELDS,
     MAX_TEXT_LINES,
-    MAX_WORKBOOK_BYTES,
     MAX_WORKBOOK_CELLS,
-    MAX_WORKBOOK_PARTS,
     MAX_WORKBOOK_SHEETS,
 )
 from ltsim.recordings.files import SourceLocation, is_number, quoted_text, read_bytes, read_lines
 from ltsim.recordings.tables.cells import is_value, thousands_separator
-from ltsim.recordings.xml import check_xml_part
+from ltsim.recordings.tables.workbook_archive import checked_archive
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
 """Suffixes of the names of files that are read as tables."""
@@ -318,10 +315,10 @@ def workbook_cells(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
         raise RecordError(message, file=file) from None
     packed = io.BytesIO(read_bytes(file))  # of a damaged file the library would leave its own handle open
     try:
-        _check_workbook_parts(file, packed)
+        checked = checked_archive(file, packed)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # on styles and extensions, which hold no cell
-            book = load_workbook(packed, read_only=True, data_only=True, keep_links=False)
+            book = load_workbook(checked, read_only=True, data_only=True, keep_links=False)
             try:
                 return _read_workbook_sheets(book, file)
             finally:
@@ -333,21 +330,6 @@ def workbook_cells(file: Path) -> list[tuple[str, list[WorkbookRow]]]:
     except Exception as problem:  # the library raises whatever its parts raise
         what = f"is not a readable workbook ({type(problem).__name__}): it is damaged; save it again, or as CSV"
         raise RecordError(what, file=file) from None
-
-
-def _check_workbook_parts(file: Path, workbook_archive: io.BytesIO) -> None:
-    """Check of the number of parts, the unpacked size and the XML of a workbook; raises RecordError."""
-    with zipfile.ZipFile(workbook_archive) as archive:
-        parts = archive.infolist()
-        if len(parts) > MAX_WORKBOOK_PARTS:
-            raise RecordError(f"holds more than {MAX_WORKBOOK_PARTS} parts, the limit for reading", file=file)
-        if sum(part.file_size for part in parts) > MAX_WORKBOOK_BYTES:
-            most = f"{MAX_WORKBOOK_BYTES // BYTES_PER_MIB} MiB"
-            raise RecordError(f"unpacks to more than {most}, the limit for reading; save the table as CSV", file=file)
-        for part in parts:
-            content = archive.read(part)
-            if part.filename.lower().endswith(".xml") or b"<" in content.lstrip()[:4]:  # after any byte-order mark
-                check_xml_part(content, file)
 
 
 def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[WorkbookRow]]]:

@@ -83,11 +83,9 @@ ACTIONS_BY_FAILED_TEST = {
 
 def check_section(content: Check, context: SectionContext) -> Section:
     """Section of a field check: go or no-go, and every test."""
-    picture_file = context.companion_file("check.svg", content)
+    file = context.companion_file("check.svg", content)
     caption = "Above: half two-face differences divided by their limits. Below: misfit of each pointing over time."
-    blocks: list[Block] = (
-        [] if picture_file is None else [PictureBlock("At a glance", lambda: read_text(picture_file), caption)]
-    )
+    blocks: list[Block] = [] if file is None else [PictureBlock("At a glance", lambda: read_text(file), caption)]
     fields = ("station", "kind=test", "sentence=result", "targets", "p_value")
     for title, passed in (("Tests failed", False), ("Tests passed", True)):
         blocks += entries_table_blocks(
@@ -95,7 +93,7 @@ def check_section(content: Check, context: SectionContext) -> Section:
         )
     failed = sum(not item.passed for item in content.items)
     facts = [KeyFigure("tests", str(len(content.items))), KeyFigure("failed", str(failed), assessment_of(not failed))]
-    blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and picture_file else blocks
+    blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and file else blocks
     n_open_blocks = 2 if failed else 1
     recording_title = content.recording.title if content.recording else ""
     title, answer = (
