@@ -266,7 +266,7 @@ def load_campaign(
         for key, value in campaign.values_by_key(campaign.scenario_changes).items()
     }
     units = change_scenario(base, common_values, path)  # with the effects that `scenario_changes` adds
-    require_small_manifest(base, sum(1 for _ in campaign.cell_changes()), path)
+    require_small_manifest(base, sum(1 for _ in campaign.scenario_changes_of_cells()), path)
     items = []
     for number, values in enumerate(campaign.scenario_changes_of_cells(), start=1):
         where = f"{path}: cell {number}"
