@@ -91,7 +91,7 @@ class AcceptancePlan:
 
     @cached_property
     def error_sigmas(self) -> Floats:
-        """Standard deviations (tests, 2) [m] of the components of `expected_errors` due to noise of the readings."""
+        """Standard deviations (tests, 2) [m] of both components of the test errors due to noise of the readings."""
         first, second = self._test_end_points
         squares = np.zeros((len(first), 2))
         near, far = (self._point_noise(points) for points in (first, second))

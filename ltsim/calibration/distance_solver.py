@@ -76,14 +76,14 @@ class DistanceEstimate:
 
 
 def mean_deviation_comparisons(problem: DistanceProblem, distances: PairDistances) -> ComparedDistances:
-    """Weighted deviations of distances from their mean over sets; their sum of squares is the distance objective."""
+    """Weighted deviations of distances from their mean over stations and faces; their squares add to the objective."""
     centre, count = mean_removal_matrix(distances)
     scaled_centring = sp.diags_array(np.sqrt(count)) @ centre
     return _append_gauge_rows(problem, distances, sp.csr_array(scaled_centring))
 
 
 def pair_difference_comparisons(problem: DistanceProblem, distances: PairDistances) -> ComparedDistances:
-    """Terms of the distance objective: differences of distances between two sets, and deviations from gauge lengths."""
+    """Terms of the distance objective: differences of a distance between two stations or faces, or from the gauge."""
     first, second = compared_distance_indices(distances)
     problem._check_matrix_size(len(first))
     n_distances = len(distances.lengths)

@@ -98,7 +98,7 @@ def log_marginal_likelihood(
 
 
 def forward_select(score_function: Callable[[Collection[int]], Floats], min_score: float) -> dict[int, Floats]:
-    """Index of each selected change, with the scores of all candidates at its selection; forward selection.
+    """Forward selection: index of each selected change, and the scores of all candidates when it was selected.
 
     `score_function` returns the score of each candidate change, given the indices of the changes selected so far. The
     change with the largest score is added while this score exceeds `min_score`. After each addition, every earlier

@@ -219,7 +219,7 @@ def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
 def _uncertainty_factor_of(adjustment: Adjustment) -> float:
     """Factor on the standard deviations of a network: sigma0 if the readings contradict the model, otherwise 1."""
     return uncertainty_factor(
-        result.fit_entry(adjustment), is_sigma0_credible=result.verdict_entry(adjustment).uses_estimated_noise
+        result.fit_entry(adjustment), is_sigma0_credible=result.fit_verdict(adjustment).uses_estimated_noise
     )
 
 
@@ -322,7 +322,7 @@ def _make_calibration(
         criteria=result.criteria_entry(recording, adjustment, construction, values),
         reflectors=result.reflector_entries(adjustment),
         outliers=result.outlier_rows(adjustment),
-        verdict=VerdictEntry.from_verdict(result.verdict_entry(adjustment, fields.get("fit_with_constants"))),
+        verdict=VerdictEntry.from_verdict(result.fit_verdict(adjustment, fields.get("fit_with_constants"))),
         noise=result.noise_rows(adjustment),
         reference_values=result.reference_value_entries(adjustment),
         undetermined_targets=adjustment.undetermined_targets,

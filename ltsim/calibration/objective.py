@@ -175,7 +175,10 @@ def mean_removal_matrix(distances: PairDistances) -> tuple[sp.csr_array, Floats]
 
 
 def compared_distance_indices(distances: PairDistances) -> tuple[Ints, Ints]:
-    """Indices of the first and second distance of each comparison: distances of one pair of targets in two sets."""
+    """Indices of the first and second distance of each comparison: one pair of targets, measured in two sets.
+
+    A set is the pointings of one station and face.
+    """
     order = np.argsort(distances.pair_indices, kind="stable")
     return _index_pairs(np.split(order, np.flatnonzero(np.diff(distances.pair_indices[order])) + 1))
 

@@ -119,7 +119,7 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     single &= _has_estimated_error(adjustment, whitened)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(whitened[at[0], at[1]])):
         outliers.append(row(i, k, adjustment.residuals[i, k], float(whitened[i, k]), excluded=True))
-    flagged_readings = adjustment.flagged_readings(uses_estimated_noise=verdict_entry(adjustment).uses_estimated_noise)
+    flagged_readings = adjustment.flagged_readings(uses_estimated_noise=fit_verdict(adjustment).uses_estimated_noise)
     return (
         *outliers,
         *(
@@ -140,7 +140,7 @@ def _has_estimated_error(adjustment: Adjustment, whitened_residuals: Floats) -> 
     return ~is_unconnected[:, None] & (~lost[:, None] | (np.abs(whitened_residuals) > MAX_CHANCE_SIGMAS))
 
 
-def verdict_entry(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:
+def fit_verdict(adjustment: Adjustment, fit: FitEntry | None = None) -> Verdict:
     """Verdict on which test to trust, at the level `AGREEMENT_LEVEL`; `fit` estimates the instrument constants too."""
     return verdict_on(adjustment, AGREEMENT_LEVEL, None if fit is None else (fit.chi2, fit.dof))
 

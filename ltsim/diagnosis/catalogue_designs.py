@@ -350,7 +350,7 @@ def _with_size_raised_to_noise(
         pointing_indices, np.einsum("rq,rq->r", design_columns, design_columns) / design_columns.shape[1]
     )
     factor = size_factor_to_noise_level(np.sqrt(squares))
-    return replace(effect, size_factor=factor) if factor > 1.0 else effect, factor
+    return replace(effect, plausible_size_factor=factor) if factor > 1.0 else effect, factor
 
 
 def _dense_group(

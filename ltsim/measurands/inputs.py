@@ -260,7 +260,7 @@ def air_uncertainty_sources(
 
 
 def _reduce_variates(variate_response: Floats) -> Floats:
-    """Displacements by at most as many independent random variables as coordinates, with the covariance of the input.
+    """Displacements [m] with the same covariance by at most as many independent random variables as coordinates.
 
     `variate_response` (coordinates, random variables) holds the displacements [m] by one standard deviation of each
     random variable.

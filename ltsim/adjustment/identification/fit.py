@@ -283,7 +283,7 @@ class NetworkFit:
         effects = list[LinearEffect]()
         for _, shift, at in self.shifts_with_slices:
             times = float(np.max(np.abs(self.state.extra_parameters[at]) / shift.effect.plausible_sizes))
-            effects.append(replace(shift.effect, size_factor=max(1.0, times)))  # type: ignore[type-var]
+            effects.append(replace(shift.effect, plausible_size_factor=max(1.0, times)))  # type: ignore[type-var]
         return tuple(effects)
 
     def correct_recording(self, recording: Recording, keeps_outliers: bool = False) -> Recording:

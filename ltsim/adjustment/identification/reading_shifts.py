@@ -35,7 +35,7 @@ class ReadingShift(LinearEffect):
     """Names of the targets whose readings are shifted; empty for all."""
     onset_time: float = -np.inf
     """Time [s] of the first shifted reading."""
-    size_factor: float = 1.0
+    plausible_size_factor: float = 1.0
     """Factor on the plausible size of the parameter, which scales its weak prior."""
     is_drift: bool = False
     """True if the shift grows with the time since the first pointing of the station."""
@@ -57,7 +57,7 @@ class ReadingShift(LinearEffect):
     @property
     def plausible_sizes(self) -> Floats:
         """Plausible size (1,) of the parameter [SI]."""
-        return self.size_factor * super().plausible_sizes
+        return self.plausible_size_factor * super().plausible_sizes
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings of n pointings per unit [SI] of the parameter."""

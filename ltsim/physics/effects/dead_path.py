@@ -15,7 +15,7 @@ because it cannot be estimated."""
 
 
 class DeadPath(Effect):
-    """Dead path: a part of the reference path inside the head warms up with the air, without correction.
+    """Dead path: a part of the reference path inside the head warms up with the air, and ranges are not corrected.
 
     Delta_d = k (T - T_0), T the recorded air temperature, T_0 the one at the first pointing. For an interferometer
     k = -beta D_0, with beta = 0.955 ppm/K the change of the refractive index of air and D_0 the length of the path. For

@@ -14,7 +14,7 @@ def beam_deviation_basis(readings: Floats) -> Floats:
 
 
 class DetectorOffset(ChainErrorEffect):
-    """Null offset of the tracking detector: the return spot is held off centre, so the beam misses the vertex.
+    """Null offset of the tracking detector: the return spot is held off centre, and the beam misses the vertex.
 
     The corrections are lengths across the beam: D_t = f eps_y / 2 to the left and D_v = f eps_z / 2 upward, with the
     offset (eps_y, eps_z) of the return spot and f = +1 on face 1 and -1 on face 2. The effect equals a beam offset of

@@ -71,7 +71,7 @@ class Effect(CandidateEffect):
     """Names of the stations at which the effect acts; empty for all."""
     targets: tuple[str, ...] = ()
     """Names of the targets at which the effect acts; empty for all."""
-    size_factor: float = field(default=1.0, kw_only=True)
+    plausible_size_factor: float = field(default=1.0, kw_only=True)
     """Factor on the plausible sizes of the parameters; it exceeds 1 for instruments that are less accurate than a
     tracker."""
 
@@ -98,8 +98,8 @@ class Effect(CandidateEffect):
 
     @property
     def plausible_sizes(self) -> Floats:
-        """Plausible sizes (p,) of the p parameters [SI], times `size_factor`."""
-        return self.size_factor * super().plausible_sizes
+        """Plausible sizes (p,) of the p parameters [SI], times `plausible_size_factor`."""
+        return self.plausible_size_factor * super().plausible_sizes
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

@@ -319,7 +319,7 @@ def design_from_displacements(sightings: Sightings, displacement: Floats) -> Flo
 
 def n_parameters_and_constants(effect: CandidateEffect) -> int:
     """Number of parameters of an effect plus the number of constants (of shape and position) among its fields."""
-    constants = (value for name, value in vars(effect).items() if name != "size_factor")
+    constants = (value for name, value in vars(effect).items() if name != "plausible_size_factor")
     return len(effect.parameters) + sum(np.size(value) for value in constants if _is_number(value))
 
 

@@ -12,8 +12,8 @@ EFFECT_NAME_BY_RESPONSE_AND_COVARIATE = {
 }
 """Name of the catalogue effect that is equivalent to a law, by the names of the law's response and covariate."""
 FUNCTIONS_OF_NAMED_EFFECTS = ("decay", "power", "sin", "cos", "tan")
-"""Functions of a covariate with which a law is called by the name of the catalogue effect. Sine, cosine and tangent are
-among them: they differ from powers of the angle by less than a catalogue effect differs between two instruments.
+"""Functions of a covariate for which a law gets the name of a catalogue effect. Sine, cosine and tangent are included:
+they differ from powers of the angle by less than a catalogue effect differs between two instruments.
 """
 TIME_FUNCTIONS_OF_MOVED_TARGET = ("step", "power", "decay")
 """Functions of time that the position of a target may have in the effect `target-moved`: a step, a steady motion, or a

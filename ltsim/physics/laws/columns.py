@@ -28,8 +28,8 @@ N_MODES_IN_PRODUCT = 4
 """Number of eigenfunctions (of the Laplacian) that represent a smooth curve as a factor of a product, or in a law of a
 single target."""
 N_MODES_FINE = 32
-"""Number of eigenfunctions (of the Laplacian) that represent the finer curve that replaces a smooth curve of the
-selected law on trial."""
+"""Number of eigenfunctions (of the Laplacian) that represent a finer curve, which a search tries in place of the smooth
+curve of the selected law."""
 BASIS_WIDTH_RATIO = 1.25
 """Width of the interval at whose ends all eigenfunctions of a smooth curve are zero, divided by the width of the
 covariate's range. It is larger than 1 because a curve is not necessarily zero at the ends of the range.

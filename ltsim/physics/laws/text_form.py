@@ -43,7 +43,7 @@ PHRASE_BY_COVARIATE = {
 }
 """Phrases for users in place of names of covariates that a sentence does not explain."""
 GROUP_COVARIATES = ("station", "target", "last-target")
-"""Covariates with whose values (stations, targets, previous targets) a law may have separate amounts."""
+"""Covariates for each value of which (a station, target or previous target) a law may have a separate amount."""
 REGRESSOR_TEXT_TEMPLATES: dict[tuple[str, str, float | None], str] = {
     ("constant", "", None): "constant",
     ("smooth", "", None): "a smooth function of {x}",
