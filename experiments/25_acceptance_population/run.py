@@ -8,7 +8,7 @@ import pandas as pd
 
 from experiments.common import Made, Options, Row, show_table, write_figure
 from ltsim.acceptance.prediction import AcceptancePlan, point_errors_by_constant
-from ltsim.acceptance.spec import builtin_tests, envelope_points
+from ltsim.acceptance.spec import builtin_tests, points_around_instrument
 from ltsim.core.randomness import random_stream
 from ltsim.geometry.polar import to_polar
 from ltsim.physics.model.construction import misalignment_construction
@@ -20,7 +20,7 @@ BLOCK = 1000
 
 def population(config: dict[str, Any], trials: int) -> pd.DataFrame:
     """Largest point error over its limit (`share`), and whether each plan is passed: an instrument a row."""
-    limits, built, points = data_sheet(config["sheet"]), misalignment_construction(), envelope_points()
+    limits, built, points = data_sheet(config["sheet"]), misalignment_construction(), points_around_instrument()
     stated = limits.to_instrument()
     plans = {
         name: AcceptancePlan(

@@ -14,7 +14,7 @@ from ltsim.acceptance.files import (
     WorstPassingInstrument,
     group_summaries,
 )
-from ltsim.acceptance.spec import AcceptanceSettings, AcceptanceTest, envelope_points
+from ltsim.acceptance.spec import AcceptanceSettings, AcceptanceTest, points_around_instrument
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
@@ -145,7 +145,7 @@ class AcceptancePlan:
             expected_errors=mean_errors,
             error_sigmas=np.sqrt(variance),
             pass_probabilities=passed / n_trials,
-            p_all_pass=every / n_trials,
+            all_pass_probability=every / n_trials,
             pass_probability_by_group={name: count / n_trials for name, count in groups.items()},
         )
 
@@ -217,7 +217,7 @@ class AcceptancePrediction:
     """Standard deviations of the two components of `expected_errors` including noise, (tests, 2) [m]."""
     pass_probabilities: Floats
     """Probability that each test passes, (tests,)."""
-    p_all_pass: float
+    all_pass_probability: float
     """Probability that all tests pass."""
     pass_probability_by_group: dict[str, float]
     """Probability that all tests of a group pass, by name of the group."""
@@ -261,7 +261,7 @@ def predicted_result(
     `prior_sigmas` (constants,) [SI] are the prior standard deviations of the instrument constants. The sentence of the
     result begins with `instrument_description`.
     """
-    values, rms, largest = plan.worst_passing_constants(prior_sigmas, envelope_points())
+    values, rms, largest = plan.worst_passing_constants(prior_sigmas, points_around_instrument())
     error_sizes = np.hypot(prediction.expected_errors[:, 0], prediction.expected_errors[:, 1])
     errors = np.where(plan.is_length, prediction.expected_errors[:, 0], error_sizes)
     expanded_uncertainties = 2 * np.sqrt(np.sum(prediction.error_sigmas**2, axis=1))
@@ -288,7 +288,11 @@ def predicted_result(
         )
         for k, p in enumerate(parameters)
     )
-    chance = f"{100 * prediction.p_all_pass:.1f} %" if prediction.p_all_pass < 0.9995 else "more than 99.9 %"
+    chance = (
+        f"{100 * prediction.all_pass_probability:.1f} %"
+        if prediction.all_pass_probability < 0.9995
+        else "more than 99.9 %"
+    )
     least_probable = min(zip(prediction.pass_probabilities, plan.tests, strict=True), key=lambda pair: pair[0])
     sentence = f"{instrument_description} passes all {len(tests)} tests with a probability of {chance}"
     if least_probable[0] < 0.9995:
@@ -299,7 +303,7 @@ def predicted_result(
         plan_name=acceptance_settings.plan_name,
         specification=plan.specification,
         assumption=plan.specification.assumption_sentence,
-        pass_probability=prediction.p_all_pass,
+        pass_probability=prediction.all_pass_probability,
         sentence=sentence,
         groups=group_summaries(tests, prediction.pass_probability_by_group),
         tests=tests,

@@ -181,7 +181,7 @@ def _point_from_row(row: dict[str, str], end_name: str, line_number: int, file: 
     return coordinates[0], coordinates[1], coordinates[2]
 
 
-def envelope_points() -> Floats:
+def points_around_instrument() -> Floats:
     """Points (180, 3) [m] around an instrument, at which point errors that acceptance tests do not detect are computed.
 
     Distances are 1.5 to 9 m, elevations -50 to 50 degrees, with a point every 30 degrees of azimuth.

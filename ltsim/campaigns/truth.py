@@ -166,15 +166,15 @@ class CellTruth:
 
         The constant part has the shape (pointings, 3), the design matrix (pointings, 3, effect parameters).
         """
-        constant = effect_distribution.effect.reading_change(self.sightings, effect_distribution.mean_values)
-        if not np.any(effect_distribution.value_sigmas):  # nothing is drawn
-            return constant, np.zeros((*constant.shape, len(effect_distribution.mean_values)))
+        constant = effect_distribution.effect.reading_change(self.sightings, effect_distribution.parameter_means)
+        if not np.any(effect_distribution.parameter_sigmas):  # nothing is drawn
+            return constant, np.zeros((*constant.shape, len(effect_distribution.parameter_means)))
         design = effect_distribution.effect.design(self.sightings)
-        probe = effect_distribution.mean_values + 3 * effect_distribution.value_sigmas
+        probe = effect_distribution.parameter_means + 3 * effect_distribution.parameter_sigmas
         miss = (
             effect_distribution.effect.reading_change(self.sightings, probe)
             - constant
-            - design @ (3 * effect_distribution.value_sigmas)
+            - design @ (3 * effect_distribution.parameter_sigmas)
         )
         return (constant, design) if np.all(np.abs(miss) <= MAX_NONLINEARITY * self.recording.sigma()) else None
 
@@ -245,7 +245,7 @@ class CellTruth:
         if linear is None:
             return np.stack([entry.effect.reading_change(self.sightings, v) for v in amounts.T], axis=2)
         constant, design = linear
-        return constant[:, :, None] + np.tensordot(design, amounts - entry.mean_values[:, None], axes=1)
+        return constant[:, :, None] + np.tensordot(design, amounts - entry.parameter_means[:, None], axes=1)
 
     def _round_to_resolution(self, reading_deviations: Floats) -> Floats:
         """Deviations from nominal readings, (pointings, 3, trials), changed in place by rounding of the readings."""

@@ -50,7 +50,7 @@ class Displacement(Entry):
     """True if the displacement of the target is significant."""
     position_mm: Vector
     """Position in the first epoch [mm]."""
-    shift_um: Vector
+    displacement_um: Vector
     """Displacement, second minus first epoch [um], in the frame that the stable points define."""
     sigma_um: Vector
     """Standard deviation of each component of the displacement [um]."""
@@ -71,7 +71,7 @@ class Displacement(Entry):
     @property
     def table_row(self) -> list[Any]:
         """Row of this displacement in the table displacements.csv."""
-        numbers = *self.position_mm, *self.shift_um, *self.sigma_um, *self.semi_axes_um
+        numbers = *self.position_mm, *self.displacement_um, *self.sigma_um, *self.semi_axes_um
         return [self.target, self.moved, *numbers, self.p_value, self.detectable_um[1]]
 
 
@@ -299,7 +299,7 @@ def _displacement_of_point(
         target=difference.point_names[point],
         moved=point in other_moved_points,
         position_mm=(difference.first_epoch_points[point] / MILLIMETRE).tolist(),
-        shift_um=(shift / MICROMETRE).tolist(),
+        displacement_um=(shift / MICROMETRE).tolist(),
         sigma_um=(np.sqrt(np.diag(covariance)) / MICROMETRE).tolist(),
         covariance_um2=(covariance / MICROMETRE**2).tolist(),
         semi_axes_um=(semi_axes / MICROMETRE).tolist(),
@@ -310,7 +310,7 @@ def _displacement_of_point(
 
 
 def _result_sentence(displacements: Sequence[Displacement]) -> str:
-    size_by_target = {d.target: float(np.linalg.norm(d.shift_um)) for d in displacements if d.moved}
+    size_by_target = {d.target: float(np.linalg.norm(d.displacement_um)) for d in displacements if d.moved}
     if not size_by_target:
         sure = max(d.detectable_um[1] for d in displacements)
         return f"no point moved; a displacement of {sure:.0f} um of any point would be detected with 80 % probability"

@@ -38,9 +38,9 @@ class EffectDistribution:
 
     effect: Effect
     """Effect of the catalogue, with the stations and targets where it acts."""
-    mean_values: Floats
+    parameter_means: Floats
     """Mean of each parameter of the effect, shape (parameters,) [SI]."""
-    value_sigmas: Floats
+    parameter_sigmas: Floats
     """Standard deviation of each parameter of the effect, shape (parameters,) [SI]; 0 for a declared value."""
     occurrence_number: int = 1
     """Number of this effect, from 1, among the scenario's entries of the same effect at the same stations and
@@ -182,8 +182,8 @@ class TrialDistributions:
 
     def _draw_effect_values(self, distribution: EffectDistribution, normal_source: StandardNormalSource) -> Floats:
         """True parameters of the effect `distribution`, shape (parameters, trials) [SI]."""
-        effect_values = np.repeat(distribution.mean_values[:, None], len(normal_source.trials), axis=1)
-        for k in np.flatnonzero(distribution.value_sigmas):
+        effect_values = np.repeat(distribution.parameter_means[:, None], len(normal_source.trials), axis=1)
+        for k in np.flatnonzero(distribution.parameter_sigmas):
             key = (
                 distribution.effect.name,
                 distribution.effect.place_text,
@@ -191,7 +191,7 @@ class TrialDistributions:
                 distribution.effect.parameters[k].name,
             )
             drawn = normal_source(1, "effect", *key)[0]
-            effect_values[k] += distribution.value_sigmas[k] * (
+            effect_values[k] += distribution.parameter_sigmas[k] * (
                 np.abs(drawn) if distribution.is_nonnegative[k] else drawn
             )
         return effect_values

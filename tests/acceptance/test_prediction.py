@@ -7,7 +7,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.acceptance.prediction import AcceptancePlan
-from ltsim.acceptance.spec import asme_tests, envelope_points, iso_two_face_tests
+from ltsim.acceptance.spec import asme_tests, iso_two_face_tests, points_around_instrument
 from ltsim.core.arrays import Floats
 from ltsim.physics.model.construction import misalignment_construction, steering_mirror_construction
 from ltsim.recordings.specification import data_sheet
@@ -96,8 +96,8 @@ def test_chance_to_pass_is_that_of_simulated_instruments(plan: AcceptancePlan) -
         ).all()
         for _ in range(600)
     ]
-    assert np.mean(passed) == pytest.approx(told.p_all_pass, abs=3 * np.sqrt(0.25 / 600))
-    assert 0 < told.p_all_pass < min(told.pass_probabilities)
+    assert np.mean(passed) == pytest.approx(told.all_pass_probability, abs=3 * np.sqrt(0.25 / 600))
+    assert 0 < told.all_pass_probability < min(told.pass_probabilities)
     assert set(told.pass_probability_by_group) == {t.group for t in plan.tests}
 
 
@@ -107,7 +107,7 @@ def test_an_instrument_can_pass_and_be_bad(design: str) -> None:
     stated = SHEET.to_instrument(design)
     plan = AcceptancePlan(tuple(iso_two_face_tests(1.5)), built, SHEET, stated.noise)
     prior = np.array([p.prior_sigma_from(stated.prior) for p in built.parameters])
-    values, rms, largest = plan.worst_passing_constants(prior, envelope_points())
+    values, rms, largest = plan.worst_passing_constants(prior, points_around_instrument())
     assert plan.is_within_limits(plan.test_errors(values)).all()
     assert np.linalg.norm(values / prior) <= 3.001
     assert largest > rms > 10 * MICROMETRE
@@ -116,7 +116,7 @@ def test_an_instrument_can_pass_and_be_bad(design: str) -> None:
 def test_it_errs_on_a_network_as_told(plan: AcceptancePlan) -> None:
     """The worst instrument that passes is simulated in the workshop: targets are off, a good one's are not."""
     prior = np.array([p.prior_sigma_from(SHEET.to_instrument().prior) for p in plan.construction.parameters])
-    worst, _, _ = plan.worst_passing_constants(prior, envelope_points())
+    worst, _, _ = plan.worst_passing_constants(prior, points_around_instrument())
     quiet = {"distance_mm": 1e-4, "distance_ppm": 0.0, "azimuth_arcsec": 1e-3, "elevation_arcsec": 1e-3}
     sizes = []
     for factor in (0.0, 1.0):

@@ -60,7 +60,7 @@ def test_a_point_that_moved_is_named_and_no_other() -> None:
     found = compare_adjustments(first, epoch(2, ("T06", shift)), same_instrument=True)
     assert found.moved_points == ("T06",)
     told = found.displacements[5]
-    gap = told.shift_um - 1e6 * np.array(shift)
+    gap = told.displacement_um - 1e6 * np.array(shift)
     assert gap @ np.linalg.solve(told.covariance_um2, gap) < 16.3  # 99.9 % of three directions
     assert found.p_value_without_moved_points > 0.001
     assert "T06" in found.sentence

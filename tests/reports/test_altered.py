@@ -64,7 +64,7 @@ CONTENTS: dict[str, dict[str, Any]] = {
         "significance_level": 0.05, "statistic": 30.0,
         "dof": 3, "p_value": 1e-5, "p_value_without_moved_points": 0.4, "scale_ppm": 0.3, "notes": ["a note"],
         "displacements": [{
-            "target": "T1", "moved": True, "position_mm": [1.0, 2.0, 3.0], "shift_um": [90.0, 1.0, 1.0],
+            "target": "T1", "moved": True, "position_mm": [1.0, 2.0, 3.0], "displacement_um": [90.0, 1.0, 1.0],
             "sigma_um": [9.0, 9.0, 9.0], "covariance_um2": [[81.0, 0, 0], [0, 81.0, 0], [0, 0, 81.0]],
             "semi_axes_um": [25.0, 25.0, 25.0], "p_value": 1e-5, "detectable_um": [30.0, 40.0],
         }],

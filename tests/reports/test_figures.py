@@ -209,8 +209,8 @@ def displacement_figure() -> Figure:
     names = ["T1", "T1", "T1", "T1", "T1", MARKUP]
     told = {"sigma_um": (1, 1, 1), "covariance_um2": np.eye(3).tolist(), "p_value": 0.5, "detectable_um": (1, 2)}
     displacements = [
-        {"target": name, "moved": i in (0, 5), "position_mm": (1e3 * place).tolist(), "shift_um": (20 * shift).tolist(),
-         "semi_axes_um": (15, 15, 15), **told}
+        {"target": name, "moved": i in (0, 5), "position_mm": (1e3 * place).tolist(),
+         "displacement_um": (20 * shift).tolist(), "semi_axes_um": (15, 15, 15), **told}
         for i, (name, place, shift) in enumerate(zip(names, *draws, strict=True))
     ]  # fmt: skip
     whole = {

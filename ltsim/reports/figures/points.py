@@ -22,7 +22,7 @@ def displacement_figure(comparison: Comparison) -> Figure:
     """
     points = comparison.displacements
     positions, shifts, semi_axes = (
-        np.array([getattr(d, name) for d in points]) for name in ("position_mm", "shift_um", "semi_axes_um")
+        np.array([getattr(d, name) for d in points]) for name in ("position_mm", "displacement_um", "semi_axes_um")
     )
     moved, names = np.array([d.moved for d in points], dtype=bool), [d.target for d in points]
     figure = style.new_figure(3.0)
