@@ -60,8 +60,8 @@ def correct(
     if corrections.is_rejected and corrections.instrument_parameter_names and not allow_rejected:
         raise RecordError(
             f"the readings of the calibration contradict its model (sigma0 = {corrections.uncertainty_factor:.3g}), "
-            "and another cause may be in its parameters: run ltsim diagnose on its recording and calibrate again "
-            f"without that cause, or give {option_text('allow_rejected=True')} to use it nevertheless"
+            "and an unmodelled cause may distort its parameters: run ltsim diagnose on its recording, remove the cause "
+            f"and calibrate again, or give {option_text('allow_rejected=True')} to use it nevertheless"
         )
     parameter_values = corrections.applied_values_for(source)
     uncorrected = source.with_readings(source.readings - incidence_reading_changes(source, corrections))

@@ -394,7 +394,7 @@ def sentences_on_minimum(
     method = "equation-9" if norm == "squares" else "equation-9-l1"
     n_undetermined = len(estimate.undetermined_combinations)
     return (
-        f"eq. 9 is {power * estimate.objective_value:.4g} {unit} here: {n_undetermined} combinations "
-        f"that the readings hardly determine are set to zero. The minimum of eq. 9 is {power * minimum:.4g} {unit} "
-        f"(method {method}): there these combinations are fitted to the noise",
+        f"the distance objective (eq. 9) of this estimate is {power * estimate.objective_value:.4g} {unit}, with "
+        f"{n_undetermined} hardly determined combinations set to zero. The minimum of eq. 9 is {power * minimum:.4g} "
+        f"{unit} (method {method}), where these combinations are fitted to the noise",
     )

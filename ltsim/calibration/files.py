@@ -95,8 +95,8 @@ def _rejected_fit_warnings(content: Calibration, file: Path) -> tuple[str, ...]:
         return ()
     return (
         f"{file}: the readings of this calibration contradict its model (sigma0 = {content.uncertainty_factor:.3g}); "
-        "another cause may be in its parameters: run ltsim diagnose on its recording and calibrate again without that "
-        "cause",
+        "an unmodelled cause may distort its parameters: run ltsim diagnose on its recording, remove the cause and "
+        "calibrate again",
     )
 
 

@@ -66,7 +66,7 @@ PARAMETER_HISTORIES_TABLE = Table(
         Column("sigma_last", "its standard deviation"),
         *text_columns(unit="of all numbers of the row"),
         Column("mean", "weighted mean of the estimates", n_digits=3),
-        Column("spread", "standard deviation over the calibrations", n_digits=3),
+        Column("spread", "standard deviation between calibrations, without estimation errors", n_digits=3),
         Column("p_constant", "p-value of no change", "chance"),
     ),
 )

@@ -85,7 +85,7 @@ class DistanceProblem:
     def _check_matrix_size(self, n_rows: int) -> None:
         """Check that the matrix of the distances is not too large; raises NetworkError."""
         if n_rows * (self.prior_sigma.size + 8) > MAX_MATRIX_ENTRIES:
-            raise NetworkError(f"the distance objective has {n_rows} distances, too many; use the network method")
+            raise NetworkError(f"the distance objective has too many distances ({n_rows}); use the method network")
 
     def distances_at(self, unknowns: Floats) -> PairDistances:
         """Distances within all sets (station and face), for `unknowns`: instrument parameters in prior sigmas."""

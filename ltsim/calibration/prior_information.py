@@ -89,7 +89,8 @@ class EarlierCalibrationPrior:
         if np.shape(content.mean_covariance) != (len(courses), len(courses)):
             raise RecordError("the file has no covariance of the means; write it again with `ltsim history`", file=file)
         factor = np.array([SI_PER_UNIT[course.unit] for course in courses])
-        mean, spread = (np.array([getattr(course, what) for course in courses]) * factor for what in ("mean", "spread"))
+        mean = np.array([course.mean for course in courses]) * factor
+        spread = np.array([course.between_calibration_sigma for course in courses]) * factor
         covariance = np.diag(spread**2) + np.array(content.mean_covariance) * np.outer(factor, factor)
         names = tuple(course.name for course in courses)
         return cls(content.construction, names, ("",), mean[None], covariance[None], spread, len(content.calibrations))
