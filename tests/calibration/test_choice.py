@@ -171,7 +171,7 @@ def test_a_history_is_a_prior_and_takes_only_calibrations_without_one(recording:
 
 def test_an_extra_coefficient_that_contradicts_its_prior_is_said_and_estimated() -> None:
     built = dh_construction()
-    at = built.index("J1.eX_sin2")
+    at = built.parameter_index("J1.eX_sin2")
     values = np.zeros(built.n_parameters)
     values[at] = 5e-6
     recording = network(faces=2, seed=2, values=values, construction=built)[0]

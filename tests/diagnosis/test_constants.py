@@ -57,11 +57,13 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
     ).contradictions
     assert found[0].instruments == ("B",)
     k = 16 + adjustment.construction.parameter_names.index(found[0].parameter.name)
-    seen = np.linalg.eigh(said.information)
+    seen = np.linalg.eigh(said.information_matrix)
     turn = seen[1][:, seen[0] > 1e-9 * seen[0].max()]
 
     def density(covariance):
-        inner = turn.T @ (said.information + said.information @ covariance @ said.information) @ turn
+        inner = (
+            turn.T @ (said.information_matrix + said.information_matrix @ covariance @ said.information_matrix) @ turn
+        )
         y = turn.T @ said.information_vector
         return -0.5 * (y @ np.linalg.solve(inner, y) + np.linalg.slogdet(inner)[1])
 
