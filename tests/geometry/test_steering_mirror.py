@@ -23,7 +23,7 @@ MIRROR = steering_mirror_construction()
 def values(**stated: float) -> Floats:
     found = np.zeros(MIRROR.n_parameters)
     for name, value in stated.items():
-        found[MIRROR.index(name.replace("_", "-"))] = value
+        found[MIRROR.parameter_index(name.replace("_", "-"))] = value
     return found
 
 
@@ -102,7 +102,7 @@ def first_order(name: str, range_: Floats, azimuth: Floats, elevation: Floats) -
 def test_sensitivities_are_the_published_half_angle_forms(name: str) -> None:
     polar = np.random.default_rng(7).uniform([1.0, -np.pi, -0.9], [9.0, np.pi, 1.2], (20, 3))
     _, by_value = MIRROR.reading_design(polar, np.zeros(MIRROR.n_parameters))
-    corrections = -by_value[:, :, MIRROR.index(name)]
+    corrections = -by_value[:, :, MIRROR.parameter_index(name)]
     np.testing.assert_allclose(corrections, first_order(name, *polar.T), atol=1e-12)
 
 
