@@ -30,7 +30,7 @@ from ltsim.solve.design import (
     to_dense,
 )
 
-MAX_DENSE_ENTRIES = 4_000_000
+MAX_DENSE_NETWORK_ENTRIES = 4_000_000
 """Largest number of entries of the design matrix of a network that is stored as a dense array, which is faster than a
 sparse one; it takes 30 MiB."""
 
@@ -177,7 +177,7 @@ class NominalNetwork:
     def _whitened_design_and_residuals(self) -> tuple[DesignMatrix, Floats]:
         """Whitened design (rows, unknowns) of all observations of `problem`, and their nominal residuals (rows,).
 
-        The design is a sparse matrix if it has more than `MAX_DENSE_ENTRIES` entries.
+        The design is a sparse matrix if it has more than `MAX_DENSE_NETWORK_ENTRIES` entries.
         """
         prediction = (
             self.problem.model.linearise(self.nominal_state)
@@ -187,7 +187,7 @@ class NominalNetwork:
         system = self.problem.linear_system(
             self.nominal_state, replace(prediction, extra_derivatives=self._extra_design)
         )
-        is_small = system.design.shape[0] * system.design.shape[1] <= MAX_DENSE_ENTRIES
+        is_small = system.design.shape[0] * system.design.shape[1] <= MAX_DENSE_NETWORK_ENTRIES
         return to_dense(system.design) if is_small else system.design, system.whitened_residuals
 
     def _nominal_prediction(self, derivatives: SharedDerivatives) -> Prediction:

@@ -29,6 +29,8 @@ CAMPAIGN_FORMAT = "ltsim-campaign/1"
 """Format and version of a campaign file."""
 MAX_CELLS = 4096
 """Largest number of cells (combinations of factor levels) of a campaign."""
+MAX_FILE_ROWS = 65_536
+"""Largest number of rows, trials times methods, in a file of rows that is written. With all statistics a row takes 2 kB."""
 VALIDATION_STREAM_KEY = "judge"
 """Key of the random stream for the measurement of the held-out points of `judge_in`."""
 
@@ -195,6 +197,10 @@ class CampaignFile(TomlSection):
                 f"but trials and shard give {cells * self.n_shards_per_cell}: "
                 "increase shard"
             )
+        n_rows = min(self.shard, self.trials) * len(self.methods)
+        if n_rows > MAX_FILE_ROWS:
+            most = f"at most {MAX_FILE_ROWS} rows per file"
+            raise ValueError(f"it should have {most}, but shard and methods give {n_rows}: reduce shard")
         return self
 
     @property

@@ -62,7 +62,7 @@ def test_a_sparse_design_gives_the_same_rows(file: Path, tmp_path: Path, monkeyp
     """Three dense matrices of all readings and unknowns took 260 MB for 28,000 pointings."""
     file.write_text(FEW)
     run_campaign(file, tmp_path / "dense")
-    monkeypatch.setattr("ltsim.campaigns.nominal_network.MAX_DENSE_ENTRIES", 0)
+    monkeypatch.setattr("ltsim.campaigns.nominal_network.MAX_DENSE_NETWORK_ENTRIES", 0)
     monkeypatch.setattr("ltsim.solve.design.MAX_DENSE_ENTRIES", 0)
     run_campaign(file, tmp_path / "sparse")
     assert_equal_rows(tmp_path / "dense", tmp_path / "sparse", 1e-6)
