@@ -30,7 +30,7 @@ CAMPAIGN_FORMAT = "ltsim-campaign/1"
 MAX_CELLS = 4096
 """Largest number of cells (combinations of factor levels) of a campaign."""
 MAX_FILE_ROWS = 65_536
-"""Largest number of rows, trials times methods, in a file of rows that is written. With all statistics a row takes 2 kB."""
+"""Largest number of rows (trials times methods) in a file of rows; a row with all statistics takes 2 kB of memory."""
 VALIDATION_STREAM_KEY = "judge"
 """Key of the random stream for the measurement of the held-out points of `judge_in`."""
 
