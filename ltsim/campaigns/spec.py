@@ -37,6 +37,8 @@ CAMPAIGN_FORMAT = "ltsim-campaign/1"
 """Format and version of a campaign file."""
 MAX_CELLS = 4096
 """Largest number of cells (combinations of factor levels) of a campaign."""
+MAX_FILE_ROWS = 65_536
+"""Largest number of rows (trials times methods) in a file of rows; a row with all statistics takes 2 kB of memory."""
 VALIDATION_STREAM_KEY = "judge"
 """Key of the random stream for the measurement of the held-out points of `validation_points`."""
 
@@ -198,6 +200,10 @@ class CampaignFile(TomlSection):
                 f"it should have at most {MAX_CELLS} cells, but the grid gives {cells}: divide the campaign"
             )
         number_of_shards(self.trials, self.trials_per_shard, cells)
+        n_rows = min(self.shard, self.trials) * len(self.methods)
+        if n_rows > MAX_FILE_ROWS:
+            most = f"at most {MAX_FILE_ROWS} rows per file"
+            raise ValueError(f"it should have {most}, but shard and methods give {n_rows}: reduce shard")
         return self
 
     @property

@@ -142,11 +142,16 @@ def test_a_changed_cad_file_is_noticed_and_kept(file: Path, tmp_path: Path) -> N
             ("trials = 600\ntrials_per_shard = 256", "trials = 1000000000\ntrials_per_shard = 1"),
             "increase trials_per_shard",
         ),
+        (
+            ("shard = 256\nverify = 1\n", 'shard = 600\n[[methods]]\n[[methods]]\nname = "b"\n'),
+            "at most 1000 rows per file, but shard and methods give 1200: reduce shard",
+        ),
     ],
 )
 def test_a_campaign_that_nobody_could_keep_is_a_sentence(
-    change: tuple[str, str], says: str, file: Path, tmp_path: Path
+    change: tuple[str, str], says: str, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("ltsim.campaigns.spec.MAX_FILE_ROWS", 1000)
     file.write_text(FILE.replace(*change))
     with pytest.raises(SetupError, match=says):
         run_campaign(file, tmp_path / "out")

@@ -19,6 +19,7 @@ from pydantic import Field
 from ltsim.core.arguments import check_bounds
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
+from ltsim.core.limits import MAX_RESULT_ENTRIES
 from ltsim.core.notation import with_sigma
 from ltsim.core.results import Table, columns_of, number_columns
 from ltsim.core.units import DEGREE, MICROMETRE
@@ -196,7 +197,10 @@ def read_reflector_bench(path: Path, *, probe_direction: float, length_sigma: fl
     `probe_direction` [rad] is the angle from the interferometer to the probe, counted against the rotation of the
     roundness table; `length_sigma` [m] is the standard deviation of a length.
     """
-    angle, length, probe = BENCH_TABLE.parse_csv(read_text(path), path).float_array(*BENCH_TABLE.header).T
+    text = read_text(path)
+    if text.count("\n") > MAX_RESULT_ENTRIES:  # the result has an entry for each row
+        raise RecordError(f"has more than {MAX_RESULT_ENTRIES} rows, the limit for reading; thin them", file=path)
+    angle, length, probe = BENCH_TABLE.parse_csv(text, path).float_array(*BENCH_TABLE.header).T
     lost = np.flatnonzero(~np.isfinite(angle))
     if len(lost):
         raise RecordError("an angle is missing, expected one per row", file=path, row=int(lost[0]) + 1)

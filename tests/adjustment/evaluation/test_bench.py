@@ -67,3 +67,10 @@ def test_what_is_wrong_is_one_sentence(rows: str, said: str, tmp_path: Path) -> 
     file.write_text("angle_deg,length_um,probe_um\n" + rows)
     with pytest.raises(RecordError, match=said):
         lt.bench(file)
+
+
+def test_a_table_of_very_many_rows_is_refused_before_it_is_parsed(tmp_path: Path) -> None:
+    """499,000 rows took 675 MB, and a result that no reader takes."""
+    (tmp_path / "a.csv").write_text("angle_deg,length_um,probe_um\n" + "1,2,3\n" * 10_001)
+    with pytest.raises(RecordError, match="has more than 10000 rows, the limit for reading"):
+        lt.bench(tmp_path / "a.csv")
