@@ -19,6 +19,8 @@ MAX_TEXT_LINES = 500_000
 """Largest number of lines of a text file, or of rows of all sheets of a workbook together; a pointing takes 600 bytes
 while it is read.
 """
+MAX_LGC_LINES = 200_000
+"""Largest number of lines of an LGC file; a line with a polar observation takes 1.9 kB while it is read."""
 MAX_FIELD_BOOK_POINTINGS = 300_000
 """Largest number of pointings in a field book of a total station; a pointing takes 1.3 kB while it is read."""
 MAX_LINE_CHARACTERS = 20_000

@@ -103,14 +103,14 @@ def read_text(path: Path, *, replaces_undecodable: bool = False, max_bytes: int 
         raise RecordError(f"is not UTF-8 text (first in line {line}); save it as UTF-8", file=path) from None
 
 
-def read_lines(path: Path, *, replaces_undecodable: bool = False) -> list[str]:
+def read_lines(path: Path, *, replaces_undecodable: bool = False, max_lines: int = MAX_TEXT_LINES) -> list[str]:
     """Lines of a text file without their line breaks (Unix, Windows or old Macintosh).
 
-    Raises RecordError for more than `MAX_TEXT_LINES` of them, or one of more than `MAX_LINE_CHARACTERS`.
+    Raises RecordError for more than `max_lines` of them, or one of more than `MAX_LINE_CHARACTERS`.
     """
     text = with_unix_line_ends(read_text(path, replaces_undecodable=replaces_undecodable))
-    if text.count("\n") > MAX_TEXT_LINES:
-        raise RecordError(f"has more than {MAX_TEXT_LINES} lines, the limit for reading", file=path)
+    if text.count("\n") > max_lines:
+        raise RecordError(f"has more than {max_lines} lines, the limit for reading", file=path)
     lines = text.split("\n")
     for i, line in enumerate(lines):
         if len(line) > MAX_LINE_CHARACTERS:

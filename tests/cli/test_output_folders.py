@@ -23,7 +23,7 @@ LONG_WORDS = {
     ("campaign", "out"): "campaign campaign.toml --out out",
     ("demo", "out"): "demo --out out",
     ("diagnose", "out"): "diagnose rec --no-held-out --out out",
-    ("history", "out"): "history cal cal --out out",
+    ("history", "out"): "history cal earlier --out out",
     ("plan", "out"): "plan plan.toml --jobs 1 --out out",
     ("report", "folder"): "report out",
     ("calibrate", "out"): "calibrate rec --out out",
@@ -80,6 +80,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     whole, _ = simulate(load_scenario("paper-workshop"), 1)
     write(whole, folder / "rec")
     assert run(["calibrate", str(folder / "rec"), "--out", str(folder / "cal"), "-q"]) == 0
+    earlier = ["--without", "beam-tilt", "--out", str(folder / "earlier"), "-q"]
+    assert run(["calibrate", str(folder / "rec"), *earlier]) == 0
     rows = [",".join(row.split(",")[:4]) for row in (folder / "cal" / "targets.csv").read_text().splitlines()[1:11]]
     (folder / "nominal.csv").write_text("target,x_mm,y_mm,z_mm\n" + "\n".join(rows) + "\n")
     return folder

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.core.errors import LtsimError, RecordError
-from ltsim.core.limits import MAX_TOML_KEYS
+from ltsim.core.limits import MAX_LGC_LINES, MAX_TOML_KEYS
 from ltsim.core.units import parse_in_unit
 from ltsim.recordings import Hints, read
 from ltsim.recordings.exchange import MAX_HEAD_BYTES, MAX_NOTES
@@ -144,6 +144,13 @@ def test_pointings_of_a_field_book_hold_equal_columns_once(tmp_path: Path) -> No
     assert len({id(p.covariates) for p in book.pointings}) == 2
     assert len({id(p.labels) for p in book.pointings}) == 1
     assert len({id(p.target) for p in book.pointings}) == 3
+
+
+def test_lines_of_an_lgc_file_are_bounded(tmp_path: Path) -> None:
+    """500,000 polar observations took 1 GB."""
+    text = LGC_HEAD + "*TSTN A T5\n*V0\n*PLR3D\n" + "B 1 1 1\n" * MAX_LGC_LINES + "*END\n"
+    (tmp_path / "a.lgc").write_text(text)
+    assert f"has more than {MAX_LGC_LINES} lines, the limit for reading" in sentence_of(tmp_path / "a.lgc")
 
 
 def test_pointings_of_a_field_book_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,6 +24,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
+from ltsim.core.limits import MAX_LGC_LINES
 from ltsim.core.notation import listing
 from ltsim.core.units import EARTH_RADIUS, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
@@ -145,7 +146,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 def _lines(file: _LgcContent) -> Iterator[LineWords]:
     """Words of each line that is not empty, without comments after % and $."""
-    for i, line in enumerate(read_lines(file.path, replaces_undecodable=True)):
+    for i, line in enumerate(read_lines(file.path, replaces_undecodable=True, max_lines=MAX_LGC_LINES)):
         text = line.partition("%")[0].partition("$")[0]
         if line.lstrip().startswith("%"):
             file.n_switched_off_lines += len(line.split()) > 2 and re.search(r"\d\.\d{3}", line[:150]) is not None
