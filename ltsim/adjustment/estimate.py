@@ -223,7 +223,7 @@ def _without_wrong_references(
 
 
 def _with_estimated_noise(
-    whole: NetworkProblem,
+    full_problem: NetworkProblem,
     problem: NetworkProblem,
     solution: Solution[NetworkState],
     noise_grouping: NoiseGrouping | None,
@@ -232,13 +232,13 @@ def _with_estimated_noise(
 ) -> tuple[NetworkProblem, Solution[NetworkState], tuple[VarianceComponent, ...]]:
     """Problem with estimated noise, its solution, and the variance components; all unchanged without a grouping.
 
-    `whole` is the problem with all readings, and `problem` the problem without outliers. With `robust` the outliers are
+    `full_problem` is the problem with all readings, and `problem` the problem without outliers. With `robust` the outliers are
     searched again.
     """
     if noise_grouping is None:
         return problem, solution, ()
     find = snoop_readings if robust else _solve
-    return estimate_variance_components(problem, solution, noise_grouping, find, whole.is_used_reading)
+    return estimate_variance_components(problem, solution, noise_grouping, find, full_problem.is_used_reading)
 
 
 def _is_over_wrong_mark(recording: Recording, is_gross: Bools) -> Bools:

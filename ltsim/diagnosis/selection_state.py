@@ -160,9 +160,9 @@ class SelectionState:
             start_state=old.state,
             prior=prior,
         )
-        return self._changed(baseline_adjustment=baseline)._with_space_of_refit()
+        return self._with_attributes(baseline_adjustment=baseline)._with_space_of_refit()
 
-    def _changed(self, **attributes: object) -> SelectionState:
+    def _with_attributes(self, **attributes: object) -> SelectionState:
         """Copy of the state with other attributes, and with the design matrices of its search, if there was one."""
         searcher: Searcher | None = vars(self).get("searcher")  # no search is started for its design matrices alone
         designs = self.earlier_designs if searcher is None else searcher.catalogue_designs
@@ -171,7 +171,7 @@ class SelectionState:
     def _with_space_of_refit(self) -> SelectionState:
         """State with the residual space of an adjustment without effects, with the present noise."""
         adjustment = self.refit((), self.reading_sigmas).adjustment
-        return self._changed(space=ResidualSpace.from_adjustment(adjustment))
+        return self._with_attributes(space=ResidualSpace.from_adjustment(adjustment))
 
     def ranked_noise_changes(self, model: Model) -> list[tuple[float, NoiseHypothesis]]:
         """Pairs of a log evidence and the most probable noise change of each kind, given a model.
@@ -201,8 +201,8 @@ class SelectionState:
 
     def _with_noise_changes(self, noise_changes: Sequence[NoiseHypothesis]) -> SelectionState:
         """State with other changes of the noise and the standard deviations of readings that follow from them."""
-        changed = self._changed(noise_changes=tuple(noise_changes))
-        return changed._changed(reading_sigmas=changed._sigmas_with_noise_changes(noise_changes))
+        changed = self._with_attributes(noise_changes=tuple(noise_changes))
+        return changed._with_attributes(reading_sigmas=changed._sigmas_with_noise_changes(noise_changes))
 
     @property
     def log_evidence_of_noise(self) -> float:
