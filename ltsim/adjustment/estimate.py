@@ -232,9 +232,8 @@ def _with_estimated_noise(
 ) -> tuple[NetworkProblem, Solution[NetworkState], tuple[VarianceComponent, ...]]:
     """Problem with estimated noise, its solution, and the variance components; all unchanged without a grouping.
 
-    `full_problem` is the problem with all readings, and `problem` the problem without outliers. With `robust` the outliers are
-    searched again.
-    """
+    `full_problem` is the problem with all readings, and `problem` the problem without outliers. With `robust` the
+    outliers are searched again."""
     if noise_grouping is None:
         return problem, solution, ()
     find = snoop_readings if robust else _solve
