@@ -233,7 +233,8 @@ def _with_estimated_noise(
     """Problem with estimated noise, its solution, and the variance components; all unchanged without a grouping.
 
     `full_problem` is the problem with all readings, and `problem` the problem without outliers. With `robust` the
-    outliers are searched again."""
+    outliers are searched again.
+    """
     if noise_grouping is None:
         return problem, solution, ()
     find = snoop_readings if robust else _solve
