@@ -48,14 +48,14 @@ class NoiseHypothesis:
         """
         return min(self.log_evidence - 0.5 * self.chi2_drop, self.log_prior)
 
-    def increased_by(self, further_change: NoiseHypothesis) -> NoiseHypothesis:
+    def increased_by(self, added_change: NoiseHypothesis) -> NoiseHypothesis:
         """Sum of this change of the noise and a further change with the same effect."""
         return replace(
             self,
-            sizes=tuple(a + b for a, b in zip(self.sizes, further_change.sizes, strict=True)),
-            chi2_drop=self.chi2_drop + further_change.chi2_drop,
-            log_evidence=self.log_evidence + further_change.log_evidence,
-            log_occam_factor=self.log_occam_factor + further_change.log_occam_factor,
+            sizes=tuple(a + b for a, b in zip(self.sizes, added_change.sizes, strict=True)),
+            chi2_drop=self.chi2_drop + added_change.chi2_drop,
+            log_evidence=self.log_evidence + added_change.log_evidence,
+            log_occam_factor=self.log_occam_factor + added_change.log_occam_factor,
         )
 
 
