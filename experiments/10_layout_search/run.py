@@ -26,7 +26,11 @@ from ltsim.reports.workshop_scene import workshop_from_scenario
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
 MICRO = 1.0 / MICROMETRE
-PROMISED = ("before", "um", MICRO), ("after", "um", MICRO), ("improvement", "percent", 1.0)
+PROMISED = (
+    ("before", "criterion_before", "um", MICRO),
+    ("after", "criterion_after", "um", MICRO),
+    ("improvement", "improvement", "percent", 1.0),
+)
 
 
 def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tuple[Floats, PlannedSurvey]:
@@ -105,8 +109,8 @@ def quality(scenario: Scenario) -> Row:
     information = LayoutInformation.from_survey(planned_survey(scenario))
     covariance, rows = information.scaled_covariance, corrections(information)
     expected, promised = CriteriaPredictor.from_information(information).expected_criteria(), {}
-    for kind, (what, unit, factor) in product(("distance", "coordinate"), PROMISED):
-        promised[f"{kind}_{what}_{unit}"] = factor * getattr(expected, f"{kind}_{what}")[0]
+    for kind, (what, attribute, unit, factor) in product(("distance", "coordinate"), PROMISED):
+        promised[f"{kind}_{what}_{unit}"] = factor * getattr(expected, f"{kind}_{attribute}")[0]
     return {
         "stations": len(scenario.stations),
         "hours": information.survey.duration / 3600,

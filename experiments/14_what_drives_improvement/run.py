@@ -21,7 +21,13 @@ from ltsim.planning.information import CriteriaPredictor, LayoutInformation
 from ltsim.planning.search_inputs import planned_survey
 from ltsim.simulation.scenario import load_scenario
 
-OUTPUTS = ("distance improvement", "coordinate improvement", "distance after", "coordinate after")
+OUTPUTS = {
+    "distance improvement": "distance_improvement",
+    "coordinate improvement": "coordinate_improvement",
+    "distance after": "distance_criterion_after",
+    "coordinate after": "coordinate_criterion_after",
+}
+"""Attribute of the expected criteria by the name of an output."""
 Ranges = Mapping[str, tuple[float, float]]
 """Lowest and highest size of each uncertain group of errors, in units of its stated size."""
 
@@ -32,7 +38,7 @@ def sensitivity(predictor: CriteriaPredictor, ranges: Ranges, samples: int, seed
 
     def criteria(sizes: Floats) -> Floats:
         expected = predictor.expected_criteria(dict(zip(names, np.exp(sizes), strict=True)))
-        return np.stack([getattr(expected, output.replace(" ", "_")) for output in OUTPUTS])
+        return np.stack([getattr(expected, attribute) for attribute in OUTPUTS.values()])
 
     dists = [stats.uniform(loc=low, scale=high - low) for low, high in logs]
     found = stats.sobol_indices(func=criteria, n=samples, dists=dists, random_state=random_stream(seed, "sobol"))
@@ -71,7 +77,7 @@ def improvement_rows(predictor: CriteriaPredictor, ranges: Ranges, seed: int) ->
     for kind in ("distance", "coordinate"):
         gains = np.percentile(getattr(expected, f"{kind}_improvement"), [5, 50, 95])
         named = dict(zip(("improvement_p5", "improvement_median", "improvement_p95"), gains, strict=True))
-        left = np.median(getattr(expected, f"{kind}_after") / MICROMETRE)
+        left = np.median(getattr(expected, f"{kind}_criterion_after") / MICROMETRE)
         rows.append({"criterion": kind} | named | {"after_median_um": left})
     return rows
 

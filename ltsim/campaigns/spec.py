@@ -200,10 +200,12 @@ class CampaignFile(TomlSection):
                 f"it should have at most {MAX_CELLS} cells, but the grid gives {cells}: divide the campaign"
             )
         number_of_shards(self.trials, self.trials_per_shard, cells)
-        n_rows = min(self.shard, self.trials) * len(self.methods)
+        n_rows = min(self.trials_per_shard, self.trials) * len(self.methods)
         if n_rows > MAX_FILE_ROWS:
-            most = f"at most {MAX_FILE_ROWS} rows per file"
-            raise ValueError(f"it should have {most}, but shard and methods give {n_rows}: reduce shard")
+            raise ValueError(
+                f"it should have at most {MAX_FILE_ROWS} rows per file, but trials_per_shard and methods give "
+                f"{n_rows}: reduce trials_per_shard"
+            )
         return self
 
     @property

@@ -64,7 +64,7 @@ def test_rows_carry_the_settings_of_their_cell_and_units(reference: dict[str, by
     assert schema.names[:3] == ["cell", "noise_factor", "method"]
     assert schema.field("noise_factor").metadata == {b"unit": b"", b"keys": b"instrument.noise_factor"}
     told = schema.field("target_error_um").metadata
-    assert told[b"unit"] == b"um" and b"the noise of the readings that were adjusted is in it" in told[b"meaning"]
+    assert told[b"unit"] == b"um" and b"it includes the noise of the adjusted readings" in told[b"meaning"]
     assert set(read_shard(path)["noise_factor"].to_pylist()) == {2.0}
 
 

@@ -126,11 +126,14 @@ def test_cells_whose_scenarios_no_reader_takes_are_refused_before_the_work(
 VERB = "import sys; from ltsim.cli.main import run; sys.exit(run(sys.argv[1:]))"
 LARGE = {
     "4,096 geometries": 'trials = 4096\ngeometry = "per-trial"\n',
-    "50 rounds in two faces": 'trials = 256\n[settings]\n"work.repeats" = 50\n"work.faces" = 2\n',
+    "50 rounds in two faces": 'trials = 256\n[scenario_changes]\n"work.repeats" = 50\n"work.faces" = 2\n',
     "50 rounds in two faces, 4 geometries": (
-        'trials = 4\nverify = 1\ngeometry = "per-trial"\n[settings]\n"work.repeats" = 50\n"work.faces" = 2\n'
+        'trials = 4\nverified_trials_per_shard = 1\ngeometry = "per-trial"\n'
+        '[scenario_changes]\n"work.repeats" = 50\n"work.faces" = 2\n'
     ),
-    "all statistics": 'trials = 65536\nshard = 65536\nstatistics = ["criteria", "errors", "z-scores", "estimates"]\n',
+    "all statistics": (
+        'trials = 65536\ntrials_per_shard = 65536\nstatistics = ["criteria", "errors", "z-scores", "estimates"]\n'
+    ),
 }
 
 

@@ -143,8 +143,11 @@ def test_a_changed_cad_file_is_noticed_and_kept(file: Path, tmp_path: Path) -> N
             "increase trials_per_shard",
         ),
         (
-            ("shard = 256\nverify = 1\n", 'shard = 600\n[[methods]]\n[[methods]]\nname = "b"\n'),
-            "at most 1000 rows per file, but shard and methods give 1200: reduce shard",
+            (
+                "trials_per_shard = 256\nverified_trials_per_shard = 1\n",
+                'trials_per_shard = 600\n[[methods]]\n[[methods]]\nname = "b"\n',
+            ),
+            "at most 1000 rows per file, but trials_per_shard and methods give 1200: reduce trials_per_shard",
         ),
     ],
 )

@@ -19,7 +19,7 @@ from pydantic import Field
 from ltsim.core.arguments import check_bounds
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
-from ltsim.core.limits import MAX_RESULT_ENTRIES
+from ltsim.core.limits import MAX_RESULT_LIST_ENTRIES
 from ltsim.core.notation import with_sigma
 from ltsim.core.results import Table, columns_of, number_columns
 from ltsim.core.units import DEGREE, MICROMETRE
@@ -198,8 +198,8 @@ def read_reflector_bench(path: Path, *, probe_direction: float, length_sigma: fl
     roundness table; `length_sigma` [m] is the standard deviation of a length.
     """
     text = read_text(path)
-    if text.count("\n") > MAX_RESULT_ENTRIES:  # the result has an entry for each row
-        raise RecordError(f"has more than {MAX_RESULT_ENTRIES} rows, the limit for reading; thin them", file=path)
+    if text.count("\n") > MAX_RESULT_LIST_ENTRIES:  # the result has an entry for each row
+        raise RecordError(f"has more than {MAX_RESULT_LIST_ENTRIES} rows, the limit for reading; thin them", file=path)
     angle, length, probe = BENCH_TABLE.parse_csv(text, path).float_array(*BENCH_TABLE.header).T
     lost = np.flatnonzero(~np.isfinite(angle))
     if len(lost):
