@@ -148,7 +148,7 @@ def test_sizes_between_those_of_the_grid_count_as_much(repeated):
         logs = np.array([gained(k, x) for x in fine])
         one.append(logsumexp(logs) - np.log(len(fine)))
     whole = logsumexp([*one, sum(one)]) - np.log(3)
-    rough = replace(bank, basis=None)  # in its diagonal form
+    rough = replace(bank, parameter_basis=None)  # in its diagonal form
     found = {
         h.family: value
         for value, h in rough.ranked_noise_changes(residual, space.redundancy, np.zeros((space.n_equations, 0)))
