@@ -124,7 +124,9 @@ class GeometryStack(CellTruth):
     def _effect_design(self, effects: tuple[Effect, ...]) -> Floats:
         return self.stack_arrays(truth.effect_design(effects)[..., 0] for truth in self.truths)
 
-    def _compute_chain_and_design(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
+    def _compute_kinematic_chain_and_reading_derivatives(
+        self, construction: GeometricErrorModel
+    ) -> tuple[ChainProgram, Floats]:
         """Kinematic chain of all trials, and derivative of the readings by the instrument parameters.
 
         The derivative has the shape (pointings, 3, parameters, trials).
@@ -138,7 +140,10 @@ class GeometryStack(CellTruth):
 
     def _exact_deviations(self, true_parameters: Floats) -> Floats:
         """Exact minus nominal readings (pointings, 3, trials) for true instrument parameters [SI]."""
-        which, (program, by_value) = self.recording.instrument, self.chain_and_design(self.construction)
+        which, (program, by_value) = (
+            self.recording.instrument,
+            self.kinematic_chain_and_reading_derivatives(self.construction),
+        )
         deviation = np.einsum("nckb,nkb->ncb", by_value, true_parameters[which])
         compute_readings(program, which, self.local_points, self.reading_derivatives, true_parameters, deviation)
         return deviation
@@ -226,7 +231,7 @@ class StackCalibrator(TrialCalibrator):
                 )
             except (NetworkError, SetupError):
                 continue
-            calibrated.copy_trial(trial, single, 0)
+            calibrated.copy_results_of_trial(trial, single, 0)
         return calibrated
 
     def _calibrate_batch(self, trial_batch: TrialBatch, calibrated_batch: CalibratedBatch) -> Ints:
@@ -235,7 +240,7 @@ class StackCalibrator(TrialCalibrator):
         The estimates of all other trials are written to `calibrated_batch`.
         """
         stack, built = self.truth, self.construction
-        program, by_value = stack.chain_and_design(built)
+        program, by_value = stack.kinematic_chain_and_reading_derivatives(built)
         networks: list[BatchNetwork] = []
         for k, truth in enumerate(stack.truths):
             recording = stack.recording.with_readings(stack.nominal_readings[:, :, k])
@@ -270,7 +275,7 @@ class StackCalibrator(TrialCalibrator):
         )
         is_doubtful = ~fit.has_converged | suspect_trial_mask(trial_batch.reading_deviations, stack.local_points)
         for trial in np.flatnonzero(~is_doubtful):
-            calibrated_batch.copy_trial(int(trial), batch_results, int(trial))
+            calibrated_batch.copy_results_of_trial(int(trial), batch_results, int(trial))
         return np.flatnonzero(is_doubtful)
 
     def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBatch) -> float:

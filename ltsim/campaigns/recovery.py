@@ -25,7 +25,7 @@ from typing import ClassVar, Literal, Self, get_args
 
 from pydantic import Field, PrivateAttr
 
-from ltsim.calibration.distance import NORM_BY_DISTANCE_METHOD
+from ltsim.calibration.distance import OBJECTIVE_NORM_BY_DISTANCE_METHOD
 from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.campaigns.external_calibrator import ExternalCalibrator, split_command
 from ltsim.campaigns.recovery_checks import RECOVERY_CHECKS_TABLE, RecoveryCheck
@@ -257,7 +257,7 @@ def recover(
     """
     check_bounds(trials=trials, seed=seed, jobs=jobs, required_argument="trials seed jobs")
     check_mapping("tolerance", tolerance)
-    check_choice("method", method, ("network", *NORM_BY_DISTANCE_METHOD))
+    check_choice("method", method, ("network", *OBJECTIVE_NORM_BY_DISTANCE_METHOD))
     check_choice("errors", errors, get_args(ErrorOrigin), allow_none=True)
     if calibrator is not None and not (isinstance(calibrator, str) or callable(calibrator)):
         raise SetupError(f"{option_text('calibrator')} is {calibrator!r}, expected a command or a function")

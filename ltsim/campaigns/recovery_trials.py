@@ -299,7 +299,7 @@ class RecoveryTrials(ValueEquality):
         """Checks of one parameter, with false-alarm rate `alpha`; its z-scores are checked if every trial has one."""
         name, standard, z = (
             self.parameter_names[parameter_index],
-            self._stack_attribute("standard_z_scores")[:, parameter_index],
+            self._stack_attribute("prior_independent_z_scores")[:, parameter_index],
             self.z_scores[:, parameter_index],
         )
         foreign, checks = self.trials_with_result[0].is_external, list[RecoveryCheck]()

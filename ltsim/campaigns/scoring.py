@@ -54,9 +54,11 @@ class TrialScore(ValueEquality):
     declared_sigmas: Floats
     """Standard deviations that the calibrator declares, (parameters,); NaN for a parameter without one."""
     true_values: Floats
-    standard_z_scores: Floats
-    """z-scores (parameters,) that are standard normal for a correct calibrator, even if the true values were not drawn
-    from the prior. NaN for parameters whose error does not come from noise, and for a calibrator with unknown prior."""
+    prior_independent_z_scores: Floats
+    """Errors of the estimates, minus their expected bias by the prior, divided by their expected standard deviation for
+    the distribution from which the true values come, (parameters,). They are standard normal for a correct calibrator,
+    also if the true values are not drawn from the prior. NaN for a parameter whose error does not come from noise, and
+    for an external calibrator unless the true values are drawn from the prior."""
     network_score: NetworkScore = NetworkScore()
     is_external: bool = False
     """True for an external calibrator, whose prior is unknown."""

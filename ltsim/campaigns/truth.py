@@ -175,22 +175,24 @@ class CellTruth:
         """Kinematic chain and design matrix of each geometric error model for which they were computed."""
         return []
 
-    def chain_and_design(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
+    def kinematic_chain_and_reading_derivatives(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
         """Kinematic chain, and derivative (pointings, 3, parameters) of readings, at the nominal readings."""
         for other, chain in self._chain_cache:  # comparing a few models is quicker than hashing one model
             if other == construction:
                 return chain
-        self._chain_cache.append((construction, self._compute_chain_and_design(construction)))
+        self._chain_cache.append((construction, self._compute_kinematic_chain_and_reading_derivatives(construction)))
         return self._chain_cache[-1][1]
 
-    def _compute_chain_and_design(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
+    def _compute_kinematic_chain_and_reading_derivatives(
+        self, construction: GeometricErrorModel
+    ) -> tuple[ChainProgram, Floats]:
         nominal_readings = self.recording.readings
         by_value = construction.reading_design(nominal_readings, np.zeros(construction.n_parameters))[1]
         return ChainProgram.from_construction(construction, nominal_readings), by_value
 
     def chain_program(self, construction: GeometricErrorModel) -> ChainProgram:
         """Kinematic chain of a geometric error model, linearised at the nominal readings."""
-        return self.chain_and_design(construction)[0]
+        return self.kinematic_chain_and_reading_derivatives(construction)[0]
 
     @cached_property
     def _linear_effects(self) -> list[tuple[Floats, Floats] | None]:
@@ -269,7 +271,7 @@ class CellTruth:
         Newton's method starts from the linear change of the readings.
         """
         which, sightings = self.recording.instrument, self.sightings
-        program, by_value = self.chain_and_design(self.construction)
+        program, by_value = self.kinematic_chain_and_reading_derivatives(self.construction)
         deviation = np.empty((len(which), 3, true_parameters.shape[2]))
         for i, parameters in enumerate(true_parameters):
             deviation[which == i] = by_value[which == i] @ parameters

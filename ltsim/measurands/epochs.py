@@ -32,7 +32,7 @@ from ltsim.measurands.inputs import CONTROL_SOURCE, LENGTHS_SOURCE, PRIOR_SOURCE
 from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.references import EXPANSION_ERROR_PREFIX
 from ltsim.recordings.result_file import SourceEntry
-from ltsim.recordings.setup import Gauge
+from ltsim.recordings.setup import LengthGauge
 from ltsim.recordings.tables.setups import normalised_name
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
@@ -273,7 +273,7 @@ def _common_error_sources(first: Adjustment, second: Adjustment, same_instrument
     return common
 
 
-def _certificate_lengths(gauge: Gauge) -> Gauge:
+def _certificate_lengths(gauge: LengthGauge) -> LengthGauge:
     """Gauge with its certified lengths only, without the temperatures during the measurement."""
     plain = {"measured_at_c": None, "sigma_temperature_k": None}
     lengths = tuple(line.model_copy(update=plain) for line in gauge.distance)

@@ -65,7 +65,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
     """Final value of the objective of each independent search, the best first; smaller is better."""
     reflector_changes: tuple[ReflectorChangeEntry, ...] = ()
     """Useful moves of a single reflector and useful additional reflectors, the best first, then removals."""
-    changes_summary: str = ""
+    reflector_changes_sentence: str = ""
     """Sentence with the numbers of evaluated and of useful changes of single reflectors."""
     obstacle_sentences: tuple[str, ...] = ()
     """Sentence on each obstacle in the hall: type of the CAD file, size and position."""
@@ -112,7 +112,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
             fewest_stations=None if few is None else TradeoffEntry.from_tradeoff_point(few),
             tradeoff_points=tuple(TradeoffEntry.from_tradeoff_point(option) for option in network.tradeoff_points),
             reflector_changes=network.reflector_changes.reported_changes,
-            changes_summary=network.reflector_changes.summary_sentence,
+            reflector_changes_sentence=network.reflector_changes.summary_sentence,
             start_objectives=network.start_objectives,
             obstacle_sentences=tuple(body.description for body in placed_obstacles(network.scenario)),
             goal_reached=None if judged is None else judged.is_goal_reached,
