@@ -144,7 +144,7 @@ class ParameterSelection:
     """Prior from earlier calibrations that replaces the prior of the set-up."""
     has_no_prior: bool = False
     """True if the parameters have no prior: their prior standard deviations are then `NO_PRIOR_SIGMA_FACTOR` times
-    those of the set-up."""
+    those that the recording's file `setup.toml` declares or implies."""
 
     def prior_of(self, recording: Recording, construction: GeometricErrorModel) -> ParameterPrior:
         """Prior of a recording's instruments for this selection; raises ModelError or SetupError for wrong names."""

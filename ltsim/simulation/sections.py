@@ -284,7 +284,7 @@ class ScenarioGauge(TomlSection):
     """Gauge, a rigid frame with reflectors: its lengths at the temperature `calibrated_at_c`, and its pose in the hall.
 
     By default it is the gauge of Sensors 2021, 21, 7479 (Table 2). The x and y axes of the frame are along its two
-    longest extents. The frame is rotated by roll, pitch and yaw about x, y and z in this order.
+    longest extents. The frame is rotated by roll, pitch and yaw in this order.
     """
 
     targets: tuple[str, ...] = ("T25", "T26", "T27", "T28")
@@ -296,11 +296,11 @@ class ScenarioGauge(TomlSection):
     position_mm: Vector
     """Planned position of the centre of the gauge."""
     yaw_deg: AngleDegrees = 0.0
-    """Rotation about z."""
+    """Rotation of the gauge about the z axis of the hall, after `roll_deg` and `pitch_deg`."""
     pitch_deg: AngleDegrees = 0.0
-    """Rotation about y."""
+    """Rotation of the gauge about the y axis of the hall, after `roll_deg` and before `yaw_deg`."""
     roll_deg: AngleDegrees = 0.0
-    """Rotation about x."""
+    """Rotation of the gauge about the x axis of the hall, before `pitch_deg` and `yaw_deg`."""
     nest_normal: Vector | None = None
     """Normal of the fixed nests of the gauge."""
     calibrated_at_c: Celsius = 20.0
@@ -336,9 +336,9 @@ class PlannedStation(TomlSection):
     yaw_deg: AngleDegrees
     """Planned direction of azimuth zero, counter-clockwise from the x axis."""
     roll_deg: AngleDegrees = 0.0
-    """Planned rotation about x."""
+    """Planned rotation about the x axis of the hall, before `pitch_deg` and `yaw_deg`."""
     pitch_deg: AngleDegrees = 0.0
-    """Planned rotation about y."""
+    """Planned rotation about the y axis of the hall, after `roll_deg` and before `yaw_deg`."""
     levelled: bool = False
     """True if the tracker's standing axis is levelled to the vertical."""
     levelling_sigma_arcsec: Positive = 1.0
