@@ -371,7 +371,7 @@ def exchanged_name_order(difference: EpochDifference, moved_points: Sequence[int
     if len(moved_points) < 2:
         return None
     before = difference.first_epoch_points[moved_points][:, difference.compared_axes]
-    after = before + difference.differences.reshape(difference.n_points, -1)[moved_points]
+    after = before + difference.coordinate_differences.reshape(difference.n_points, -1)[moved_points]
     gaps = np.linalg.norm(after[:, None] - before[None], axis=2)
     nearest, distance = np.argmin(gaps, axis=1), np.diag(gaps)
     taken = (nearest != np.arange(len(moved_points))) & (gaps.min(axis=1) < MAX_EXCHANGE_DISTANCE_RATIO * distance)
