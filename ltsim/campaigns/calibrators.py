@@ -33,7 +33,7 @@ from ltsim.campaigns.trial_calibrators import (
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import NetworkError, SetupError
+from ltsim.core.errors import InputError, NetworkError
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, construction_with_orders
 from ltsim.physics.model.measurement import NetworkState
@@ -46,14 +46,14 @@ def estimated_construction(method: CalibrationMethod) -> GeometricErrorModel:
 
 
 def estimated_effects(method: CalibrationMethod) -> tuple[Effect, ...]:
-    """Additional effects that a method estimates; SetupError names an invalid entry and the permitted values."""
+    """Additional effects that a method estimates; InputError names an invalid entry and the permitted values."""
     return tuple(e.effect(f"methods.{method.title}.effects.{i}") for i, e in enumerate(method.effects, 1))
 
 
 def make_calibrator(method: CalibrationMethod, truth: CellTruth) -> TrialCalibrator:
     """Calibrator for a method of a campaign file, for trials in the network geometry `truth`."""
     if method.method != "network" and not truth.is_recorded_observable.all():
-        raise SetupError(f"methods.{method.title}: method {method.method} needs ranges and angles; use method network")
+        raise InputError(f"methods.{method.title}: method {method.method} needs ranges and angles; use method network")
     built, effects = estimated_construction(method), estimated_effects(method)
     if method.solver == "single":
         return SerialCalibrator(
@@ -229,7 +229,7 @@ class StackCalibrator(TrialCalibrator):
                 single = self.single_trial_calibrator(trial).calibrate(
                     trial_batch.single_trials[trial], np.zeros(1, dtype=np.int64)
                 )
-            except (NetworkError, SetupError):
+            except (NetworkError, InputError):
                 continue
             calibrated.copy_results_of_trial(trial, single, 0)
         return calibrated
@@ -262,7 +262,7 @@ class StackCalibrator(TrialCalibrator):
         network = StackedNetwork(stack.recording, stack.state, built, program, networks=tuple(networks))
         try:
             fit = network.fit_trials(trial_batch.reading_deviations, trial_batch.length_errors)
-        except SetupError:
+        except InputError:
             return np.arange(len(networks))
         status = np.zeros(len(networks), dtype=np.int64)
         batch_results = CalibratedBatch(

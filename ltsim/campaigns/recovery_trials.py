@@ -127,7 +127,7 @@ def run_trials(
 ) -> Generator[TrialScore | FailedTrial, None, None]:
     """Outcomes of the trials in order; they are identical for any number of processes.
 
-    SetupError is raised for a parameter of the calibrator that is not drawn.
+    InputError is raised for a parameter of the calibrator that is not drawn.
     """
     drawn_scenario = with_errors_from_prior(scenario) if settings.error_origin == "drawn" else scenario
     tasks = ((drawn_scenario, seed, index, settings) for index in range(trials))

@@ -142,7 +142,7 @@ class CampaignResults(CampaignStatistics, Result):
 
         Raises
         ------
-        ModelError, SetupError
+        ModelError, InputError
             When there is no such statistic, or when xarray is not installed.
         """
         try:

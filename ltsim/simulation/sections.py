@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, StrictBool, model_validator
 
-from ltsim.core.errors import ModelError, SetupError
+from ltsim.core.errors import InputError, ModelError
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_RANGE_ERRORS
@@ -376,11 +376,11 @@ class PlacedEffect(TomlSection):
     them, otherwise in SI units."""
 
     def effect(self, error_location: str) -> Effect:
-        """Effect object of this entry; SetupError, whose message begins with `error_location`, for an invalid value."""
+        """Effect object of this entry; InputError, whose message begins with `error_location`, for an invalid value."""
         try:
             return make_effect(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
         except (ModelError, ValueError, TypeError, KeyError) as problem:
-            raise SetupError(f"{error_location}: {problem}") from None
+            raise InputError(f"{error_location}: {problem}") from None
 
 
 class EffectEntry(PlacedEffect):

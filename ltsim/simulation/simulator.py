@@ -46,7 +46,7 @@ def simulate(
 ) -> tuple[Recording, Truth]:
     """Recording and true values of trial number `trial` of a scenario; a campaign with this seed has the same trial.
 
-    SetupError is raised for an impossible scenario.
+    InputError is raised for an impossible scenario.
     """
     return measure_trial(make_measurement_geometry(scenario, seed, *placing_stream_key(trial, geometry)), seed, trial)
 

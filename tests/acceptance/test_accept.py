@@ -15,7 +15,7 @@ from ltsim.acceptance.spec import AcceptanceSettings
 from ltsim.acceptance.tested_network import TestedNetwork
 from ltsim.adjustment import adjust
 from ltsim.cli.main import run
-from ltsim.core.errors import NetworkError, SetupError
+from ltsim.core.errors import InputError, NetworkError
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.centring_errors import CentringUncertainty
@@ -444,5 +444,5 @@ def test_several_instruments_are_refused():
 )
 def test_tests_and_draws_of_a_prediction_are_bounded(keys: dict[str, object], says: str) -> None:
     """100,000 ranges took 3.3 GB, then all memory."""
-    with pytest.raises(SetupError, match=says):
+    with pytest.raises(InputError, match=says):
         lt.accept({"standard": "asme-b89.4.19-2006", "instrument": "leica-at500", **keys})

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.core.errors import ModelError, RecordError, SetupError
+from ltsim.core.errors import InputError, ModelError, RecordError
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
 from ltsim.recordings.specification import (
     MPE_COVERAGE_FACTOR,
@@ -69,7 +69,7 @@ def test_no_range_is_guessed() -> None:
 
 def test_a_specification_completes_a_sheet() -> None:
     plan = {"standard": "asme-b89.4.19-2006", "instrument": "leica-at960"}
-    with pytest.raises(SetupError, match="does not give range_limit_um; set it in the table"):
+    with pytest.raises(InputError, match="does not give range_limit_um; set it in the table"):
         lt.accept(plan)
     found = lt.accept({**plan, "specification": {"range_limit_um": 10}}).specification
     assert (found.transverse_limit_um, found.range_limit_um, found.range_limit_um_per_m) == (15, 10, 0.5)
@@ -86,10 +86,10 @@ LIMITS_KNOWN = {
 
 def test_no_limit_of_another_instrument_is_kept() -> None:
     """A preset took the 20 m and the travel of the paper's tracker without a word."""
-    with pytest.raises(SetupError, match=r"the travel of the elevation axis; set limits.*limits.range_max_mm"):
+    with pytest.raises(InputError, match=r"the travel of the elevation axis; set limits.*limits.range_max_mm"):
         lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage"})
     some = {key: x for key, x in LIMITS_KNOWN.items() if "range_max" not in key}
-    with pytest.raises(SetupError, match=r"set limits\.range_max_mm$"):
+    with pytest.raises(InputError, match=r"set limits\.range_max_mm$"):
         lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **some})
 
 
@@ -97,7 +97,7 @@ def test_a_scenario_takes_a_sheet_as_preset() -> None:
     tracker = lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **LIMITS_KNOWN}).instrument
     assert tracker.limits.range_max_mm == 35_000.0
     assert tracker.noise.model_dump() == noise_and_prior_tables("faro-vantage", {})["noise"]
-    with pytest.raises(SetupError, match="does not give the error of ranges"):
+    with pytest.raises(InputError, match="does not give the error of ranges"):
         lt.scenario("paper-workshop", {"instrument.preset": "leica-at901"})
     own = {f"instrument.{table}.{key}": x for table, values in RANGE_TABLES.items() for key, x in values.items()}
     tracker = lt.scenario("paper-workshop", {"instrument.preset": "leica-at901", **own, **LIMITS_KNOWN}).instrument

@@ -83,7 +83,7 @@ def campaign_section(folder: Path) -> Section:
 
     Raises
     ------
-    SetupError
+    InputError
         If the folder contains no finished shard (file of rows), or a damaged one.
     """
     results = CampaignResults(folder)

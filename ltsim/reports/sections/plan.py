@@ -32,7 +32,7 @@ def plan_section(content: Plan, context: SectionContext) -> Section:
 
     Raises
     ------
-    RecordError, SetupError
+    RecordError, InputError
         When a file is malformed.
     """
     frame = f"{content.frame[:1].upper()}{content.frame[1:]}." if content.frame else ""
