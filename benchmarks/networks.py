@@ -13,7 +13,7 @@ from ltsim.physics.model.construction import misalignment_construction
 from ltsim.physics.model.measurement import NetworkState, sightings_at_state
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
-from ltsim.recordings.setup import Gauge, GaugeDistance, Setup
+from ltsim.recordings.setup import GaugeDistance, LengthGauge, Setup
 from ltsim.simulation.draws import TrialDistributions
 from ltsim.simulation.scenario import load_scenario
 
@@ -44,7 +44,7 @@ def room(stations: int, targets: int) -> CellTruth:
         for a, b in combinations(range(targets - 4, targets), 2)
     )  # fmt: skip
     recording = Recording(
-        setup=Setup(gauge=Gauge(distance=lengths)),
+        setup=Setup(gauge=LengthGauge(distance=lengths)),
         stations=tuple(f"S{k:03d}" for k in range(stations)),
         targets=names,
         station=station.astype(np.int64),

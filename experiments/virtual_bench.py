@@ -16,7 +16,7 @@ import numpy as np
 
 from ltsim.adjustment.evaluation.bench import ReflectorBenchReadings, eccentricity_design
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_RANGE_ERRORS
@@ -47,11 +47,11 @@ class BenchTest:
 
     def __post_init__(self) -> None:
         if len(self.table) != len(INCIDENCE_TABLE_ANGLES):
-            raise SetupError(
+            raise InputError(
                 f"the table holds {len(self.table)} errors for {len(INCIDENCE_TABLE_ANGLES)} angles; give one each"
             )
         if len(self.probe_angles) < 3:
-            raise SetupError(f"the probe is read at {len(self.probe_angles)} angles; the eccentricity needs 3 or more")
+            raise InputError(f"the probe is read at {len(self.probe_angles)} angles; the eccentricity needs 3 or more")
 
 
 def vertex_table(axial: float, side: float, angles: Floats = INCIDENCE_TABLE_ANGLES) -> Floats:

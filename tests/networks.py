@@ -14,7 +14,7 @@ from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.setup import Gauge, GaugeDistance, Setup, Target
+from ltsim.recordings.setup import GaugeDistance, LengthGauge, Setup, Target
 
 STATIONS = np.array([[3.0, 3.0, 1.9], [4.6, 1.9, 2.0], [1.9, 4.6, 2.1], [5.3, 4.4, 1.95], [3.9, 5.5, 2.05]])
 YAWS = np.radians([0.0, 75.0, 160.0, 230.0, 310.0])
@@ -66,7 +66,7 @@ def network(
     ]
     station, target, face, repeat = np.array(rows, dtype=np.int64).T
     pairs = [(a, b) for a in range(24, 28) for b in range(a + 1, 28)]
-    gauge = Gauge(
+    gauge = LengthGauge(
         distance=tuple(
             GaugeDistance.model_validate(
                 {

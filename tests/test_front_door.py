@@ -14,7 +14,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.core.errors import LtsimError, ModelError, RecordError, SetupError
+from ltsim.core.errors import InputError, LtsimError, ModelError, RecordError
 from ltsim.core.results import MAX_NOTEBOOK_ROWS, Result
 
 SMALL_PLAN = """
@@ -93,7 +93,7 @@ def test_a_table_that_does_not_exist_is_answered_with_those_that_do(recording):
 
 def test_without_pandas_a_sentence_says_what_to_install(recording, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(SetupError, match=r"data frames need the extra 'pandas': pip install .*ltsim\[pandas\]"):
+    with pytest.raises(InputError, match=r"data frames need the extra 'pandas': pip install .*ltsim\[pandas\]"):
         recording.to_dataframe()
 
 
@@ -118,9 +118,9 @@ def test_an_empty_table_is_shown_as_nothing():
 
 def test_changes_of_a_scenario_are_checked(tmp_path: Path):
     assert lt.scenario("paper-workshop", {"work.faces": 2}).work.faces == 2
-    with pytest.raises(SetupError, match=r"work\.faces"):
+    with pytest.raises(InputError, match=r"work\.faces"):
         lt.scenario("paper-workshop", {"work.faces": 3})
-    with pytest.raises(SetupError, match="not a table"):
+    with pytest.raises(InputError, match="not a table"):
         lt.scenario("paper-workshop", {"work.faces.first": 1})
 
 
@@ -157,7 +157,7 @@ def test_a_result_is_read_as_the_class_and_with_the_content_that_was_written(mak
 
 
 def test_a_campaign_that_is_no_file_needs_a_folder():
-    with pytest.raises(SetupError, match="needs a folder"):
+    with pytest.raises(InputError, match="needs a folder"):
         lt.campaign({"format": "ltsim-campaign/1"})
 
 

@@ -33,11 +33,11 @@ def data_sheets() -> str:
         across, along = (
             " + ".join(
                 f"{stated[key]:g} {unit}" if key in stated else "?"
-                for key, unit in ((f"{part}_um", "µm"), (f"{part}_um_per_m", "µm/m"))
+                for key, unit in ((f"{part}_limit_um", "µm"), (f"{part}_limit_um_per_m", "µm/m"))
             )
             for part in ("transverse", "range")
         )
-        zero = f"{stated['range_offset_um']:g} µm" if "range_offset_um" in stated else ""
+        zero = f"{stated['range_offset_limit_um']:g} µm" if "range_offset_limit_um" in stated else ""
         lines.append(f"| `{name}`<br>{stated['name']} | {across} | {along} | {zero} | {stated['source']} |")
     return "\n".join(lines)
 

@@ -151,7 +151,9 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
         raise NetworkError("no station measured distance and both angles of two targets; a length needs both ends")
     n_rejected = 0
     if any(entry.judgement == "rejected" for entry in test_outcomes):
-        without_constants = replace(network, is_corrected_for_constants=True).test_outcomes(instrument_specification)
+        without_constants = replace(network, is_corrected_by_estimated_constants=True).test_outcomes(
+            instrument_specification
+        )
         n_rejected = sum(entry.judgement == "rejected" for entry in without_constants)
     causes = [test for test in calibration.tests if test.is_fault and test.kind != "outlier"]
     corrected = tuple(c for c in causes if not may_be_tracker_error(c) and network.is_corrected(c))

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import ModelError, SetupError, as_setup_error
+from ltsim.core.errors import InputError, ModelError, as_input_error
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.files import parse_comma_number, quoted_text
 from ltsim.recordings.settings import read_toml, validate_settings
@@ -133,26 +133,26 @@ def builtin_tests(standard_name: StandardName, height: float, ranges: Sequence[f
     return asme_tests(height, ranges) if standard_name == "asme-b89.4.19-2006" else iso_two_face_tests(height)
 
 
-@as_setup_error()
+@as_input_error()
 def read_tests(file: Path) -> list[AcceptanceTest]:
     """Tests from a user's CSV table with the columns `TEST_COLUMNS`; in a two-face test the second point is empty.
 
-    SetupError, with row, column, value and the expected value, is raised for an invalid table.
+    InputError, with row, column, value and the expected value, is raised for an invalid table.
     """
     tests = [_test_from_row(row, line, file) for line, row in read_table_rows(file, TEST_COLUMNS)]
     if not tests:
-        raise SetupError(f"{file}: the table has no rows; expected one row for each test")
+        raise InputError(f"{file}: the table has no rows; expected one row for each test")
     return tests
 
 
 def read_table_rows(
     file: Path, required_columns: Sequence[str], optional_columns: Sequence[str] = ()
 ) -> list[tuple[int, dict[str, str]]]:
-    """Line number, and cells by column name, of each row in a user's CSV table; raises RecordError or SetupError."""
+    """Line number, and cells by column name, of each row in a user's CSV table; raises RecordError or InputError."""
     header, rows = table_rows(file)
     missing = [name for name in required_columns if name not in header]
     if missing:
-        raise SetupError(
+        raise InputError(
             f"{file}: there is no column {missing[0]}; expected {','.join([*required_columns, *optional_columns])}"
         )
     return rows
@@ -161,11 +161,11 @@ def read_table_rows(
 def _test_from_row(row: dict[str, str], line_number: int, file: Path) -> AcceptanceTest:
     kind = row["kind"]
     if kind not in ("length", "two-face"):
-        raise SetupError(f"{file}: row {line_number}: kind is '{quoted_text(kind)}', expected length or two-face")
+        raise InputError(f"{file}: row {line_number}: kind is '{quoted_text(kind)}', expected length or two-face")
     first_point = _point_from_row(row, "1", line_number, file)
     second = _point_from_row(row, "2", line_number, file) if kind == "length" else first_point
     if kind == "length" and first_point == second:
-        raise SetupError(f"{file}: row {line_number}: both ends of the length are the same point")
+        raise InputError(f"{file}: row {line_number}: both ends of the length are the same point")
     name = row["test"] or f"{kind} in line {line_number}"
     return AcceptanceTest(name, row["group"] or kind, kind, first_point, second)  # type: ignore[arg-type]
 
@@ -174,7 +174,7 @@ def _point_from_row(row: dict[str, str], end_name: str, line_number: int, file: 
     columns = (f"{axis}{end_name}_mm" for axis in "xyz")
     coordinates = [parse_comma_number(row[name], file=file, row=line_number, column=name) / 1000 for name in columns]
     if not np.isfinite(coordinates).all() or np.hypot(coordinates[0], coordinates[1]) < 1e-3:
-        raise SetupError(
+        raise InputError(
             f"{file}: row {line_number}: point {end_name} is on the vertical axis of the instrument, "
             "where the azimuth is undefined; give a point away from the axis"
         )
@@ -262,13 +262,13 @@ class AcceptanceSettings(TomlSection):
 
     @property
     def limits(self) -> Specification:
-        """Manufacturer's specification; raises SetupError for an unknown data sheet or a missing limit."""
+        """Manufacturer's specification; raises InputError for an unknown data sheet or a missing limit."""
         if self.specification is not None:
             return self.specification
         try:
             return data_sheet(self.instrument or "")
         except ModelError as problem:
-            raise SetupError(str(problem)) from None
+            raise InputError(str(problem)) from None
 
     @property
     def plan_name(self) -> str:
@@ -276,26 +276,26 @@ class AcceptanceSettings(TomlSection):
         return self.tests_file or self.standard or ""
 
     def make_tests(self, folder: Path) -> tuple[AcceptanceTest, ...]:
-        """Tests of the standard and of the files of tests in `folder`; raises SetupError for an invalid file."""
+        """Tests of the standard and of the files of tests in `folder`; raises InputError for an invalid file."""
         if self.standard is None:
             return tuple(read_tests(folder / (self.tests_file or "")))
         user_tests = [] if self.additional_tests_file is None else read_tests(folder / self.additional_tests_file)
         return (*builtin_tests(self.standard, self.height_mm / 1000, self.ranges_m), *user_tests)
 
 
-@as_setup_error()
+@as_input_error()
 def load_acceptance(path: Path) -> AcceptanceSettings:
-    """Content of the acceptance file at a path; raises SetupError."""
+    """Content of the acceptance file at a path; raises InputError."""
     return validate_acceptance(read_toml(path, "acceptance file"), path)
 
 
-@as_setup_error()
+@as_input_error()
 def validate_acceptance(tables: Mapping[str, Any], file: object) -> AcceptanceSettings:
-    """Validated content of an acceptance file from its TOML tables; raises SetupError, which names `file`."""
+    """Validated content of an acceptance file from its TOML tables; raises InputError, which names `file`."""
     name, specification = tables.get("instrument"), tables.get("specification", {})
     if isinstance(name, str) and isinstance(specification, Mapping):
         try:
             tables = {**tables, "specification": completed_specification_values(name, specification)}
         except ModelError as problem:
-            raise SetupError(f"{file}: {problem}") from None
+            raise InputError(f"{file}: {problem}") from None
     return validate_settings(tables, AcceptanceSettings, "acceptance file", file)

@@ -56,7 +56,7 @@ class TestedNetwork:
     """Adjustment that also estimates the instrument constants and the errors identified in the recording."""
     uncertainty_factor: float
     """Factor by which the standard deviations of the adjustment are multiplied, for unexplained scatter."""
-    is_corrected_for_constants: bool = False
+    is_corrected_by_estimated_constants: bool = False
     """True if the readings are corrected by the estimated instrument constants before the tests."""
 
     @cached_property
@@ -85,10 +85,13 @@ class TestedNetwork:
 
     @cached_property
     def readings(self) -> Floats:
-        """Readings (pointings, 3) [m, rad, rad] converted to the front face, without identified recording errors."""
+        """Readings (pointings, 3) [m, rad, rad] converted to the front face, without identified recording errors.
+
+        They are corrected by the instrument constants if `is_corrected_by_estimated_constants`.
+        """
         adjustment = self.adjustment
         readings = adjustment.recording.readings.copy()
-        if self.is_corrected_for_constants:
+        if self.is_corrected_by_estimated_constants:
             constants = adjustment.state.instrument_parameters[0]
             readings = corrected_readings(adjustment.recording, adjustment.construction, constants)
         for effect, at in self._extra_parameter_slices:

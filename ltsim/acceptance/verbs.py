@@ -28,7 +28,7 @@ from ltsim.acceptance.spec import (
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_calibration
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import SetupError, as_setup_error, unknown_name_error
+from ltsim.core.errors import InputError, as_input_error, unknown_name_error
 from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.model.construction import construction_of_beam_origin
@@ -68,7 +68,7 @@ def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, fold
 
     Raises
     ------
-    SetupError, RecordError, NetworkError
+    InputError, RecordError, NetworkError
         When a file is missing or invalid, or does not belong to the planned tests.
 
     Examples
@@ -87,9 +87,9 @@ def accept(acceptance: str | Path | Mapping[str, Any] | AcceptanceSettings, fold
 
 
 def _require_few_draws(n_tests: int, n_trials: int) -> None:
-    """Check of the size of a prediction with `n_tests` tests and `n_trials` draws; SetupError if it is too large."""
+    """Check of the size of a prediction with `n_tests` tests and `n_trials` draws; InputError if it is too large."""
     if n_tests > MAX_PREDICTED_TESTS or n_tests * n_trials > MAX_TEST_DRAWS:
-        raise SetupError(
+        raise InputError(
             f"{n_tests} tests with {n_trials} trials each, expected at most {MAX_PREDICTED_TESTS} tests and "
             f"{MAX_TEST_DRAWS:.0e} draws in all: give fewer tests, or a smaller number of trials"
         )
@@ -134,18 +134,18 @@ def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) 
 
 
 def _load_calibration(path: Path) -> Calibration:
-    """Calibration of the instrument; raises SetupError for a file of several instruments."""
+    """Calibration of the instrument; raises InputError for a file of several instruments."""
     calibration = read_calibration(path)
     if len(calibration.instruments) > 1:
-        raise SetupError(f"{path}: has {len(calibration.instruments)} instruments; an acceptance test needs one")
+        raise InputError(f"{path}: has {len(calibration.instruments)} instruments; an acceptance test needs one")
     return calibration
 
 
-@as_setup_error()
+@as_input_error()
 def read_measured_errors(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -> list[TestOutcome]:
     """Outcomes of tests from a CSV file of measured errors with columns ``test``, ``error_um``, optionally ``U_um``.
 
-    `limits` (tests,) [m] are the permissible errors of the planned tests. SetupError is raised for an unknown or
+    `limits` (tests,) [m] are the permissible errors of the planned tests. InputError is raised for an unknown or
     repeated test, and for a cell that is no number.
     """
     place = {test.name: i for i, test in enumerate(tests)}
@@ -153,21 +153,21 @@ def read_measured_errors(file: Path, tests: Sequence[AcceptanceTest], limits: Fl
     for line, row in read_table_rows(file, ("test", "error_um"), ("U_um",)):
         name = row["test"].strip()
         if name not in place:
-            raise SetupError(f"{file}: row {line}: {unknown_name_error('test', name, place)}")
+            raise InputError(f"{file}: row {line}: {unknown_name_error('test', name, place)}")
         if name in outcome_by_test:
-            raise SetupError(f"{file}: row {line}: test '{quoted_text(name)}' has two rows; keep its largest error")
+            raise InputError(f"{file}: row {line}: test '{quoted_text(name)}' has two rows; keep its largest error")
         numbers = [
             parse_comma_number(row[name], file=file, row=line, column=name) if row.get(name) else float("nan")
             for name in ("error_um", "U_um")
         ]
         if not np.isfinite(numbers[0]):
-            raise SetupError(f"{file}: row {line}: error_um is empty, expected micrometres")
+            raise InputError(f"{file}: row {line}: error_um is empty, expected micrometres")
         i = place[name]
         outcome_by_test[name] = make_test_outcome(
             name, tests[i].group, numbers[0] * MICROMETRE, float(limits[i]), numbers[1] * MICROMETRE
         )
     if not outcome_by_test:
-        raise SetupError(f"{file}: no measured errors; expected one row per test")
+        raise InputError(f"{file}: no measured errors; expected one row per test")
     return list(outcome_by_test.values())
 
 

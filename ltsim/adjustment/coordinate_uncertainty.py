@@ -199,8 +199,9 @@ def covariance_due_to_air(adjustment: Adjustment, columns: Ints, air: AirUncerta
 def _air_right_hand_sides(adjustment: Adjustment, air: AirUncertainty) -> tuple[Floats, DesignMatrix]:
     """Right-hand sides A' s (u, q) of the normal equations for q air errors, and the matrix A' S A (u, u).
 
-    s are the shifts of the whitened observations by the errors, which are temperature and gradient at each station; S
-    is the covariance of the observations due to turbulence, A the design matrix of u unknowns.
+    The air errors are an error of the temperature and one of its vertical gradient at each station, each of one
+    standard deviation. s (r, q) are the shifts of r whitened observations by them, S (r, r) the covariance of the
+    whitened observations due to turbulence, and A (r, u) the whitened design matrix of u unknowns.
     """
     common, station = _reading_shifts_by_shared_air_errors(adjustment, air)
     turbulence, design = _turbulence_sigma_ratios(adjustment, air), adjustment.solution.system.design[: len(station)]

@@ -34,7 +34,7 @@ from ltsim.recordings.reflectors import require_equal_radii
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.design import to_dense
 
-NORM_BY_DISTANCE_METHOD: dict[str, ObjectiveNorm] = {
+OBJECTIVE_NORM_BY_DISTANCE_METHOD: dict[str, ObjectiveNorm] = {
     "distance": "squares",
     "distance-l1": "absolute",
     "equation-9": "squares",
@@ -65,7 +65,11 @@ def calibrate_distance(
     recording, _, gross, _ = screen_gross_errors(recording)
     usable = recording.with_readings(np.where(gross[:, None], np.nan, recording.readings))
     start_values = np.where(held, parameter_prior.mean / prior, 0.0).ravel()
-    problem, norm, notes = DistanceProblem(usable, model, prior), NORM_BY_DISTANCE_METHOD[method], tuple[str, ...]()
+    problem, norm, notes = (
+        DistanceProblem(usable, model, prior),
+        OBJECTIVE_NORM_BY_DISTANCE_METHOD[method],
+        tuple[str, ...](),
+    )
     if method.startswith("equation-9"):
         estimate = solve_equation_9(
             problem,

@@ -324,15 +324,15 @@ def _least_absolute_in_bounds(design: Floats, residual: Floats, bounds: tuple[Fl
     The residual is written as the difference of two nonnegative vectors, whose sum is minimised.
     """
     count, size = design.shape
-    scale = float(np.mean(np.abs(residual)))
-    weights = np.concatenate([np.zeros(size), np.ones(2 * count)])
+    weights, scale = np.concatenate([np.zeros(size), np.ones(2 * count)]), float(np.mean(np.abs(residual)))
     identity = sp.eye_array(count)
     matrix = sp.hstack([sp.csr_array(design / scale), -identity, identity], format="csr")
     limits = [*zip(*bounds, strict=True), *[(0.0, None)] * (2 * count)]
     solution = linprog(weights, A_eq=matrix, b_eq=-residual / scale, bounds=limits, method="highs")
     if solution.x is None:
         raise NetworkError(
-            f"eq. 9 has no minimum within the bound: the linear program has no solution ({solution.message})"
+            "the sum of absolute distance differences (Sensors 2021, 21, 7479, eq. 9) has no minimum in the bounds of "
+            f"the unknowns: the linear program has no solution ({solution.message})"
         )
     return np.asarray(solution.x[:size], dtype=np.float64)
 
@@ -394,7 +394,7 @@ def sentences_on_minimum(
     method = "equation-9" if norm == "squares" else "equation-9-l1"
     n_undetermined = len(estimate.undetermined_combinations)
     return (
-        f"the distance objective (eq. 9) of this estimate is {power * estimate.objective_value:.4g} {unit}, with "
-        f"{n_undetermined} hardly determined combinations set to zero. The minimum of eq. 9 is {power * minimum:.4g} "
+        f"the distance objective (Sensors 2021, 21, 7479, eq. 9) is {power * estimate.objective_value:.4g} {unit}, "
+        f"with {n_undetermined} hardly determined combinations set to zero. Its minimum is {power * minimum:.4g} "
         f"{unit} (method {method}), where these combinations are fitted to the noise",
     )

@@ -76,7 +76,7 @@ class DistanceProblem:
     def _distance_ends(self) -> tuple[Ints, Ints, Ints]:
         """Indices of the first and second mean point of each distance, and the index of its pair of targets."""
         sets, target = self._averaging_matrix[1].T
-        a, b = _index_pairs(
+        a, b = _pairs_within_groups(
             np.flatnonzero(sets == number) for number in range(int(self.station_face_indices.max(initial=-1)) + 1)
         )
         self._check_matrix_size(len(a))
@@ -180,11 +180,11 @@ def compared_distance_indices(distances: PairDistances) -> tuple[Ints, Ints]:
     A set is the pointings of one station and face.
     """
     order = np.argsort(distances.pair_indices, kind="stable")
-    return _index_pairs(np.split(order, np.flatnonzero(np.diff(distances.pair_indices[order])) + 1))
+    return _pairs_within_groups(np.split(order, np.flatnonzero(np.diff(distances.pair_indices[order])) + 1))
 
 
-def _index_pairs(groups: Iterable[Ints]) -> tuple[Ints, Ints]:
-    """First and second index of all pairs of indices that are in the same group."""
+def _pairs_within_groups(groups: Iterable[Ints]) -> tuple[Ints, Ints]:
+    """First and second index of each pair of indices in one group; a group is an array of indices."""
     pairs_by_group = [members[np.stack(np.triu_indices(len(members), k=1))] for members in groups]
     first, second = np.concatenate(pairs_by_group, axis=1)
     return first, second

@@ -13,7 +13,7 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_calibration
 from ltsim.calibration.history import History
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import ModelError, RecordError, SetupError, unknown_name_error
+from ltsim.core.errors import InputError, ModelError, RecordError, unknown_name_error
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.physics.model.construction import GeometricErrorModel, all_parameter_names
 from ltsim.recordings.recording import Recording
@@ -144,10 +144,10 @@ class ParameterSelection:
     """Prior from earlier calibrations that replaces the prior of the set-up."""
     has_no_prior: bool = False
     """True if the parameters have no prior: their prior standard deviations are then `NO_PRIOR_SIGMA_FACTOR` times
-    those of the set-up."""
+    those that the recording's file `setup.toml` declares or implies."""
 
     def prior_of(self, recording: Recording, construction: GeometricErrorModel) -> ParameterPrior:
-        """Prior of a recording's instruments for this selection; raises ModelError or SetupError for wrong names."""
+        """Prior of a recording's instruments for this selection; raises ModelError or InputError for wrong names."""
         return self.prior_with_sigma(prior_sigmas(recording, construction), recording, construction)
 
     def prior_with_sigma(
@@ -209,13 +209,13 @@ def parameter_vector_indices(
 
 
 def check_prior_names(recording: Recording, construction: GeometricErrorModel) -> None:
-    """Check that the set-up declares priors only for parameters of the instrument model; raises SetupError."""
+    """Check that the set-up declares priors only for parameters of the instrument model; raises InputError."""
     setup = recording.setup
     tables = {"instrument": setup.instrument, **{f"instruments.{k}": i for k, i in setup.instruments.items()}}
     parameter_names = {*construction.parameter_names, *all_parameter_names()}
     for table, instrument in tables.items():
         for name in instrument.prior.parameters:
             if name not in parameter_names:
-                raise SetupError(
+                raise InputError(
                     f"[{table}.prior.parameters]: {unknown_name_error('parameter', name, construction.parameter_names)}"
                 )

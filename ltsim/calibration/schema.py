@@ -89,7 +89,8 @@ class ParameterEntry(Entry):
     prior_rejected: bool = False
     """True if the readings contradict the prior, so that the estimate follows the readings."""
     applied_value: OptionalFloat = None
-    """Correction to apply to readings, in `unit`; null if it equals `value`."""
+    """Correction (true minus reading) that is applied to readings, in `unit`; null if it equals `value`. It is smaller
+    if points are then expected to be better, and the prior mean for a parameter that the readings hardly determine."""
     instrument: str = ""
     """Name of the instrument; empty for a single unnamed one."""
 
@@ -266,8 +267,7 @@ class RecommendedCorrection(Entry):
     prior_scale_limits: tuple[Positive, Positive]
     """Lower and upper limit of `prior_scale`, each with a one-sided confidence of 95 %."""
     uncorrected_error_um: NotNegative
-    """Expected rms error [um] of an uncorrected point in the frame of its set-up, from the instrument's constants
-    alone."""
+    """Expected rms error [um] of an uncorrected point in its set-up's frame, from the instrument's constants alone."""
     corrected_error_um: NotNegative
     """Expected rms error [um] of a corrected point, from the instrument's constants alone."""
     noise_error_um: NotNegative = 0.0

@@ -15,7 +15,7 @@ from ltsim.adjustment.snooping import screen_gross_errors
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.calibration_series import CalibrationSeries
 from ltsim.calibration.correct import incidence_reading_changes
-from ltsim.calibration.distance import NORM_BY_DISTANCE_METHOD, calibrate_distance
+from ltsim.calibration.distance import OBJECTIVE_NORM_BY_DISTANCE_METHOD, calibrate_distance
 from ltsim.calibration.extra_effects import RequestedEffect
 from ltsim.calibration.files import CalibrationSource, load_calibration, read_calibration
 from ltsim.calibration.history import History
@@ -111,7 +111,7 @@ def calibrate(
     ['parameter', 'instrument', 'value', 'sigma', 'unit', 'prior_sigma', 'held', 'applied_value']
     """
     check_mapping("hold", hold)
-    check_choice("method", method, ("network", *NORM_BY_DISTANCE_METHOD))
+    check_choice("method", method, ("network", *OBJECTIVE_NORM_BY_DISTANCE_METHOD))
     if isinstance(construction, GeometricErrorModel):
         if harmonics is not None or degree is not None:
             raise ModelError("harmonics and degree can be set only if construction is a name, such as 'dh'")

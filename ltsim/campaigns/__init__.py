@@ -9,7 +9,7 @@ REQUIRED_PACKAGES = ("duckdb", "filelock", "numba", "pyarrow")
 
 
 def require_packages() -> None:
-    """Check that the packages that campaigns need are installed; SetupError with the command that installs them."""
+    """Check that the packages that campaigns need are installed; InputError with the command that installs them."""
     require_extra(REQUIRED_PACKAGES, "campaigns", "campaigns")
 
 

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment.prior import prior_sigmas
-from ltsim.calibration.distance import NORM_BY_DISTANCE_METHOD
+from ltsim.calibration.distance import OBJECTIVE_NORM_BY_DISTANCE_METHOD
 from ltsim.calibration.distance_solver import (
     ComparedDistances,
     DistanceEstimate,
@@ -78,7 +78,7 @@ class BatchDistance(BatchCalibrator):
         """Estimate at the nominal readings: zero, with its covariance and the combinations that are not estimated."""
         if self.estimates_all_combinations:
             return solve_equation_9(self.distance_problem, "absolute" if self.uses_absolute_deviations else "squares")
-        return solve_distances(self.distance_problem, NORM_BY_DISTANCE_METHOD[self.method])
+        return solve_distances(self.distance_problem, OBJECTIVE_NORM_BY_DISTANCE_METHOD[self.method])
 
     @cached_property
     def _nominal_distances(self) -> PairDistances:

@@ -13,7 +13,7 @@ from ltsim.calibration.correct import correct
 from ltsim.campaigns.spec import VALIDATION_STREAM_KEY, make_validation_scenario
 from ltsim.core.arguments import check_bounds
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.results import Result, Table, number_columns, text_columns
 from ltsim.core.units import MICROMETRE
 from ltsim.simulation.fieldwork import make_measurement_geometry
@@ -104,7 +104,7 @@ def compare_calibrations(
 
     Raises
     ------
-    SetupError
+    InputError
         If the scenario does not exist, its stations name other trackers, or a calibration belongs to another recording.
 
     Examples
@@ -128,11 +128,11 @@ def compare_calibrations(
             else made.readings
         )
         if not _may_be_same_recording(readings, made.readings):  # the distance methods adjust corrected readings
-            raise SetupError(
+            raise InputError(
                 f"calibration '{name}' is not from seed {seed} and trial {trial}; give those of its recording"
             )
     if not by_name:
-        raise SetupError("no calibration is given, expected at least one")
+        raise InputError("no calibration is given, expected at least one")
     true_values = np.array([*truth.instrument_values.values()]).reshape(len(base_scenario.trackers_in_use), -1)
     geometry = make_measurement_geometry(
         make_validation_scenario(str(validation_scenario), base_scenario, place), seed, VALIDATION_STREAM_KEY

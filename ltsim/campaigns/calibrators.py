@@ -33,7 +33,7 @@ from ltsim.campaigns.trial_calibrators import (
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import CellTruth, TrialBatch
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import NetworkError, SetupError
+from ltsim.core.errors import InputError, NetworkError
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, construction_with_orders
 from ltsim.physics.model.measurement import NetworkState
@@ -46,14 +46,14 @@ def estimated_construction(method: CalibrationMethod) -> GeometricErrorModel:
 
 
 def estimated_effects(method: CalibrationMethod) -> tuple[Effect, ...]:
-    """Additional effects that a method estimates; SetupError names an invalid entry and the permitted values."""
+    """Additional effects that a method estimates; InputError names an invalid entry and the permitted values."""
     return tuple(e.effect(f"methods.{method.title}.effects.{i}") for i, e in enumerate(method.effects, 1))
 
 
 def make_calibrator(method: CalibrationMethod, truth: CellTruth) -> TrialCalibrator:
     """Calibrator for a method of a campaign file, for trials in the network geometry `truth`."""
     if method.method != "network" and not truth.is_recorded_observable.all():
-        raise SetupError(f"methods.{method.title}: method {method.method} needs ranges and angles; use method network")
+        raise InputError(f"methods.{method.title}: method {method.method} needs ranges and angles; use method network")
     built, effects = estimated_construction(method), estimated_effects(method)
     if method.solver == "single":
         return SerialCalibrator(
@@ -124,7 +124,9 @@ class GeometryStack(CellTruth):
     def _effect_design(self, effects: tuple[Effect, ...]) -> Floats:
         return self.stack_arrays(truth.effect_design(effects)[..., 0] for truth in self.truths)
 
-    def _compute_chain_and_design(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
+    def _compute_kinematic_chain_and_reading_derivatives(
+        self, construction: GeometricErrorModel
+    ) -> tuple[ChainProgram, Floats]:
         """Kinematic chain of all trials, and derivative of the readings by the instrument parameters.
 
         The derivative has the shape (pointings, 3, parameters, trials).
@@ -138,7 +140,10 @@ class GeometryStack(CellTruth):
 
     def _exact_deviations(self, true_parameters: Floats) -> Floats:
         """Exact minus nominal readings (pointings, 3, trials) for true instrument parameters [SI]."""
-        which, (program, by_value) = self.recording.instrument, self.chain_and_design(self.construction)
+        which, (program, by_value) = (
+            self.recording.instrument,
+            self.kinematic_chain_and_reading_derivatives(self.construction),
+        )
         deviation = np.einsum("nckb,nkb->ncb", by_value, true_parameters[which])
         compute_readings(program, which, self.local_points, self.reading_derivatives, true_parameters, deviation)
         return deviation
@@ -224,9 +229,9 @@ class StackCalibrator(TrialCalibrator):
                 single = self.single_trial_calibrator(trial).calibrate(
                     trial_batch.single_trials[trial], np.zeros(1, dtype=np.int64)
                 )
-            except (NetworkError, SetupError):
+            except (NetworkError, InputError):
                 continue
-            calibrated.copy_trial(trial, single, 0)
+            calibrated.copy_results_of_trial(trial, single, 0)
         return calibrated
 
     def _calibrate_batch(self, trial_batch: TrialBatch, calibrated_batch: CalibratedBatch) -> Ints:
@@ -235,7 +240,7 @@ class StackCalibrator(TrialCalibrator):
         The estimates of all other trials are written to `calibrated_batch`.
         """
         stack, built = self.truth, self.construction
-        program, by_value = stack.chain_and_design(built)
+        program, by_value = stack.kinematic_chain_and_reading_derivatives(built)
         networks: list[BatchNetwork] = []
         for k, truth in enumerate(stack.truths):
             recording = stack.recording.with_readings(stack.nominal_readings[:, :, k])
@@ -257,7 +262,7 @@ class StackCalibrator(TrialCalibrator):
         network = StackedNetwork(stack.recording, stack.state, built, program, networks=tuple(networks))
         try:
             fit = network.fit_trials(trial_batch.reading_deviations, trial_batch.length_errors)
-        except SetupError:
+        except InputError:
             return np.arange(len(networks))
         status = np.zeros(len(networks), dtype=np.int64)
         batch_results = CalibratedBatch(
@@ -270,7 +275,7 @@ class StackCalibrator(TrialCalibrator):
         )
         is_doubtful = ~fit.has_converged | suspect_trial_mask(trial_batch.reading_deviations, stack.local_points)
         for trial in np.flatnonzero(~is_doubtful):
-            calibrated_batch.copy_trial(int(trial), batch_results, int(trial))
+            calibrated_batch.copy_results_of_trial(int(trial), batch_results, int(trial))
         return np.flatnonzero(is_doubtful)
 
     def largest_solver_difference(self, trial_batch: TrialBatch, trial: int, results: CalibratedBatch) -> float:

@@ -39,7 +39,7 @@ from ltsim.campaigns.stopping import ShardKey, iterate_stopping_rounds
 from ltsim.campaigns.store import CAMPAIGN_FILE, CampaignFolder, interruption_error
 from ltsim.campaigns.truth import make_small_geometry
 from ltsim.core.arguments import check_bounds, check_choice
-from ltsim.core.errors import SetupError, WorkerError, as_setup_error, option_text
+from ltsim.core.errors import InputError, WorkerError, as_input_error, option_text
 from ltsim.core.parallel import run_parallel
 from ltsim.core.storage import check_writable, read_whole_file
 from ltsim.recordings.files import quoted_text
@@ -71,11 +71,11 @@ class WorkerSettings:
         check_bounds(jobs=self.n_processes, required_argument="jobs")
         check_choice("backend", self.backend, ("local", "dask"))
         if self.scheduler and self.backend != "dask":
-            raise SetupError(
+            raise InputError(
                 f"{option_text('scheduler')} is {self.scheduler}, which needs {option_text('backend=dask')}"
             )
         if self.backend == "dask" and not self.scheduler:
-            raise SetupError(
+            raise InputError(
                 f"{option_text('backend=dask')} needs {option_text('scheduler')}, an address such as "
                 "tcp://127.0.0.1:8786 or a cluster file"
             )
@@ -111,7 +111,7 @@ def run_campaign(
     `tables`, if given, replaces the content of the campaign file `file`. `changes` are new values of its keys.
     `progress` is called with the number of rows (trials times methods) that were finished since the last call.
     """
-    with as_setup_error():
+    with as_input_error():
         check_writable(folder, is_folder=True)
     campaign, scenarios = load_campaign(file, changes, tables)
     factors, cells = make_cells(campaign, scenarios, file)
@@ -119,7 +119,7 @@ def run_campaign(
     sources = _input_files(campaign, cells, file, copies_file=not changes and tables is None)
     taken = [] if store.has_campaign or force else store.conflicting_files(sources)
     if taken:
-        raise SetupError(
+        raise InputError(
             f"{folder}: contains {', '.join(taken)} but no campaign; name another {option_text('out')}, "
             f"or replace them with {option_text('force=True')}"
         )
@@ -180,14 +180,14 @@ def _input_files(
 def _configuration_notes(
     campaign: CampaignFile, factors: Sequence[Factor], cells: Sequence[CampaignCell], file: Path
 ) -> list[str]:
-    """Notes on declared effects that change no reading; SetupError for an error that would stop every trial."""
+    """Notes on declared effects that change no reading; InputError for an error that would stop every trial."""
     unused_settings = []
     for method in campaign.methods:
         estimated_construction(method)
         estimated_effects(method)
     for number, cell in enumerate(cells, start=1):
         where = f"cell {number} ({cell_label(factors, cell.levels)})"
-        with as_setup_error(f"{file}: {where}"):
+        with as_input_error(f"{file}: {where}"):
             geometry = make_small_geometry(cell.scenario, campaign.seed)
             unused_settings += [f"{where}: {note}" for note in ineffective_effect_notes(geometry)]
             if cell.validation_scenario is not None:
@@ -200,16 +200,16 @@ def _extended_campaign(
 ) -> tuple[CampaignFile, tuple[CampaignCell, ...]]:
     """Campaign in a folder with the additions of the campaign file: its content, and its cells.
 
-    Existing cells keep their numbers. SetupError is raised if the file would change existing rows.
+    Existing cells keep their numbers. InputError is raised if the file would change existing rows.
     """
     if not resume:
-        raise SetupError(
+        raise InputError(
             f"{store.folder}: holds a campaign; continue it with {option_text('resume=True')}, "
             f"name another {option_text('out')}, or start again with {option_text('force=True')}"
         )
     manifest = store.manifest()
     if not all(old.digest for old in manifest.cells):
-        raise SetupError(
+        raise InputError(
             f"{store.folder}: the campaign was started by an earlier version of ltsim; start again with another "
             f"{option_text('out')}, or with {option_text('force=True')}"
         )
@@ -221,14 +221,14 @@ def _extended_campaign(
             changed = [key for key in now if key not in EXTENDABLE_KEYS and before.get(key) != now[key]] or [
                 "the scenario"
             ]
-            raise SetupError(
+            raise InputError(
                 f"{file}: changed since this campaign started ({', '.join(changed)}); its rows in {store.folder} stay: "
                 f"continue with {store.folder / CAMPAIGN_FILE}, or start again with another {option_text('out')}"
             )
         remaining.remove(same)
         ordered.append(same)
     if [*manifest.cells[0].levels] != [*cells[0].levels]:
-        raise SetupError(
+        raise InputError(
             f"{file}: varies {', '.join(cells[0].levels) or 'nothing'}, but the campaign in {store.folder} varies "
             f"{', '.join(manifest.cells[0].levels) or 'nothing'}: a different factor needs another {option_text('out')}"
         )
@@ -238,21 +238,21 @@ def _extended_campaign(
     try:
         number_of_shards(extended.trials, extended.trials_per_shard, len(ordered) + len(remaining))
     except ValueError as problem:
-        raise SetupError(f"{store.folder}: {problem}") from None
+        raise InputError(f"{store.folder}: {problem}") from None
     return extended, (*ordered, *remaining)
 
 
 def _environment_change_notes(store: CampaignFolder) -> list[str]:
     """Notes on changes since the start of the campaign: another commit of ltsim, or another processor type.
 
-    SetupError is raised for other versions of the packages in `VERSIONED_PACKAGES`.
+    InputError is raised for other versions of the packages in `VERSIONED_PACKAGES`.
     """
     manifest = store.manifest()
     then, today = manifest.versions, _package_versions()
     for name in VERSIONED_PACKAGES:
         if then.get(name) != today[name]:
             before = quoted_text(str(then.get(name)))
-            raise SetupError(
+            raise InputError(
                 f"{store.folder}: the campaign was started with {name} {before}; rows may differ with {today[name]}; "
                 f"continue with the same version, or start again with another {option_text('out')}"
             )
@@ -380,13 +380,13 @@ def _dask_cluster(workers: WorkerSettings) -> Iterator[None]:
     try:
         from distributed import Client, KilledWorker
     except ImportError:
-        raise SetupError("the dask backend needs the extra 'cluster': pip install ltsim[cluster]") from None
+        raise InputError("the dask backend needs the extra 'cluster': pip install ltsim[cluster]") from None
     try:
         connect: Any = Client
         place = "scheduler_file" if Path(workers.scheduler).is_file() else "address"
         client = connect(**{place: workers.scheduler}, timeout=30)
     except (OSError, ValueError) as problem:
-        raise SetupError(f"no dask scheduler answers at {workers.scheduler} ({problem})") from None
+        raise InputError(f"no dask scheduler answers at {workers.scheduler} ({problem})") from None
     with client, parallel_config(backend="dask", wait_for_workers_timeout=60):
         try:
             yield

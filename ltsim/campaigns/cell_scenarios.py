@@ -5,7 +5,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel
 
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.simulation.scenario import Scenario
 
 MAX_MANIFEST_VALUES = 1_400_000
@@ -38,12 +38,12 @@ def with_shared_values(model: ModelType, base: ModelType) -> ModelType:
 def require_small_manifest(scenario: Scenario, n_cells: int, path: Path) -> None:
     """Check that the manifest, which contains the scenario of every cell, has at most `MAX_MANIFEST_VALUES` values.
 
-    `scenario` is the base scenario of `n_cells` cells. SetupError names the campaign file `path`.
+    `scenario` is the base scenario of `n_cells` cells. InputError names the campaign file `path`.
     """
     text = scenario.model_dump_json(by_alias=True)
     n_values = n_cells * (text.count(",") + text.count("[") + text.count("{"))
     if n_values > MAX_MANIFEST_VALUES:
-        raise SetupError(
+        raise InputError(
             f"{path}: the scenarios of {n_cells} cells have {n_values} values together, expected at most "
             f"{MAX_MANIFEST_VALUES}: divide the campaign"
         )

@@ -55,16 +55,18 @@ class ChainProgram(NamedTuple):
     @classmethod
     def from_construction(cls, construction: GeometricErrorModel, readings: Floats) -> Self:
         """Chain of an error model, linearised at `readings` (pointings, 3), without motions that are always zero."""
-        slots = [term.chain_error for term in construction.terms]
-        motions_by_slot = {
-            m.error_key: [k for k, slot in enumerate(slots) if slot == m.error_key]
+        error_keys = [term.chain_error for term in construction.terms]
+        parameters_by_error_key = {
+            m.error_key: [k for k, key in enumerate(error_keys) if key == m.error_key]
             for m in construction.kinematic_chain
             if m.error_key
         }
         motions = [
-            m for m in construction.kinematic_chain if m.nominal_amount is not None or motions_by_slot.get(m.error_key)
+            m
+            for m in construction.kinematic_chain
+            if m.nominal_amount is not None or parameters_by_error_key.get(m.error_key)
         ]
-        feeds = [motions_by_slot.get(m.error_key, []) for m in motions]
+        feeds = [parameters_by_error_key.get(m.error_key, []) for m in motions]
         slope = _basis_derivatives(construction, readings)
         return cls(
             is_rotation=np.array([isinstance(m, RotationStep) for m in motions], dtype=np.int64),

@@ -19,7 +19,7 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from ltsim.core.errors import CalibratorError, RecordError, SetupError, option_text
+from ltsim.core.errors import CalibratorError, InputError, RecordError, option_text
 from ltsim.core.parallel import PYTHON_SAFE_PATH_VARIABLE
 from ltsim.core.units import SI_PER_UNIT, permitted_units_text
 from ltsim.recordings import Recording, write as write_recording
@@ -55,15 +55,15 @@ _ESTIMATES_ADAPTER = TypeAdapter(dict[str, ParameterEstimate])
 
 
 def split_command(command: str) -> list[str]:
-    """List of the words of a command; raises SetupError for a command without {recording} or {out}."""
+    """List of the words of a command; raises InputError for a command without {recording} or {out}."""
     for place in (RECORDING_PLACEHOLDER, OUTPUT_PLACEHOLDER):
         if place not in command:
             expected = f"'CMD {RECORDING_PLACEHOLDER} {OUTPUT_PLACEHOLDER}'"
-            raise SetupError(f"{option_text('calibrator')} '{quoted_text(command)}' lacks {place}: expected {expected}")
+            raise InputError(f"{option_text('calibrator')} '{quoted_text(command)}' lacks {place}: expected {expected}")
     try:
         return shlex.split(command)
     except ValueError as problem:
-        raise SetupError(f"{option_text('calibrator')} '{quoted_text(command)}': {problem}") from None
+        raise InputError(f"{option_text('calibrator')} '{quoted_text(command)}': {problem}") from None
 
 
 def run_external_calibrator(
@@ -72,7 +72,7 @@ def run_external_calibrator(
     """Estimates of an external calibrator from a recording, by name of the parameter.
 
     `trial_text` names the trial in messages. CalibratorError is raised for a calibrator without a valid result (exit
-    status other than 0, None, no file, a value that is not finite), SetupError for one that cannot be started.
+    status other than 0, None, no file, a value that is not finite), InputError for one that cannot be started.
     """
     if not isinstance(calibrator, str):
         given = calibrator(recording)
@@ -98,7 +98,7 @@ def run_external_calibrator(
             )
         except OSError as problem:
             message = f"{option_text('calibrator')}: {quoted_text(words[0])} cannot be started ({problem.strerror})"
-            raise SetupError(message) from None
+            raise InputError(message) from None
         what = (
             f"'{quoted_text(calibrator, MAX_QUOTED_LINE_LENGTH)}' ended with status {done.returncode} for {trial_text}"
         )

@@ -13,7 +13,7 @@ from ltsim.adjustment.frame import DeclaredFrame
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.geometry.rigid import pose_design
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel
@@ -134,14 +134,14 @@ class NominalNetwork:
         )
         order = np.concatenate([part.ravel() for part in column_groups])
         if len(np.unique(order)) != unknowns.n_columns:
-            raise SetupError('the batch solver does not support stations over a common mark; use solver = "single"')
+            raise InputError('the batch solver does not support stations over a common mark; use solver = "single"')
         return order
 
     @property
     def cholesky_and_scales(self) -> tuple[Floats, Floats]:
         """Lower Cholesky factor of the nominal normal matrix, scaled to a unit diagonal, and the scales (unknowns,).
 
-        SetupError is raised for undetermined unknowns.
+        InputError is raised for undetermined unknowns.
         """
         return self._factorisation.root, self._factorisation.scale
 
@@ -154,7 +154,7 @@ class NominalNetwork:
     def _factorisation(self) -> _Factorisation:
         """Quantities that need the whole design matrix, computed together, so that a dense one is not kept.
 
-        SetupError is raised for undetermined unknowns.
+        InputError is raised for undetermined unknowns.
         """
         design, residual = self._whitened_design_and_residuals()
         if isinstance(design, np.ndarray):
@@ -166,7 +166,7 @@ class NominalNetwork:
         unit, scale = scale_to_unit_diagonal(normal, np.diag(normal))
         roots, determined = cholesky_where_determined(unit[None])
         if not determined.all():
-            raise SetupError(
+            raise InputError(
                 "the network of the scenario does not determine all unknowns: give priors or more pointings"
             )
         n_readings = int(self.problem.is_used_reading.sum())

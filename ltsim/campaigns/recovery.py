@@ -25,7 +25,7 @@ from typing import ClassVar, Literal, Self, get_args
 
 from pydantic import Field, PrivateAttr
 
-from ltsim.calibration.distance import NORM_BY_DISTANCE_METHOD
+from ltsim.calibration.distance import OBJECTIVE_NORM_BY_DISTANCE_METHOD
 from ltsim.calibration.verbs import parse_requested_effect
 from ltsim.campaigns.external_calibrator import ExternalCalibrator, split_command
 from ltsim.campaigns.recovery_checks import RECOVERY_CHECKS_TABLE, RecoveryCheck
@@ -43,7 +43,7 @@ from ltsim.campaigns.recovery_trials import (
 from ltsim.campaigns.schema import ErrorOrigin, NonNegativeInt
 from ltsim.campaigns.scoring import TrialScore
 from ltsim.core.arguments import check_bounds, check_choice, check_mapping
-from ltsim.core.errors import ModelError, SetupError, option_text
+from ltsim.core.errors import InputError, ModelError, option_text
 from ltsim.core.notation import listing
 from ltsim.core.results import Table
 from ltsim.core.units import parse_in_unit
@@ -257,14 +257,14 @@ def recover(
     """
     check_bounds(trials=trials, seed=seed, jobs=jobs, required_argument="trials seed jobs")
     check_mapping("tolerance", tolerance)
-    check_choice("method", method, ("network", *NORM_BY_DISTANCE_METHOD))
+    check_choice("method", method, ("network", *OBJECTIVE_NORM_BY_DISTANCE_METHOD))
     check_choice("errors", errors, get_args(ErrorOrigin), allow_none=True)
     if calibrator is not None and not (isinstance(calibrator, str) or callable(calibrator)):
-        raise SetupError(f"{option_text('calibrator')} is {calibrator!r}, expected a command or a function")
+        raise InputError(f"{option_text('calibrator')} is {calibrator!r}, expected a command or a function")
     scenario, given = scenario_of(source), tolerance or {}
     true_construction, mode = make_scenario_construction(scenario), errors or default_origin_of_true_errors(scenario)
     if true_construction.name == "dh" and construction not in (None, "dh"):
-        raise SetupError(f"the scenario's instrument has the construction dh: set {option_text('construction')} to dh")
+        raise InputError(f"the scenario's instrument has the construction dh: set {option_text('construction')} to dh")
     if isinstance(calibrator, str):
         split_command(calibrator)
     elif calibrator is not None:
@@ -312,16 +312,16 @@ def _failed_if_parameters_differ(
 def _parse_tolerances(tolerance: Mapping[str, str], trial: TrialScore) -> dict[str, RecoveryTolerance]:
     """Tolerances such as ``2 urad`` by parameter, converted to the units of the parameters in `trial`.
 
-    SetupError is raised for a unit of another kind than the parameter's, such as a length for an angle.
+    InputError is raised for a unit of another kind than the parameter's, such as a length for an angle.
     """
     given_values = {}
     for name, words in tolerance.items():
         if name not in trial.parameter_names:
-            raise SetupError(f"tolerance '{name}' belongs to none of the parameters {', '.join(trial.parameter_names)}")
+            raise InputError(f"tolerance '{name}' belongs to none of the parameters {', '.join(trial.parameter_names)}")
         unit = trial.parameter_units[trial.parameter_names.index(name)]
         value = parse_in_unit(words, unit)
         if value is None or not value > 0:
-            raise SetupError(f"the tolerance of {name} is '{words}', expected a quantity such as '2 {unit}'")
+            raise InputError(f"the tolerance of {name} is '{words}', expected a quantity such as '2 {unit}'")
         given_values[name] = RecoveryTolerance(value, words)
     return given_values
 

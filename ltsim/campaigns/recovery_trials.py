@@ -127,7 +127,7 @@ def run_trials(
 ) -> Generator[TrialScore | FailedTrial, None, None]:
     """Outcomes of the trials in order; they are identical for any number of processes.
 
-    SetupError is raised for a parameter of the calibrator that is not drawn.
+    InputError is raised for a parameter of the calibrator that is not drawn.
     """
     drawn_scenario = with_errors_from_prior(scenario) if settings.error_origin == "drawn" else scenario
     tasks = ((drawn_scenario, seed, index, settings) for index in range(trials))
@@ -299,7 +299,7 @@ class RecoveryTrials(ValueEquality):
         """Checks of one parameter, with false-alarm rate `alpha`; its z-scores are checked if every trial has one."""
         name, standard, z = (
             self.parameter_names[parameter_index],
-            self._stack_attribute("standard_z_scores")[:, parameter_index],
+            self._stack_attribute("prior_independent_z_scores")[:, parameter_index],
             self.z_scores[:, parameter_index],
         )
         foreign, checks = self.trials_with_result[0].is_external, list[RecoveryCheck]()

@@ -142,7 +142,7 @@ class CampaignResults(CampaignStatistics, Result):
 
         Raises
         ------
-        ModelError, SetupError
+        ModelError, InputError
             When there is no such statistic, or when xarray is not installed.
         """
         try:
@@ -213,10 +213,10 @@ class PairedDifference:
 
     shared_levels: Mapping[str, Any]
     """Levels of the factors that are not compared, by name of the factor."""
-    first: str
-    """First method or level."""
-    second: str
-    """Second method or level."""
+    first_name: str
+    """Name of the first method, or factor with its first level, such as `faces 2`."""
+    second_name: str
+    """Name of the second method, or factor with its second level."""
     statistic: str
     """Name of the statistic."""
     unit: str
@@ -236,9 +236,8 @@ class PairedDifference:
         place = "".join(f", {name} {value}" for name, value in self.shared_levels.items())
         gap, unit = f"{self.difference:.4g}", f" {self.unit}" if self.unit else ""
         interval = f"95 %: {self.low:.4g} to {self.high:.4g}{unit}"
-        return (
-            f"{self.statistic}, {self.first} minus {self.second}{place}: {gap}{unit} ({interval}; {self.trials} trials)"
-        )
+        names = f"{self.first_name} minus {self.second_name}"
+        return f"{self.statistic}, {names}{place}: {gap}{unit} ({interval}; {self.trials} trials)"
 
 
 @dataclass(frozen=True, repr=False)

@@ -34,7 +34,7 @@ from ltsim.campaigns.trial_calibrators import CalibratedBatch, TrialCalibrator
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import CellTruth, TrialBatch, make_cell_truth
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.randomness import TRIALS_PER_STREAM
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import Effect
@@ -190,7 +190,7 @@ class CellContext:
         """
         geometries, seed = {}, self.campaign.seed
         for trial in trials:
-            with suppress(SetupError):
+            with suppress(InputError):
                 key, like = (
                     placing_stream_key(trial, self.campaign.geometry),
                     self.shared_geometry_evaluator_and_calibrators[0].truth,

@@ -14,7 +14,7 @@ from ltsim.campaigns.external_calibrator import ParameterEstimate
 from ltsim.campaigns.schema import ErrorOrigin
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.equality import ValueEquality
-from ltsim.core.errors import CalibratorError, SetupError
+from ltsim.core.errors import CalibratorError, InputError
 from ltsim.core.units import SI_PER_UNIT, are_convertible_units
 from ltsim.physics.effects.effect import effect_parameter_names
 from ltsim.physics.effects.smr_incidence import SmrIncidence
@@ -54,9 +54,11 @@ class TrialScore(ValueEquality):
     declared_sigmas: Floats
     """Standard deviations that the calibrator declares, (parameters,); NaN for a parameter without one."""
     true_values: Floats
-    standard_z_scores: Floats
-    """z-scores (parameters,) that are standard normal for a correct calibrator, even if the true values were not drawn
-    from the prior. NaN for parameters whose error does not come from noise, and for a calibrator with unknown prior."""
+    prior_independent_z_scores: Floats
+    """Errors of the estimates, minus their expected bias by the prior, divided by their expected standard deviation for
+    the distribution from which the true values come, (parameters,). They are standard normal for a correct calibrator,
+    also if the true values are not drawn from the prior. NaN for a parameter whose error does not come from noise, and
+    for an external calibrator unless the true values are drawn from the prior."""
     network_score: NetworkScore = NetworkScore()
     is_external: bool = False
     """True for an external calibrator, whose prior is unknown."""
@@ -95,10 +97,10 @@ def true_parameters(truth: Truth) -> dict[str, TrueParameter]:
 
 
 def check_true_parameters(names: Sequence[str], true_names: Collection[str], truth: Truth) -> None:
-    """Check that the parameters `names` are among `true_names`; SetupError for a parameter without a true value."""
+    """Check that the parameters `names` are among `true_names`; InputError for a parameter without a true value."""
     unknown = [name for name in names if name not in true_names]
     if unknown:
-        raise SetupError(
+        raise InputError(
             f"the simulated instrument ({truth.construction}) has no parameter {unknown[0]}, "
             "which the calibrator gives; recover with the same construction"
         )
@@ -181,7 +183,7 @@ def _true_incidence_parameters(truth: Truth) -> Floats:
 def score_calibration(
     calibration: Calibration, truth: Truth, truth_distributions: Mapping[str, tuple[float, float]]
 ) -> TrialScore:
-    """Score of ltsim's calibration relative to true values; raises SetupError for a parameter without a true value.
+    """Score of ltsim's calibration relative to true values; raises InputError for a parameter without a true value.
 
     `truth_distributions` holds, by name, mean and standard deviation [SI] of the distribution from which each true
     parameter was drawn; the standard deviation of a declared parameter is 0.

@@ -22,7 +22,7 @@ from ltsim.campaigns.schema import (
     find_column,
     number_of_shards,
 )
-from ltsim.core.errors import SetupError, as_setup_error, unknown_name_error
+from ltsim.core.errors import InputError, as_input_error, unknown_name_error
 from ltsim.core.limits import MAX_ADDITIONAL_EFFECTS
 from ltsim.core.storage import read_whole_file
 from ltsim.core.units import MILLIMETRE
@@ -259,11 +259,11 @@ def load_campaign(
     """Campaign of a file, or of `tables` in place of a file, and the scenario of each cell.
 
     `changes` are new values of keys of the file (such as `trials`), or of dotted keys of the scenario in all cells.
-    SetupError is raised for an invalid file.
+    InputError is raised for an invalid file.
     """
     if tables is None and (path / ManifestFile.FILE).is_file():
-        raise SetupError(f"{path}: the folder holds rows of a campaign; to run it, give {path / 'campaign.toml'}")
-    with as_setup_error():
+        raise InputError(f"{path}: the folder holds rows of a campaign; to run it, give {path / 'campaign.toml'}")
+    with as_input_error():
         given = read_toml(path, "campaign") if tables is None else {"format": CAMPAIGN_FORMAT, **tables}
         campaign = validate_settings(given, CampaignFile, "campaign", path)
     if changes:
@@ -292,10 +292,10 @@ def override_campaign(campaign: CampaignFile, key_changes: Mapping[str, Any], pa
         elif key in campaign.grid:
             tables["grid"][key] = [value]
         elif key in campaign.varied_keys:
-            raise SetupError(f"{path}: {key} varies in its cells or design: change it there")
+            raise InputError(f"{path}: {key} varies in its cells or design: change it there")
         else:
             tables["scenario_changes"][key] = value
-    with as_setup_error():
+    with as_input_error():
         return validate_settings(tables, CampaignFile, "campaign", path)
 
 
@@ -322,7 +322,7 @@ class CampaignCell:
 def make_cells(
     campaign: CampaignFile, scenarios: Sequence[Scenario], path: Path
 ) -> tuple[tuple[Factor, ...], tuple[CampaignCell, ...]]:
-    """Factors of a campaign, and its cells; raises SetupError for a cell without a valid scenario."""
+    """Factors of a campaign, and its cells; raises InputError for a cell without a valid scenario."""
     factors, cells = campaign.factors(scenarios[0]), []
     deciding = {"seed", "trials_per_shard", "geometry", "verified_trials_per_shard", "methods", "validation_drift"}
     cell_seed_text = campaign.model_dump_json(include=deciding, by_alias=True)
@@ -340,11 +340,11 @@ def make_cells(
 def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scenario:
     """Scenario of the held-out points of `validation_points`, with the instruments of a cell's scenario.
 
-    `name` is the value of `validation_points`, and `path` the campaign file. Raises SetupError.
+    `name` is the value of `validation_points`, and `path` the campaign file. Raises InputError.
     """
     file = local_file(name, path)
     if name.endswith(".csv"):
-        with as_setup_error():
+        with as_input_error():
             points = read_nominal(file or path.parent / name)
         places = {target: {"position_mm": (place / MILLIMETRE).tolist()} for target, place in points.items()}
         effects = [e.model_dump(mode="json") for e in scenario.effects if not e.targets]
@@ -362,7 +362,7 @@ def make_validation_scenario(name: str, scenario: Scenario, path: Path) -> Scena
     instrument_names = {station.instrument or "" for station in hall.stations.values()}
     if instrument_names != {*scenario.trackers_in_use}:
         wanted = ", ".join(scenario.trackers_in_use) or "one without a name"
-        raise SetupError(
+        raise InputError(
             f"{path}: validation_points: stations of {name} should name the trackers of the cells: {wanted}"
         )
     return hall
@@ -391,8 +391,8 @@ def _with_cad_digests(scenario: Scenario) -> Scenario:
 
 
 def read_cad(path: Path) -> bytes:
-    """Content of a CAD file; raises SetupError."""
+    """Content of a CAD file; raises InputError."""
     try:
         return read_whole_file(path)
     except OSError as problem:
-        raise SetupError(f"{path}: cannot be read ({problem.strerror})") from None
+        raise InputError(f"{path}: cannot be read ({problem.strerror})") from None

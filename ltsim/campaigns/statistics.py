@@ -31,7 +31,7 @@ from ltsim.campaigns.stopping import interval_error_rate, student_quantile
 from ltsim.campaigns.store import CampaignFolder, sql_path
 from ltsim.campaigns.summary import CampaignSummary, SolverComparison, StatisticSummary, ZScoreSummary
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import ModelError, SetupError, option_text, unknown_name_error
+from ltsim.core.errors import InputError, ModelError, option_text, unknown_name_error
 from ltsim.core.limits import BYTES_PER_MIB, MAX_DATABASE_MEMORY_BYTES, MAX_FILE_BYTES
 from ltsim.core.results import ColumnValues, Table
 from ltsim.recordings.files import quoted_text
@@ -64,7 +64,7 @@ class CampaignStatistics:
 
     Raises
     ------
-    SetupError
+    InputError
         If there is no campaign, no file of rows is complete, or a file of rows is damaged.
 
     Attributes
@@ -93,7 +93,7 @@ class CampaignStatistics:
         self.levels = [cell.levels for cell in self.manifest.cells]
         shards = store.shard_paths(max_shards)
         if not shards:
-            raise SetupError(f"{folder}: no file of rows of this campaign is complete yet")
+            raise InputError(f"{folder}: no file of rows of this campaign is complete yet")
         # One thread: sums are computed in the same order in each run, so that no digit of a table changes.
         self._database = duckdb.connect(config={**DATABASE_SETTINGS, "memory_limit": memory_limit(shards)})
         source = f"read_parquet([{', '.join(map(sql_path, shards))}], union_by_name = true)"
@@ -178,7 +178,7 @@ class CampaignStatistics:
         ------
         ModelError
             If the query is not valid SQL for these tables.
-        SetupError
+        InputError
             If a file of rows is damaged.
         """
         try:
@@ -351,7 +351,7 @@ def memory_limit(shards: Sequence[Path]) -> str:
     return f"{MAX_DATABASE_MEMORY_BYTES * max(1.0, n_bytes / MAX_FILE_BYTES) / BYTES_PER_MIB:.0f}MiB"
 
 
-def _damaged_folder_error(folder: Path, problem: Exception) -> SetupError:
+def _damaged_folder_error(folder: Path, problem: Exception) -> InputError:
     reason = quoted_text(str(problem).split("\n")[0], 200)
     repair = f"Run the campaign again with {option_text('resume=True')} to repair the folder"
-    return SetupError(f"{folder}: a file of rows (shard) cannot be read: {reason}. {repair}")
+    return InputError(f"{folder}: a file of rows (shard) cannot be read: {reason}. {repair}")

@@ -27,7 +27,7 @@ import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
 from ltsim.campaigns.schema import SUMMARY_FILE, ManifestFile
-from ltsim.core.errors import RecordError, SetupError, option_text
+from ltsim.core.errors import InputError, RecordError, option_text
 from ltsim.core.limits import MAX_SHARD_ROWS
 from ltsim.core.storage import (
     append_text,
@@ -91,10 +91,10 @@ def _require_few_rows(path: Path, metadata: pq.FileMetaData) -> None:
         raise pa.ArrowInvalid(f"{path.name} has {metadata.num_rows} rows, expected at most {MAX_SHARD_ROWS}")
 
 
-def interruption_error(folder: Path, reason: object, remedy: str = "") -> SetupError:
-    """SetupError for a campaign that ended early, with the `reason`, a `remedy` to take first, and how to continue."""
+def interruption_error(folder: Path, reason: object, remedy: str = "") -> InputError:
+    """InputError for a campaign that ended early, with the `reason`, a `remedy` to take first, and how to continue."""
     action = f"{f'{remedy} and ' if remedy else ''}continue with {option_text('resume=True')}"
-    return SetupError(f"{folder}: {reason}; complete files of rows remain in the folder: {action}")
+    return InputError(f"{folder}: {reason}; complete files of rows remain in the folder: {action}")
 
 
 @dataclass(frozen=True)
@@ -113,13 +113,13 @@ class CampaignFolder:
         return [path for path in paths if max_shards is None or path.name < self.shard_path(0, max_shards).name]
 
     def read_rows(self, cell: int, shard: int) -> pa.Table:
-        """Rows of a finished shard; raises SetupError for a damaged one."""
+        """Rows of a finished shard; raises InputError for a damaged one."""
         path = self.shard_path(cell, shard)
         try:
             return read_shard(path)
         except (pa.ArrowException, OSError) as problem:
             repair = f"continue with {option_text('resume=True')} to repair it"
-            raise SetupError(f"{path}: cannot be read ({problem}); {repair}") from None
+            raise InputError(f"{path}: cannot be read ({problem}); {repair}") from None
 
     def verify_shards(self, shards: Iterable[Path], cell_digests: Mapping[int, str]) -> None:
         """Check that shards are unchanged since they were written, and belong to the cell in whose folder they are.
@@ -153,13 +153,13 @@ class CampaignFolder:
         return (self.folder / MANIFEST_FILE).exists()
 
     def manifest(self) -> ManifestFile:
-        """Manifest of the campaign; raises SetupError if there is none or it is damaged."""
+        """Manifest of the campaign; raises InputError if there is none or it is damaged."""
         if not self.has_campaign:
-            raise SetupError(f"{self.folder}: the folder holds no campaign (no {MANIFEST_FILE})")
+            raise InputError(f"{self.folder}: the folder holds no campaign (no {MANIFEST_FILE})")
         try:
             return read_result(self.folder, ManifestFile)
         except RecordError as problem:
-            raise SetupError(f"{problem}; start again in another folder; the rows in this folder are kept") from None
+            raise InputError(f"{problem}; start again in another folder; the rows in this folder are kept") from None
 
     def write_manifest(self, manifest: ManifestFile, input_files: Mapping[str, bytes]) -> None:
         """Writing of the campaign's input files (contents by name), and then of its manifest; old ones are replaced."""
@@ -168,7 +168,7 @@ class CampaignFolder:
             write_files(self.folder, {**input_files, MANIFEST_FILE: manifest.text().encode()}, flush_to_disk=True)
 
     def write_shard(self, cell: int, shard: int, content: bytes) -> None:
-        """Atomic writing of a shard; raises SetupError if the disk is full or not writable."""
+        """Atomic writing of a shard; raises InputError if the disk is full or not writable."""
         name = self.shard_path(cell, shard).relative_to(self.folder).as_posix()
         with self._storage_errors():
             write_files(self.folder, {name: content}, flush_to_disk=True)
@@ -258,7 +258,7 @@ class CampaignFolder:
             try:
                 lock.acquire()
             except Timeout:
-                raise SetupError(f"{self.folder}: another campaign runs in this folder; wait until it ends") from None
+                raise InputError(f"{self.folder}: another campaign runs in this folder; wait until it ends") from None
         try:
             yield
         finally:

@@ -31,7 +31,7 @@ class StatisticSummary(Entry):
     column: str
     """Name of the column of the rows, or of a ratio over all trials."""
     trials: int
-    """Number of trials with a value in this column."""
+    """Number of trials of this cell (combination of factor levels) and method that have a value in this column."""
     mean: NumberOrNaN
     """Mean over the trials, or ratio over all trials."""
     low: NumberOrNaN
@@ -63,7 +63,7 @@ class ZScoreSummary(Entry):
     parameter: str
     """Name of the parameter."""
     trials: int
-    """Number of trials with a z-score."""
+    """Number of trials of this cell (combination of factor levels) and method that have a z-score."""
     mean: NumberOrNaN
     """Mean of the z-scores."""
     standard_deviation: NumberOrNaN
@@ -80,7 +80,7 @@ class SolverComparison(Entry):
     method: str
     """Name of the method."""
     trials: int
-    """Number of trials."""
+    """Number of trials of this cell (combination of factor levels) and method."""
     failed_trials: int
     """Number of trials without a result."""
     full_solver_trials: int
@@ -99,7 +99,7 @@ class CampaignSummary(Entry):
     title: str
     """Title of the campaign."""
     trials: int
-    """Largest number of trials of each cell."""
+    """Largest number of trials of a cell (combination of factor levels); adaptive stopping may use fewer."""
     factors: tuple[Factor, ...]
     """Factors: keys of the scenario whose values differ between cells."""
     cells: tuple[CellEntry, ...]

@@ -96,7 +96,7 @@ class CalibratedBatch:
             reflectors,
         )
 
-    def copy_trial(self, trial: int, source_batch: CalibratedBatch, source_trial: int) -> None:
+    def copy_results_of_trial(self, trial: int, source_batch: CalibratedBatch, source_trial: int) -> None:
         """Copying of the results of trial `source_trial` of another batch to trial `trial` of this batch, in place.
 
         Standard deviations are copied only if they differ between trials.
@@ -288,7 +288,7 @@ class BatchCalibrator(TrialCalibrator):
         single_trials = trial_numbers[~is_sufficient[trial_numbers]]
         per_trial = self.serial_calibrator.calibrate(trial_batch, single_trials) if len(single_trials) else calibrated
         for trial in single_trials.tolist():
-            calibrated.copy_trial(trial, per_trial, trial)
+            calibrated.copy_results_of_trial(trial, per_trial, trial)
             calibrated.status_indices[trial] = TRIAL_STATUSES.index(
                 WITHOUT_RESULT if per_trial.status_indices[trial] else FULL_SOLVER
             )

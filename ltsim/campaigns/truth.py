@@ -16,7 +16,7 @@ import numpy as np
 from ltsim.campaigns.chain_program import ChainProgram
 from ltsim.campaigns.kernels import compute_readings
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.limits import (
     MAX_CAMPAIGN_POINTINGS,
     MAX_CAMPAIGN_UNKNOWNS,
@@ -53,7 +53,7 @@ MAX_CACHED_DESIGNS = 8
 def make_small_geometry(scenario: Scenario, seed: int, *stream_key: str | int) -> MeasurementGeometry:
     """Result of `make_measurement_geometry` for a scenario of a campaign.
 
-    SetupError is raised for a network of more than `MAX_CAMPAIGN_POINTINGS` or `MAX_CAMPAIGN_UNKNOWNS`.
+    InputError is raised for a network of more than `MAX_CAMPAIGN_POINTINGS` or `MAX_CAMPAIGN_UNKNOWNS`.
     """
     geometry = make_measurement_geometry(scenario, seed, *stream_key)
     layout, n_pointings = geometry.layout, len(geometry.sightings)
@@ -64,7 +64,7 @@ def make_small_geometry(scenario: Scenario, seed: int, *stream_key: str | int) -
     )
     for number, default_limit, name, advice in limits:
         if number > (limit := overridable_limit(default_limit)):
-            raise SetupError(
+            raise InputError(
                 f"the network has {number} {name}; a campaign takes at most {limit}: use fewer {advice}; on a machine "
                 f"with more memory set the environment variable {POINTINGS_LIMIT_VARIABLE} to {number}"
             )
@@ -175,22 +175,24 @@ class CellTruth:
         """Kinematic chain and design matrix of each geometric error model for which they were computed."""
         return []
 
-    def chain_and_design(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
+    def kinematic_chain_and_reading_derivatives(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
         """Kinematic chain, and derivative (pointings, 3, parameters) of readings, at the nominal readings."""
         for other, chain in self._chain_cache:  # comparing a few models is quicker than hashing one model
             if other == construction:
                 return chain
-        self._chain_cache.append((construction, self._compute_chain_and_design(construction)))
+        self._chain_cache.append((construction, self._compute_kinematic_chain_and_reading_derivatives(construction)))
         return self._chain_cache[-1][1]
 
-    def _compute_chain_and_design(self, construction: GeometricErrorModel) -> tuple[ChainProgram, Floats]:
+    def _compute_kinematic_chain_and_reading_derivatives(
+        self, construction: GeometricErrorModel
+    ) -> tuple[ChainProgram, Floats]:
         nominal_readings = self.recording.readings
         by_value = construction.reading_design(nominal_readings, np.zeros(construction.n_parameters))[1]
         return ChainProgram.from_construction(construction, nominal_readings), by_value
 
     def chain_program(self, construction: GeometricErrorModel) -> ChainProgram:
         """Kinematic chain of a geometric error model, linearised at the nominal readings."""
-        return self.chain_and_design(construction)[0]
+        return self.kinematic_chain_and_reading_derivatives(construction)[0]
 
     @cached_property
     def _linear_effects(self) -> list[tuple[Floats, Floats] | None]:
@@ -269,7 +271,7 @@ class CellTruth:
         Newton's method starts from the linear change of the readings.
         """
         which, sightings = self.recording.instrument, self.sightings
-        program, by_value = self.chain_and_design(self.construction)
+        program, by_value = self.kinematic_chain_and_reading_derivatives(self.construction)
         deviation = np.empty((len(which), 3, true_parameters.shape[2]))
         for i, parameters in enumerate(true_parameters):
             deviation[which == i] = by_value[which == i] @ parameters
@@ -313,7 +315,7 @@ def make_cell_truth(
     reference_truth: CellTruth | None = None,
     planned_layout: WorkshopLayout | None = None,
 ) -> CellTruth:
-    """True network geometry of a scenario, drawn once, with the distributions of its trials; raises SetupError.
+    """True network geometry of a scenario, drawn once, with the distributions of its trials; raises InputError.
 
     `key` is the key of the random draws of the geometry, by default the key that `simulate` uses. `reference_truth` is
     another geometry of the same scenario, from which the set-up is taken if the same targets are visible.
@@ -321,10 +323,10 @@ def make_cell_truth(
     """
     read = {frozenset(tracker.observables) for tracker in scenario.trackers_in_use.values()}
     if len(read) > 1:
-        raise SetupError("instruments: observables differ between the trackers; give all trackers the same observables")
+        raise InputError("instruments: observables differ between the trackers; give all trackers the same observables")
     geometry = make_measurement_geometry(scenario, seed, *key, plan=planned_layout)
     if geometry.sightings.sight_vector_offsets is not None and np.any(geometry.sightings.sight_vector_offsets):
-        raise SetupError("reflectors: a campaign uses one SMR radius; give all SMRs of the scenario the same radius")
+        raise InputError("reflectors: a campaign uses one SMR radius; give all SMRs of the scenario the same radius")
     s, reference = geometry.sightings, None if reference_truth is None else reference_truth.recording
     if (
         reference_truth

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ltsim.campaigns import require_packages
 from ltsim.core.arguments import check_mapping, path_argument, path_of_file_or_built_in
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 
 if TYPE_CHECKING:
     from ltsim.campaigns.results import CampaignResults
@@ -58,7 +58,7 @@ def campaign(
 
     Raises
     ------
-    SetupError
+    InputError
         If the file is not valid, the folder contains another campaign, or the extra `campaigns` is not installed.
 
     Examples
@@ -85,7 +85,7 @@ def campaign(
     check_mapping("changes", changes)
     tables = source if isinstance(source, Mapping) else None
     if tables is not None and out is None:
-        raise SetupError("a campaign without a file needs a folder for its rows: out=...")
+        raise InputError("a campaign without a file needs a folder for its rows: out=...")
     path = Path("the campaign") if isinstance(source, Mapping) else path_of_file_or_built_in(source)
     is_finished = tables is None and (path / MANIFEST_FILE).is_file()
     if is_finished and out is None and not (resume or force or changes):

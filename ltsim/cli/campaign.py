@@ -17,7 +17,7 @@ from ltsim.cli.output_checks import FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOpti
 from ltsim.cli.simulate import ScenarioArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, write_line
 from ltsim.core.arguments import bounded_parser, bounds_text, path_of_file_or_built_in
-from ltsim.core.errors import SetupError, UserInterruptError
+from ltsim.core.errors import InputError, UserInterruptError
 from ltsim.core.storage import with_digest_comment
 from ltsim.recordings.files import write_text
 
@@ -69,7 +69,7 @@ def campaign(
         terminal.print_always((files("ltsim.campaigns") / "example.toml").read_text(encoding="utf-8"))
         return 0
     if file is None:
-        raise SetupError("ltsim campaign needs a FILE; ltsim campaign --show prints a template")
+        raise InputError("ltsim campaign needs a FILE; ltsim campaign --show prints a template")
     require_packages()
     # Slow imports, which no other command should wait for.
     from ltsim.campaigns.campaign import WorkerSettings, run_campaign

@@ -14,7 +14,7 @@ import ltsim as lt
 from ltsim.cli.examples import example_text
 from ltsim.cli.options import ReadingOptions, ReadingOptionsWithControl, RecordingArgument
 from ltsim.cli.terminal import ResultFolderTerminal, Terminal, is_reader_gone
-from ltsim.core.errors import NetworkError, RecordError, SetupError
+from ltsim.core.errors import InputError, NetworkError, RecordError
 from ltsim.core.notation import align_columns
 from ltsim.recordings.files import is_number
 from ltsim.simulation.builtin import builtin_names
@@ -176,7 +176,7 @@ def accept(
         print(example_text("acceptance.toml"), end="")
         return 0
     if file is None:
-        raise SetupError("ltsim accept needs a FILE; ltsim accept --show prints a template")
+        raise InputError("ltsim accept needs a FILE; ltsim accept --show prints a template")
     from ltsim.acceptance.files import TESTS_TABLE, AcceptanceFile
 
     terminal.check_overwrite(AcceptanceFile, TESTS_TABLE.file)
@@ -285,7 +285,7 @@ def uncertainty(
         print(example_text("uncertainty.toml"), end="")
         return 0
     if file is None:
-        raise SetupError("ltsim uncertainty needs a FILE; ltsim uncertainty --show prints a template")
+        raise InputError("ltsim uncertainty needs a FILE; ltsim uncertainty --show prints a template")
     from ltsim.measurands.spec import load_tasks
     from ltsim.measurands.uncertainty import BUDGET_TABLE, RESULTS_TABLE, Uncertainty, normalised_errors_of_files
     from ltsim.recordings.result_file import read_result
@@ -339,7 +339,7 @@ def _recording_of_tasks(
         terminal.print_text(f"scenario {name}, simulated with seed {seed}")
         return recording
     if not source_path.exists():
-        raise SetupError(f"{file}: source is {source_path}, which is neither a recording nor a scenario")
+        raise InputError(f"{file}: source is {source_path}, which is neither a recording nor a scenario")
     if is_coordinate_file(source_path):
         return _coordinates_or_path(source_path, terminal)
     return ReadingOptions().read_and_report(source_path, terminal)

@@ -25,7 +25,7 @@ from ltsim.core.arguments import (
     bounds_text,
     check_choice,
 )
-from ltsim.core.errors import FLAG_SPELLINGS, RecordError, SetupError
+from ltsim.core.errors import FLAG_SPELLINGS, InputError, RecordError
 
 if TYPE_CHECKING:
     from ltsim.recordings import Hints, Recording
@@ -193,7 +193,7 @@ def typer_command(name: str, function: Callable[..., Any]) -> Callable[..., Any]
         places = ((flag, values[name], output) for name, flag, output in outputs if values[name] is not None)
         check_outputs(places, force=values.get("force", False))
         if values.get("as_json") and is_output_closed():
-            raise SetupError("--json prints to standard output, which is closed; open it, or omit --json")
+            raise InputError("--json prints to standard output, which is closed; open it, or omit --json")
         for key, group in groups.items():
             values[key] = group(**{f.name: values.pop(f.name) for f in fields(group)})
         return function(**values | {option.name: option.argument_value(values[option.name]) for option in api_options})
@@ -307,7 +307,7 @@ class FunctionOption:
         return _keyword_parameter(self.name, Annotated[kind, option], default)
 
     def argument_value(self, command_line_value: Any) -> Any:
-        """Argument of the function from the value on the command line; raises SetupError for an invalid value."""
+        """Argument of the function from the value on the command line; raises InputError for an invalid value."""
         if command_line_value is None or command_line_value == []:
             return self.default
         if self.choices:
@@ -324,7 +324,7 @@ class FunctionOption:
         with suppress(ValueError):
             if key and value:
                 return key, parse(value)
-        raise SetupError(f"{self.flag} {text}: expected {MAPPING_SYNTAX[self.name]}")
+        raise InputError(f"{self.flag} {text}: expected {MAPPING_SYNTAX[self.name]}")
 
 
 def function_options(function_name: str, parameter_names: list[str]) -> list[FunctionOption]:
@@ -380,7 +380,7 @@ def _documented_parameters(docstring: str) -> Iterator[tuple[str, tuple[str, str
 
 
 def with_axes_of_frame(recording: Recording, frame: Path) -> Recording:
-    """Recording with its datum in the frame of a file or of a built-in scenario; raises RecordError, SetupError."""
+    """Recording with its datum in the frame of a file or of a built-in scenario; raises RecordError, InputError."""
     from ltsim.adjustment.axes import with_axes_from_points, with_axes_from_three_targets
     from ltsim.recordings.coordinates import read_points
     from ltsim.recordings.settings import read_toml

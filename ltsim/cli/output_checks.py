@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from ltsim.core.errors import RecordError, SetupError
+from ltsim.core.errors import InputError, RecordError
 from ltsim.core.notation import listing
 from ltsim.core.storage import (
     check_writable,
@@ -58,19 +58,19 @@ class OutputKind:
 def check_outputs(outputs: Iterable[tuple[str, Path, OutputKind]], *, force: bool) -> None:
     """Check of outputs, each given by its option, path and `OutputKind`.
 
-    Raises RecordError if a check fails, and SetupError if two options have the same path.
+    Raises RecordError if a check fails, and InputError if two options have the same path.
     """
     option_by_path: dict[str, str] = {}
     for name, path, output in outputs:
         output.check(path, force)
         real_path = os.path.realpath(path)
         if real_path in option_by_path and not is_device(path):
-            raise SetupError(f"{option_by_path[real_path]} and {name} both name {path}; choose different paths")
+            raise InputError(f"{option_by_path[real_path]} and {name} both name {path}; choose different paths")
         option_by_path[real_path] = name
     for real_path, name in option_by_path.items():
         folder = str(Path(real_path).parent)
         if folder in option_by_path and Path(real_path).name in _result_file_names():
-            raise SetupError(
+            raise InputError(
                 f"{name}: a result of {option_by_path[folder]} could overwrite {real_path}; choose another name"
             )
 

@@ -13,7 +13,7 @@ import ltsim as lt
 from ltsim.cli.options import JobsOption, ReadingOptions
 from ltsim.cli.output_checks import RESULT_FOLDER_OUTPUT, ForceOption, check_overwrite
 from ltsim.cli.terminal import Terminal
-from ltsim.core.errors import RecordError, SetupError
+from ltsim.core.errors import InputError, RecordError
 
 if TYPE_CHECKING:
     from ltsim.physics.effects.linear_effect import LinearEffect
@@ -99,21 +99,21 @@ def plan(
 
     if after is not None:
         if source is not None:
-            raise SetupError("ltsim plan needs either FILE or --after REC, not both")
+            raise InputError("ltsim plan needs either FILE or --after REC, not both")
         check_overwrite(out, NextMeasurement, (PROPOSALS_TABLE.file,), force=force)
         return _propose_next_measurement(terminal, reading_options.read(after), _effect_names(between), site, out)
     if between is not None:
-        raise SetupError("--between needs --after REC, the recording that has several explanations")
+        raise InputError("--between needs --after REC, the recording that has several explanations")
     if site is not None:
-        raise SetupError("--site needs --after REC, the recording to which a station is added")
+        raise InputError("--site needs --after REC, the recording to which a station is added")
     if source is None:
-        raise SetupError(f"ltsim plan needs FILE, a plan file or a built-in plan ({', '.join(plan_names())})")
+        raise InputError(f"ltsim plan needs FILE, a plan file or a built-in plan ({', '.join(plan_names())})")
     if show:
         terminal.print_always(plan_text(source))
         return None
     moved_stations = options.pop("move")
     if without is not None and (moved_stations or out is not None):
-        raise SetupError(
+        raise InputError(
             "--without lists positions for a station and cannot be used with --move or --out; evaluate one with --move"
         )
     if without is not None:
@@ -237,12 +237,12 @@ def _percent_callback(advance_bar: Callable[[int], None]) -> Callable[[str, floa
 
 
 def _effect_names(effect_list: str | None) -> tuple[str, ...]:
-    """Names of effects from a comma-separated list; raises SetupError for fewer than two different names."""
+    """Names of effects from a comma-separated list; raises InputError for fewer than two different names."""
     if effect_list is None:
         return ()
     names = tuple(name.strip() for name in effect_list.split(","))
     if len(names) < 2 or not all(names) or len(set(names)) < len(names):
-        raise SetupError(
+        raise InputError(
             f"--between is {effect_list}, expected two or more different effects, such as range-step,station-weather"
         )
     return names

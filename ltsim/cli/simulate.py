@@ -26,7 +26,7 @@ from ltsim.cli.output_checks import (
     write_outputs,
 )
 from ltsim.cli.terminal import Terminal
-from ltsim.core.errors import ModelError, SetupError
+from ltsim.core.errors import InputError, ModelError
 from ltsim.core.storage import path_in_folder
 from ltsim.recordings.files import write_text, write_texts
 from ltsim.simulation.builtin import builtin_names, builtin_text
@@ -107,7 +107,7 @@ def simulate(
         terminal.print_always(_complete_scenario_text(scenario))
         return
     if out is None:
-        raise SetupError("ltsim simulate needs --out REC, the folder of the recording; --show prints the scenario")
+        raise InputError("ltsim simulate needs --out REC, the folder of the recording; --show prints the scenario")
     from ltsim.simulation.truth import nominal_csv
 
     recording, simulated_truth = lt.simulate(scenario, **options, geometry="per-trial" if per_trial else "shared")

@@ -13,7 +13,7 @@ import ltsim as lt
 from ltsim.cli.options import ReadingOptionsWithFrame
 from ltsim.cli.output_checks import FILE_OUTPUT, RESULT_FOLDER_OUTPUT, ForceOption, OutputKind, check_new_file
 from ltsim.cli.terminal import QuietOption, Terminal, flush_streams
-from ltsim.core.errors import RecordError, SetupError, require_extra
+from ltsim.core.errors import InputError, RecordError, require_extra
 from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import ReportHeader
 
@@ -93,7 +93,7 @@ def view(
         _serve_planner(terminal, plan, out or Path(f"{Path(plan).stem}-moved"), port, force=force)
         return
     if place is None or plan is not None:
-        raise SetupError("ltsim view needs a scenario, a recording, or --plan FILE, and only one of them")
+        raise InputError("ltsim view needs a scenario, a recording, or --plan FILE, and only one of them")
     if png is None and html is None and not _has_display():
         raise RecordError(
             "no display is available for a window; use --png FILE for a picture or --html FILE for a page"
@@ -167,8 +167,8 @@ def report(
 
 
 def _page_header(**header_values: str | None) -> ReportHeader:
-    """Header of the page from the options; raises SetupError."""
+    """Header of the page from the options; raises InputError."""
     try:
         return ReportHeader.model_validate(header_values)
     except ValidationError as problem:
-        raise SetupError(f"--{validation_sentence(problem.errors()[0], ReportHeader)}") from None
+        raise InputError(f"--{validation_sentence(problem.errors()[0], ReportHeader)}") from None

@@ -7,7 +7,7 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
 
-from ltsim.core.errors import SetupError, option_text
+from ltsim.core.errors import InputError, option_text
 
 MAX_JOBS = 256
 """Largest number of worker processes that the argument `jobs` accepts."""
@@ -42,7 +42,7 @@ def bounds_text(argument_name: str) -> str:
 
 
 def check_bounds(*, required_argument: str = "", **argument_values: object) -> None:
-    """Check of numeric arguments, given by name, against `ARGUMENT_BOUNDS`; raises SetupError for a value out of range.
+    """Check of numeric arguments, given by name, against `ARGUMENT_BOUNDS`; raises InputError for a value out of range.
 
     None stands for an argument that was not given. It is an error only for arguments in `required_argument`, which is a
     text of names separated by blanks.
@@ -54,11 +54,11 @@ def check_bounds(*, required_argument: str = "", **argument_values: object) -> N
         good = is_number and low <= value and (high is None or value <= high)  # type: ignore[operator]
         if not (good or (value is None and name not in required_argument.split())):
             kind = "a whole number" if whole else "a number"
-            raise SetupError(f"{option_text(name)} is {value}, expected {kind}, {bounds_text(name)}")
+            raise InputError(f"{option_text(name)} is {value}, expected {kind}, {bounds_text(name)}")
 
 
 def bounded_parser(argument_name: str) -> Callable[[object], int | float]:
-    """Function that converts a command-line argument to a number; it raises SetupError for a number out of range."""
+    """Function that converts a command-line argument to a number; it raises InputError for a number out of range."""
     kind = int if isinstance(ARGUMENT_BOUNDS[argument_name][0], int) else float
 
     def parse_bounded(text: object) -> int | float:
@@ -78,35 +78,35 @@ def bounded_parser(argument_name: str) -> Callable[[object], int | float]:
 def check_choice(
     argument_name: str, argument_value: object, choices: Sequence[str], *, allow_none: bool = False
 ) -> None:
-    """Check that an argument is one of its permitted values (or None with `allow_none`); SetupError otherwise."""
+    """Check that an argument is one of its permitted values (or None with `allow_none`); InputError otherwise."""
     if argument_value not in choices and not (allow_none and argument_value is None):
-        raise SetupError(f"{option_text(argument_name)} is {argument_value}, expected {' or '.join(choices)}")
+        raise InputError(f"{option_text(argument_name)} is {argument_value}, expected {' or '.join(choices)}")
 
 
 def check_mapping(argument_name: str, argument_value: object) -> None:
-    """Check that an argument is a mapping with names as keys, or None; raises SetupError otherwise."""
+    """Check that an argument is a mapping with names as keys, or None; raises InputError otherwise."""
     if argument_value is not None and not isinstance(argument_value, Mapping):
-        raise SetupError(f"{option_text(argument_name)} is {argument_value}, expected a mapping")
+        raise InputError(f"{option_text(argument_name)} is {argument_value}, expected a mapping")
     for key, value in (argument_value or {}).items():
         if not isinstance(key, str) or not key.strip():
-            raise SetupError(f"{option_text(argument_name)} {key}={value}: expected {MAPPING_SYNTAX[argument_name]}")
+            raise InputError(f"{option_text(argument_name)} {key}={value}: expected {MAPPING_SYNTAX[argument_name]}")
 
 
 def path_of_file_or_built_in(path_or_name: object) -> Path:
     """Path of a file or folder that a user gives, or the name of something built in, such as a scenario, as a path.
 
-    Raises SetupError for an empty text, and for an object that is neither text nor path.
+    Raises InputError for an empty text, and for an object that is neither text nor path.
     """
     if not (text := _path_text(path_or_name)):
         expected = "the path of a file or folder, or a built-in name such as paper-workshop"
-        raise SetupError(f"the source is {path_or_name!r}, expected {expected}")
+        raise InputError(f"the source is {path_or_name!r}, expected {expected}")
     return Path(text)
 
 
 def path_argument(argument_name: str, path: object) -> Path:
-    """Path in an argument; raises SetupError for an object that is neither text nor path."""
+    """Path in an argument; raises InputError for an object that is neither text nor path."""
     if (text := _path_text(path)) is None:
-        raise SetupError(f"{option_text(argument_name)} is {path!r}, expected a path")
+        raise InputError(f"{option_text(argument_name)} is {path!r}, expected a path")
     return Path(text)
 
 

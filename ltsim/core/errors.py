@@ -2,7 +2,7 @@
 
 * `RecordError`: a file or a recording is malformed. The message is one sentence with file, row, column, value, and the
   expected value.
-* `SetupError`: a scenario, a campaign file, a plan file or an option cannot be carried out.
+* `InputError`: a scenario, a campaign file, a plan file or an option cannot be carried out.
 * `ModelError`: an argument of a Python function has a wrong shape, unit or name.
 * `NetworkError`: the recording is well formed, but its network has no unique solution, for example because a station
   shares too few targets with the others.
@@ -47,17 +47,17 @@ class RecordError(LtsimError):
         super().__init__(", ".join(location_texts) + ": " + message if location_texts else message)
 
 
-class SetupError(LtsimError):
+class InputError(LtsimError):
     """Error in a scenario, campaign, plan or option that cannot be carried out; the message says what to change."""
 
 
 @contextmanager
-def as_setup_error(error_location: str = "") -> Iterator[None]:
-    """Context in which RecordError, SetupError and ModelError become SetupError, with `error_location` as prefix."""
+def as_input_error(error_location: str = "") -> Iterator[None]:
+    """Context in which RecordError, InputError and ModelError become InputError, with `error_location` as prefix."""
     try:
         yield
-    except (RecordError, SetupError, ModelError) as problem:
-        raise SetupError(f"{error_location}: {problem}" if error_location else str(problem)) from None
+    except (RecordError, InputError, ModelError) as problem:
+        raise InputError(f"{error_location}: {problem}" if error_location else str(problem)) from None
 
 
 class ModelError(LtsimError):
@@ -120,13 +120,13 @@ def option_text(argument_name: str) -> str:
     return FLAG_SPELLINGS.get(argument_name) or "--" + argument_name.removesuffix("=True").replace("_", "-")
 
 
-def missing_extra_error(feature_name: str, extra_name: str) -> SetupError:
-    """SetupError with the command that installs the optional extra `extra_name`, which `feature_name` needs."""
-    return SetupError(f"{feature_name} need the extra '{extra_name}': pip install \"ltsim[{extra_name}]\"")
+def missing_extra_error(feature_name: str, extra_name: str) -> InputError:
+    """InputError with the command that installs the optional extra `extra_name`, which `feature_name` needs."""
+    return InputError(f"{feature_name} need the extra '{extra_name}': pip install \"ltsim[{extra_name}]\"")
 
 
 def require_extra(package_names: Sequence[str], feature_name: str, extra_name: str) -> None:
-    """Check that `package_names` are installed; SetupError with the command that installs the extra `extra_name`."""
+    """Check that `package_names` are installed; InputError with the command that installs the extra `extra_name`."""
     if not all(is_installed(name) for name in package_names):
         raise missing_extra_error(feature_name, extra_name)
 

@@ -31,7 +31,7 @@ def run_parallel(
 
     If `n_processes` is 1, the calling process computes the results. The function must be importable by its name.
     Results are yielded in the order of the calls, or as soon as they are ready if `keeps_order` is false. Each worker
-    receives `calls_per_batch` calls together. WorkerError is raised if a worker process ends early, SetupError for
+    receives `calls_per_batch` calls together. WorkerError is raised if a worker process ends early, InputError for
     fewer than one process.
     """
     check_bounds(jobs=n_processes)

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 
 SEED_UPPER_BOUND = 2**32
 """Upper bound of the integers in a seed: NumPy's SeedSequence takes unsigned integers of 32 bits."""
@@ -44,11 +44,11 @@ def random_stream(seed: int, *stream_key: str | int) -> np.random.Generator:
 
     Raises
     ------
-    SetupError
+    InputError
         When the seed is negative.
     """
     if seed < 0:
-        raise SetupError(f"seed is {seed}, expected 0 or more")
+        raise InputError(f"seed is {seed}, expected 0 or more")
     spawn_key = tuple([_key_checksum(part) if isinstance(part, str) else part for part in stream_key])
     if max(seed, *spawn_key) >= SEED_UPPER_BOUND:
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=spawn_key))

@@ -226,7 +226,7 @@ class Table(ValueEquality):
         return [dict(zip(self.header, row, strict=True)) for row in self.rows]
 
     def data_frame(self) -> pd.DataFrame:
-        """Data frame of the table; raises SetupError without pandas."""
+        """Data frame of the table; raises InputError without pandas."""
         try:
             from pandas import DataFrame
         except ImportError:
@@ -362,7 +362,7 @@ class Result(ValueEquality):
         return content if isinstance(content, Table) else Table.from_columns(name, content)
 
     def to_dataframe(self, table: str | None = None) -> pd.DataFrame:
-        """Data frame of a table of the result; raises ModelError for an unknown table and SetupError without pandas."""
+        """Data frame of a table of the result; raises ModelError for an unknown table and InputError without pandas."""
         return self.table(table).data_frame()
 
     def plot(self) -> Figure:

@@ -182,7 +182,11 @@ def _is_noise_hypothesis(hypothesis: Hypothesis) -> bool:
 def _hypotheses_at_probable_shapes(
     searcher: Searcher, reduced_model: Model, selected_hypothesis: Hypothesis
 ) -> list[tuple[Hypothesis, float]]:
-    """Copies of a hypothesis with the most probable values of its shape constants, and the probability of each."""
+    """Copies of a hypothesis with the most probable values of its shape constants, and the probability of each copy.
+
+    Shape constants are constants of an effect on which the readings depend nonlinearly, such as a period or a time
+    constant. `reduced_model` is the model without the hypothesis; its effects are taken into account.
+    """
     shapes = (
         []
         if isinstance(selected_hypothesis.effect, EmpiricalLaw)

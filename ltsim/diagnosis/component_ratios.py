@@ -15,8 +15,9 @@ from ltsim.core.rounding import MAX_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import coefficient_posterior, log_evidence_of_coefficients
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
-COMPONENT_RATIO_DECIMALS = 4
-"""Number of decimals to which a ratio is rounded, so that a law equals the law that is read from its text form."""
+LAW_COMPONENT_RATIO_DECIMALS = 4
+"""Number of decimals to which the ratio of the components of a law (a unit vector) is rounded, so that the law equals
+the law that is read from its text form."""
 
 
 def best_component_ratio(
@@ -52,7 +53,7 @@ def best_component_ratio(
         previous, ratio = ratio, step / np.linalg.norm(step)
         if np.abs(ratio - previous).max() < MAX_ROUNDING_ERROR:
             break
-    ratio = np.round(ratio * np.sign(ratio[np.argmax(np.abs(ratio))]), COMPONENT_RATIO_DECIMALS)
+    ratio = np.round(ratio * np.sign(ratio[np.argmax(np.abs(ratio))]), LAW_COMPONENT_RATIO_DECIMALS)
     component_gram = np.einsum("i,iajb,j->ab", ratio, products, ratio)
     coefficient_means = coefficient_posterior(component_gram, ratio @ scores, common_spread)[0]
     cross = np.einsum("a,iajb,j->ib", coefficient_means, products, ratio)

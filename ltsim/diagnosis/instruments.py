@@ -94,7 +94,7 @@ class ContradictingConstants:
 
     contradictions: tuple[ConstantContradiction, ...] = ()
     """Contradictions, the most significant first."""
-    joint_log_evidence: float = 0.0
+    log_evidence_of_all_contradictions: float = 0.0
     """Log evidence, with prior odds, of all contradictions together; 0 without contradictions.
 
     It can be compared with the log evidence of a model of effects.

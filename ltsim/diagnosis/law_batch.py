@@ -225,11 +225,13 @@ class LawBatch:
         return log_sum_exp(np.stack(log_evidences)) + self.log_prior_by_place[:, None, None], log_sum_exp(null)
 
     def _scaled_eigen_decompositions(self, gram: Floats, regressor_range: slice) -> list[tuple[Floats, Floats32]]:
-        """Eigenvalues (P, C, d, c k) and matrices (P, C, d, c k, c k) of scaled Gram matrices, for each length scale.
+        """Eigen decompositions of the Gram matrices of laws, scaled by the prior sigmas of their coefficients.
 
-        There are P places, C responses with c components, and d regressors with k columns in a range. The product of a
-        matrix with the scores of a law gives the scores along its eigenvectors. `gram` has the shape (P, C, d, c k, c
-        k).
+        The list runs over the length scales of the smooth functions of a regressor, each with its own prior sigmas. An
+        entry has the eigenvalues (P, C, d, c k) and matrices (P, C, d, c k, c k); the product of such a matrix with the
+        scores of a law gives its scores along the eigenvectors. There are P places (stations and targets where a law
+        acts), C responses (quantities that it changes) with c components, and d regressors with k columns in
+        `regressor_range`. `gram` has the shape (P, C, d, c k, c k).
         """
         transforms = []
         for spread in (spread[regressor_range] for spread in self._prior_sigmas):

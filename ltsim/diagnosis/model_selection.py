@@ -48,7 +48,7 @@ def select_noise_and_effects(
     constants = contradicting_constants.contradictions
     if (
         constants
-        and contradicting_constants.joint_log_evidence - model.penalised_log_evidence
+        and contradicting_constants.log_evidence_of_all_contradictions - model.penalised_log_evidence
         > (len(constants) - len(model.hypotheses)) * MIN_EFFECT_LOG_EVIDENCE
     ):
         state = state.with_released_priors(constants)

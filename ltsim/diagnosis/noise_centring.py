@@ -31,8 +31,8 @@ MAX_CENTRING_OCCUPATIONS = 200
 occupations have 600 columns in the design matrix."""
 
 
-def centring_hypotheses_with_evidence(space: ResidualSpace) -> list[tuple[float, NoiseHypothesis]]:
-    """Pairs of a log evidence, without prior, and a hypothesis of centring errors, for each kind of occupation."""
+def log_evidence_and_centring_hypotheses(space: ResidualSpace) -> list[tuple[float, NoiseHypothesis]]:
+    """Log evidence, without prior, and hypothesis of centring errors, a pair for each kind of occupation."""
     recording, used = space.adjustment.recording, np.asarray(space.is_used_reading.any(axis=1))
     hypotheses = []
     for kind in _distinguished_occupation_kinds(recording):

@@ -17,7 +17,7 @@ from ltsim.diagnosis.evidence import WIDE_PRIOR_SIGMA_FACTOR, log_restricted_lik
 from ltsim.diagnosis.hypotheses import Hypothesis, Model
 from ltsim.diagnosis.instruments import ConstantContradiction
 from ltsim.diagnosis.noise import NoiseHypothesisSet, noise_hypotheses
-from ltsim.diagnosis.noise_centring import centring_hypotheses_with_evidence, with_declared_centring
+from ltsim.diagnosis.noise_centring import log_evidence_and_centring_hypotheses, with_declared_centring
 from ltsim.diagnosis.noise_estimation import with_estimated_sizes
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.null_ensemble import n_simulated_recordings
@@ -180,7 +180,7 @@ class SelectionState:
         """
         redundancy = self.space.redundancy - np.sum(model.basis**2, axis=1)
         ranked = self.noise_hypotheses.ranked_noise_changes(model.residual, redundancy, model.basis)
-        for gain, hypothesis in centring_hypotheses_with_evidence(self.space.with_effects(model.effects)):
+        for gain, hypothesis in log_evidence_and_centring_hypotheses(self.space.with_effects(model.effects)):
             ranked.append((gain + self.noise_hypotheses.log_prior_of_family(hypothesis.family), hypothesis))
         return sorted(ranked, key=lambda entry: -entry[0])
 

@@ -33,7 +33,7 @@ def estimates_phrase(parameters: Sequence[ParameterEstimate]) -> str:
     return ", ".join(_estimate_text(p) for p in chosen)
 
 
-def effect_text(name: str) -> str:
+def effect_title_in_sentence(name: str) -> str:
     """Title of an effect within a sentence, from its name in the catalogue or `unknown`."""
     return "an effect outside the catalogue" if name == "unknown" else effect_title(name)
 
@@ -42,7 +42,7 @@ def finding_title(finding: Finding) -> str:
     """Title of a finding within a sentence: its effect, or the reference value that is wrong."""
     if finding.concerns_reference_value:
         return f"an error of the {finding.carrier}"
-    return effect_text(finding.effect)
+    return effect_title_in_sentence(finding.effect)
 
 
 def _estimate_text(parameter: ParameterEstimate) -> str:
@@ -215,7 +215,7 @@ def diagnosis_summary(
         )
     first_finding = findings[0]
     suffix = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
-    others = [effect_text(e.effect) for e in first_finding.equivalents]
+    others = [effect_title_in_sentence(e.effect) for e in first_finding.equivalents]
     open_ = f" This recording cannot exclude another cause: {' or '.join(others)}." if others else ""
     further = "1 further effect is" if n_withheld == 1 else f"{n_withheld} further effects are"
     unreported_text = f" {further} in the model but not reported (small or uncertain)." if n_withheld else ""

@@ -109,7 +109,7 @@ def points_from_raw_readings(chain: KinematicChain, raw_readings: Floats, errors
     """Coordinates (n, 3) [m], in the base frame of a chain, of the points that n raw readings (n, 3) measure.
 
     `errors` has the error [rad or m] of each motion by its `error_key`, as an array (n,) or one number. A motion
-    whose slot is missing has no error.
+    whose key is missing has no error.
     """
     p: list[Any] = [0.0, 0.0, 0.0]  # one contiguous array per coordinate
     for motion in reversed(chain):

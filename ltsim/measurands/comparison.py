@@ -142,7 +142,7 @@ class EpochDifference:
 
     point_names: Sequence[str]
     """Names of the points that both epochs contain."""
-    differences: Floats
+    coordinate_differences: Floats
     """Differences of the coordinates, second minus first epoch, point by point, shape (coordinates,) [m]."""
     covariance: Floats
     """Covariance of the coordinate differences, shape (coordinates, coordinates) [m^2]."""
@@ -175,8 +175,8 @@ class EpochDifference:
             return None
         point_rows = coordinate_rows([point], len(self.compared_axes))
         return float(
-            self.differences[point_rows]
-            @ np.linalg.solve(self.covariance[np.ix_(point_rows, point_rows)], self.differences[point_rows])
+            self.coordinate_differences[point_rows]
+            @ np.linalg.solve(self.covariance[np.ix_(point_rows, point_rows)], self.coordinate_differences[point_rows])
         )
 
     @cached_property
@@ -189,12 +189,12 @@ class EpochDifference:
 
     def _whitened_design(self, moved_points: Sequence[int]) -> Floats:
         """Whitened design matrix: columns of the free motions, then of the displacements of the `moved_points`."""
-        columns = np.eye(len(self.differences))[:, coordinate_rows(moved_points, len(self.compared_axes))]
+        columns = np.eye(len(self.coordinate_differences))[:, coordinate_rows(moved_points, len(self.compared_axes))]
         return self._whitening_root @ np.hstack([self.free_motions, columns])
 
     def sum_of_squares(self, moved_points: Sequence[int] = ()) -> float:
         """Weighted sum of squared differences after a fit of free motions and of displacements of `moved_points`."""
-        remaining, design = self._whitening_root @ self.differences, self._whitened_design(moved_points)
+        remaining, design = self._whitening_root @ self.coordinate_differences, self._whitened_design(moved_points)
         basis = scipy.linalg.orth(design / np.linalg.norm(design, axis=0))
         return float(remaining @ remaining - np.sum((basis.T @ remaining) ** 2))
 
@@ -207,7 +207,7 @@ class EpochDifference:
         design = self._whitened_design(moved_points)
         column_norms = np.linalg.norm(design, axis=0)
         inverse = np.linalg.pinv(design / column_norms) / column_norms[:, None]
-        return inverse @ (self._whitening_root @ self.differences), inverse @ inverse.T
+        return inverse @ (self._whitening_root @ self.coordinate_differences), inverse @ inverse.T
 
 
 def congruence_test(

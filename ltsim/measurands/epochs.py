@@ -32,7 +32,7 @@ from ltsim.measurands.inputs import CONTROL_SOURCE, LENGTHS_SOURCE, PRIOR_SOURCE
 from ltsim.recordings.coordinates import EpochCoordinates
 from ltsim.recordings.references import EXPANSION_ERROR_PREFIX
 from ltsim.recordings.result_file import SourceEntry
-from ltsim.recordings.setup import Gauge
+from ltsim.recordings.setup import LengthGauge
 from ltsim.recordings.tables.setups import normalised_name
 from ltsim.solve.gauss_newton import MAX_ITERATIONS
 
@@ -273,7 +273,7 @@ def _common_error_sources(first: Adjustment, second: Adjustment, same_instrument
     return common
 
 
-def _certificate_lengths(gauge: Gauge) -> Gauge:
+def _certificate_lengths(gauge: LengthGauge) -> LengthGauge:
     """Gauge with its certified lengths only, without the temperatures during the measurement."""
     plain = {"measured_at_c": None, "sigma_temperature_k": None}
     lengths = tuple(line.model_copy(update=plain) for line in gauge.distance)
@@ -371,7 +371,7 @@ def exchanged_name_order(difference: EpochDifference, moved_points: Sequence[int
     if len(moved_points) < 2:
         return None
     before = difference.first_epoch_points[moved_points][:, difference.compared_axes]
-    after = before + difference.differences.reshape(difference.n_points, -1)[moved_points]
+    after = before + difference.coordinate_differences.reshape(difference.n_points, -1)[moved_points]
     gaps = np.linalg.norm(after[:, None] - before[None], axis=2)
     nearest, distance = np.argmin(gaps, axis=1), np.diag(gaps)
     taken = (nearest != np.arange(len(moved_points))) & (gaps.min(axis=1) < MAX_EXCHANGE_DISTANCE_RATIO * distance)

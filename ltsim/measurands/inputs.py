@@ -20,7 +20,7 @@ from ltsim.adjustment.coordinate_uncertainty import (
 )
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.equality import ValueEquality
-from ltsim.core.errors import ModelError, SetupError, unknown_name_error
+from ltsim.core.errors import InputError, ModelError, unknown_name_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.measurands.spec import Tasks, TypeBEffect
 from ltsim.physics.effects.air import air_uncertainty_text
@@ -100,7 +100,7 @@ class TaskInputs(ValueEquality):
     def from_recording(cls, recording: Recording, tasks: Tasks) -> Self:
         """Points of the tasks from an adjusted recording, with the sources of their uncertainty.
 
-        Raises NetworkError or ConvergenceError if the network cannot be solved, ModelError or SetupError for an unknown
+        Raises NetworkError or ConvergenceError if the network cannot be solved, ModelError or InputError for an unknown
         target or effect.
         """
         construction = declared_construction(recording) if tasks.calibrate else ideal_construction()
@@ -289,10 +289,10 @@ def _type_b_source(
     if np.any(lengths):
         if type_b_entry.draw_shared_by != "all":
             key, effect_name = f"type_b.{entry_number}.draw_shared_by", type_b_entry.effect
-            raise SetupError(f'{key} must be "all" for {effect_name}, because it changes reference lengths')
+            raise InputError(f'{key} must be "all" for {effect_name}, because it changes reference lengths')
         response[:, 0] += point_derivatives[len(rows) : len(rows) + len(gauge)].T @ gauge.decorrelate(lengths)
     if not np.any(response):
-        raise SetupError(f"type_b.{entry_number}: {type_b_entry.effect} acts on no reading that the tasks depend on")
+        raise InputError(f"type_b.{entry_number}: {type_b_entry.effect} acts on no reading that the tasks depend on")
     place = ", ".join(type_b_entry.stations + type_b_entry.targets)
     name = type_b_entry.name or (f"{type_b_entry.effect} at {place}" if place else type_b_entry.effect)
     return UncertaintySource(name, "B", response.reshape(len(response), -1), type_b_entry.distribution)
@@ -307,9 +307,9 @@ def _effect_and_sizes(recording: Recording, type_b_entry: TypeBEffect, entry_num
             type_b_entry.shape,
         )
     except ModelError as problem:
-        raise SetupError(f"type_b.{entry_number}: {problem}") from None
+        raise InputError(f"type_b.{entry_number}: {problem}") from None
     if isinstance(effect, NoiseEffect):
-        raise SetupError(
+        raise InputError(
             f"type_b.{entry_number}: {type_b_entry.effect} changes the noise; declare it as the instrument's noise"
         )
     for what, wanted, choices in (
@@ -318,11 +318,11 @@ def _effect_and_sizes(recording: Recording, type_b_entry: TypeBEffect, entry_num
     ):
         unknown_names = [name for name in wanted if name not in choices]
         if unknown_names:
-            raise SetupError(f"type_b.{entry_number}.{what}s: {unknown_name_error(what, unknown_names[0], choices)}")
+            raise InputError(f"type_b.{entry_number}.{what}s: {unknown_name_error(what, unknown_names[0], choices)}")
     parameter_names = [p.name for p in effect.parameters]
     unknown_parameters = [name for name in type_b_entry.sizes if name not in parameter_names]
     if unknown_parameters:
-        raise SetupError(
+        raise InputError(
             f"type_b.{entry_number}.sizes: {unknown_name_error('parameter', unknown_parameters[0], parameter_names)}"
         )
     if not type_b_entry.sizes:

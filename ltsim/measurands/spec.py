@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ltsim.core.errors import as_setup_error
+from ltsim.core.errors import as_input_error
 from ltsim.core.limits import MAX_ADDITIONAL_EFFECTS
 from ltsim.recordings.air import AirUncertainty
 from ltsim.recordings.keys import DistinctValues
@@ -202,11 +202,11 @@ class Tasks(TomlSection):
 
 
 def load_tasks(path: Path) -> Tasks:
-    """Tasks read from a file; raises SetupError."""
+    """Tasks read from a file; raises InputError."""
     return load_settings(path, Tasks, "task file")
 
 
 def validate_tasks(tables: Mapping[str, Any], file: object) -> Tasks:
-    """Tasks from the tables of a task file after validation; raises SetupError, which names `file`."""
-    with as_setup_error():
+    """Tasks from the tables of a task file after validation; raises InputError, which names `file`."""
+    with as_input_error():
         return validate_settings(tables, Tasks, "task file", file)

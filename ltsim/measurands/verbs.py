@@ -39,7 +39,7 @@ def uncertainty(
 
     Raises
     ------
-    ModelError, SetupError
+    ModelError, InputError
         When a task names a target or effect that does not exist, or a target that the readings do not determine.
 
     Examples

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import RecordError, SetupError, as_setup_error
+from ltsim.core.errors import InputError, RecordError, as_input_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import CATALOGUE
 from ltsim.planning.search_space import MIN_VISIBLE_TARGETS, StationPlacement
@@ -55,17 +55,17 @@ def plan_names() -> tuple[str, ...]:
 def plan_text(name: str) -> str:
     """Content of the commented plan file of the built-in plan `name`, which users take as a template.
 
-    Raises SetupError if there is no such plan.
+    Raises InputError if there is no such plan.
     """
     path = BUILTIN_FOLDER / f"{name}.toml"
     if not path.is_file():
         near = _similar_names(name, plan_names())
-        raise SetupError(f"{quoted_text(name)}: there is no built-in plan of this name; did you mean {near}?")
+        raise InputError(f"{quoted_text(name)}: there is no built-in plan of this name; did you mean {near}?")
     return path.read_text(encoding="utf-8")
 
 
 def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
-    """Plan and its scenario, from a plan file, the name of a built-in plan, or a scenario; raises SetupError."""
+    """Plan and its scenario, from a plan file, the name of a built-in plan, or a scenario; raises InputError."""
     name = str(name_or_path)
     built = BUILTIN_FOLDER / f"{name}.toml"
     path = Path(str(built)) if built.is_file() else Path(name)
@@ -73,8 +73,8 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
         if name in builtin_names():
             return PlanFile(scenario=name), load_scenario(name)
         near = _similar_names(name, plan_names())
-        raise SetupError(f"{quoted_text(name)}: there is no such file, and no built-in plan; did you mean {near}?")
-    with as_setup_error():
+        raise InputError(f"{quoted_text(name)}: there is no such file, and no built-in plan; did you mean {near}?")
+    with as_input_error():
         data = read_toml(path, "plan")
         if data.get("format") == SCENARIO_FORMAT:
             return PlanFile(scenario=name), load_scenario(path)
@@ -96,7 +96,7 @@ def _similar_names(name: str, candidates: Sequence[str]) -> str:
 def _with_defaults(plan_file: PlanFile, path: Path) -> dict[str, Any]:
     """New values of fields of a plan file, by name: the points of its list, and defaults that depend on other keys.
 
-    `path` is that of the plan file. Raises SetupError for too many points.
+    `path` is that of the plan file. Raises InputError for too many points.
     """
     points = read_points(path.parent / plan_file.points) if isinstance(plan_file.points, str) else plan_file.points
     _require_few_points(len(points), path)
@@ -111,17 +111,17 @@ def _with_defaults(plan_file: PlanFile, path: Path) -> dict[str, Any]:
 def _scenario_of_plan(plan_file: PlanFile, plan_tables: dict[str, Any], path: Path) -> Scenario:
     """Scenario that a plan file names, or that its tables describe, with the plan's points as targets.
 
-    `plan_tables` are the TOML tables of the plan file at `path`. Raises SetupError for contradictory keys.
+    `plan_tables` are the TOML tables of the plan file at `path`. Raises InputError for contradictory keys.
     """
     points = plan_file.listed_points
     tables = [name for name in SCENARIO_TABLES if name in plan_tables]
     if plan_file.workshop is None and tables:
-        raise SetupError(
+        raise InputError(
             f"{path}: [{tables[0]}] needs a [workshop] in the same plan; remove it, or set it in the scenario"
         )
     if plan_file.workshop is not None:
         if "scenario" in plan_tables:
-            raise SetupError(f"{path}: it should have either scenario or [workshop], not both")
+            raise InputError(f"{path}: it should have either scenario or [workshop], not both")
         return _hall_scenario(plan_file, plan_tables, points, path)
     scenario_path = path.parent / plan_file.scenario
     return _with_points(load_scenario(scenario_path if scenario_path.is_file() else plan_file.scenario), points, path)
@@ -130,7 +130,7 @@ def _scenario_of_plan(plan_file: PlanFile, plan_tables: dict[str, Any], path: Pa
 def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
     """Check that names in a plan file refer to existing objects, and that names of new reflectors are not yet used.
 
-    Raises SetupError, which names `file`.
+    Raises InputError, which names `file`.
     """
     group_names = sorted({point.group for point in plan_file.listed_points if point.group})
     obstacles = [obstacle.name for obstacle in scenario.workshop.obstacles if obstacle.name]
@@ -149,7 +149,7 @@ def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
         for name in wanted:
             if name not in names:
                 near = _similar_names(name, names)
-                raise SetupError(
+                raise InputError(
                     f"{file}: {key} names '{quoted_text(name)}', which does not exist; did you mean {near}?"
                 )
     new_names = [p.name for p in plan_file.reflectors.places] + [s.name for s in plan_file.reflectors.surfaces]
@@ -157,24 +157,24 @@ def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
     for name, count in Counter(new_names).items():
         if count > 1 or name in targets:
             fault = "the name of a target" if name in targets else "given twice"
-            raise SetupError(f"{file}: reflectors: the name '{quoted_text(name)}' is {fault}")
+            raise InputError(f"{file}: reflectors: the name '{quoted_text(name)}' is {fault}")
 
 
 def _check_dependent_keys(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
-    """Check that no key is given without the keys that it needs, and that counts are consistent; raises SetupError."""
+    """Check that no key is given without the keys that it needs, and that counts are consistent; raises InputError."""
     if plan_file.goal.tolerances and not plan_file.listed_points:
-        raise SetupError(f"{file}: goal.tolerances needs points; give them as a list or a file")
+        raise InputError(f"{file}: goal.tolerances needs points; give them as a list or a file")
     fixed_keys = [f"budget.{key}" for key in ("faces", "repeats") if getattr(plan_file.budget, key) is not None]
     if fixed_keys and not plan_file.chooses_procedure:
-        raise SetupError(
+        raise InputError(
             f"{file}: {' and '.join(fixed_keys)} without budget.max_hours has no effect; give the hours for the work, "
             "or fix faces and repeats in the table [work] of the scenario"
         )
     if plan_file.goal.diagnosis_weight and not plan_file.goal.effects:
-        raise SetupError(f"{file}: goal.diagnosis_weight is above 0, but goal.effects names no effect")
+        raise InputError(f"{file}: goal.diagnosis_weight is above 0, but goal.effects names no effect")
     count, min_stations = plan_file.stations.count or len(scenario.stations), plan_file.stations.min_stations_per_target
     if isinstance(min_stations, int) and min_stations > count:
-        raise SetupError(
+        raise InputError(
             f"{file}: stations.min_stations_per_target is {min_stations}, but there are {count} stations; reduce it"
         )
 
@@ -182,10 +182,10 @@ def _check_dependent_keys(plan_file: PlanFile, scenario: Scenario, file: object)
 def read_points(path: Path) -> tuple[PlanPoint, ...]:
     """Points from a list of coordinates in any format; additional columns are keys of `PlanPoint`, such as ``weight``.
 
-    Raises SetupError.
+    Raises InputError.
     """
     columns = list(PlanPoint.model_fields)[4:]
-    with as_setup_error():
+    with as_input_error():
         table = read_coordinates(path)
         for name in table.additional_columns:
             if name not in columns:
@@ -196,9 +196,9 @@ def read_points(path: Path) -> tuple[PlanPoint, ...]:
 
 
 def _require_few_points(n_points: int, file: object) -> None:
-    """Check of the number of points of a plan; raises SetupError above `MAX_PLAN_POINTS`."""
+    """Check of the number of points of a plan; raises InputError above `MAX_PLAN_POINTS`."""
     if n_points > MAX_PLAN_POINTS:
-        raise SetupError(
+        raise InputError(
             f"{file}: the plan has {n_points} points, expected at most {MAX_PLAN_POINTS}; plan parts of it separately"
         )
 
@@ -235,7 +235,7 @@ def _point_from_table(table: PointList, row: int, path: Path) -> PlanPoint:
 def _hall_scenario(plan_file: PlanFile, tables: Mapping[str, Any], points: Sequence[PlanPoint], file: Path) -> Scenario:
     """Scenario of a hall that a plan file describes by its TOML tables and points, with initial stations.
 
-    Raises SetupError, which names `file`.
+    Raises InputError, which names `file`.
     """
     table: dict[str, Any] = {"format": SCENARIO_FORMAT, "title": plan_file.title}
     table |= {name: tables[name] for name in SCENARIO_TABLES if name in tables}
@@ -259,11 +259,11 @@ def _require_plausible_extent(points: Sequence[PlanPoint], scenario: Scenario, f
     """Check that some point is farther from the corner of the hall than a thousandth of the hall's size.
 
     Otherwise the coordinates may be in metres, or a full stop may separate thousands (7.000 for 7000 mm). Raises
-    SetupError.
+    InputError.
     """
     spread = np.array([[p.x_mm, p.y_mm, p.z_mm] for p in points]).reshape(-1, 3)
     if len(points) and np.all(1000.0 * np.abs(spread) <= scenario.workshop.size_mm):
-        raise SetupError(
+        raise InputError(
             f"{file}: all points lie within {np.abs(spread).max():g} mm of the corner of the hall; if their numbers "
             "are metres, name the columns x_m, y_m, z_m; if a full stop in a number separates thousands, remove it"
         )
@@ -272,7 +272,7 @@ def _require_plausible_extent(points: Sequence[PlanPoint], scenario: Scenario, f
 def _with_points(scenario: Scenario, points: Sequence[PlanPoint], file: object) -> Scenario:
     """Scenario with the points of a plan as additional targets; a point that is already a target is left out.
 
-    Raises SetupError if a target of the same name is at another position.
+    Raises InputError if a target of the same name is at another position.
     """
     _require_plausible_extent(points, scenario, file)
     for point in points:
@@ -281,7 +281,7 @@ def _with_points(scenario: Scenario, points: Sequence[PlanPoint], file: object) 
         if there is not None and np.abs(np.array(there.position_mm) - place).max() < MAX_SAME_POINT_DISTANCE_MM:
             continue
         if point.name in scenario.target_names:
-            raise SetupError(
+            raise InputError(
                 f"{file}: points: '{point.name}' is the name of a target at another position in the scenario"
             )
     existing = scenario.targets
@@ -290,7 +290,7 @@ def _with_points(scenario: Scenario, points: Sequence[PlanPoint], file: object) 
 
 
 def require_small_grid(plan_file: PlanFile, scenario: Scenario) -> None:
-    """Check that the number of candidate set-ups is at most `MAX_GRID_SETUPS`; raises SetupError."""
+    """Check that the number of candidate set-ups is at most `MAX_GRID_SETUPS`; raises InputError."""
     step = plan_file.search.grid_step_mm
     if step is None:
         return
@@ -304,7 +304,7 @@ def require_small_grid(plan_file: PlanFile, scenario: Scenario) -> None:
         * plan_file.search.height_count
     )
     if n_places > MAX_GRID_SETUPS:
-        raise SetupError(
+        raise InputError(
             f"search: a grid of {step:g} mm over {area_sizes[:, 0].max():g} x {area_sizes[:, 1].max():g} mm "
             f"has {n_places:.2g} "
             f"set-ups, the limit is {MAX_GRID_SETUPS}; give a larger grid_step_mm or a smaller floor"
@@ -314,7 +314,7 @@ def require_small_grid(plan_file: PlanFile, scenario: Scenario) -> None:
 def _initial_places(plan_file: PlanFile, scenario: Scenario, n_stations: int) -> Floats:
     """Initial positions (`n_stations`, 3) [m] of the stations in a hall.
 
-    Each next station is at the grid point where it sees most targets that no earlier station sees. Raises SetupError if
+    Each next station is at the grid point where it sees most targets that no earlier station sees. Raises InputError if
     the floor has no room for the stations.
     """
     heights = (USUAL_HEAD_HEIGHTS_MM[0] * MILLIMETRE, USUAL_HEAD_HEIGHTS_MM[1] * MILLIMETRE)
@@ -323,7 +323,7 @@ def _initial_places(plan_file: PlanFile, scenario: Scenario, n_stations: int) ->
     grid = np.concatenate([grid_over_area(area, grid_step(areas, plan_file.search.grid_step_mm), 1) for area in areas])
     grid = grid[is_allowed_position(areas, keep_outs, obstacles, grid)]
     if not len(grid):
-        raise SetupError(
+        raise InputError(
             "the floor has no place for a tripod; enlarge the floor, move obstacles, or give a smaller grid_step_mm"
         )
     visible = compute_visibility(
@@ -331,12 +331,12 @@ def _initial_places(plan_file: PlanFile, scenario: Scenario, n_stations: int) ->
     ).is_visible
     useful = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS
     if not useful.any():
-        raise SetupError("no place on the floor sees three points; enlarge the floor, or move obstacles")
+        raise InputError("no place on the floor sees three points; enlarge the floor, or move obstacles")
     spacing, none = plan_file.stations.spacing_mm * MILLIMETRE, np.zeros(len(points), dtype=np.int64)
     placement = StationPlacement(grid[useful], visible[useful], spacing, np.zeros((0, 3)), none)
     chosen = placement.place_stations(n_stations, 1)
     if len(chosen) < n_stations:
-        raise SetupError(
+        raise InputError(
             f"the floor has no room for {n_stations} tripods {spacing:g} m apart; "
             "give fewer stations, or enlarge the floor"
         )

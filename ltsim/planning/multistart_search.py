@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.adjustment.remedies.next_measurement import no_progress
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import NetworkError, SetupError
+from ltsim.core.errors import InputError, NetworkError
 from ltsim.core.parallel import run_parallel
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.reflectors import choose_reflectors
@@ -154,7 +154,7 @@ def _layout_of_start(
     """
     try:
         return task_number, search_from_start(problem, task, report_progress, store_layout)
-    except (SetupError, NetworkError):
+    except (InputError, NetworkError):
         return task_number, None
 
 
@@ -175,7 +175,7 @@ def search_from_start(
     """Objective and layout at the end of the search from one start.
 
     Stations are searched, then reflectors if they are movable, then stations again. `report_progress` is called with
-    the finished fraction, `store_layout` with each better layout. Raises SetupError or NetworkError if there is no
+    the finished fraction, `store_layout` with each better layout. Raises InputError or NetworkError if there is no
     layout.
     """
     site, stays, seed = (

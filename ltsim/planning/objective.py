@@ -84,7 +84,7 @@ class LayoutObjective:
     """Optimality criterion of the instrument parameters: "D", "A" or "E"."""
     effects: tuple[Effect, ...] = ()
     """Effects that a diagnosis should detect."""
-    n_variants_by_effect: Mapping[str, int] = field(default_factory=dict)
+    n_diagnosis_variants_by_effect: Mapping[str, int] = field(default_factory=dict)
     """Number of variants that a diagnosis tests for each effect (stations or targets where it may act, and shapes), by
     name of the effect; default the number of entries in `effects`. With more tests, only a larger effect is detected at
     the same false-alarm rate.
@@ -110,7 +110,7 @@ class LayoutObjective:
             qualities[TARGETS_QUALITY_NAME] = precision.weighted_target_rms
         if self.quality_weights.get(DIAGNOSIS_QUALITY_NAME, 0.0) > 0.0:
             qualities[DIAGNOSIS_QUALITY_NAME] = mean_detectable_size(
-                precision.information, n_parameters, self.effects, self.n_variants_by_effect
+                precision.information, n_parameters, self.effects, self.n_diagnosis_variants_by_effect
             )
         return {name: np.where(np.isfinite(value), value, np.inf) for name, value in qualities.items()}
 
@@ -137,14 +137,15 @@ def mean_detectable_size(
     information: Floats,
     n_parameters: int,
     effects: Sequence[Effect],
-    n_variants_by_effect: Mapping[str, int] | None = None,
+    n_diagnosis_variants_by_effect: Mapping[str, int] | None = None,
 ) -> Floats:
     """Geometric mean (B,), over the parameters of effects, of minimal detectable size divided by plausible size.
 
     `information` (B, P, P) are information matrices of B layouts for P parameters, of which the first `n_parameters`
-    are those of the instrument and all others those of `effects`. `n_variants_by_effect` is as in `LayoutObjective`.
+    are those of the instrument and all others those of `effects`. `n_diagnosis_variants_by_effect` is as in
+    `LayoutObjective`.
     """
-    sought = {**Counter(effect.name for effect in effects), **(n_variants_by_effect or {})}
+    sought = {**Counter(effect.name for effect in effects), **(n_diagnosis_variants_by_effect or {})}
     parameter_block = information[:, :n_parameters, :n_parameters]
     value = np.full(len(information), np.inf)
     is_valid = np.isfinite(information).all(axis=(1, 2))

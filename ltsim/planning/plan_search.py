@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress
-from ltsim.core.errors import NetworkError, SetupError
+from ltsim.core.errors import InputError, NetworkError
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.loading import require_small_grid
@@ -72,7 +72,7 @@ def make_plan(
 ) -> PlannedNetwork:
     """Planned network with the best layout of all searches; it does not depend on the number of processes `jobs`.
 
-    Ctrl-C ends the search with the best layout so far (`PlannedNetwork.is_stopped`). Raises SetupError if no layout
+    Ctrl-C ends the search with the best layout so far (`PlannedNetwork.is_stopped`). Raises InputError if no layout
     meets the rules of the plan.
     """
     require_small_grid(file, scenario)
@@ -81,7 +81,7 @@ def make_plan(
     search = _PlanSearch(PlanningProblem(file, scenario), jobs, progress_callbacks)
     best_layout = search.best_with_fewest_stations() if file.searches_station_count else search.best_for_station_count()
     if not np.isfinite(best_layout.objective_value):
-        raise SetupError(UNDETERMINED_LAYOUT_MESSAGE)
+        raise InputError(UNDETERMINED_LAYOUT_MESSAGE)
     progress_callbacks.on_progress("check of tolerances and changes", SEARCH_PROGRESS_FRACTION)
     made = evaluate_plan(search.plan_file, scenario, best_layout.survey)
     progress_callbacks.on_progress("check of tolerances and changes", 1.0)
@@ -172,14 +172,14 @@ class _PlanSearch:
             )  # the same search again, for its sentence
         options = self.tradeoff_points(self.layouts)
         if not options:
-            raise SetupError(STOPPED_MESSAGE)
+            raise InputError(STOPPED_MESSAGE)
         hours = file.budget.max_hours
         if hours is None:
             return min(options, key=lambda o: (len(o.survey.station_positions) != count, o.objective_value))
         paid = [o for o in options if o.hours <= hours]
         if not paid:
             cheapest = min(o.hours for o in options)
-            raise SetupError(
+            raise InputError(
                 f"budget.max_hours is {hours:g} h, but the fastest procedure takes {cheapest:.1f} h: increase it"
             )
         return min(paid, key=lambda o: o.objective_value)
@@ -235,7 +235,7 @@ class _PlanSearch:
             if self.is_stopped or self._has_converged():
                 break
         if not judgements:
-            raise SetupError(self._no_layout_message(station_counts))
+            raise InputError(self._no_layout_message(station_counts))
         return min(judgements, key=lambda judgement: (judgement[0], judgement[1].hours))[1]
 
     def _layout_with_smallest_error_ratio(
@@ -277,7 +277,7 @@ class _PlanSearch:
             return f"no layout of {range_text} stations takes at most {hours:g} h; increase budget.max_hours"
         try:
             search_from_start(self.problem, SearchTask(station_counts[-1], self.face_and_round_choices[0][-1], 0))
-        except (SetupError, NetworkError) as problem:
+        except (InputError, NetworkError) as problem:
             return f"{problem}, or increase stations.max_count"
         return "the search found no layout; enlarge the floor or increase stations.max_count"
 
@@ -336,7 +336,7 @@ def max_stations_seeing_every_target(search_space: SearchSpace, step: float, n_h
 def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanFile:
     """Plan file whose value of `stations.min_stations_per_target` can be met by some layout.
 
-    A default value is reduced if necessary. For a value that the file gives, SetupError reports the largest possible
+    A default value is reduced if necessary. For a value that the file gives, InputError reports the largest possible
     value.
     """
     settings, count = file.search, len(search_space.survey.station_positions)
@@ -345,14 +345,14 @@ def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanF
     if reachable >= search_space.min_sights:
         return file
 
-    def layout_error(min_sights: int) -> SetupError | None:
+    def layout_error(min_sights: int) -> InputError | None:
         """Error of the search for an initial layout with `min_sights` stations per target; None if one is found."""
         searcher = LayoutSearcher(
             search_space.replace(min_sights=min_sights), grid_step=step, n_yaws=1, n_heights=settings.height_count
         )
         try:
             searcher.random_layout(random_stream(settings.seed, "plan", "sights"))
-        except SetupError as problem:
+        except InputError as problem:
             return problem
         return None
 
@@ -366,7 +366,7 @@ def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanF
     if not reachable:
         raise problem
     cure = "remove a station from stations.fixed_stations" if len(search_space.fixed_stations) else "enlarge the floor"
-    raise SetupError(
+    raise InputError(
         f"stations.min_stations_per_target requires {search_space.min_sights} of {count} stations to see every "
         f"reflector, but at most {reachable} can, and {limiting} is visible from the fewest positions: set "
         f"stations.min_stations_per_target = {reachable}, move {limiting}, or {cure}"
@@ -374,10 +374,10 @@ def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanF
 
 
 def placement_seeing_all_points(search_space: SearchSpace, file: PlanFile) -> StationPlacement:
-    """Candidate positions of stations on the grid; raises SetupError, which names points that no position sees."""
+    """Candidate positions of stations on the grid; raises InputError, which names points that no position sees."""
     placement = search_space.candidate_placement(
         grid_step(search_space.allowed_areas, file.search.grid_step_mm), file.search.height_count
     )
     if not placement.is_visible.any(axis=0).all():
-        raise SetupError(search_space.invisible_targets_sentence(np.flatnonzero(~placement.is_visible.any(axis=0))))
+        raise InputError(search_space.invisible_targets_sentence(np.flatnonzero(~placement.is_visible.any(axis=0))))
     return placement

@@ -191,8 +191,8 @@ def _reference_sentences(plan: PlannedNetwork) -> list[str]:
         a, b = reference.expected_criteria, chosen.expected_criteria
         sentences.append(
             "For errors within the specification, calibration is expected to reduce the disagreement of the stations "
-            f"in distances by {b.distance_improvement[0]:.0f} % and in coordinates by "
-            f"{b.coordinate_improvement[0]:.0f} % (scenario's layout: {a.distance_improvement[0]:.0f} % and "
+            f"in the distances between targets by {b.distance_improvement[0]:.0f} % and in the coordinates of targets "
+            f"by {b.coordinate_improvement[0]:.0f} % (scenario's layout: {a.distance_improvement[0]:.0f} % and "
             f"{a.coordinate_improvement[0]:.0f} %)."
         )
     return sentences

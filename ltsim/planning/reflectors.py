@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.layout_scorer import LayoutPrecision, LayoutScorer
 from ltsim.planning.objective import MIN_SWEEP_IMPROVEMENT, LayoutObjective
@@ -223,7 +223,7 @@ def choose_reflectors(
 ) -> PlannedSurvey:
     """Survey whose movable reflectors are at the places with the smallest objective, of present and candidate places.
 
-    Reflectors flagged in `is_fixed` (T,), of T targets, do not move. Raises SetupError if too few places are visible.
+    Reflectors flagged in `is_fixed` (T,), of T targets, do not move. Raises InputError if too few places are visible.
     """
     if search_space.candidate_nests is None:
         return survey
@@ -233,7 +233,7 @@ def choose_reflectors(
     )
     places = choice.places
     if len(places) < wanted:
-        raise SetupError(
+        raise InputError(
             f"only {len(places)} places for reflectors are visible from the stations, expected {wanted}; "
             "add places or ask for fewer"
         )
@@ -267,14 +267,14 @@ def _initial_places(places: Floats, is_present_place: Bools, n_reflectors: int, 
     """Indices of initial places for `n_reflectors` reflectors: the present ones, then each time the farthest one.
 
     The farthest place has the largest distance from all chosen ones. `is_present_place` (P,) flags the present ones of
-    the P `places` (P, 3) [m]. Raises SetupError if there are too few places `spacing` [m] apart.
+    the P `places` (P, 3) [m]. Raises InputError if there are too few places `spacing` [m] apart.
     """
     chosen: list[int] = np.flatnonzero(is_present_place).tolist()
     while len(chosen) < n_reflectors:
         gap = np.linalg.norm(places[:, None] - places[chosen][None], axis=2).min(axis=1, initial=np.inf)
         best = int(np.argmax(gap))
         if gap[best] < spacing:
-            raise SetupError(f"fewer than {n_reflectors} places for reflectors lie {spacing:g} m apart; add places")
+            raise InputError(f"fewer than {n_reflectors} places for reflectors lie {spacing:g} m apart; add places")
         chosen.append(best)
     return np.array(chosen, dtype=np.int64)
 

@@ -8,7 +8,7 @@ from pydantic import PrivateAttr
 
 from ltsim.adjustment.remedies.detectability import catalogue_detectability
 from ltsim.core.arguments import path_of_file_or_built_in
-from ltsim.core.errors import ModelError, SetupError
+from ltsim.core.errors import InputError, ModelError
 from ltsim.core.results import Table
 from ltsim.core.storage import read_whole_file
 from ltsim.physics.effects import CATALOGUE
@@ -65,7 +65,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
     """Final value of the objective of each independent search, the best first; smaller is better."""
     reflector_changes: tuple[ReflectorChangeEntry, ...] = ()
     """Useful moves of a single reflector and useful additional reflectors, the best first, then removals."""
-    changes_summary: str = ""
+    reflector_changes_sentence: str = ""
     """Sentence with the numbers of evaluated and of useful changes of single reflectors."""
     obstacle_sentences: tuple[str, ...] = ()
     """Sentence on each obstacle in the hall: type of the CAD file, size and position."""
@@ -112,7 +112,7 @@ class Plan(ResultFile, PlannedLayoutEntry):
             fewest_stations=None if few is None else TradeoffEntry.from_tradeoff_point(few),
             tradeoff_points=tuple(TradeoffEntry.from_tradeoff_point(option) for option in network.tradeoff_points),
             reflector_changes=network.reflector_changes.reported_changes,
-            changes_summary=network.reflector_changes.summary_sentence,
+            reflector_changes_sentence=network.reflector_changes.summary_sentence,
             start_objectives=network.start_objectives,
             obstacle_sentences=tuple(body.description for body in placed_obstacles(network.scenario)),
             goal_reached=None if judged is None else judged.is_goal_reached,
@@ -238,7 +238,7 @@ def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | 
 def load_plan_and_scenario(source: str | Path) -> tuple[PlanFile, Scenario]:
     """Plan file and scenario from `source`: a plan file, a scenario, a name of a built-in one, or the folder of a plan.
 
-    In a folder, the file that the interactive planner saved has priority over plan.json. Raises SetupError.
+    In a folder, the file that the interactive planner saved has priority over plan.json. Raises InputError.
     """
     folder = path_of_file_or_built_in(source)
     if (folder / PLAN_FILE).is_file():
@@ -288,7 +288,7 @@ def with_layout(scenario: Scenario, survey: PlannedSurvey, title: str = "") -> S
 def copy_cad_files(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
     """Scenario whose obstacles name CAD files in the scenario's own folder, and contents of these files by name.
 
-    Raises SetupError if a file cannot be read.
+    Raises InputError if a file cannot be read.
     """
     names: dict[str, str] = {}
     contents: dict[str, bytes] = {}
@@ -298,7 +298,7 @@ def copy_cad_files(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
         try:
             contents[names[path]] = read_whole_file(Path(path))
         except OSError as problem:
-            raise SetupError(f"{path}: cannot be read ({problem.strerror})") from None
+            raise InputError(f"{path}: cannot be read ({problem.strerror})") from None
     obstacles = tuple(
         entry if entry.file is None else entry.model_copy(update={"file": names[entry.file]})
         for entry in scenario.workshop.obstacles

@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.adjustment.remedies.next_measurement import no_progress
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.randomness import random_stream
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.planning.layout_scorer import LayoutScorer
@@ -98,7 +98,7 @@ class LayoutSearcher:
             whole = self.search_space.min_sights >= self.n_stations
             is_permitted = visible.all(axis=1) if whole else np.ones(len(visible), dtype=bool)
             if not is_permitted.any():
-                raise SetupError(self._invisible_targets_sentence())
+                raise InputError(self._invisible_targets_sentence())
             turns = np.arange(self.n_yaws) * (2 * np.pi / self.n_yaws)
             position: Floats = np.repeat(places[is_permitted], self.n_yaws, axis=0)
             yaw = np.tile(turns, int(is_permitted.sum()))
@@ -269,7 +269,7 @@ class LayoutSearcher:
         """Random layout that meets the rules; fixed stations remain.
 
         Of `MAX_RANDOM_LAYOUTS` draws the first that determines all poses and targets is used, otherwise the last that
-        meets the rules. Raises SetupError, with the targets that lack sights, if no draw meets them.
+        meets the rules. Raises InputError, with the targets that lack sights, if no draw meets them.
         """
         survey, free, places = self.search_space.survey, self._movable_stations, self.placement
         tables = {station_index: self.grid_setups(station_index) for station_index in free}
@@ -295,7 +295,7 @@ class LayoutSearcher:
                 loose = made
         if loose is not None:
             return loose
-        raise SetupError(
+        raise InputError(
             f"the search found no layout of {self.n_stations} stations, {self.search_space.min_station_spacing:g} m "
             f"apart, among {len(places.candidate_positions)} candidate positions, in which at least "
             f"{self.search_space.min_sights} stations see every reflector"

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect
@@ -54,17 +54,17 @@ ZERO_PLACEMENT_SCATTER = PlacingSigmas(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0
 def planned_survey(scenario: Scenario) -> PlannedSurvey:
     """Planned survey of a scenario: its layout, set-up, order and timing.
 
-    Raises SetupError for an inclined station, for several trackers, and if ranges are not recorded.
+    Raises InputError for an inclined station, for several trackers, and if ranges are not recorded.
     """
     if scenario.instruments:
         named = ", ".join(scenario.instruments)
-        raise SetupError(f"the scenario has several trackers ({named}); a plan needs one, in the table [instrument]")
+        raise InputError(f"the scenario has several trackers ({named}); a plan needs one, in the table [instrument]")
     if scenario.instrument.observables not in (OBSERVABLES, RANGE_ONLY_OBSERVABLES):
-        raise SetupError("instrument.observables: a plan needs ranges and both angles, or ranges only")
+        raise InputError("instrument.observables: a plan needs ranges and both angles, or ranges only")
     layout, work = planned_layout(scenario), scenario.work
     lean = 1.0 - layout.station_rotations[:, 2, 2]
     if lean.max() > MAX_TILT_COSINE_DEFICIT:
-        raise SetupError(
+        raise InputError(
             f"station {layout.station_names[int(lean.argmax())]} is tilted; a plan needs vertical stations"
         )
     recording, _ = simulate(scenario.model_copy(update={"placing": ZERO_PLACEMENT_SCATTER}), 0)
@@ -120,7 +120,7 @@ def make_search_space(
     least = n_stations if min_stations == "all" else min(min_stations, n_stations)
     if not survey.records_angles and least < MIN_RANGE_STATIONS:
         if n_stations < MIN_RANGE_STATIONS or plan.gives_min_stations:
-            raise SetupError(
+            raise InputError(
                 f"ranges alone determine a reflector from {MIN_RANGE_STATIONS} stations, but the plan requires only "
                 f"{least} to see it; give more stations, or a larger stations.min_stations_per_target"
             )
@@ -196,7 +196,7 @@ def with_station_count(survey: PlannedSurvey, n_stations: int) -> PlannedSurvey:
 def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None, tuple[str, ...]]:
     """Candidate positions (P, 3) [m] of reflectors at P places, and their names; (None, ()) if reflectors do not move.
 
-    Raises SetupError for more than `MAX_CANDIDATE_PLACES`.
+    Raises InputError for more than `MAX_CANDIDATE_PLACES`.
     """
     surfaces = plan.reflectors.surfaces
     _require_few_places(len(plan.reflectors.places) + sum(surface.rows * surface.columns for surface in surfaces))
@@ -217,9 +217,9 @@ def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None,
 
 
 def _require_few_places(n_places: int) -> None:
-    """Check that there are at most `MAX_CANDIDATE_PLACES` candidate positions of reflectors; raises SetupError."""
+    """Check that there are at most `MAX_CANDIDATE_PLACES` candidate positions of reflectors; raises InputError."""
     if n_places > MAX_CANDIDATE_PLACES:
-        raise SetupError(
+        raise InputError(
             f"reflectors: {n_places} candidate places, expected at most {MAX_CANDIDATE_PLACES}; "
             "give fewer rows and columns of surfaces, or a larger place_spacing_mm"
         )
@@ -267,7 +267,7 @@ def _fixed_flags(plan: PlanFile, scenario: Scenario, names: Sequence[str], fixed
 def layout_objective(plan: PlanFile, survey: PlannedSurvey) -> LayoutObjective:
     """Objective of a plan for layouts with the stations of `survey`.
 
-    An effect that acts on a single station is included for every station. Raises SetupError for effects that act on
+    An effect that acts on a single station is included for every station. Raises InputError for effects that act on
     single targets or readings.
     """
     goal = plan.goal
@@ -285,7 +285,7 @@ def layout_objective(plan: PlanFile, survey: PlannedSurvey) -> LayoutObjective:
             effects.append(kind())
         else:
             message = "acts on single targets or readings; name effects that act on all or on a station"
-            raise SetupError(f"goal.effects: {name} {message}")
+            raise InputError(f"goal.effects: {name} {message}")
     built = misalignment_construction()
     sightings = sightings_at_state(survey.noise_free_recording(built), survey.nominal_state(built)) if effects else None
     places = {e.name: len(type(e).candidates(sightings)) for e in effects} if sightings else {}

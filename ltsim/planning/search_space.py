@@ -16,7 +16,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.equality import ValueEquality
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.notation import listing
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.scene.floor import KeepOutArea, StandingArea, grid_over_area, is_allowed_position, refusal_reason
@@ -279,14 +279,14 @@ class SearchSpace(ValueEquality):
     def candidate_placement(self, step: float, n_heights: int) -> StationPlacement:
         """Candidate positions of stations on a grid from which `MIN_VISIBLE_TARGETS` are visible, and fixed stations.
 
-        `step` [m] is the horizontal step, `n_heights` the number of heights. Raises SetupError if there is no such
+        `step` [m] is the horizontal step, `n_heights` the number of heights. Raises InputError if there is no such
         position.
         """
         places, fixed = self.grid_places(step, n_heights), self.survey.station_positions[list(self.fixed_stations)]
         visible = self.is_visible(places)
         is_sufficient = visible.sum(axis=1) >= MIN_VISIBLE_TARGETS
         if not is_sufficient.any():
-            raise SetupError("no place on the floor sees three points; enlarge the floor, or move obstacles")
+            raise InputError("no place on the floor sees three points; enlarge the floor, or move obstacles")
         counted = self.is_visible(fixed).sum(axis=0) if len(fixed) else np.zeros(visible.shape[1], dtype=np.int64)
         return StationPlacement(places[is_sufficient], visible[is_sufficient], self.min_station_spacing, fixed, counted)
 

@@ -7,7 +7,7 @@ import numpy as np
 from ltsim.adjustment import adjust
 from ltsim.adjustment.remedies.candidates import FloorPlan
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import NetworkError, SetupError, option_text
+from ltsim.core.errors import InputError, NetworkError, option_text
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly, rotation_about_z
 from ltsim.physics.model.construction import declared_construction
@@ -34,7 +34,7 @@ def with_positions_on_site(recording: Recording, search_space: SearchSpace, site
 
     Raises
     ------
-    SetupError
+    InputError
         For a recording without common points and nominal positions, for common points that do not fit, and for nominal
         positions in other axes than those of the site.
     """
@@ -44,7 +44,7 @@ def with_positions_on_site(recording: Recording, search_space: SearchSpace, site
         recording, adjustment.state, search_space, adjustment.undetermined_targets, site_name
     )
     if plan is None and not nominal:
-        raise SetupError(
+        raise InputError(
             f"{option_text('site')} needs positions on the floor plan; set position_mm of the stations in setup.toml, "
             "or name targets as in the plan"
         )
@@ -85,7 +85,7 @@ def _floor_plan_from_points(
     misfit = np.linalg.norm(plan.positions_on_plan(target_points) - there, axis=1)
     if np.median(misfit) > MAX_MEDIAN_MISFIT:
         worst = int(np.argmax(misfit))
-        raise SetupError(
+        raise InputError(
             f"{site_name}: {len(names)} targets of the recording have names of its points, but do not fit them: "
             f"{names[worst]} is {misfit[worst]:.2f} m off; name the plan of this hall, or rename its points"
         )
@@ -95,7 +95,7 @@ def _floor_plan_from_points(
 def _require_same_axes(
     station: str, nominal_mm: tuple[float, float, float] | None, position: Floats, site_name: str
 ) -> None:
-    """Check that the nominal position of a station, if there is one, has the axes of the site; raises SetupError.
+    """Check that the nominal position of a station, if there is one, has the axes of the site; raises InputError.
 
     `position` (3,) [m] is its adjusted position on the site, to which `nominal_mm` must be near.
     """
@@ -103,7 +103,7 @@ def _require_same_axes(
         return
     nominal = np.array(nominal_mm) * MILLIMETRE
     if np.linalg.norm(nominal - position) > MAX_NOMINAL_POSITION_ERROR:
-        raise SetupError(
+        raise InputError(
             f"setup.toml places station {station} at {_position_text(nominal)}, but the points of {site_name} place it "
             f"at {_position_text(position)}: the axes differ; set position_mm and yaw_deg in the axes of this plan"
         )
@@ -112,12 +112,12 @@ def _require_same_axes(
 def _require_on_allowed_floor(
     recording: Recording, positions: Floats, search_space: SearchSpace, site_name: str
 ) -> None:
-    """Check that at least one station of the recording stands on the permitted floor of the site; raises SetupError.
+    """Check that at least one station of the recording stands on the permitted floor of the site; raises InputError.
 
     `positions` (S, 3) [m] are those of the S stations in the axes of the site.
     """
     if not search_space.is_allowed(positions).any():
-        raise SetupError(
+        raise InputError(
             f"no station of the recording stands on the permitted floor of {site_name}: {recording.stations[0]} is at "
             f"{_position_text(positions[0])}; set position_mm and yaw_deg in the axes of this plan"
         )

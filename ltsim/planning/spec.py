@@ -102,11 +102,11 @@ class ReflectorSettings(TomlSection):
     standoff_mm: Positive = 40.0
     """Height of a reflector's centre above the surface on which it may be placed."""
     movable_points: DistinctValues[str] = ()
-    """Names of points of the list, or of groups of points, that could be moved. The search does not move them, but the
-    plan reports the benefit of moving each.
+    """Names of points to measure (`points` of the plan), or of their groups, that could be moved. The search does not
+    move them, but the plan reports the benefit of moving each.
     """
     fixed_reflectors: DistinctValues[str] = ()
-    """Reflectors of the scenario that do not move; the points of a list never move."""
+    """Names of reflectors of the scenario that do not move. The points to measure, `points` of the plan, never move."""
     spacing_mm: NonNegative = 300.0
     """Smallest distance between two reflectors."""
 

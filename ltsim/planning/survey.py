@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints, as_floats
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import GeometricErrorModel
@@ -68,9 +68,9 @@ class PlannedSurvey:
         as_floats(self.target_points, (targets, 3), "points")
         if self.is_visible.shape != (stations, targets):
             entries = " x ".join(map(str, self.is_visible.shape))
-            raise SetupError(f"the table of visibility has {entries} entries, expected {stations} x {targets}")
+            raise InputError(f"the table of visibility has {entries} entries, expected {stations} x {targets}")
         if not set(self.faces) <= {1, 2} or not self.faces or len(set(self.faces)) < len(self.faces):
-            raise SetupError(f"faces are {list(self.faces)}, expected [1], [2] or [1, 2]")
+            raise InputError(f"faces are {list(self.faces)}, expected [1], [2] or [1, 2]")
 
     def noise_sigmas(self, sightings: Sightings) -> Floats:
         """Standard deviations (n, 3) [m, rad, rad] of n pointings by the declared noise, without effects of the air."""

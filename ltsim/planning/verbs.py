@@ -10,7 +10,7 @@ from ltsim.adjustment.remedies.candidates import VisibilityFunction
 from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress, rank_next_measurements as ranked
 from ltsim.core.arguments import MAX_MAPPING_VALUE_MAGNITUDE, STATION_POSITION_SYNTAX, check_bounds, check_mapping
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.errors import SetupError, option_text, unknown_name_error
+from ltsim.core.errors import InputError, option_text, unknown_name_error
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.planning.multistart_search import PlanningProblem
@@ -67,7 +67,7 @@ def plan(
 
     Raises
     ------
-    SetupError
+    InputError
         If the plan file is not valid, or no layout meets its rules.
 
     Examples
@@ -122,7 +122,7 @@ def next_measurement(
     ------
     ModelError
         When an effect does not exist, is a noise effect, or cannot be fitted to this recording.
-    SetupError
+    InputError
         When the axes of the recording are not those of the site, or are not known.
 
     Examples
@@ -197,7 +197,7 @@ def station_alternatives(source: str | Path, station: str) -> tuple[StationAlter
 
     Raises
     ------
-    SetupError
+    InputError
         When there is no such station, or no position for it on the floor.
     """
     named, scenario = load_plan_and_scenario(source)
@@ -245,7 +245,7 @@ def _plan_with_moved_stations(
 ) -> PlannedNetwork:
     """Planned network with stations at new positions, by name: x, y, z [mm] and yaw [deg].
 
-    If yaw, or z and yaw, are not given, their planned values are kept. Raises SetupError for a position where no tripod
+    If yaw, or z and yaw, are not given, their planned values are kept. Raises InputError for a position where no tripod
     may stand.
     """
     file, site = plan_without_search(plan, scenario)
@@ -258,14 +258,14 @@ def _plan_with_moved_stations(
     survey = survey.replace(station_positions=position, station_yaws=yaw)
     wrong = [rule for rule in site.broken_position_rules(survey) if {*rule.stations} & {*new_positions}]
     if wrong:
-        raise SetupError(f"{option_text('move')}: {broken_rules_text(wrong)}")
+        raise InputError(f"{option_text('move')}: {broken_rules_text(wrong)}")
     return evaluate_plan(file, scenario, survey.replace(is_visible=site.is_visible(position)))
 
 
 def _position_numbers(name: str, position: object) -> Floats:
     """Numbers of a new position of the station `name`: x and y [mm], then z [mm] and yaw [deg] if given.
 
-    Raises SetupError for other content.
+    Raises InputError for other content.
     """
     words = np.ravel(np.asarray(position, dtype=object)).tolist()
     try:
@@ -273,7 +273,7 @@ def _position_numbers(name: str, position: object) -> Floats:
     except (TypeError, ValueError):
         place = np.zeros(0)
     if not 2 <= len(place) <= 4 or not np.all(np.abs(place) <= MAX_MAPPING_VALUE_MAGNITUDE):
-        raise SetupError(
+        raise InputError(
             f"{option_text('move')} {name}={','.join(map(str, words))}: expected {STATION_POSITION_SYNTAX}"
         )
     return place
@@ -292,7 +292,7 @@ def _horizontal_distances(places: Floats, place: Floats) -> Floats:
 
 def _station_index(survey: PlannedSurvey, name: str) -> int:
     if name not in survey.station_names:
-        raise SetupError(str(unknown_name_error("station", name, survey.station_names)))
+        raise InputError(str(unknown_name_error("station", name, survey.station_names)))
     return survey.station_names.index(name)
 
 

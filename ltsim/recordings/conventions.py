@@ -340,7 +340,7 @@ def clock_questions(recording: Recording) -> tuple[str, ...]:
 
 def vertical_pointings_notes(recording: Recording) -> tuple[str, ...]:
     """Note on pointings along the vertical axis, of which an adjustment uses only the distances; empty without them."""
-    vertical_rows = np.flatnonzero(recording.is_vertical & recording.is_measured[:, 1:].any(axis=1))
+    vertical_rows = np.flatnonzero(recording.is_along_standing_axis & recording.is_measured[:, 1:].any(axis=1))
     if not len(vertical_rows):
         return ()
     listed_rows = listing([recording.row_text(int(row) + 1) for row in vertical_rows], MAX_ROWS_IN_A_NOTE)

@@ -16,7 +16,7 @@ from ltsim.core.errors import ModelError, NetworkError, option_text
 from ltsim.core.limits import MAX_NETWORK_SETUPS, POINTINGS_LIMIT_VARIABLE, overridable_limit
 from ltsim.core.results import ColumnValues, Result
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
-from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
+from ltsim.recordings.setup import Instrument, LengthGauge, Noise, Setup, Station, Target
 
 OBSERVABLES = ("distance", "azimuth", "elevation")
 """Observables of a pointing, in the order of the columns of readings."""
@@ -174,10 +174,10 @@ class Recording(Result):
     @property
     def is_usable(self) -> Bools:
         """Flags (n, 3) of the readings of n pointings that an adjustment uses: no angles of vertical sights."""
-        return self.is_measured & ~(self.is_vertical[:, None] & [False, True, True])
+        return self.is_measured & ~(self.is_along_standing_axis[:, None] & [False, True, True])
 
     @property
-    def is_vertical(self) -> Bools:
+    def is_along_standing_axis(self) -> Bools:
         """Flags (n,) of those of n pointings that go along the standing axis of the tracker, to its zenith or nadir."""
         return np.asarray(np.abs(np.cos(self.readings[:, 2])) < MIN_COS_ELEVATION_FOR_ANGLES)
 
@@ -216,9 +216,9 @@ class Recording(Result):
         return self.setup.targets.get(target, _DEFAULT_TARGET)
 
     @property
-    def gauge(self) -> Gauge:
+    def gauge(self) -> LengthGauge:
         """Reference lengths of the set-up; a gauge without lengths if the set-up declares none."""
-        return self.setup.gauge or Gauge()
+        return self.setup.gauge or LengthGauge()
 
     def sigma(self) -> Floats:
         """Declared standard deviation (n, 3) [m, rad, rad] of the range, azimuth and elevation of each of n pointings.

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from ltsim.core.errors import ModelError, RecordError, as_setup_error
+from ltsim.core.errors import ModelError, RecordError, as_input_error
 from ltsim.core.limits import (
     MAX_TOML_BYTES,
     MAX_TOML_DEPTH,
@@ -172,9 +172,9 @@ def validate_settings(tables: Mapping[str, Any], model: type[SettingsType], kind
 def load_settings(path: Path, model: type[SettingsType], kind: str) -> SettingsType:
     """Settings from a user-written file, validated against their `model`; `kind` is the expected content, for errors.
 
-    Raises SetupError.
+    Raises InputError.
     """
-    with as_setup_error():
+    with as_input_error():
         return validate_settings(read_toml(path, kind), model, kind, path)
 
 

@@ -147,7 +147,7 @@ class GaugeDistance(LengthMaterialAndTemperature):
     """Standard deviation of `length_mm`."""
 
 
-class Gauge(TomlSection):
+class LengthGauge(TomlSection):
     """Reference lengths, with the temperatures of their calibration and of the recording."""
 
     calibrated_at_c: Finite = 20.0
@@ -351,7 +351,7 @@ class Setup(TomlSection):
     """Instrument of a recording made with one instrument."""
     instruments: dict[str, Instrument] = Field(default_factory=dict)
     """Several instruments by name, tables `[instruments.NAME]`."""
-    gauge: Gauge | None = None
+    gauge: LengthGauge | None = None
     """Reference lengths with their temperatures, table `[gauge]`."""
     stations: dict[str, Station] = Field(default_factory=dict)
     """Prior knowledge about set-ups, tables `[stations.NAME]`."""

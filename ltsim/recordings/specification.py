@@ -22,7 +22,7 @@ TWO_FACE_TO_TRANSVERSE_LIMIT_RATIO = 2.0
 """Limit of a two-face difference divided by the limit of the error of a point perpendicular to the beam (ISO
 10360-10:2021, 6.3 and annex D).
 """
-REQUIRED_LIMIT_KEYS = ("transverse_um", "transverse_um_per_m", "range_um", "range_um_per_m")
+REQUIRED_LIMIT_KEYS = ("transverse_limit_um", "transverse_limit_um_per_m", "range_limit_um", "range_limit_um_per_m")
 """Keys of a specification that must be given, because acceptance tests have no limit without them."""
 RANGE_KEY_PREFIXES = ("distance_", "range_")
 """Beginnings of the keys of noise and prior that follow from the limits of range errors."""
@@ -62,15 +62,15 @@ class Specification(TomlSection):
     """Name of the instrument."""
     source: str = ""
     """Source of the numbers, such as the title of a data sheet."""
-    transverse_um: NonNegative
+    transverse_limit_um: NonNegative
     """Limit of the error of a point perpendicular to the beam, constant part (e_T)."""
-    transverse_um_per_m: NonNegative
+    transverse_limit_um_per_m: NonNegative
     """Limit of the error of a point perpendicular to the beam, part proportional to the range."""
-    range_um: NonNegative
+    range_limit_um: NonNegative
     """Limit of the range error, constant part (e_ADM or e_IFM)."""
-    range_um_per_m: NonNegative
+    range_limit_um_per_m: NonNegative
     """Limit of the range error, part proportional to the range."""
-    range_offset_um: NonNegative = 0.0
+    range_offset_limit_um: NonNegative = 0.0
     """Limit of the range zero error (e_R0)."""
     noise_variance_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
     """Fraction of the variance that is noise; the rest is due to errors of the instrument parameters."""
@@ -78,17 +78,17 @@ class Specification(TomlSection):
     @model_validator(mode="after")
     def _check_positive_limits(self) -> Self:
         for kind in ("transverse", "range"):
-            if not getattr(self, f"{kind}_um") and not getattr(self, f"{kind}_um_per_m"):
-                raise ValueError(f"it should not be 0 in both {kind}_um and {kind}_um_per_m")
+            if not getattr(self, f"{kind}_limit_um") and not getattr(self, f"{kind}_limit_um_per_m"):
+                raise ValueError(f"it should not be 0 in both {kind}_limit_um and {kind}_limit_um_per_m")
         return self
 
     def transverse_limit(self, range_: Floats) -> Floats:
         """Limit (k,) [m] of the error of a point perpendicular to the beam, at k ranges (k,) [m]."""
-        return (self.transverse_um + self.transverse_um_per_m * range_) * MICROMETRE
+        return (self.transverse_limit_um + self.transverse_limit_um_per_m * range_) * MICROMETRE
 
     def range_limit(self, range_: Floats) -> Floats:
         """Limit (k,) [m] of the error of a point along the beam, at k ranges (k,) [m], without the range zero error."""
-        return (self.range_um + self.range_um_per_m * range_) * MICROMETRE
+        return (self.range_limit_um + self.range_limit_um_per_m * range_) * MICROMETRE
 
     def length_limits(self, first_points: Floats, second_points: Floats) -> Floats:
         """Limit (k,) [m] of the errors of k lengths between `first_points` and `second_points` (k, 3) [m].
@@ -105,7 +105,7 @@ class Specification(TomlSection):
             cosine = np.einsum("ki,ki->k", direction, points) / range_
             squares += (cosine * self.range_limit(range_)) ** 2 + (1 - cosine**2) * self.transverse_limit(range_) ** 2
             offset += sign * cosine
-        return np.sqrt(squares + (offset * self.range_offset_um * MICROMETRE) ** 2)
+        return np.sqrt(squares + (offset * self.range_offset_limit_um * MICROMETRE) ** 2)
 
     def two_face_limits(self, points: Floats) -> Floats:
         """Limit (k,) [m] of the distance perpendicular to the beam between both faces of k points (k, 3) [m]."""
@@ -125,22 +125,23 @@ class Specification(TomlSection):
             np.sqrt(self.noise_variance_fraction),
             np.sqrt(1 - self.noise_variance_fraction),
         )
-        angle = sigma * self.transverse_um_per_m * MICROMETRE / ARCSECOND
-        has_offset = self.range_offset_um > 0
-        offset = self.range_offset_um if has_offset else constants_factor * self.range_um
+        angle = sigma * self.transverse_limit_um_per_m * MICROMETRE / ARCSECOND
+        has_offset = self.range_offset_limit_um > 0
+        offset = self.range_offset_limit_um if has_offset else constants_factor * self.range_limit_um
+        range_noise_factor = 1.0 if has_offset else noise_factor
         return Instrument(
             construction=construction,  # type: ignore[arg-type]
             noise=Noise(
-                distance_mm=sigma * self.range_um * (1.0 if has_offset else noise_factor) * MICROMETRE / MILLIMETRE,
-                distance_ppm=sigma * self.range_um_per_m * noise_factor,
+                distance_mm=sigma * range_noise_factor * self.range_limit_um * MICROMETRE / MILLIMETRE,
+                distance_ppm=sigma * self.range_limit_um_per_m * noise_factor,
                 azimuth_arcsec=_clip_to_min_sigma(angle * noise_factor),
                 elevation_arcsec=_clip_to_min_sigma(angle * noise_factor),
             ),
             prior=Prior(
-                range_scale_ppm=_clip_to_min_sigma(sigma * self.range_um_per_m * constants_factor),
+                range_scale_ppm=_clip_to_min_sigma(sigma * self.range_limit_um_per_m * constants_factor),
                 range_offset_mm=_clip_to_min_sigma(sigma * offset * MICROMETRE / MILLIMETRE),
                 angle_arcsec=_clip_to_min_sigma(angle * constants_factor / np.sqrt(2.0)),
-                offset_mm=_clip_to_min_sigma(sigma * self.transverse_um * MICROMETRE / MILLIMETRE),
+                offset_mm=_clip_to_min_sigma(sigma * self.transverse_limit_um * MICROMETRE / MILLIMETRE),
             ),
         )
 

@@ -20,8 +20,8 @@ from ltsim.recordings.files import SourceLocation
 
 
 @dataclass(frozen=True)
-class TranscriptionError:
-    """Transcription error of a recording: its columns contain factor * reading + offset in place of the reading."""
+class ColumnConversion:
+    """Wrong conversion of columns of a recording, which contain factor * reading + offset in place of the reading."""
 
     name: str
     wrong_content: str
@@ -57,8 +57,8 @@ class TranscriptionError:
         return corrected
 
 
-def _length_unit_error(name: str, unit: str, unit_in_mm: float) -> TranscriptionError:
-    return TranscriptionError(name, unit, "millimetres", ((0, 1.0 / unit_in_mm, 0.0),))
+def _length_unit_error(name: str, unit: str, unit_in_mm: float) -> ColumnConversion:
+    return ColumnConversion(name, unit, "millimetres", ((0, 1.0 / unit_in_mm, 0.0),))
 
 
 GON_PER_DEGREE, RADIAN_PER_DEGREE = (SI_PER_UNIT["deg"] / SI_PER_UNIT[unit] for unit in ("gon", "rad"))
@@ -70,26 +70,24 @@ UNIT_ERRORS = (
     _length_unit_error("micrometre", "micrometres", 1e-3),
     _length_unit_error("centimetre", "centimetres", 10.0),
     _length_unit_error("foot", "feet", 304.8),
-    TranscriptionError("gon", "gon", "degrees", ((1, GON_PER_DEGREE, 0.0), (2, GON_PER_DEGREE, 0.0))),
-    TranscriptionError("radian", "radians", "degrees", ((1, RADIAN_PER_DEGREE, 0.0), (2, RADIAN_PER_DEGREE, 0.0))),
-    TranscriptionError("gon-azimuth", "gon", "degrees of the azimuth", ((1, GON_PER_DEGREE, 0.0),)),
-    TranscriptionError("gon-elevation", "gon", "degrees of the elevation", ((2, GON_PER_DEGREE, 0.0),)),
-    TranscriptionError("zenith", "zenith angles", "elevations", ((2, -1.0, QUARTER_TURN),)),
-    TranscriptionError(
+    ColumnConversion("gon", "gon", "degrees", ((1, GON_PER_DEGREE, 0.0), (2, GON_PER_DEGREE, 0.0))),
+    ColumnConversion("radian", "radians", "degrees", ((1, RADIAN_PER_DEGREE, 0.0), (2, RADIAN_PER_DEGREE, 0.0))),
+    ColumnConversion("gon-azimuth", "gon", "degrees of the azimuth", ((1, GON_PER_DEGREE, 0.0),)),
+    ColumnConversion("gon-elevation", "gon", "degrees of the elevation", ((2, GON_PER_DEGREE, 0.0),)),
+    ColumnConversion("zenith", "zenith angles", "elevations", ((2, -1.0, QUARTER_TURN),)),
+    ColumnConversion(
         "zenith-gon",
         "zenith angles in gon",
         "elevations in degrees",
         ((1, GON_PER_DEGREE, 0.0), (2, -GON_PER_DEGREE, GON_PER_DEGREE * QUARTER_TURN)),
     ),
-    TranscriptionError("clockwise", "clockwise azimuths", "counter-clockwise ones", ((1, -1.0, 0.0),)),
+    ColumnConversion("clockwise", "clockwise azimuths", "counter-clockwise ones", ((1, -1.0, 0.0),)),
 )
 """Transcription errors of a unit, the kind of vertical angle, or the sense of the azimuth."""
 
 FACE_ERRORS = (
-    TranscriptionError("face-azimuth", "the azimuth of the other face", "that of its own face", ((1, 1.0, np.pi),)),
-    TranscriptionError(
-        "face-elevation", "the elevation of the other face", "that of its own face", ((2, -1.0, np.pi),)
-    ),
+    ColumnConversion("face-azimuth", "the azimuth of the other face", "that of its own face", ((1, 1.0, np.pi),)),
+    ColumnConversion("face-elevation", "the elevation of the other face", "that of its own face", ((2, -1.0, np.pi),)),
 )
 """Transcription errors of one angle that was read on the other face."""
 
@@ -254,7 +252,7 @@ def require_degrees_and_millimetres(
         raise SourceLocation(file, column=("azimuth_deg", "elevation_deg")[error.changed_columns[0] - 1]).error(message)
 
 
-def _face_sum_with_error(error: TranscriptionError) -> float | None:
+def _face_sum_with_error(error: ColumnConversion) -> float | None:
     """Sum of the vertical angles on both faces that a file with a transcription error contains, in the wrong unit.
 
     None if the error leaves vertical angles unchanged.
@@ -266,7 +264,7 @@ def _face_sum_with_error(error: TranscriptionError) -> float | None:
     return None
 
 
-def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> TranscriptionError | None:
+def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> ColumnConversion | None:
     """Transcription error of all angles whose correction makes the lengths between targets equal from all stations.
 
     `readings` (n, 3) [m, rad, rad] of n pointings are uncorrected. None if there is no such error, or the lengths are

@@ -39,8 +39,8 @@ def duration_text(seconds: float) -> str:
     return f"{hours} h {rest:02d} min"
 
 
-def tracker_presets_text(scenarios: Iterable[Scenario | ScenarioSettings]) -> str:
-    """Names of the presets of all trackers in scenarios, each once, as text."""
+def tracker_preset_names_text(scenarios: Iterable[Scenario | ScenarioSettings]) -> str:
+    """Names of the presets of all trackers in scenarios, each once, as text such as `preset leica-at901`."""
     trackers = [t for s in scenarios for t in (*s.instruments.values(),) or (s.instrument,)]
     return ", ".join(f"preset {name}" for name in dict.fromkeys(t.preset for t in trackers))
 

@@ -88,7 +88,7 @@ RESULT_FILES = (
 
 
 def section_of_part(page_part: PagePart, hall_view: HallView = "none") -> Section:
-    """Section of the page for one folder; raises RecordError, and SetupError if packages are missing."""
+    """Section of the page for one folder; raises RecordError, and InputError if packages are missing."""
     if page_part.result_file == OBSERVATIONS_FILE:
         return recording_section(page_part.folder, hall_view=hall_view, omits_residuals=page_part.omits_residuals)
     if page_part.result_file == CAMPAIGN_MANIFEST:

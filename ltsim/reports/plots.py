@@ -181,5 +181,7 @@ def _(result: PairedDifferences) -> Figure:
     first = result.entries[0]
     unit = f" [{first.unit}]" if first.unit else ""
     return values_figure(
-        rows, f"{first.first} minus {first.second}{unit}, 95 % interval", reference_values={"no difference": [0.0]}
+        rows,
+        f"{first.first_name} minus {first.second_name}{unit}, 95 % interval",
+        reference_values={"no difference": [0.0]},
     )

@@ -90,7 +90,7 @@ def view(
 
     Raises
     ------
-    RecordError, SetupError, NetworkError
+    RecordError, InputError, NetworkError
         If the source is neither a recording nor a scenario, is malformed, or cannot be adjusted.
 
     Examples

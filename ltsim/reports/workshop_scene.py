@@ -14,7 +14,7 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.remedies.candidates import FloorPlan
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.equality import ValueEquality
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import Recording
@@ -274,7 +274,7 @@ def workshop_from_scenario(scenario: Scenario) -> WorkshopScene:
 
     Raises
     ------
-    SetupError
+    InputError
         If the gauge or a CAD file of the scenario is invalid.
     """
     layout = planned_layout(scenario)
@@ -311,12 +311,12 @@ def workshop_with_cad(
 
     Raises
     ------
-    SetupError
+    InputError
         When the file cannot be read, or its size is implausible.
     """
     cad = read_mesh(file, unit, vertical_axis)
     if asked := implausible_size_question(cad, np.ptp(workshop.floor_corners, axis=0)):
-        raise SetupError(asked)
+        raise InputError(asked)
     return replace(workshop, obstacle_triangles=np.concatenate([workshop.obstacle_triangles, cad.triangles]))
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.core.errors import SetupError, is_installed
+from ltsim.core.errors import InputError, is_installed
 from ltsim.core.limits import BYTES_PER_MIB, MAX_CAD_BYTES
 from ltsim.core.storage import read_whole_file
 from ltsim.core.units import SI_PER_UNIT
@@ -79,23 +79,23 @@ class CadFile:
 def read_mesh(path: Path, unit: str | None = None, vertical_axis: str | None = None) -> CadFile:
     """Contents of a CAD file, converted to metres with z up.
 
-    `unit` (`mm`, `m`, `in`) and `vertical_axis` (`y`, `z`) replace the convention of the format. Raises SetupError for
+    `unit` (`mm`, `m`, `in`) and `vertical_axis` (`y`, `z`) replace the convention of the format. Raises InputError for
     a file that cannot be read.
     """
     suffix = path.suffix.lower()
     if suffix not in CAD_SUFFIXES:
-        raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(CAD_SUFFIXES)}")
+        raise InputError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(CAD_SUFFIXES)}")
     if suffix in EXACT_SURFACE_SUFFIXES and unit is not None:
-        raise SetupError(f"{path}: {suffix[1:].upper()} declares its own unit; leave out unit")
+        raise InputError(f"{path}: {suffix[1:].upper()} declares its own unit; leave out unit")
     file_axis = vertical_axis or ("y" if suffix in GLTF_SUFFIXES else "z")
     file_unit = "" if suffix in EXACT_SURFACE_SUFFIXES else unit or ("m" if suffix in GLTF_SUFFIXES else "mm")
     try:
         status = path.stat()
         if status.st_size > MAX_CAD_BYTES:
-            raise SetupError(f"{path}: is larger than {MAX_CAD_BYTES // BYTES_PER_MIB} MiB, the limit for reading")
+            raise InputError(f"{path}: is larger than {MAX_CAD_BYTES // BYTES_PER_MIB} MiB, the limit for reading")
         triangles = _read_triangles(path, status.st_mtime_ns, SI_PER_UNIT[file_unit or "m"], file_axis)
     except OSError as problem:
-        raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
+        raise InputError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
     return CadFile(path, triangles, file_unit, file_axis, suffix in EXACT_SURFACE_SUFFIXES or unit is not None)
 
 
@@ -107,7 +107,7 @@ def _read_triangles(path: Path, _modification_time: int, metres_per_unit: float,
     """
     triangles = _triangles_in_file_units(path, metres_per_unit)
     if triangles.shape[1:] != (3, 3):
-        raise SetupError(f"{path}: has points without three coordinates; export it again")
+        raise InputError(f"{path}: has points without three coordinates; export it again")
     batch_starts = range(0, len(triangles), TRIANGLES_PER_BATCH)
     corners = np.concatenate(
         [
@@ -117,7 +117,7 @@ def _read_triangles(path: Path, _modification_time: int, metres_per_unit: float,
     )
     del triangles  # each array of a large file takes a tenth of the permitted memory
     if not len(corners):
-        raise SetupError(
+        raise InputError(
             f"{path}: has no triangle larger than {1e6 / GRID_POINTS_PER_METRE:g} um if its unit of length is "
             f"{metres_per_unit:g} m; set its unit, or export it again"
         )
@@ -144,16 +144,16 @@ def _grid_coordinates(triangles: Floats, vertical_axis: str) -> Ints:
 def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
     """The m triangles (m, 3, 3) in the axes and unit of a CAD file, or in metres for a format with exact surfaces.
 
-    `metres_per_unit` is the length [m] of the file's unit. Raises SetupError for a file that cannot be read.
+    `metres_per_unit` is the length [m] of the file's unit. Raises InputError for a file that cannot be read.
     """
     suffix = path.suffix.lower()
     if suffix in EXACT_SURFACE_SUFFIXES and not is_installed("cascadio"):
-        raise SetupError(
+        raise InputError(
             f'{path}: has exact surfaces, which need the library cascadio: pip install "ltsim[step]", or export it '
             "from the CAD system as STL, OBJ or GLB"
         )
     if suffix == ".gltf" and (others := re.findall(rb'"uri"\s*:\s*"(?!data:)([^"]*)"', read_whole_file(path))):
-        raise SetupError(
+        raise InputError(
             f"{path}: stores its surfaces in other files "
             f"({quoted_text(others[0].decode(errors='replace'))}); export it as "
             ".glb, or as .gltf with embedded data"
@@ -166,14 +166,14 @@ def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
 def _require_precision(path: Path, triangles: Floats, metres_per_unit: float) -> None:
     """Check that single precision resolves the coordinates of m triangles (m, 3, 3) to `MAX_COORDINATE_SPACING_MM`.
 
-    The unit of the coordinates is `metres_per_unit` [m]. Raises SetupError if the resolution is coarser.
+    The unit of the coordinates is `metres_per_unit` [m]. Raises InputError if the resolution is coarser.
     """
     single_precision = triangles.astype(np.float32)
     if path.suffix.lower() not in SINGLE_PRECISION_SUFFIXES or not np.array_equal(single_precision, triangles):
         return
     step = float(np.spacing(np.abs(single_precision).max())) * metres_per_unit / SI_PER_UNIT["mm"]
     if step > MAX_COORDINATE_SPACING_MM:
-        raise SetupError(
+        raise InputError(
             f"{path}: its coordinates are in single precision and reach {np.abs(triangles).max():.4g}, where their "
             f"resolution is {step:.4g} mm; export it with its origin near the body, or as OBJ"
         )

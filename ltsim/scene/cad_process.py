@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.limits import (
     BYTES_PER_MIB,
     MAX_CAD_MEMORY_BYTES,
@@ -45,7 +45,7 @@ _REFUSED_EXIT_STATUS = 3
 def read_triangles(path: Path) -> Floats:
     """The m triangles (m, 3, 3) of a CAD file in its axes and unit, or in metres for a format with exact surfaces.
 
-    Raises SetupError for a damaged file, for one with too many triangles, and for one without triangles.
+    Raises InputError for a damaged file, for one with too many triangles, and for one without triangles.
     """
     content = read_whole_file(path)
     suffix = path.suffix.lower()
@@ -60,7 +60,7 @@ def read_triangles(path: Path) -> Floats:
         triangles = _read_in_process(path, len(content))
     _require_few_triangles(path, len(triangles))
     if not len(triangles) or not np.all(np.isfinite(triangles)):
-        raise SetupError(f"{path}: contains no surface of triangles with finite coordinates")
+        raise InputError(f"{path}: contains no surface of triangles with finite coordinates")
     return triangles
 
 
@@ -74,20 +74,20 @@ def max_stl_facets(file_content: bytes) -> int:
 
 def _require_few_triangles(path: Path, n_triangles: int) -> None:
     if n_triangles > MAX_OBSTACLE_TRIANGLES:
-        raise SetupError(
+        raise InputError(
             f"{path}: has {n_triangles} triangles, but at most {MAX_OBSTACLE_TRIANGLES} are read; "
             "export it with a coarser mesh"
         )
 
 
-def _incomplete_file_error(path: Path, reason: str) -> SetupError:
-    return SetupError(f"{path}: is not a complete {path.suffix[1:]} file ({quoted_text(reason)}); export it again")
+def _incomplete_file_error(path: Path, reason: str) -> InputError:
+    return InputError(f"{path}: is not a complete {path.suffix[1:]} file ({quoted_text(reason)}); export it again")
 
 
 def _read_in_process(path: Path, file_size: int) -> Floats:
     """The m triangles (m, 3, 3) of a CAD file of `file_size` [bytes], read in a separate process.
 
-    Raises SetupError if the process refuses the file, crashes, or exceeds its limits of memory and time.
+    Raises InputError if the process refuses the file, crashes, or exceeds its limits of memory and time.
     """
     limit_factor = max(1.0, file_size / MAX_FILE_BYTES)
     limits = [str(int(limit_factor * MAX_CAD_MEMORY_BYTES)), str(int(limit_factor * MAX_CAD_SECONDS))]
@@ -105,7 +105,7 @@ def _read_in_process(path: Path, file_size: int) -> Floats:
             f"{limit_factor * MAX_CAD_MEMORY_BYTES / BYTES_PER_MIB:.0f} MiB and {limit_factor * MAX_CAD_SECONDS:.0f} s"
         )
         what = f"is damaged, or needs more than {most} of memory and time"
-        raise SetupError(f"{path}: {what}; export it as STL with a coarser mesh")
+        raise InputError(f"{path}: {what}; export it as STL with a coarser mesh")
     return np.frombuffer(completed_process.stdout, dtype=np.float64).reshape(-1, 3, 3)
 
 

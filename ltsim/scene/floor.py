@@ -14,7 +14,7 @@ import shapely
 from pydantic import Field, model_validator
 
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.limits import MAX_FLOOR_PARTS
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection
@@ -108,7 +108,7 @@ def areas_and_keep_outs(
     """Areas where tripods may stand, and keep-out areas, both in metres.
 
     `floor_spec` is the declared floor. `heights` are the lowest and highest height [m] of the instrument's head, for
-    areas whose heights neither the floor nor the area declares. Raises SetupError for an outline that crosses itself or
+    areas whose heights neither the floor nor the area declares. Raises InputError for an outline that crosses itself or
     leaves the hall, and for a ceiling that is too low for every height of the head.
     """
     mm = MILLIMETRE
@@ -125,7 +125,7 @@ def areas_and_keep_outs(
         if part.ceiling_mm is not None:
             high = min(high, part.ceiling_mm * mm - MIN_HEAD_ROOM)
         if low > high:
-            raise SetupError(
+            raise InputError(
                 f"floor.areas.{i}.ceiling_mm is {part.ceiling_mm:g}, but tracker heads are at {low / mm:g} mm or more; "
                 "set a lower height_mm for the area"
             )
@@ -145,11 +145,11 @@ def areas_and_keep_outs(
 def _hall_outline(floor_spec: Floor, hall_size_mm: tuple[float, float, float]) -> tuple[PlanPoint, ...]:
     """Corners [mm] of the floor of the hall without the margin along the walls.
 
-    Raises SetupError for a margin that leaves no floor.
+    Raises InputError for a margin that leaves no floor.
     """
     (wide, deep, _), margin = hall_size_mm, floor_spec.margin_mm
     if 2 * margin >= min(wide, deep):
-        raise SetupError(f"floor.margin_mm of {margin:g} leaves no floor in a hall of {wide:g} x {deep:g} mm")
+        raise InputError(f"floor.margin_mm of {margin:g} leaves no floor in a hall of {wide:g} x {deep:g} mm")
     return (margin, margin), (wide - margin, margin), (wide - margin, deep - margin), (margin, deep - margin)
 
 
@@ -158,18 +158,18 @@ def _outline_in_metres(
 ) -> np.ndarray:
     """The k corners (k, 2) [m] of an outline from its corners [mm]; `outline_key` is its key in the plan file.
 
-    Raises SetupError, with this key, if the outline crosses itself, or leaves the hall if `hall_size_mm` is given.
+    Raises InputError, with this key, if the outline crosses itself, or leaves the hall if `hall_size_mm` is given.
     """
     outline = np.array(corners_mm, dtype=np.float64) * MILLIMETRE
     problem = invalid_outline_reason(outline)
     if problem:
-        raise SetupError(f"{outline_key} is not an outline: {problem}")
+        raise InputError(f"{outline_key} is not an outline: {problem}")
     if hall_size_mm is not None:
         hall = np.array(hall_size_mm[:2]) * MILLIMETRE
         beyond = np.flatnonzero(np.any((outline < -1e-3) | (outline > hall + 1e-3), axis=1))
         if len(beyond):
             x, y = corners_mm[beyond[0]]
-            raise SetupError(
+            raise InputError(
                 f"{outline_key} has the corner ({x:g}, {y:g}), outside the hall of "
                 f"{hall_size_mm[0]:g} x {hall_size_mm[1]:g} mm"
             )

@@ -164,9 +164,11 @@ class Sightings:
         The keys are those of `MISALIGNMENT_CHAIN`. Instrument errors are corrections, which are added to a reading. For
         a fixed point a reading is therefore smaller by its correction, hence the minus sign.
         """
-        slots = {motion.error_key for motion in MISALIGNMENT_CHAIN}
-        _, by_slot = points_and_error_derivatives(MISALIGNMENT_CHAIN, self.raw_readings, {}, slots)
-        return {slot: -np.einsum("nij,nj->ni", self.local_derivatives, moved) for slot, moved in by_slot.items()}
+        error_keys = {motion.error_key for motion in MISALIGNMENT_CHAIN}
+        _, derivatives_by_key = points_and_error_derivatives(MISALIGNMENT_CHAIN, self.raw_readings, {}, error_keys)
+        return {
+            key: -np.einsum("nij,nj->ni", self.local_derivatives, moved) for key, moved in derivatives_by_key.items()
+        }
 
     @cached_property
     def time_since_station_start(self) -> Floats:

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.randomness import standard_normal_trials
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.effect import Effect, NoiseEffect
@@ -151,7 +151,7 @@ class TrialDistributions:
         """Random values of the trials of `normal_source`.
 
         `instrument_values`, if given, replaces the drawn instrument errors, (instruments, parameters, trials) [SI].
-        Another `stream_key` gives the same trials independent noise, for a second measurement. SetupError is raised if
+        Another `stream_key` gives the same trials independent noise, for a second measurement. InputError is raised if
         an effect makes a variance negative.
         """
         effect_values = tuple(self._draw_effect_values(law, normal_source) for law in self.effects)
@@ -222,7 +222,7 @@ class TrialDistributions:
         for effect, amount in noise_effects:
             variance = effect.variance(self.sightings, sigma, amount)
             if not np.all(variance >= 0.0):
-                raise SetupError(f"effects: {effect.name} makes a variance of readings negative; give it larger values")
+                raise InputError(f"effects: {effect.name} makes a variance of readings negative; give it larger values")
             sigma = np.sqrt(variance)
         return sigma
 

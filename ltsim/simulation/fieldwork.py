@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import SetupError, as_setup_error
+from ltsim.core.errors import InputError, as_input_error
 from ltsim.core.limits import MAX_SIMULATED_POINTINGS
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
@@ -59,7 +59,7 @@ def make_measurement_geometry(
     """True positions of a scenario and its visible pointings in the order of measurement.
 
     `plan` is the planned layout, if it was computed before. `stream_key` selects the random draws of the positions.
-    SetupError is raised if a station sees no target, the file of an obstacle is damaged, an effect does not exist, or
+    InputError is raised if a station sees no target, the file of an obstacle is damaged, an effect does not exist, or
     an SMR of another than the reference radius is in a nest without a normal.
     """
     layout = draw_layout(scenario, seed, *stream_key, plan=plan)
@@ -67,7 +67,7 @@ def make_measurement_geometry(
     for s, name in enumerate(layout.station_names):
         if not table.is_visible[s].any():
             reason = table.reason_texts()[s][0]
-            raise SetupError(f"stations.{name}: sees no reflector ({layout.target_names[0]} is {reason}); move it")
+            raise InputError(f"stations.{name}: sees no reflector ({layout.target_names[0]} is {reason}); move it")
     sightings = _sightings(scenario, layout, table.is_visible, seed, *stream_key)
     sightings = replace(sightings, sight_vector_offsets=true_smr_offsets(scenario, sightings, seed, *stream_key))
     return MeasurementGeometry(
@@ -126,11 +126,11 @@ def _sightings(
 ) -> Sightings:
     """Pointings in the order of measurement, of targets that at least one station sees.
 
-    Raises SetupError for more than `MAX_SIMULATED_POINTINGS`.
+    Raises InputError for more than `MAX_SIMULATED_POINTINGS`.
     """
     n_pointings = int(is_visible.sum()) * scenario.work.faces * scenario.work.repeats
     if n_pointings > MAX_SIMULATED_POINTINGS:
-        raise SetupError(
+        raise InputError(
             f"the scenario has {n_pointings} pointings, expected at most {MAX_SIMULATED_POINTINGS}: "
             "give fewer stations, targets or work.repeats"
         )
@@ -239,7 +239,7 @@ def smr_names_of_pointings(scenario: Scenario, sightings: Sightings) -> tuple[st
 def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *stream_key: str | int) -> Floats | None:
     """Vector from the target to the SMR's centre in each pointing, (pointings, 3) [m]; None in a scenario with one SMR.
 
-    SetupError is raised for an SMR without a table `[reflectors.NAME]`, for an SMR of another than the reference radius
+    InputError is raised for an SMR without a table `[reflectors.NAME]`, for an SMR of another than the reference radius
     in a nest without a normal, and for a missing reference radius.
     """
     reflectors = scenario.reflectors
@@ -248,7 +248,7 @@ def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *strea
     names = smr_names_of_pointings(scenario, sightings)
     if "" in names:
         target = sightings.target_names[sightings.target[names.index("")]]
-        raise SetupError(
+        raise InputError(
             f"targets.{target}.reflector is missing: with tables [reflectors.NAME] every target, every station or "
             "[smr] names one of these reflectors"
         )
@@ -257,7 +257,7 @@ def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *strea
     targets_without_normal = [
         name for name, has_normal in zip(sightings.target_names, aimed, strict=True) if not has_normal
     ]
-    with as_setup_error():
+    with as_input_error():
         lengths = excess_radii_of_names(
             names, targets, targets_without_normal, reflectors, scenario.reference_radius_mm
         )

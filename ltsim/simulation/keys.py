@@ -2,7 +2,7 @@
 
 from typing import Any, Literal
 
-from ltsim.core.errors import LtsimError, SetupError
+from ltsim.core.errors import InputError, LtsimError
 from ltsim.core.units import parse_in_unit, unit_of_key
 from ltsim.physics.effects import find_effect
 from ltsim.recordings.files import quoted_text
@@ -52,7 +52,7 @@ def unit_of_scenario_key(scenario: Scenario, dotted_key: str) -> str:
 def convert_value(scenario: Scenario, dotted_key: str, value: Any, error_location: str) -> Any:
     """Value in the unit of its key: a text with a unit such as ``2 urad`` is converted, other values are unchanged.
 
-    SetupError is raised if the unit of the text measures another quantity than that of the key; its message begins with
+    InputError is raised if the unit of the text measures another quantity than that of the key; its message begins with
     `error_location`.
     """
     if not isinstance(value, str) or not value or value[0] not in "+-.0123456789":
@@ -60,7 +60,7 @@ def convert_value(scenario: Scenario, dotted_key: str, value: Any, error_locatio
     unit = unit_of_scenario_key(scenario, dotted_key)
     converted_number = parse_in_unit(value, unit) if unit else None
     if unit and converted_number is None:
-        raise SetupError(
+        raise InputError(
             f"{error_location}: {dotted_key} is '{quoted_text(value)}', expected a number in {unit}, "
             f"or a number with a unit of the same kind"
         )

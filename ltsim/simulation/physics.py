@@ -3,7 +3,7 @@
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import SetupError, as_setup_error
+from ltsim.core.errors import InputError, as_input_error
 from ltsim.core.units import ARCSECOND, DEGREE, MICROMETRE
 from ltsim.physics.effects import MISALIGNMENT_EFFECTS
 from ltsim.physics.effects.effect import Effect
@@ -37,7 +37,7 @@ def planned_construction(scenario: Scenario) -> GeometricErrorModel:
 def instrument_error_distribution(scenario: Scenario, construction: GeometricErrorModel) -> tuple[Floats, Floats]:
     """Means and standard deviations of the errors of each tracker, both of shape (instruments, parameters) [SI].
 
-    A declared error has its declared value as mean and the standard deviation 0. SetupError is raised for a declared
+    A declared error has its declared value as mean and the standard deviation 0. InputError is raised for a declared
     error that the instrument model does not have.
     """
     laws = [
@@ -55,7 +55,7 @@ def _tracker_error_distribution(
     """
     errors = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
     for error in errors:
-        with as_setup_error(f"{tracker_table_name(tracker_name)}.errors.{error}"):
+        with as_input_error(f"{tracker_table_name(tracker_name)}.errors.{error}"):
             construction.parameter_index(error)
     parameters = construction.parameters
     error_means = np.array([errors.get(p.name, 0.0) * p.si_per_display_unit for p in parameters])
@@ -93,7 +93,7 @@ def round_to_resolution(readings: Floats, resolution: Floats) -> Floats:
 def scenario_effects(scenario: Scenario) -> tuple[Effect, ...]:
     """Effects of a scenario in the order of its file; the last is the incidence error of the reflectors, if enabled.
 
-    SetupError is raised for an invalid entry.
+    InputError is raised for an invalid entry.
     """
     effects = [_effect_from_entry(entry, i + 1) for i, entry in enumerate(scenario.effects)]
     return (*effects, SmrIncidence()) if scenario.smr.incidence_error else tuple(effects)
@@ -106,12 +106,12 @@ def reflector_error_parameters(scenario: Scenario) -> Floats:
 
 
 def _effect_from_entry(effect_entry: EffectEntry, entry_number: int) -> Effect:
-    """Catalogue effect for entry number `entry_number` of the scenario; raises SetupError for an invalid entry."""
+    """Catalogue effect for entry number `entry_number` of the scenario; raises InputError for an invalid entry."""
     effect = effect_entry.effect(f"effects.{entry_number}")
     names = [p.name for p in effect.parameters]
     for name in effect_entry.values:
         if name not in names:
-            raise SetupError(
+            raise InputError(
                 f"effects.{entry_number}.values: {effect_entry.name} has no '{name}', it has {', '.join(names)}"
             )
     return effect

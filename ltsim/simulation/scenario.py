@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import SetupError, as_setup_error
+from ltsim.core.errors import InputError, as_input_error
 from ltsim.core.results import Result
 from ltsim.physics.effects.dead_path import AIR_TEMPERATURE_COLUMN
 from ltsim.physics.effects.effect import Effect
@@ -124,20 +124,20 @@ class Scenario(TomlSection, Result):
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """Built-in scenario with this name, or scenario in a file or in the folder of a plan; raises SetupError."""
+    """Built-in scenario with this name, or scenario in a file or in the folder of a plan; raises InputError."""
     path, name = Path(name_or_path), str(name_or_path)
     if (path / "plan.json").is_file():
         path = path / "scenario.toml"
     if name in builtin_names() or not path.exists():
         path = builtin_path(name)
-    with as_setup_error():
+    with as_input_error():
         data = read_toml(path, "scenario")
     return validate_scenario(data, path)
 
 
 def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
     """Validated scenario from its TOML tables; errors name `file`, whose folder contains the CAD files."""
-    with as_setup_error():
+    with as_input_error():
         whole = with_completed_instruments(_with_base(tables), lambda table, _: _with_preset(table, file))
         scenario = validate_settings(whole, Scenario, "scenario", file)
     _check_scenario(scenario, file)
@@ -147,7 +147,7 @@ def validate_scenario(tables: Mapping[str, Any], file: Path) -> Scenario:
 def change_scenario(scenario: Scenario, changes: Mapping[str, Any], file: Path, error_location: str = "") -> Scenario:
     """Validated scenario with the new values `changes` by dotted key; errors name `file` and `error_location`.
 
-    A new `preset` of a tracker also sets the noise, prior and limits of the tracker. SetupError is raised for an
+    A new `preset` of a tracker also sets the noise, prior and limits of the tracker. InputError is raised for an
     invalid key or value.
     """
     # Validated twice: the tables with the changes, and the file that would be written from the result.
@@ -186,10 +186,10 @@ def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -
             subtable = subtable.setdefault(name, {}) if isinstance(subtable, dict) else None
         if not isinstance(subtable, (dict, list)):
             through = f"{quoted_text(key)} goes through {quoted_text(name)}"
-            raise SetupError(f"{error_location}: {through}, which is not a table of the scenario")
+            raise InputError(f"{error_location}: {through}, which is not a table of the scenario")
     if not isinstance(subtable, dict):
         wanted = f"{'.'.join(parents)}.NUMBER.KEY, where the first entry of the list has the number 1"
-        raise SetupError(f"{error_location}: {quoted_text(key)} is not a key of a list entry; expected {wanted}")
+        raise InputError(f"{error_location}: {quoted_text(key)} is not a key of a list entry; expected {wanted}")
     if value == REMOVAL_VALUE:
         subtable.pop(last, None)
     else:
@@ -212,7 +212,7 @@ def _with_preset(instrument: Any, file: Path) -> Any:
     name = instrument.get("preset")
     if name not in data_sheet_names():
         return merge_defaults(instrument, PRESETS.get(str(name), {}))
-    with as_setup_error(f"{file}: instrument.preset"):
+    with as_input_error(f"{file}: instrument.preset"):
         below = noise_and_prior_tables(name, instrument, PointingLimits.model_fields)
     return merge_defaults(instrument, below)
 
@@ -220,14 +220,14 @@ def _with_preset(instrument: Any, file: Path) -> Any:
 def _with_reduced_network(scenario: Scenario, file: Path) -> Scenario:
     """Scenario reduced to ``work.stations`` stations and ``work.targets`` targets off the gauge; errors name `file`.
 
-    Excluded stations and targets are removed from effects, and trackers without a station are removed. SetupError is
+    Excluded stations and targets are removed from effects, and trackers without a station are removed. InputError is
     raised if more are requested than exist, or if fewer than three targets remain.
     """
     work = scenario.work
     for key in ("stations", "targets"):
         wanted, there = getattr(work, key), len(getattr(scenario, key))
         if wanted is not None and wanted > there:
-            raise SetupError(
+            raise InputError(
                 f"{file}: work.{key} is {wanted}, but the scenario has {there}; add {key}, or request fewer"
             )
     stations = dict(list(scenario.stations.items())[: work.stations])
@@ -235,7 +235,7 @@ def _with_reduced_network(scenario: Scenario, file: Path) -> Scenario:
     gauge = scenario.gauge.targets if scenario.gauge else ()
     if len(targets) + len(gauge) < MIN_TARGETS:
         least = MIN_TARGETS - len(gauge)
-        raise SetupError(f"{file}: work.targets is {work.targets}, expected at least {least} of the reflectors")
+        raise InputError(f"{file}: work.targets is {work.targets}, expected at least {least} of the reflectors")
     if len(stations) == len(scenario.stations) and len(targets) == len(scenario.targets):
         return scenario
     used_instruments = {station.instrument for station in stations.values()}
@@ -302,7 +302,7 @@ def _check_scenario(scenario: Scenario, file: Path) -> None:
         _length_errors(scenario),
         _effect_errors(scenario),
     ):
-        raise SetupError(f"{file}: {problem}")
+        raise InputError(f"{file}: {problem}")
 
 
 def unknown_name_sentences(key: str, name: str, names: Collection[str], list_text_if_empty: str = "") -> Iterator[str]:
@@ -323,7 +323,7 @@ def _name_errors(scenario: Scenario, file: Path) -> Iterator[str]:
             yield f"gauge.targets names '{quoted_text(name)}' twice, or it is also a table of [targets]"
     for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:
-            with as_setup_error():
+            with as_input_error():
                 SourceLocation(file).name(name, kind)
 
 

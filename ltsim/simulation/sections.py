@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, StrictBool, model_validator
 
-from ltsim.core.errors import ModelError, SetupError
+from ltsim.core.errors import InputError, ModelError
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_RANGE_ERRORS
@@ -284,7 +284,7 @@ class ScenarioGauge(TomlSection):
     """Gauge, a rigid frame with reflectors: its lengths at the temperature `calibrated_at_c`, and its pose in the hall.
 
     By default it is the gauge of Sensors 2021, 21, 7479 (Table 2). The x and y axes of the frame are along its two
-    longest extents. The frame is rotated by roll, pitch and yaw about x, y and z in this order.
+    longest extents. The frame is rotated by roll, pitch and yaw in this order.
     """
 
     targets: tuple[str, ...] = ("T25", "T26", "T27", "T28")
@@ -296,11 +296,11 @@ class ScenarioGauge(TomlSection):
     position_mm: Vector
     """Planned position of the centre of the gauge."""
     yaw_deg: AngleDegrees = 0.0
-    """Rotation about z."""
+    """Rotation of the gauge about the z axis of the hall, after `roll_deg` and `pitch_deg`."""
     pitch_deg: AngleDegrees = 0.0
-    """Rotation about y."""
+    """Rotation of the gauge about the y axis of the hall, after `roll_deg` and before `yaw_deg`."""
     roll_deg: AngleDegrees = 0.0
-    """Rotation about x."""
+    """Rotation of the gauge about the x axis of the hall, before `pitch_deg` and `yaw_deg`."""
     nest_normal: Vector | None = None
     """Normal of the fixed nests of the gauge."""
     calibrated_at_c: Celsius = 20.0
@@ -336,9 +336,9 @@ class PlannedStation(TomlSection):
     yaw_deg: AngleDegrees
     """Planned direction of azimuth zero, counter-clockwise from the x axis."""
     roll_deg: AngleDegrees = 0.0
-    """Planned rotation about x."""
+    """Planned rotation about the x axis of the hall, before `pitch_deg` and `yaw_deg`."""
     pitch_deg: AngleDegrees = 0.0
-    """Planned rotation about y."""
+    """Planned rotation about the y axis of the hall, after `roll_deg` and before `yaw_deg`."""
     levelled: bool = False
     """True if the tracker's standing axis is levelled to the vertical."""
     levelling_sigma_arcsec: Positive = 1.0
@@ -376,11 +376,11 @@ class PlacedEffect(TomlSection):
     them, otherwise in SI units."""
 
     def effect(self, error_location: str) -> Effect:
-        """Effect object of this entry; SetupError, whose message begins with `error_location`, for an invalid value."""
+        """Effect object of this entry; InputError, whose message begins with `error_location`, for an invalid value."""
         try:
             return make_effect(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
         except (ModelError, ValueError, TypeError, KeyError) as problem:
-            raise SetupError(f"{error_location}: {problem}") from None
+            raise InputError(f"{error_location}: {problem}") from None
 
 
 class EffectEntry(PlacedEffect):

@@ -14,9 +14,9 @@ from ltsim.recordings.recording import OBSERVABLES, REFLECTOR_COLUMN, Recording
 from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.setup import (
     ElevationLimits,
-    Gauge,
     GaugeDistance,
     Instrument,
+    LengthGauge,
     LengthMaterialAndTemperature,
     Prior,
     Setup,
@@ -46,7 +46,7 @@ def simulate(
 ) -> tuple[Recording, Truth]:
     """Recording and true values of trial number `trial` of a scenario; a campaign with this seed has the same trial.
 
-    SetupError is raised for an impossible scenario.
+    InputError is raised for an impossible scenario.
     """
     return measure_trial(make_measurement_geometry(scenario, seed, *placing_stream_key(trial, geometry)), seed, trial)
 
@@ -286,9 +286,9 @@ def with_exact_lengths(recording: Recording, geometry: MeasurementGeometry) -> R
     gauge_keys: dict[str, Any] = {}
     if gauge is not None:
         warm = warm if gauge.measured_at_c is None else gauge.measured_at_c
-        gauge_keys = gauge.model_dump(include=set(Gauge.model_fields) - {"distance", "measured_at_c"})
+        gauge_keys = gauge.model_dump(include=set(LengthGauge.model_fields) - {"distance", "measured_at_c"})
     lines = tuple(line for line, _ in lines_of_targets)
-    nominal = Gauge(measured_at_c=warm, materials=scenario.materials or None, distance=lines, **gauge_keys)
+    nominal = LengthGauge(measured_at_c=warm, materials=scenario.materials or None, distance=lines, **gauge_keys)
     blank = recording.replace(setup=recording.setup.model_copy(update={"gauge": nominal}))
     there = ReferenceLengths.from_recording(blank)
     certified = (

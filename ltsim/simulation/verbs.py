@@ -33,7 +33,7 @@ def scenario(source: ScenarioSource, changes: Mapping[str, Any] | None = None) -
 
     Raises
     ------
-    SetupError
+    InputError
         When the scenario does not exist or a value is invalid; the message names file, key, value and what is expected.
 
     Examples
@@ -80,7 +80,7 @@ def simulate(
 
     Raises
     ------
-    SetupError
+    InputError
         When the scenario asks for something impossible.
 
     Examples

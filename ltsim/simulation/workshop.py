@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.geometry.expansion import ThermalExpansion
@@ -60,7 +60,7 @@ class GaugeFrame:
 def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
     """Rigid frame that has the declared lengths of a gauge.
 
-    SetupError is raised if a length is missing or repeated, or if the lengths contradict each other.
+    InputError is raised if a length is missing or repeated, or if the lengths contradict each other.
     """
     names = gauge.targets
     target_pairs = list(combinations(range(len(names)), 2))
@@ -72,28 +72,28 @@ def make_gauge_frame(gauge: ScenarioGauge) -> GaugeFrame:
         a, b = names[first[worst_length]], names[second[worst_length]]
         has, wanted = frame.lengths[worst_length] / MILLIMETRE, lengths[worst_length] / MILLIMETRE
         message = f"{a}-{b} is declared as {wanted:.4f} mm, but the other lengths require {has:.4f} mm"
-        raise SetupError(f"gauge: the lengths contradict each other; {message}")
+        raise InputError(f"gauge: the lengths contradict each other; {message}")
     return frame
 
 
 def _declared_lengths(gauge: ScenarioGauge, target_pairs: list[tuple[int, int]]) -> list[float]:
-    """Declared length [mm] of each pair of target indices; raises SetupError for missing or repeated lengths."""
+    """Declared length [mm] of each pair of target indices; raises InputError for missing or repeated lengths."""
     names = gauge.targets
     if not gauge.distance:
         if len(names) != 4:
             message = "the built-in gauge has four; give the lengths of another gauge as [[gauge.distance]]"
-            raise SetupError(f"gauge.targets: has {len(names)} reflectors, but {message}")
+            raise InputError(f"gauge.targets: has {len(names)} reflectors, but {message}")
         return list(PAPER_TABLE_2_LENGTHS[gauge.table_reading_order])
     certificates: dict[frozenset[str], float] = {}
     for i, line in enumerate(gauge.distance):
         key = frozenset((line.from_, line.to))
         if len(key) != 2 or not key <= set(names) or key in certificates:
             problem = "has two entries" if key in certificates else "is not a pair of different gauge.targets"
-            raise SetupError(f"gauge.distance.{i + 1}: {line.from_}-{line.to} {problem}")
+            raise InputError(f"gauge.distance.{i + 1}: {line.from_}-{line.to} {problem}")
         certificates[key] = line.length_mm
     for a, b in target_pairs:
         if frozenset((names[a], names[b])) not in certificates:
-            raise SetupError(
+            raise InputError(
                 f"gauge.distance: the length {names[a]}-{names[b]} is missing, expected all {len(target_pairs)}"
             )
     return [certificates[frozenset((names[a], names[b]))] for a, b in target_pairs]
@@ -184,7 +184,7 @@ class WorkshopLayout:
 def planned_layout(scenario: Scenario) -> WorkshopLayout:
     """Planned layout of a scenario; the reflectors of the gauge come after all other reflectors.
 
-    SetupError is raised if no rigid frame has the declared lengths of the gauge.
+    InputError is raised if no rigid frame has the declared lengths of the gauge.
     """
     stations = scenario.stations.values()
     position = np.array([s.position_mm for s in stations], dtype=np.float64) * MILLIMETRE
@@ -260,7 +260,7 @@ class PlacedObstacle:
 
 
 def make_obstacles(scenario: Scenario) -> Obstacles | None:
-    """Obstacles that can block lines of sight; None in a workshop without obstacles; raises SetupError."""
+    """Obstacles that can block lines of sight; None in a workshop without obstacles; raises InputError."""
     obstacle_parts = placed_obstacles(scenario)
     return join_obstacles(body.triangles for body in obstacle_parts) if obstacle_parts else None
 
@@ -268,7 +268,7 @@ def make_obstacles(scenario: Scenario) -> Obstacles | None:
 def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
     """Obstacles at their positions in the workshop.
 
-    SetupError is raised for a CAD file that cannot be read, or whose size or position is implausible.
+    InputError is raised for a CAD file that cannot be read, or whose size or position is implausible.
     """
     hall = np.array(scenario.workshop.size_mm) * MILLIMETRE
     obstacle_parts = []
@@ -283,12 +283,12 @@ def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:
             diameter, height = np.array(entry.cylinder_mm) * MILLIMETRE
             triangles = cylinder_triangles(float(diameter), float(height))
         else:
-            raise SetupError("an obstacle has no shape: expected file, box_mm or cylinder_mm")
+            raise InputError("an obstacle has no shape: expected file, box_mm or cylinder_mm")
         body = PlacedObstacle(entry.name or f"obstacle {i}", _placed_triangles(entry, triangles), cad)
         if cad is not None and (
             asked := implausible_size_question(cad, hall) or _implausible_position_message(entry, body, cad, hall)
         ):
-            raise SetupError(asked)
+            raise InputError(asked)
         obstacle_parts.append(body)
     return obstacle_parts
 

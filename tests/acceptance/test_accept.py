@@ -15,7 +15,7 @@ from ltsim.acceptance.spec import AcceptanceSettings
 from ltsim.acceptance.tested_network import TestedNetwork
 from ltsim.adjustment import adjust
 from ltsim.cli.main import run
-from ltsim.core.errors import NetworkError, SetupError
+from ltsim.core.errors import InputError, NetworkError
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.centring_errors import CentringUncertainty
@@ -141,7 +141,7 @@ def test_the_template_has_every_key(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["accept", "--show"]) == 0
     lines = [line.removeprefix("# ") for line in capsys.readouterr().out.splitlines()]
     for model in (AcceptanceSettings, Specification):
-        missing = set(model.model_fields) - {"source", "range_offset_um", "noise_variance_fraction"}
+        missing = set(model.model_fields) - {"source", "range_offset_limit_um", "noise_variance_fraction"}
         assert {key for key in missing if not any(re.match(rf"{key} = |\[{key}\]", line) for line in lines)} == set()
 
 
@@ -160,10 +160,10 @@ def test_tables_with_semicolons_and_decimal_commas_are_read(tmp_path: Path) -> N
 
 PERMITS_NOTHING = """standard = "asme-b89.4.19-2006"
 [specification]
-transverse_um = {transverse}
-transverse_um_per_m = 0
-range_um = {range}
-range_um_per_m = 0
+transverse_limit_um = {transverse}
+transverse_limit_um_per_m = 0
+range_limit_um = {range}
+range_limit_um_per_m = 0
 """
 
 
@@ -172,8 +172,18 @@ range_um_per_m = 0
     [
         ('standard = "asme-b89.4.19-2006"', PLAN, "", "instrument or the table [specification]"),
         ('instrument = "leica-at500"', PLAN, "", "either standard or tests"),
-        (PERMITS_NOTHING.format(range=0, transverse=1), PLAN, "", "not be 0 in both range_um and range_um_per_m"),
-        (PERMITS_NOTHING.format(range=1, transverse=0), PLAN, "", "0 in both transverse_um and transverse_um_per_m"),
+        (
+            PERMITS_NOTHING.format(range=0, transverse=1),
+            PLAN,
+            "",
+            "not be 0 in both range_limit_um and range_limit_um_per_m",
+        ),
+        (
+            PERMITS_NOTHING.format(range=1, transverse=0),
+            PLAN,
+            "",
+            "0 in both transverse_limit_um and transverse_limit_um_per_m",
+        ),
         ('instrument = "leica-at5"\nstandard = "asme-b89.4.19-2006"', PLAN, "", "did you mean leica-at500"),
         ('instrument = "leica-at500"\ntests_file = "plan.csv"', PLAN.replace("two-face", "face"), "", "kind is 'face'"),
         (
@@ -218,7 +228,14 @@ def test_lengths_of_a_standard_that_no_open_text_has(tmp_path: Path, capsys: pyt
 
 def test_network_method(tmp_path: Path) -> None:
     """A good instrument keeps its maker's limits on its own network; one with a tilted beam does not."""
-    sheet = {"specification": {"transverse_um": 15, "transverse_um_per_m": 6, "range_um": 20, "range_um_per_m": 1}}
+    sheet = {
+        "specification": {
+            "transverse_limit_um": 15,
+            "transverse_limit_um_per_m": 6,
+            "range_limit_um": 20,
+            "range_limit_um_per_m": 1,
+        }
+    }
     verdicts = []
     for tilt in (0.5, 60.0):
         errors = {"draw": False, "beam-tilt": tilt}
@@ -253,7 +270,9 @@ def test_one_station_is_refused(tmp_path: Path) -> None:
 
 def test_uncertainty_of_a_network_length_holds_over_many_networks():
     """Both ends of a length share most of their errors: U / 2 is the spread of the length's error, for each kind."""
-    sheet = Specification(transverse_um=15, transverse_um_per_m=6, range_um=20, range_um_per_m=1)
+    sheet = Specification(
+        transverse_limit_um=15, transverse_limit_um_per_m=6, range_limit_um=20, range_limit_um_per_m=1
+    )
     short, long = [], []
     for seed in range(12):
         recording, truth = lt.simulate("paper-workshop", seed=seed)
@@ -280,7 +299,9 @@ def test_uncertainty_of_a_network_length_is_that_of_the_whole_normal_matrix():
     design = np.asarray(found.solution.system.design)
     covariance = np.linalg.inv(design.T @ design)
     points, at = found.state.target_points, found.problem.unknowns.target_columns
-    sheet = Specification(transverse_um=15, transverse_um_per_m=6, range_um=20, range_um_per_m=1)
+    sheet = Specification(
+        transverse_limit_um=15, transverse_limit_um_per_m=6, range_limit_um=20, range_limit_um_per_m=1
+    )
     stated = {
         e.name: 1e-6 * e.expanded_uncertainty_um
         for e in evaluate_network(recording, sheet).test_outcomes
@@ -295,7 +316,7 @@ def test_uncertainty_of_a_network_length_is_that_of_the_whole_normal_matrix():
 
 
 GOOD_TRACKER = {"instrument.errors": {"draw": False, "beam-tilt": 0.5}}
-LIMITS = Specification(transverse_um=15, transverse_um_per_m=6, range_um=20, range_um_per_m=1)
+LIMITS = Specification(transverse_limit_um=15, transverse_limit_um_per_m=6, range_limit_um=20, range_limit_um_per_m=1)
 
 
 @pytest.mark.parametrize("cause", ["The distances from S3 are 0.2", "Target T06 moved"])
@@ -423,5 +444,5 @@ def test_several_instruments_are_refused():
 )
 def test_tests_and_draws_of_a_prediction_are_bounded(keys: dict[str, object], says: str) -> None:
     """100,000 ranges took 3.3 GB, then all memory."""
-    with pytest.raises(SetupError, match=says):
+    with pytest.raises(InputError, match=says):
         lt.accept({"standard": "asme-b89.4.19-2006", "instrument": "leica-at500", **keys})

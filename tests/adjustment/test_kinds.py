@@ -15,7 +15,7 @@ from ltsim.geometry.rigid import align_rigidly, matrix_from_rotation_vector, rot
 from ltsim.physics.model.construction import ideal_construction, misalignment_construction
 from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.recordings.recording import DISTANCE_KIND_COLUMN, HEIGHT_COLUMNS, Recording
-from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
+from ltsim.recordings.setup import Instrument, LengthGauge, Noise, Setup, Station, Target
 from tests.families import family
 from tests.networks import drawn, network
 
@@ -433,7 +433,7 @@ def test_each_instrument_has_its_own_parameters():
 
 def test_the_datum_of_chosen_points_has_the_least_trace_and_keeps_their_mean():
     recording, _ = network(seed=4)
-    recording = with_setup(recording, gauge=Gauge())
+    recording = with_setup(recording, gauge=LengthGauge())
     chosen = [recording.targets[i] for i in (0, 7, 12, 20, 23)]
     at = [recording.targets.index(n) for n in chosen]
     plain, tied = (

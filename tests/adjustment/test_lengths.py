@@ -19,7 +19,7 @@ from ltsim.measurands.spec import TASKS_FORMAT, validate_tasks
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import ReferenceLengths
-from ltsim.recordings.setup import Gauge, GaugeDistance
+from ltsim.recordings.setup import GaugeDistance, LengthGauge
 from ltsim.solve.design import to_dense
 from tests.networks import mesh, network
 
@@ -32,7 +32,7 @@ def line(first: str, second: str, length: float = 2000.0, **more: Any) -> GaugeD
 
 
 def with_gauge(recording: Recording, *lines: GaugeDistance, **more: Any) -> Recording:
-    gauge = Gauge.model_validate({"materials": {"steel": STEEL, "invar": INVAR}, "distance": lines, **more})
+    gauge = LengthGauge.model_validate({"materials": {"steel": STEEL, "invar": INVAR}, "distance": lines, **more})
     return recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
 
 

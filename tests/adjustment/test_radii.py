@@ -14,7 +14,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.identification import identify_causes
 from ltsim.campaigns.truth import make_cell_truth
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import NetworkError, RecordError, SetupError
+from ltsim.core.errors import InputError, NetworkError, RecordError
 from ltsim.core.randomness import random_stream
 from ltsim.geometry.polar import wrap_angle
 from ltsim.measurands.inputs import TaskInputs
@@ -201,7 +201,7 @@ def test_what_is_missing_is_told_in_a_sentence(spoil: Any, sentence: str, tmp_pa
     ],
 )
 def test_a_scenario_says_what_its_balls_lack(changes: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(SetupError, match=sentence):
+    with pytest.raises(InputError, match=sentence):
         lt.simulate(scenario(**changes), seed=3)
 
 
@@ -215,7 +215,7 @@ def test_one_radius_for_all_moves_nothing() -> None:
 
 
 def test_trials_in_batch_refuse_balls_of_several_radii() -> None:
-    with pytest.raises(SetupError, match="a campaign uses one SMR radius"):
+    with pytest.raises(InputError, match="a campaign uses one SMR radius"):
         make_cell_truth(scenario(), 1)
 
 

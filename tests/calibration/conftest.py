@@ -11,7 +11,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.setup import Gauge, GaugeDistance, Setup
+from ltsim.recordings.setup import GaugeDistance, LengthGauge, Setup
 
 STATIONS = np.array([[3.0, 3.0, 1.9], [4.6, 1.9, 2.0], [1.9, 4.6, 2.1], [5.2, 4.6, 1.8]])
 YAW = (0.4, 2.1, -1.9, -0.6)
@@ -73,7 +73,7 @@ def make() -> Make:
                 lengths.append(GaugeDistance(**ends, length_mm=1e3 * known, sigma_mm=1e3 * GAUGE_SIGMA))
         readings = built.readings_from_points(local, face, values)
         recording = Recording(
-            setup=Setup(gauge=Gauge(distance=tuple(lengths))),
+            setup=Setup(gauge=LengthGauge(distance=tuple(lengths))),
             stations=tuple(f"S{s + 1}" for s in range(len(STATIONS))),
             targets=names,
             station=station,

@@ -96,7 +96,7 @@ def test_in_a_box_no_unknown_leaves_it_and_nothing_in_it_lies_below(norm: str) -
 def test_both_are_reported() -> None:
     recording = network(seed=3, values=drawn(BUILT, 3))[0]
     truncated = lt.calibrate(recording, method="distance")
-    assert any("The minimum of eq. 9" in note for note in truncated.notes)
+    assert any("(Sensors 2021, 21, 7479, eq. 9)" in note and "Its minimum is" in note for note in truncated.notes)
     whole = lt.calibrate(recording, method="equation-9", advise=False)
     assert whole.method == "equation-9"
     assert np.all(whole.sigma > 0)

@@ -23,7 +23,7 @@ from ltsim.core.probability import PRIOR_BY_RELATIVE_EFFECT_SIZE, PRIOR_OF_WRONG
 from ltsim.geometry.polar import from_polar, to_polar
 from ltsim.geometry.rigid import rigid_motion_design
 from ltsim.physics.model.construction import dh_construction, misalignment_construction
-from ltsim.recordings.setup import Gauge, GaugeDistance, Instrument, Prior, Station
+from ltsim.recordings.setup import GaugeDistance, Instrument, LengthGauge, Prior, Station
 from tests.families import family
 
 
@@ -196,7 +196,7 @@ def test_a_scale_of_two_corrected_trackers_is_found_under_noise_that_is_stated_t
         own = {name: Instrument(corrected=True, noise=noise) for name in "AB"}
         stations = {s: Station(instrument="AB"[k % 2]) for k, s in enumerate(recording.stations)}
         setup = recording.setup.model_copy(
-            update={"instruments": own, "stations": stations, "gauge": Gauge(distance=tuple(walls))}
+            update={"instruments": own, "stations": stations, "gauge": LengthGauge(distance=tuple(walls))}
         )
         one = calibrate_network(recording.replace(setup=setup), recommend_measurements=False)
         assert one.arrays.is_prior_rejected.sum(axis=0)[scale] == 2

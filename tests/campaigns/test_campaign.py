@@ -24,7 +24,7 @@ from ltsim.campaigns.schema import SOLVER_DIFFERENCE_COLUMN
 from ltsim.campaigns.spec import load_campaign
 from ltsim.campaigns.statistics import QUANTILE_LEVELS
 from ltsim.campaigns.store import CampaignFolder, read_shard
-from ltsim.core.errors import NetworkError, SetupError
+from ltsim.core.errors import InputError, NetworkError
 from ltsim.core.randomness import random_stream
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 from tests.campaigns.small import FILE
@@ -169,7 +169,7 @@ def test_killed_at_random_moments_of_resumed_runs_the_next_completes_with_the_sa
 
 def test_finished_campaign_is_not_begun_again_by_mistake(file: Path, tmp_path: Path) -> None:
     run_campaign(file, tmp_path / "out")
-    with pytest.raises(SetupError, match=r"holds a campaign.*resume=True"):
+    with pytest.raises(InputError, match=r"holds a campaign.*resume=True"):
         run_campaign(file, tmp_path / "out")
     assert run_campaign(file, tmp_path / "out", resume=True).n_computed_shards == 0
 
@@ -200,7 +200,7 @@ def test_changed_file_is_refused_and_rows_stay(file: Path, tmp_path: Path, refer
     out = tmp_path / "out"
     run_campaign(file, out)
     file.write_text(FILE.replace("seed = 5", "seed = 6"))
-    with pytest.raises(SetupError, match=r"changed since this campaign started \(seed\)"):
+    with pytest.raises(InputError, match=r"changed since this campaign started \(seed\)"):
         run_campaign(file, out, resume=True)
     assert contents(out) == reference
     assert run_campaign(out / "campaign.toml", out, resume=True).n_existing_shards == 6
@@ -227,7 +227,7 @@ def test_other_versions_are_refused(file: Path, tmp_path: Path) -> None:
     manifest = json.loads((out / "manifest.json").read_text())
     manifest["versions"]["numpy"] = "1.0"
     (out / "manifest.json").write_text(json.dumps(manifest))
-    with pytest.raises(SetupError, match=r"started with numpy 1\.0"):
+    with pytest.raises(InputError, match=r"started with numpy 1\.0"):
         run_campaign(file, out, resume=True)
 
 
@@ -253,7 +253,7 @@ def test_full_disk_is_a_sentence_and_finished_shards_stay(
         real(handle)
 
     monkeypatch.setattr(store.os, "fsync", full)
-    with pytest.raises(SetupError, match="the disk is full; complete files of rows remain in the folder"):
+    with pytest.raises(InputError, match="the disk is full; complete files of rows remain in the folder"):
         run_campaign(file, out)
     kept = contents(out)
     assert 0 < len(kept) < 6
@@ -265,14 +265,14 @@ def test_full_disk_is_a_sentence_and_finished_shards_stay(
 
 def test_folder_that_cannot_be_written_is_a_sentence(file: Path, tmp_path: Path) -> None:
     (tmp_path / "blocked").write_text("a file, not a folder")
-    with pytest.raises(SetupError, match="cannot be written"):
+    with pytest.raises(InputError, match="cannot be written"):
         run_campaign(file, tmp_path / "blocked" / "out")
 
 
 def test_two_campaigns_in_one_folder_are_kept_apart(file: Path, tmp_path: Path) -> None:
     with (
         CampaignFolder(tmp_path / "out").lock(),
-        pytest.raises(SetupError, match="another campaign runs in this folder"),
+        pytest.raises(InputError, match="another campaign runs in this folder"),
     ):
         run_campaign(file, tmp_path / "out")
 
@@ -292,7 +292,7 @@ def test_two_campaigns_in_one_folder_are_kept_apart(file: Path, tmp_path: Path) 
 )  # fmt: skip
 def test_a_wrong_file_is_one_sentence(change: tuple[str, str], says: str, file: Path, tmp_path: Path) -> None:
     file.write_text(FILE.replace(*change))
-    with pytest.raises(SetupError) as raised:
+    with pytest.raises(InputError) as raised:
         run_campaign(file, tmp_path / "out")
     assert says in str(raised.value) and "\n" not in str(raised.value)
     assert not (tmp_path / "out" / "manifest.json").exists()

@@ -13,7 +13,7 @@ import ltsim as lt
 from ltsim.campaigns.rows import ShardTask, make_shard_rows
 from ltsim.campaigns.spec import CampaignFile
 from ltsim.campaigns.truth import make_cell_truth
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.geometry.polar import wrap_angle
 from ltsim.physics.effects import CATALOGUE, find_effect
 from ltsim.physics.effects.effect import Blunder, NoiseEffect
@@ -150,7 +150,7 @@ def test_stated_errors_are_not_drawn() -> None:
 
 def test_an_error_that_the_instrument_cannot_have_is_refused() -> None:
     given = scenario(instrument={"preset": "paper", "errors": {"beam-tlt": 7.0}})
-    with pytest.raises(SetupError, match="beam-tilt"):
+    with pytest.raises(InputError, match="beam-tilt"):
         make_cell_truth(given, 6)
 
 
@@ -164,7 +164,7 @@ def test_geometry_belongs_to_its_key() -> None:
 
 def test_variance_below_zero_is_refused_by_both() -> None:
     given = scenario(effects=[{"name": "turbulence", "values": {"turbulence-along": -1e6}}])
-    with pytest.raises(SetupError, match="makes a variance of readings negative"):
+    with pytest.raises(InputError, match="makes a variance of readings negative"):
         make_cell_truth(given, 7).draw_batch(7, 0)
-    with pytest.raises(SetupError, match="makes a variance of readings negative"):
+    with pytest.raises(InputError, match="makes a variance of readings negative"):
         measure_trial(make_measurement_geometry(given, 7), 7)

@@ -13,7 +13,7 @@ import pytest
 
 from ltsim.campaigns import campaign
 from ltsim.campaigns.campaign import WorkerSettings, run_campaign
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 
 FILE = """
 format = "ltsim-campaign/1"
@@ -91,7 +91,7 @@ def test_workers_that_end_at_the_same_shard_are_a_sentence(tmp_path: Path, monke
     file = tmp_path / "many.toml"
     file.write_text(FILE)
     with pytest.raises(
-        SetupError,
+        InputError,
         match=r"several workers were killed at the same shard.*remain in the folder: continue with resume=True",
     ):
         run_campaign(file, tmp_path / "out", workers=WorkerSettings(backend="dask", scheduler="tcp://127.0.0.1:1"))
@@ -101,7 +101,7 @@ def test_scheduler_that_does_not_answer_is_a_sentence(tmp_path: Path) -> None:
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     file = tmp_path / "many.toml"
     file.write_text(FILE)
-    with pytest.raises(SetupError, match="backend=dask needs scheduler"):
+    with pytest.raises(InputError, match="backend=dask needs scheduler"):
         run_campaign(file, tmp_path / "out", workers=WorkerSettings(backend="dask"))
-    with pytest.raises(SetupError, match="no dask scheduler answers"):
+    with pytest.raises(InputError, match="no dask scheduler answers"):
         run_campaign(file, tmp_path / "out2", workers=WorkerSettings(backend="dask", scheduler="nonsense://x"))

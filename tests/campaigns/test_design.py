@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.campaigns.design import LevelRange, cell_label, short_key_names
 from ltsim.campaigns.spec import load_campaign, make_cells
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 
 HEAD = 'format = "ltsim-campaign/1"\ntrials = 2\n'
 RANGE = '[design.ranges."work.targets"]\n'
@@ -109,6 +109,6 @@ def test_names_are_as_short_as_tells_them_apart() -> None:
     ],
 )  # fmt: skip
 def test_what_cannot_be_varied_is_one_sentence(text: str, says: str, tmp_path: Path) -> None:
-    with pytest.raises(SetupError) as raised:
+    with pytest.raises(InputError) as raised:
         made(tmp_path, text)
     assert says in str(raised.value) and "\n" not in str(raised.value)

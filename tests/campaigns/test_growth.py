@@ -14,7 +14,7 @@ from ltsim.campaigns.spec import load_campaign
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.cli.main import run
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.reports.sections.campaign import MAX_CELL_ROWS
 
 FILE = """
@@ -114,7 +114,7 @@ def test_rows_that_would_change_stay(change: tuple[str, str], says: str, begun: 
     file, out = begun
     before = {p: p.read_bytes() for p in out.rglob("*.parquet")}
     file.write_text(FILE.replace(*change))
-    with pytest.raises(SetupError, match=says):
+    with pytest.raises(InputError, match=says):
         run_campaign(file, out, resume=True)
     assert {p: p.read_bytes() for p in out.rglob("*.parquet")} == before
 

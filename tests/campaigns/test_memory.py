@@ -17,7 +17,7 @@ from ltsim.campaigns.campaign import run_campaign
 from ltsim.campaigns.rows import cell_context
 from ltsim.campaigns.spec import load_campaign
 from ltsim.campaigns.truth import CellTruth, TrialBatch
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.limits import POINTINGS_LIMIT_VARIABLE
 from ltsim.core.randomness import TRIALS_PER_STREAM, standard_normal_trials
 from tests.campaigns.small import FILE
@@ -100,7 +100,7 @@ def test_a_network_that_takes_too_much_memory_is_refused_with_the_way_to_permit_
     file.write_text(FEW)
     monkeypatch.setattr(f"ltsim.campaigns.truth.{limit}", 20)
     with pytest.raises(
-        SetupError, match=rf"the network has \d+ {word}.* takes at most 20: .*{POINTINGS_LIMIT_VARIABLE}"
+        InputError, match=rf"the network has \d+ {word}.* takes at most 20: .*{POINTINGS_LIMIT_VARIABLE}"
     ):
         run_campaign(file, tmp_path / "out")
     assert not (tmp_path / "out").exists()
@@ -123,7 +123,7 @@ def test_cells_whose_scenarios_no_reader_takes_are_refused_before_the_work(
     file.write_text(FILE)
     monkeypatch.setattr("ltsim.campaigns.cell_scenarios.MAX_MANIFEST_VALUES", 500)
     with pytest.raises(
-        SetupError, match=r"the scenarios of 2 cells have \d+ values together, expected at most 500: div"
+        InputError, match=r"the scenarios of 2 cells have \d+ values together, expected at most 500: div"
     ):
         run_campaign(file, tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -16,7 +16,7 @@ from ltsim.campaigns.results import _matching_level
 from ltsim.campaigns.rows import ShardTask, make_shard_rows
 from ltsim.campaigns.schema import RESULT_COLUMNS, find_column
 from ltsim.campaigns.spec import CampaignFile, make_validation_scenario
-from ltsim.core.errors import ModelError, SetupError
+from ltsim.core.errors import InputError, ModelError
 from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import Effect, LightPathStage, Parameter, design_from_front_face_corrections
 from ltsim.scene.sightings import Sightings
@@ -99,7 +99,7 @@ def test_points_of_a_table_are_measured_from_the_cells_own_stations(tmp_path: Pa
     made = campaign(validation_points=str(tmp_path / "points.csv"), statistics=["errors"], trials=8)
     assert all(value is not None for name in ERRORS for value in rows(made)[name])
     for lost, says in (("nowhere.csv", "nowhere.csv"), ("two-trackers", "should name the trackers of the cells")):
-        with pytest.raises(SetupError, match=says):
+        with pytest.raises(InputError, match=says):
             make_validation_scenario(lost, PAPER, tmp_path / "campaign.toml")
 
 

@@ -12,7 +12,7 @@ from ltsim.campaigns.spec import CalibrationMethod
 from ltsim.campaigns.trial_calibrators import BatchCalibrator
 from ltsim.campaigns.trial_evaluation import TrialEvaluator
 from ltsim.campaigns.truth import CellTruth, make_cell_truth
-from ltsim.core.errors import NetworkError, SetupError
+from ltsim.core.errors import InputError, NetworkError
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.layout_scorer import LayoutScorer
 from ltsim.planning.search_inputs import planned_survey
@@ -87,13 +87,13 @@ def test_ranges_from_two_stations_place_nothing(truth: CellTruth) -> None:
 
 
 def test_a_distance_calibrator_and_a_mixture_of_trackers_are_refused(truth: CellTruth) -> None:
-    with pytest.raises(SetupError, match="needs ranges and angles"):
+    with pytest.raises(InputError, match="needs ranges and angles"):
         make_calibrator(CalibrationMethod(method="distance"), truth)
     mixed = lt.scenario("two-trackers")
     trackers = dict(mixed.instruments)
     first = next(iter(trackers))
     trackers[first] = trackers[first].model_copy(update={"observables": ("distance",)})
-    with pytest.raises(SetupError, match="observables differ"):
+    with pytest.raises(InputError, match="observables differ"):
         make_cell_truth(mixed.model_copy(update={"instruments": trackers}), 1)
 
 

@@ -16,7 +16,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.campaigns.statistics import CampaignStatistics
-from ltsim.core.errors import ModelError, SetupError
+from ltsim.core.errors import InputError, ModelError
 from ltsim.core.notation import number_text
 from ltsim.reports.document_model import TableBlock
 from ltsim.reports.figures.campaign import sweep_points
@@ -103,9 +103,9 @@ def test_a_statistic_of_a_function_has_the_interval_of_its_trials(sweep: Any) ->
 
 def test_a_folder_of_rows_is_opened_and_nothing_else(sweep: Any, tmp_path: Path) -> None:
     assert lt.read(sweep.folder) == sweep
-    with pytest.raises(SetupError, match=r"rows of a campaign; to run it, give .*campaign\.toml"):
+    with pytest.raises(InputError, match=r"rows of a campaign; to run it, give .*campaign\.toml"):
         lt.campaign(sweep.folder, changes={"trials": 3})
-    with pytest.raises(SetupError, match=r"^the campaign: unknown key trialz; did you mean trials"):
+    with pytest.raises(InputError, match=r"^the campaign: unknown key trialz; did you mean trials"):
         lt.campaign({"trialz": 3}, out=tmp_path / "rows")
 
 
@@ -164,9 +164,9 @@ def test_methods_are_compared_on_one_recording_as_the_campaign_compares_them_in_
     assert judged.column("calibration") == ["network", "distance"]
     alone = lt.compare_calibrations(scenario, found["network"], "paper-laboratory", seed=3, trial=17)
     assert alone.table().column("error_calibrated_um") == judged.column("error_calibrated_um")[:1]
-    with pytest.raises(SetupError, match="calibration 'network' is not from seed 3 and trial 16"):
+    with pytest.raises(InputError, match="calibration 'network' is not from seed 3 and trial 16"):
         lt.compare_calibrations(scenario, found, "paper-laboratory", seed=3, trial=16)
-    with pytest.raises(SetupError, match="no calibration is given"):
+    with pytest.raises(InputError, match="no calibration is given"):
         lt.compare_calibrations(scenario, {}, "paper-laboratory", seed=3, trial=17)
 
 
@@ -188,9 +188,9 @@ def test_what_is_applied_is_judged_as_a_campaign_judges_it(tmp_path: Path) -> No
 
 def test_no_trials_and_no_workers_are_no_answer(tmp_path: Path) -> None:
     for trials in (0, -3):
-        with pytest.raises(SetupError, match=f"trials is {trials}, expected a whole number, 2 to 1,000,000,000"):
+        with pytest.raises(InputError, match=f"trials is {trials}, expected a whole number, 2 to 1,000,000,000"):
             lt.recover("paper-workshop", trials=trials)
-    with pytest.raises(SetupError, match="jobs is 0, expected a whole number, 1 to 256"):
+    with pytest.raises(InputError, match="jobs is 0, expected a whole number, 1 to 256"):
         lt.campaign({"trials": 2}, out=tmp_path / "rows", jobs=0)
     with pytest.raises(ModelError, match="at least one noncentrality"):
         lt.injection_curve(lt.simulate("paper-workshop", seed=1).recording, "index-drift", strengths=[])
@@ -276,7 +276,7 @@ def test_a_manifest_that_does_not_belong_to_its_rows_is_refused(sweep: Any, tmp_
         "names of statistics": {"settings": {"statistics": 3}},
     }
     for k, (says, changes) in enumerate(wrong.items()):
-        with pytest.raises(SetupError, match=says):
+        with pytest.raises(InputError, match=says):
             lt.campaign(altered(sweep, tmp_path / str(k), **changes))
 
 
@@ -288,6 +288,6 @@ def test_names_in_a_campaign_folder_are_no_sql(sweep: Any, tmp_path: Path) -> No
     hostile = f"{name}\" FROM rows; COPY (SELECT 1) TO '{made}'; --"
     text = (folder / "manifest.json").read_text().replace(f'"{name}"', json.dumps(hostile))
     (folder / "manifest.json").write_text(text)
-    with pytest.raises(SetupError, match="cannot be read"):
+    with pytest.raises(InputError, match="cannot be read"):
         lt.campaign(folder)
     assert not made.exists()

@@ -18,7 +18,7 @@ from ltsim.campaigns.results import CampaignResults
 from ltsim.campaigns.schema import MAX_SHARDS
 from ltsim.campaigns.statistics import memory_limit
 from ltsim.campaigns.store import CampaignFolder
-from ltsim.core.errors import LtsimError, SetupError
+from ltsim.core.errors import InputError, LtsimError
 from ltsim.core.limits import MAX_FILE_BYTES, MAX_SHARD_ROWS
 from ltsim.core.randomness import random_stream
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
@@ -35,7 +35,7 @@ def test_no_flipped_bit_reaches_a_figure(file: Path, tmp_path: Path) -> None:
         flipped = bytearray(whole)
         flipped[place // 8] ^= 1 << (place % 8)
         shard.write_bytes(flipped)
-        with pytest.raises(SetupError, match=r"shard\) cannot be read.*resume=True"):
+        with pytest.raises(InputError, match=r"shard\) cannot be read.*resume=True"):
             CampaignResults(tmp_path / "out")
     shard.write_bytes(whole)
     (tmp_path / "out" / "rows.sha256").unlink()
@@ -49,7 +49,7 @@ def test_a_shard_of_another_campaign_is_refused_without_digests(file: Path, tmp_
     foreign = CampaignFolder(tmp_path / "other").shard_path(0, 0).read_bytes()
     CampaignFolder(tmp_path / "out").shard_path(0, 0).write_bytes(foreign)
     (tmp_path / "out" / "rows.sha256").unlink()
-    with pytest.raises(SetupError, match="belongs to another campaign"):
+    with pytest.raises(InputError, match="belongs to another campaign"):
         CampaignResults(tmp_path / "out")
 
 
@@ -69,7 +69,7 @@ def test_a_small_file_of_very_many_rows_is_refused_before_it_is_read(
     if with_digests:
         for number in range(2):
             store.record_digest(0, number)
-    with pytest.raises(SetupError, match=f"{MAX_SHARD_ROWS + 1} rows, expected at most {MAX_SHARD_ROWS}"):
+    with pytest.raises(InputError, match=f"{MAX_SHARD_ROWS + 1} rows, expected at most {MAX_SHARD_ROWS}"):
         CampaignResults(tmp_path / "out")
 
 
@@ -82,7 +82,7 @@ def test_a_manifest_of_very_many_files_of_rows_is_refused(shard: int | None, fil
     manifest = tmp_path / "out" / "manifest.json"
     content = {**json.loads(manifest.read_text()), "trials": 10**18, "trials_per_shard": shard}
     manifest.write_text(json.dumps({key: value for key, value in content.items() if value is not None}))
-    with pytest.raises(SetupError, match=f"at most {MAX_SHARDS} files of rows"):
+    with pytest.raises(InputError, match=f"at most {MAX_SHARDS} files of rows"):
         run_campaign(file, tmp_path / "out", resume=True)
 
 
@@ -128,7 +128,7 @@ def test_a_changed_cad_file_is_noticed_and_kept(file: Path, tmp_path: Path) -> N
     run_campaign(file, out)
     assert (out / "parts" / "box.stl").read_bytes() == cad.read_bytes()
     trimesh.creation.box([0.2, 0.1, 0.1]).export(cad)
-    with pytest.raises(SetupError, match="changed since this campaign started"):
+    with pytest.raises(InputError, match="changed since this campaign started"):
         run_campaign(file, out, resume=True)
     cad.unlink()
     assert run_campaign(out / "campaign.toml", out, resume=True).n_existing_shards == 2
@@ -156,7 +156,7 @@ def test_a_campaign_that_nobody_could_keep_is_a_sentence(
 ) -> None:
     monkeypatch.setattr("ltsim.campaigns.spec.MAX_FILE_ROWS", 1000)
     file.write_text(FILE.replace(*change))
-    with pytest.raises(SetupError, match=says):
+    with pytest.raises(InputError, match=says):
         run_campaign(file, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -170,7 +170,7 @@ def test_beginning_anew_takes_a_word(file: Path, tmp_path: Path) -> None:
     assert CampaignResults(out).manifest.seed == 6
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "campaign.toml").write_text("mine")
-    with pytest.raises(SetupError, match=r"contains campaign\.toml but no campaign.*force=True"):
+    with pytest.raises(InputError, match=r"contains campaign\.toml but no campaign.*force=True"):
         run_campaign(file, tmp_path / "mine")
     assert [p.name for p in (tmp_path / "mine").iterdir()] == ["campaign.toml"]
 
@@ -182,7 +182,7 @@ def test_a_manifest_without_cells_is_a_sentence(file: Path, tmp_path: Path) -> N
     manifest = json.loads((out / "manifest.json").read_text())
     del manifest["cells"]
     (out / "manifest.json").write_text(json.dumps(manifest))
-    with pytest.raises(SetupError, match="cells: Field required"):
+    with pytest.raises(InputError, match="cells: Field required"):
         CampaignResults(out)
 
 

@@ -17,7 +17,7 @@ from ltsim.campaigns.stopping import (
     stopping_evaluation_schedule,
     student_quantile,
 )
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.randomness import random_stream
 
 FILE = """
@@ -155,6 +155,6 @@ def test_looks_are_half_as_many_trials_again() -> None:
 def test_a_statistic_that_rows_do_not_hold_is_named(tmp_path: Path) -> None:
     text = FILE.replace("[grid]", STOP + 'statistic = "target_error"\n\n[grid]').replace("2048", "64")
     (tmp_path / "c.toml").write_text(text)
-    with pytest.raises(SetupError, match=r"no column of the rows called 'target_error'; did you mean target_error_um"):
+    with pytest.raises(InputError, match=r"no column of the rows called 'target_error'; did you mean target_error_um"):
         run_campaign(tmp_path / "c.toml", tmp_path / "c")
     assert not (tmp_path / "c").exists()

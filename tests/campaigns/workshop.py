@@ -10,7 +10,7 @@ from ltsim.geometry.polar import to_face, to_polar
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.physics.model.measurement import NetworkState
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.setup import Gauge, GaugeDistance, Instrument, Setup
+from ltsim.recordings.setup import GaugeDistance, Instrument, LengthGauge, Setup
 
 MESH = 24
 GAUGE_SIGMA_MM = 0.0025
@@ -52,7 +52,7 @@ def workshop(*, faces: int = 1, gauge: bool = True) -> tuple[Recording, NetworkS
     setup = Setup(
         title="workshop of the tests",
         instrument=Instrument(),
-        gauge=Gauge(distance=distances) if gauge else None,
+        gauge=LengthGauge(distance=distances) if gauge else None,
     )
     recording = Recording(
         setup=setup,

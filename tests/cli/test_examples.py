@@ -14,7 +14,7 @@ from ltsim.acceptance.spec import load_acceptance
 from ltsim.campaigns.spec import load_campaign
 from ltsim.cli.examples import EXAMPLE_COMMANDS, example_text
 from ltsim.cli.main import run
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.measurands.spec import load_tasks
 from ltsim.planning.loading import load_plan
 
@@ -59,7 +59,7 @@ def test_templates_are_printed(verb: str, name: str, capsys: pytest.CaptureFixtu
 
 def test_a_campaign_in_python_takes_a_backend(tmp_path: Path) -> None:
     small = {"scenario": "paper-workshop", "trials": 2, "methods": [{"name": "network"}]}
-    with pytest.raises(SetupError, match="backend is slurm, expected local or dask"):
+    with pytest.raises(InputError, match="backend is slurm, expected local or dask"):
         lt.campaign(small, out=tmp_path / "out", backend="slurm")
-    with pytest.raises(SetupError, match="nowhere"):
+    with pytest.raises(InputError, match="nowhere"):
         lt.campaign(small, out=tmp_path / "out", backend="dask", scheduler=str(tmp_path / "nowhere.json"))

@@ -10,7 +10,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE, MILLIMETRE
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.diagnosis.noise_centring import centring_hypotheses_with_evidence, with_declared_centring
+from ltsim.diagnosis.noise_centring import log_evidence_and_centring_hypotheses, with_declared_centring
 from ltsim.diagnosis.selection_state import SelectionState
 from ltsim.physics.effects.motions import exact_change_by_displacement
 from ltsim.physics.effects.range_cyclic import RangeCyclic
@@ -37,13 +37,13 @@ def space_of(recording: Recording) -> ResidualSpace:
 
 def test_the_variance_component_of_the_occupations() -> None:
     recording = centred_anew(11, SIGMA)
-    ((gain, hypothesis),) = centring_hypotheses_with_evidence(space_of(recording))
+    ((gain, hypothesis),) = log_evidence_and_centring_hypotheses(space_of(recording))
     assert gain > 1000.0
     assert hypothesis.sizes[0] == pytest.approx(SIGMA, rel=0.25)
     declared = with_declared_centring(recording, [hypothesis])
     assert declared.setup.centring[0].sigma_mm * MILLIMETRE == pytest.approx(hypothesis.sizes[0])
     assert adjust(declared).sigma0 == pytest.approx(1.0, abs=0.1)
-    assert centring_hypotheses_with_evidence(space_of(declared)) == []
+    assert log_evidence_and_centring_hypotheses(space_of(declared)) == []
 
 
 def test_centring_errors_do_not_absorb_an_effect_in_the_model() -> None:
@@ -52,7 +52,7 @@ def test_centring_errors_do_not_absorb_an_effect_in_the_model() -> None:
     size = np.array([2000.0, 0.0]) * MICROMETRE
     shifted = recording.with_readings(recording.readings + effect.reading_change(adjust(recording).sightings, size))
     state = SelectionState.from_adjustment(adjust(shifted), adjust(shifted).problem.is_used_reading, 0, None)
-    ((_, hypothesis),) = centring_hypotheses_with_evidence(state.space)
+    ((_, hypothesis),) = log_evidence_and_centring_hypotheses(state.space)
     assert hypothesis.sizes[0] > 2.0 * SIGMA
     state = state.with_noise_change(hypothesis, [effect])
     assert state.noise_changes[0].sizes[0] == pytest.approx(SIGMA, rel=0.25)
@@ -60,11 +60,11 @@ def test_centring_errors_do_not_absorb_an_effect_in_the_model() -> None:
 
 def test_no_centring_errors_without_displacements_or_occupations() -> None:
     clean = centred_anew(12, 0.0)
-    ((gain, _),) = centring_hypotheses_with_evidence(space_of(clean))
+    ((gain, _),) = log_evidence_and_centring_hypotheses(space_of(clean))
     assert gain < 0.0
-    assert centring_hypotheses_with_evidence(space_of(clean.replace(labels={}))) == []
+    assert log_evidence_and_centring_hypotheses(space_of(clean.replace(labels={}))) == []
     once = clean.replace(labels={"target_setup": ("P",) * len(clean)})
-    assert centring_hypotheses_with_evidence(space_of(once)) == []
+    assert log_evidence_and_centring_hypotheses(space_of(once)) == []
 
 
 def test_a_diagnosis_reports_centring_errors_and_nothing_else() -> None:
@@ -100,10 +100,10 @@ def test_a_diagnosis_reports_errors_that_repeats_share_in_place_of_curves_at_eac
 
 def test_displacements_at_each_set_up_need_repeats_in_one_face() -> None:
     recording, _ = network(seed=15, stations=4, faces=2)
-    assert centring_hypotheses_with_evidence(space_of(recording)) == []
-    ((gain, _),) = centring_hypotheses_with_evidence(space_of(repeated(15, 0.0)))
+    assert log_evidence_and_centring_hypotheses(space_of(recording)) == []
+    ((gain, _),) = log_evidence_and_centring_hypotheses(space_of(repeated(15, 0.0)))
     assert gain < 0.0
-    ((gain, hypothesis),) = centring_hypotheses_with_evidence(space_of(repeated(15, 0.02 * MILLIMETRE)))
+    ((gain, hypothesis),) = log_evidence_and_centring_hypotheses(space_of(repeated(15, 0.02 * MILLIMETRE)))
     assert gain > 50.0
     assert hypothesis.sizes[0] == pytest.approx(0.02 * MILLIMETRE, rel=0.2)
 

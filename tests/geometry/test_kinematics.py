@@ -26,7 +26,7 @@ QUARTER = np.pi / 2
 both = pytest.mark.parametrize("name", CHAINS)
 
 
-def slots_of(chain: KinematicChain) -> list[str]:
+def error_keys_of(chain: KinematicChain) -> list[str]:
     return [motion.error_key for motion in chain if motion.error_key]
 
 
@@ -38,7 +38,7 @@ def readings(seed: int, count: int = 8) -> Floats:
 
 def errors(chain: KinematicChain, seed: int, count: int = 8, size: float = 1e-2) -> dict[str, Floats]:
     rng = random_stream(seed, "errors")
-    return {slot: rng.normal(0, size, count) for slot in slots_of(chain)}
+    return {key: rng.normal(0, size, count) for key in error_keys_of(chain)}
 
 
 def shift(x: float, y: float, z: float) -> Floats:
@@ -108,7 +108,7 @@ def test_a_chain_is_the_product_of_its_printed_matrices(name: str, seed: int) ->
     chain, raw = CHAINS[name], readings(seed)
     amounts = errors(chain, seed)
     one_by_one = [
-        TWINS[name](raw[i], {slot: float(amount[i]) for slot, amount in amounts.items()}) for i in range(len(raw))
+        TWINS[name](raw[i], {key: float(amount[i]) for key, amount in amounts.items()}) for i in range(len(raw))
     ]
     np.testing.assert_allclose(points_from_raw_readings(chain, raw, amounts), one_by_one, atol=1e-13)
 
@@ -116,27 +116,27 @@ def test_a_chain_is_the_product_of_its_printed_matrices(name: str, seed: int) ->
 @pytest.mark.long
 @both
 @given(seed=st.integers(0, 1000))
-def test_derivatives_by_every_slot(name: str, seed: int) -> None:
+def test_derivatives_by_every_error(name: str, seed: int) -> None:
     chain, raw = CHAINS[name], readings(seed)
     amounts = errors(chain, seed)
-    p, analytic = points_and_error_derivatives(chain, raw, amounts, set(slots_of(chain)))
+    p, analytic = points_and_error_derivatives(chain, raw, amounts, set(error_keys_of(chain)))
     np.testing.assert_array_equal(p, points_from_raw_readings(chain, raw, amounts))
     step = 1e-5
-    for slot in slots_of(chain):
-        after = points_from_raw_readings(chain, raw, amounts | {slot: amounts[slot] + step})
-        before = points_from_raw_readings(chain, raw, amounts | {slot: amounts[slot] - step})
-        np.testing.assert_allclose(analytic[slot], (after - before) / (2 * step), atol=1e-8, err_msg=slot)
+    for key in error_keys_of(chain):
+        after = points_from_raw_readings(chain, raw, amounts | {key: amounts[key] + step})
+        before = points_from_raw_readings(chain, raw, amounts | {key: amounts[key] - step})
+        np.testing.assert_allclose(analytic[key], (after - before) / (2 * step), atol=1e-8, err_msg=key)
 
 
-def test_a_slot_used_twice_adds_up() -> None:
+def test_an_error_used_twice_adds_up() -> None:
     chain: tuple[ElementaryMotion, ...] = (RotationStep(2, "twice"), *MISALIGNMENT_CHAIN, RotationStep(2, "nothing"))
     doubled = tuple(RotationStep(2, "twice", m.nominal_amount) if m.error_key == "azimuth" else m for m in chain)
     raw = readings(3)
-    _, by_slot = points_and_error_derivatives(doubled, raw, {}, {"twice"})
+    _, by_key = points_and_error_derivatives(doubled, raw, {}, {"twice"})
     _, once = points_and_error_derivatives(MISALIGNMENT_CHAIN, raw, {}, {"azimuth"})
-    np.testing.assert_allclose(by_slot["twice"], 2 * once["azimuth"], atol=1e-14)
+    np.testing.assert_allclose(by_key["twice"], 2 * once["azimuth"], atol=1e-14)
 
 
-def test_only_wanted_slots_are_derived() -> None:
-    _, by_slot = points_and_error_derivatives(DH_CHAIN, readings(0), {}, {"J1.eX"})
-    assert set(by_slot) == {"J1.eX"}
+def test_only_wanted_errors_are_derived() -> None:
+    _, by_key = points_and_error_derivatives(DH_CHAIN, readings(0), {}, {"J1.eX"})
+    assert set(by_key) == {"J1.eX"}

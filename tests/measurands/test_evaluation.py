@@ -12,7 +12,7 @@ from scipy import stats
 
 from ltsim.adjustment import Adjustment, adjust, adjust_from_state
 from ltsim.cli.main import run
-from ltsim.core.errors import ModelError, SetupError
+from ltsim.core.errors import InputError, ModelError
 from ltsim.core.randomness import random_stream
 from ltsim.measurands.evaluation import TaskEvaluation, evaluate_tasks
 from ltsim.measurands.inputs import LENGTHS_SOURCE, PRIOR_SOURCE, TaskInputs, UncertaintySource
@@ -65,7 +65,7 @@ def test_the_results_and_trials_of_an_evaluation_are_bounded(monkeypatch: pytest
     few = evaluate_tasks(recording, tasks(task=lengths[:2], monte_carlo={"digits": 2, "max_trials": 5_000_000}))
     assert few.monte_carlo_uncertainty.n_trials == 10_000
     assert any("divide the tasks among task files" in warning for warning in few.warnings)
-    with pytest.raises(SetupError, match=r"type_b .*at most 200"):
+    with pytest.raises(InputError, match=r"type_b .*at most 200"):
         tasks(type_b=[{"effect": "range-step"}] * 201)
 
 
@@ -302,7 +302,7 @@ def test_results_against_themselves_differ_by_nothing() -> None:
 )
 def test_what_makes_no_sense_is_refused_in_a_sentence(change: dict[str, Any], message: str) -> None:
     recording, _ = network(seed=3)
-    with pytest.raises((SetupError, ModelError), match=message):
+    with pytest.raises((InputError, ModelError), match=message):
         evaluate_tasks(recording, tasks(**change))
 
 
@@ -338,6 +338,6 @@ digits = 1
 
 @pytest.mark.parametrize(("kind", "near"), [("angl", "; did you mean angle?"), ("zzzz", "")])
 def test_a_wrong_kind_lists_all_kinds_and_the_one_that_was_meant(kind: str, near: str) -> None:
-    with pytest.raises(SetupError, match=r"it should be point, .*, pose, deviation") as refused:
+    with pytest.raises(InputError, match=r"it should be point, .*, pose, deviation") as refused:
         tasks(task=[{"name": "a", "kind": kind, "targets": ["T01", "T02", "T03"]}])
     assert str(refused.value).endswith(f"deviation{near}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.planning.survey import PlannedSurvey
-from ltsim.recordings.setup import Gauge, GaugeDistance, Instrument, Noise, Setup
+from ltsim.recordings.setup import GaugeDistance, Instrument, LengthGauge, Noise, Setup
 
 POSITION = np.array([[3.0, 3.0, 2.0], [4.6, 1.9, 1.9], [1.9, 4.6, 2.1], [5.3, 4.4, 1.95], [3.9, 5.5, 2.05]])
 YAW = np.radians([225.0, 10.0, 100.0, 300.0, 40.0])
@@ -30,7 +30,7 @@ def survey(faces: tuple[int, ...] = (1, 2), stations: int = 5, **changes: object
             lengths.append(GaugeDistance(**{"from": names[i], "to": names[j]}, length_mm=length, sigma_mm=0.003))
     noise = Noise(distance_mm=0.004, distance_ppm=0.0, azimuth_arcsec=0.6, elevation_arcsec=0.6)
     made = PlannedSurvey(
-        setup=Setup(instrument=Instrument(noise=noise), gauge=Gauge(distance=tuple(lengths))),
+        setup=Setup(instrument=Instrument(noise=noise), gauge=LengthGauge(distance=tuple(lengths))),
         station_names=tuple(f"S{i + 1}" for i in range(stations)),
         target_names=names,
         station_positions=POSITION[:stations],

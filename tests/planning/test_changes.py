@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
@@ -141,5 +141,5 @@ def test_bodies_and_groups_that_are_not_there_are_told(tmp_path: Path) -> None:
     ):
         text = HALL.replace("[search]", f"[reflectors]\n{given}\n[search]")
         (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
-        with pytest.raises(SetupError, match=sentence):
+        with pytest.raises(InputError, match=sentence):
             load_plan(tmp_path / "hall.toml")

@@ -12,7 +12,7 @@ import trimesh
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.planning import reasons, work_order
 from ltsim.planning.loading import load_plan, read_points
 from ltsim.planning.planner import StationCountResult
@@ -121,7 +121,7 @@ def test_holes_ceilings_and_clearance_take_floor_away() -> None:
 def test_what_is_wrong_with_a_hall_is_one_sentence(hall: Path, old: str, new: str, sentence: str) -> None:
     assert old in HALL
     hall.write_text(HALL.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(SetupError) as caught:
+    with pytest.raises(InputError) as caught:
         load_plan(hall)
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -156,7 +156,7 @@ def test_points_in_a_thousandth_of_the_room_are_a_question(hall: Path, scale: fl
     if scale == 1.0:
         load_plan(hall)
         return
-    with pytest.raises(SetupError, match=r"all points lie within .* mm of the corner of the hall; if .* x_m, y_m, z_m"):
+    with pytest.raises(InputError, match=r"all points lie within .* mm of the corner of the hall; if .* x_m, y_m, z_m"):
         load_plan(hall)
 
 
@@ -176,7 +176,7 @@ def test_points_in_a_thousandth_of_the_room_are_a_question(hall: Path, scale: fl
 def test_what_is_wrong_with_a_list_is_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
     file = tmp_path / "p.csv"
     file.write_text(text, encoding="utf-8")
-    with pytest.raises(SetupError) as caught:
+    with pytest.raises(InputError) as caught:
         read_points(file)
     assert str(caught.value).startswith(str(file))
     assert sentence in str(caught.value)
@@ -276,7 +276,7 @@ def test_points_in_sight_from_nowhere_are_named(hall: Path) -> None:
     hall.write_text(HALL.replace("[search]", goal), encoding="utf-8")
     inside = points_csv() + "IN,6000,4000,1000,machine,\n"
     (hall.parent / "points.csv").write_text(inside, encoding="utf-8")
-    with pytest.raises(SetupError, match=r"^no place on the floor sees IN, .* mm; IN lies inside an obstacle"):
+    with pytest.raises(InputError, match=r"^no place on the floor sees IN, .* mm; IN lies inside an obstacle"):
         lt.plan(hall)
 
 

@@ -8,7 +8,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.remedies.detectability import detectability_of_variants
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.core.errors import NetworkError, SetupError
+from ltsim.core.errors import InputError, NetworkError
 from ltsim.core.randomness import random_stream
 from ltsim.geometry.rigid import matrix_from_rotation_vector
 from ltsim.physics.effects.index_drift import IndexDrift
@@ -197,7 +197,7 @@ def test_a_lost_layout_does_not_spoil_its_neighbours_in_the_batch() -> None:
 def test_rotation_of_a_survey_is_about_the_vertical() -> None:
     made = survey()
     assert made.station_rotations == pytest.approx(matrix_from_rotation_vector(np.outer(YAW, [0, 0, 1])), abs=1e-15)
-    with pytest.raises(SetupError, match="faces are"):
+    with pytest.raises(InputError, match="faces are"):
         survey((1, 3))
 
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.core.errors import ModelError, SetupError
+from ltsim.core.errors import InputError, ModelError
 from ltsim.planning import multistart_search
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan, plan_names, plan_text
@@ -104,7 +104,7 @@ def test_ranges_alone_are_planned_for(tmp_path: Path) -> None:
     assert made.layout.expected_criteria is None
     content = Plan.from_network(made)
     assert {p.name for p in content.parameters} == {"range-offset", "range-scale", "transit-offset"}
-    with pytest.raises(SetupError, match="but the plan requires only 2 to see it"):
+    with pytest.raises(InputError, match="but the plan requires only 2 to see it"):
         make_plan(
             file.model_copy(update={"stations": file.stations.model_copy(update={"min_stations_per_target": 2})}),
             ranges,
@@ -182,7 +182,7 @@ def test_a_budget_in_hours_buys_the_best_that_it_pays_for(tmp_path: Path) -> Non
     made = make_plan(*load_plan(small(text, tmp_path)))
     assert made.layout.survey.repeats == 2
     poor = text.replace("1.8", "0.5")
-    with pytest.raises(SetupError, match=r"the fastest procedure takes 1\.4 h"):
+    with pytest.raises(InputError, match=r"the fastest procedure takes 1\.4 h"):
         make_plan(*load_plan(small(poor, tmp_path)))
 
 
@@ -250,17 +250,17 @@ def test_built_in_plans_load_and_print() -> None:
 def test_what_is_wrong_with_a_file_is_said_in_one_sentence(text: str, sentence: str, tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text(HEAD + text, encoding="utf-8")
-    with pytest.raises(SetupError) as caught:
+    with pytest.raises(InputError) as caught:
         load_plan(path)
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_no_such_file_and_no_floor(tmp_path: Path) -> None:
-    with pytest.raises(SetupError, match="no such file, and no built-in plan"):
+    with pytest.raises(InputError, match="no such file, and no built-in plan"):
         load_plan(tmp_path / "nowhere.toml")
     file = PlanFile.model_validate({"floor": {"margin_mm": 3000}})
-    with pytest.raises(SetupError, match="leaves no floor"):
+    with pytest.raises(InputError, match="leaves no floor"):
         make_plan(file.model_copy(update={"search": SearchSettings(starts=1)}), load_scenario("paper-workshop"))
 
 

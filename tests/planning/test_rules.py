@@ -12,7 +12,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.planning.loading import load_plan
 from ltsim.planning.planner import evaluate_plan
 from ltsim.planning.result import Plan, load_plan_and_scenario
@@ -83,7 +83,7 @@ def hall(tmp_path: Path) -> Path:
 def test_a_place_that_breaks_a_rule_is_refused_by_name(
     first: tuple[float, ...], second: tuple[float, ...], rule: str, hall: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SetupError, match="^" + re.escape(f"move: {rule}")):
+    with pytest.raises(InputError, match="^" + re.escape(f"move: {rule}")):
         lt.plan(hall, move={"S1": first, "S2": second})
     moves = [f"--move={name}={','.join(map(str, place))}" for name, place in (("S1", first), ("S2", second))]
     assert run(["plan", str(hall), *moves]) == 2
@@ -101,10 +101,10 @@ def test_a_place_that_breaks_a_rule_is_refused_by_name(
 def test_two_tripods_in_one_place_are_never_reached(hall: Path) -> None:
     """The spacing cannot be switched off, and stations that are not moved are tested too."""
     hall.write_text(PLAN.replace("[stations]", "[stations]\nspacing_mm = 0"))
-    with pytest.raises(SetupError, match=r"stations.spacing_mm is 0"):
+    with pytest.raises(InputError, match=r"stations.spacing_mm is 0"):
         lt.plan(hall)
     hall.write_text(PLAN.replace("[stations]", "[stations]\nspacing_mm = 1"))
-    with pytest.raises(SetupError, match=r"^move: S1 and S2 are 0.00 m apart, closer than 0.001 m"):
+    with pytest.raises(InputError, match=r"^move: S1 and S2 are 0.00 m apart, closer than 0.001 m"):
         lt.plan(hall, move={"S1": (2500, 2000), "S2": (2500, 2000)})
     file, site = plan_without_search(*load_plan_and_scenario(hall))
     together = np.tile(site.survey.station_positions[:1], (2, 1))
@@ -140,7 +140,7 @@ def test_sights_that_break_a_rule_are_reported_and_never_reached(hall: Path) -> 
 
 @pytest.mark.parametrize("place", [(1.0,), (1, 2, 3, 4, 5), (float("nan"), 2.0), ()])
 def test_a_move_has_two_to_four_numbers(place: tuple[float, ...], hall: Path) -> None:
-    with pytest.raises(SetupError, match=r"^move S1=.*: expected STATION=X,Y or"):
+    with pytest.raises(InputError, match=r"^move S1=.*: expected STATION=X,Y or"):
         lt.plan(hall, move={"S1": place})
 
 
@@ -212,7 +212,7 @@ def test_places_of_reflectors_are_bounded_before_any_is_made(rows: int, hall: Pa
     file.write_text(
         'format = "ltsim-plan/1"\nscenario = "paper-workshop"\n' + "".join(map(surface.format, range(count)))
     )
-    with pytest.raises(SetupError, match=f"reflectors: {count * rows * 100} candidate places, expected at most 3000"):
+    with pytest.raises(InputError, match=f"reflectors: {count * rows * 100} candidate places, expected at most 3000"):
         lt.plan(file)
 
 
@@ -222,7 +222,7 @@ def test_a_fine_grid_of_a_hall_is_refused_before_it_is_built(tmp_path: Path) -> 
     (tmp_path / "plan.toml").write_text(re.sub(r"grid_step_mm = .*", "grid_step_mm = 5", PLAN))
     tracemalloc.start()
     try:
-        with pytest.raises(SetupError, match=r"a grid of 5 mm .* the limit is 200000"):
+        with pytest.raises(InputError, match=r"a grid of 5 mm .* the limit is 200000"):
             load_plan(tmp_path / "plan.toml")
         assert tracemalloc.get_traced_memory()[1] < 50e6
     finally:
@@ -242,7 +242,7 @@ def test_parts_of_a_floor_are_bounded(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text(POINTS)
     door = "[[floor.doors]]\nfrom_mm = [0, 0]\nto_mm = [1, 0]\n"
     (tmp_path / "plan.toml").write_text(PLAN + door * 201)
-    with pytest.raises(SetupError, match=r"floor\.doors .*at most 200"):
+    with pytest.raises(InputError, match=r"floor\.doors .*at most 200"):
         load_plan(tmp_path / "plan.toml")
 
 
@@ -250,5 +250,5 @@ def test_points_of_a_plan_are_bounded(tmp_path: Path) -> None:
     """16,000 points took 2.1 GB."""
     (tmp_path / "points.csv").write_text("name,x_mm,y_mm,z_mm\n" + "".join(f"P{i},{i},1,2\n" for i in range(2001)))
     (tmp_path / "plan.toml").write_text('format = "ltsim-plan/1"\npoints = "points.csv"\n')
-    with pytest.raises(SetupError, match="2001 points, expected at most 2000"):
+    with pytest.raises(InputError, match="2001 points, expected at most 2000"):
         lt.plan(tmp_path / "plan.toml")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.randomness import random_stream
 from ltsim.physics.effects.station_weather import StationWeather
 from ltsim.physics.model.construction import misalignment_construction
@@ -186,7 +186,7 @@ def test_sights_past_an_edge_hold_when_the_tripod_stands_off_its_place() -> None
 
 
 def test_all_targets_that_no_place_sees_are_named() -> None:
-    with pytest.raises(SetupError, match=r"no place on the floor sees \w+, .*, from heads at .* mm; raise the heads"):
+    with pytest.raises(InputError, match=r"no place on the floor sees \w+, .*, from heads at .* mm; raise the heads"):
         searcher(site(sight_limits=SightLimits(range_max=2.0))).search_from(0, 1)
 
 
@@ -196,7 +196,7 @@ def test_least_stations_a_target_lets_single_sights_go() -> None:
     visible = where.is_visible(made.positions)
     assert not visible.all()
     assert (visible.sum(axis=0) >= 2).all()
-    with pytest.raises(SetupError, match="no place on the floor sees every reflector"):
+    with pytest.raises(InputError, match="no place on the floor sees every reflector"):
         searcher(site(sight_limits=SightLimits(range_max=5.5))).search_from(0, 1)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.planning.loading import load_plan
 from ltsim.planning.plan_search import max_stations_seeing_every_target, with_feasible_min_sights
 from ltsim.planning.search_inputs import make_search_space
@@ -37,7 +37,7 @@ def test_asking_for_too_much_is_answered_with_the_key_and_the_number() -> None:
     found, limiting = max_stations_seeing_every_target(short_sighted(3), 0.5, 2)
     asked = PlanFile(stations=StationSettings(min_stations_per_target="all"))
     with pytest.raises(
-        SetupError, match=rf"set stations.min_stations_per_target = {found}, move {limiting}, or enlarge the floor"
+        InputError, match=rf"set stations.min_stations_per_target = {found}, move {limiting}, or enlarge the floor"
     ):
         with_feasible_min_sights(asked, short_sighted(3))
     assert with_feasible_min_sights(asked, site()) is asked

@@ -10,7 +10,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.planning.proposals import MeasurementProposalEntry, NextMeasurement
 from ltsim.planning.result import load_plan_and_scenario
 from ltsim.recordings import Recording
@@ -107,7 +107,7 @@ def test_the_command_says_what_it_knows_of_the_hall(
 def test_a_recording_without_positions_and_common_points_is_refused(hall: Path, measured: Recording) -> None:
     setup = measured.setup.model_copy(update={"stations": {}, "targets": {}})
     renamed = tuple(f"T{i}" for i in range(len(measured.targets)))
-    with pytest.raises(SetupError, match=r"position_mm of the stations in setup.toml, or name targets as in the plan"):
+    with pytest.raises(InputError, match=r"position_mm of the stations in setup.toml, or name targets as in the plan"):
         lt.next_measurement(measured.replace(setup=setup, targets=renamed), site=hall)
 
 
@@ -134,15 +134,15 @@ def test_rounded_positions_of_stations_do_not_move_the_network_on_the_site(hall:
 
 
 def test_a_site_in_other_axes_is_refused(hall: Path, measured: Recording, tmp_path: Path) -> None:
-    with pytest.raises(SetupError, match=r"places station S1 at \(.*\) m, but .* place it at .*: the axes differ"):
+    with pytest.raises(InputError, match=r"places station S1 at \(.*\) m, but .* place it at .*: the axes differ"):
         lt.next_measurement(with_stated_places(measured, 3000.0, 0.0), site=hall)
     other = tmp_path / "other.toml"
     mirrored = "\n".join(
         f"x_mm = {9000 - int(line[7:])}" if line.startswith("x_mm") else line for line in HALL.splitlines()
     )
     other.write_text(mirrored + "\n")
-    with pytest.raises(SetupError, match=r"do not fit them: .* m off; name the plan of this hall, or rename"):
+    with pytest.raises(InputError, match=r"do not fit them: .* m off; name the plan of this hall, or rename"):
         lt.next_measurement(measured, site=other)
     renamed = measured.replace(targets=tuple(f"T{i}" for i in range(len(measured.targets))))
-    with pytest.raises(SetupError, match=r"no station of the recording stands on the permitted floor of .*: S1 is at"):
+    with pytest.raises(InputError, match=r"no station of the recording stands on the permitted floor of .*: S1 is at"):
         lt.next_measurement(with_stated_places(renamed, 30000.0, 0.0), site=hall)

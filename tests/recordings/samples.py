@@ -11,7 +11,7 @@ from ltsim.core.errors import RecordError
 from ltsim.geometry.polar import to_face, to_polar
 from ltsim.geometry.rigid import rotation_about_z
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.setup import Gauge, GaugeDistance, Setup
+from ltsim.recordings.setup import GaugeDistance, LengthGauge, Setup
 
 POINTS = np.array(
     [
@@ -39,7 +39,7 @@ def workshop(*, faces: int = 2, turn: np.ndarray | None = None) -> Recording:
                 rows.append((s, t, face, *raw))
     table = np.array(rows)
     length = float(np.linalg.norm(POINTS[1] - POINTS[0])) * 1e3
-    gauge = Gauge(distance=(GaugeDistance(from_="T1", to="T2", length_mm=length, sigma_mm=0.002),))
+    gauge = LengthGauge(distance=(GaugeDistance(from_="T1", to="T2", length_mm=length, sigma_mm=0.002),))
     count = len(table)
     return Recording(
         setup=Setup(title="workshop", gauge=gauge),

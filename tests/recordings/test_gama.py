@@ -13,7 +13,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.units import ARCSECOND, GON
 from ltsim.physics.model.nuisances import shared_errors
 from ltsim.recordings import Recording, read, write
-from ltsim.recordings.setup import Gauge, Setup, Station, Target
+from ltsim.recordings.setup import LengthGauge, Setup, Station, Target
 from tests.recordings.samples import outcome, shared, workshop
 
 HEAD = '<?xml version="1.0" ?>\n<gama-local xmlns="http://www.gnu.org/software/gama/gama-local">\n'
@@ -263,7 +263,7 @@ def test_an_export_reads_back(tmp_path: Path, data: st.DataObject) -> None:
 
 def test_faces_are_reduced_and_gauges_become_distances(tmp_path: Path) -> None:
     recording = workshop(faces=2)
-    gauge = Gauge(distance=recording.gauge.distance, calibrated_at_c=20, measured_at_c=30, expansion_per_k=1e-5)
+    gauge = LengthGauge(distance=recording.gauge.distance, calibrated_at_c=20, measured_at_c=30, expansion_per_k=1e-5)
     write(levelled(recording, gauge=gauge), tmp_path / "out.gkf", "gama-local")
     back = read(tmp_path / "out.gkf")
     front = workshop(faces=1)

@@ -15,7 +15,7 @@ from ltsim.recordings.centring_errors import CentringUncertainty
 from ltsim.recordings.native import MAX_COMPARED_NAMES, _similar_names, read_recording, write_recording
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.settings import read_setup, setup_to_toml
-from ltsim.recordings.setup import Gauge, Instrument, Noise, Prior, Setup, Station, Target
+from ltsim.recordings.setup import Instrument, LengthGauge, Noise, Prior, Setup, Station, Target
 from tests.recordings.samples import outcome, same, shared, workshop
 
 NO_FIXTURE_CHECK = [HealthCheck.function_scoped_fixture]
@@ -372,7 +372,7 @@ def setups(draw: st.DrawFn) -> Setup:
         title=draw(st.text(max_size=30).filter(lambda t: t.isprintable())),
         instrument=draw(instrument),
         instruments=instruments,
-        gauge=draw(st.none() | st.builds(Gauge, measured_at_c=signed)),
+        gauge=draw(st.none() | st.builds(LengthGauge, measured_at_c=signed)),
         stations=draw(stations),
         targets=draw(targets),
     )

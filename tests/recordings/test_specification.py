@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.core.errors import ModelError, RecordError, SetupError
+from ltsim.core.errors import InputError, ModelError, RecordError
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
 from ltsim.recordings.specification import (
     MPE_COVERAGE_FACTOR,
@@ -33,11 +33,11 @@ def limits_of(noise: dict[str, float], prior: dict[str, float], *, own_zero: boo
     zero = [noise["distance_mm"]] if own_zero else [noise["distance_mm"], prior["range_offset_mm"]]
     angle = np.hypot(noise["azimuth_arcsec"], np.sqrt(2) * prior["angle_arcsec"])
     return {
-        "transverse_um": MPE_COVERAGE_FACTOR * prior["offset_mm"] * MILLIMETRE / MICROMETRE,
-        "transverse_um_per_m": MPE_COVERAGE_FACTOR * angle * ARCSECOND / MICROMETRE,
-        "range_um": MPE_COVERAGE_FACTOR * float(np.linalg.norm(zero)) * MILLIMETRE / MICROMETRE,
-        "range_um_per_m": MPE_COVERAGE_FACTOR * float(np.hypot(noise["distance_ppm"], prior["range_scale_ppm"])),
-        "range_offset_um": MPE_COVERAGE_FACTOR * prior["range_offset_mm"] * MILLIMETRE / MICROMETRE
+        "transverse_limit_um": MPE_COVERAGE_FACTOR * prior["offset_mm"] * MILLIMETRE / MICROMETRE,
+        "transverse_limit_um_per_m": MPE_COVERAGE_FACTOR * angle * ARCSECOND / MICROMETRE,
+        "range_limit_um": MPE_COVERAGE_FACTOR * float(np.linalg.norm(zero)) * MILLIMETRE / MICROMETRE,
+        "range_limit_um_per_m": MPE_COVERAGE_FACTOR * float(np.hypot(noise["distance_ppm"], prior["range_scale_ppm"])),
+        "range_offset_limit_um": MPE_COVERAGE_FACTOR * prior["range_offset_mm"] * MILLIMETRE / MICROMETRE
         if own_zero
         else 0.0,
     }
@@ -47,9 +47,9 @@ def limits_of(noise: dict[str, float], prior: dict[str, float], *, own_zero: boo
 def test_noise_and_prior_give_the_stated_limits_back(name: str) -> None:
     stated = data_sheet_values(name)
     tables = noise_and_prior_tables(name, RANGE_TABLES)
-    made = limits_of(tables["noise"], tables["prior"], own_zero="range_offset_um" in stated)
+    made = limits_of(tables["noise"], tables["prior"], own_zero="range_offset_limit_um" in stated)
     known = [key for key in made if key in stated and (name in WHOLE or key.startswith("transverse"))]
-    assert known[:2] == ["transverse_um", "transverse_um_per_m"]
+    assert known[:2] == ["transverse_limit_um", "transverse_limit_um_per_m"]
     assert {key: made[key] for key in known} == pytest.approx({key: stated[key] for key in known}, abs=3e-3, rel=1e-5)
 
 
@@ -61,7 +61,7 @@ def test_every_sheet_says_where_its_figures_stand() -> None:
 
 
 def test_no_range_is_guessed() -> None:
-    with pytest.raises(ModelError, match="leica-at960 does not give range_um"):
+    with pytest.raises(ModelError, match="leica-at960 does not give range_limit_um"):
         data_sheet("leica-at960")
     with pytest.raises(ModelError, match=r"give the error of ranges; set prior\.range_scale_ppm, prior\.range_offset"):
         noise_and_prior_tables("api-radian", {"noise": RANGE_TABLES["noise"]})
@@ -69,11 +69,11 @@ def test_no_range_is_guessed() -> None:
 
 def test_a_specification_completes_a_sheet() -> None:
     plan = {"standard": "asme-b89.4.19-2006", "instrument": "leica-at960"}
-    with pytest.raises(SetupError, match="does not give range_um; set it in the table"):
+    with pytest.raises(InputError, match="does not give range_limit_um; set it in the table"):
         lt.accept(plan)
-    found = lt.accept({**plan, "specification": {"range_um": 10}}).specification
-    assert (found.transverse_um, found.range_um, found.range_um_per_m) == (15, 10, 0.5)
-    assert found.source.endswith("not from the data sheet: range_um")
+    found = lt.accept({**plan, "specification": {"range_limit_um": 10}}).specification
+    assert (found.transverse_limit_um, found.range_limit_um, found.range_limit_um_per_m) == (15, 10, 0.5)
+    assert found.source.endswith("not from the data sheet: range_limit_um")
 
 
 LIMITS_KNOWN = {
@@ -86,10 +86,10 @@ LIMITS_KNOWN = {
 
 def test_no_limit_of_another_instrument_is_kept() -> None:
     """A preset took the 20 m and the travel of the paper's tracker without a word."""
-    with pytest.raises(SetupError, match=r"the travel of the elevation axis; set limits.*limits.range_max_mm"):
+    with pytest.raises(InputError, match=r"the travel of the elevation axis; set limits.*limits.range_max_mm"):
         lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage"})
     some = {key: x for key, x in LIMITS_KNOWN.items() if "range_max" not in key}
-    with pytest.raises(SetupError, match=r"set limits\.range_max_mm$"):
+    with pytest.raises(InputError, match=r"set limits\.range_max_mm$"):
         lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **some})
 
 
@@ -97,13 +97,13 @@ def test_a_scenario_takes_a_sheet_as_preset() -> None:
     tracker = lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **LIMITS_KNOWN}).instrument
     assert tracker.limits.range_max_mm == 35_000.0
     assert tracker.noise.model_dump() == noise_and_prior_tables("faro-vantage", {})["noise"]
-    with pytest.raises(SetupError, match="does not give the error of ranges"):
+    with pytest.raises(InputError, match="does not give the error of ranges"):
         lt.scenario("paper-workshop", {"instrument.preset": "leica-at901"})
     own = {f"instrument.{table}.{key}": x for table, values in RANGE_TABLES.items() for key, x in values.items()}
     tracker = lt.scenario("paper-workshop", {"instrument.preset": "leica-at901", **own, **LIMITS_KNOWN}).instrument
     assert tracker.noise.distance_mm == 0.004
     assert tracker.noise.azimuth_arcsec == pytest.approx(
-        data_sheet_values("leica-at901")["transverse_um_per_m"] * 0.0729, rel=1e-3
+        data_sheet_values("leica-at901")["transverse_limit_um_per_m"] * 0.0729, rel=1e-3
     )
 
 
@@ -127,11 +127,11 @@ def test_a_recording_takes_a_sheet(tmp_path: Path) -> None:
 
 
 def test_what_a_specification_of_ones_own_becomes() -> None:
-    own = Specification(transverse_um=0, transverse_um_per_m=6, range_um=10, range_um_per_m=0)
+    own = Specification(transverse_limit_um=0, transverse_limit_um_per_m=6, range_limit_um=10, range_limit_um_per_m=0)
     stated = own.to_instrument()
     made = limits_of(stated.noise.model_dump(), stated.prior.model_dump(), own_zero=False)
-    assert made["transverse_um_per_m"] == pytest.approx(6)
-    assert made["range_um"] == pytest.approx(10)
+    assert made["transverse_limit_um_per_m"] == pytest.approx(6)
+    assert made["range_limit_um"] == pytest.approx(10)
     assert "2 standard deviations" in own.assumption_sentence
 
 

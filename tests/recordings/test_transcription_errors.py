@@ -11,18 +11,18 @@ from ltsim.core.errors import ModelError, RecordError
 from ltsim.physics.effects.wrong_unit import WrongUnit
 from ltsim.recordings.native import write_recording
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS, TranscriptionError, error_from_lengths
+from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS, ColumnConversion, error_from_lengths
 from tests.networks import network
 
 ANGULAR = [slip for slip in UNIT_ERRORS if 0 not in slip.changed_columns and slip.name != "clockwise"]
 
 
-def slipped(recording: Recording, slip: TranscriptionError) -> Recording:
+def slipped(recording: Recording, slip: ColumnConversion) -> Recording:
     return recording.with_readings(slip.with_error(recording.readings))
 
 
 @pytest.mark.parametrize("slip", [*UNIT_ERRORS, *FACE_ERRORS], ids=lambda slip: slip.name)
-def test_what_is_mended_is_what_was_read(slip: TranscriptionError) -> None:
+def test_what_is_mended_is_what_was_read(slip: ColumnConversion) -> None:
     readings = np.random.default_rng(3).uniform(0.1, 3.0, (9, 3))
     written = slip.with_error(readings)
     np.testing.assert_allclose(slip.without_error(written), readings, rtol=1e-14)
@@ -37,7 +37,7 @@ def test_the_effect_knows_every_slip_and_no_other() -> None:
 
 
 @pytest.mark.parametrize("slip", ANGULAR, ids=lambda slip: slip.name)
-def test_lengths_tell_which_slip_a_network_on_one_face_holds(slip: TranscriptionError) -> None:
+def test_lengths_tell_which_slip_a_network_on_one_face_holds(slip: ColumnConversion) -> None:
     recording, _ = network(seed=2)
     wrong = slipped(recording, slip)
     assert error_from_lengths(recording.readings, recording.station, recording.target) is None

@@ -15,7 +15,7 @@ import pytest
 import ltsim as lt
 from ltsim.campaigns.recovery_checks import recovery_checks
 from ltsim.cli.main import run
-from ltsim.core.errors import ModelError, SetupError
+from ltsim.core.errors import InputError, ModelError
 from ltsim.recordings import Recording
 from ltsim.simulation.scenario import scenario_to_toml
 from tests.families import family
@@ -61,7 +61,7 @@ def test_tolerances_are_of_the_parameters_that_they_name(two_faces: Any) -> None
     narrow = lt.recover(SCENE, tolerance={"beam-tilt": "0.01 arcsec"}, **how).failed_checks()
     assert narrow[0].sentence().startswith("beam-tilt fails: share of errors within 0.01 arcsec")
     for words, says in (({"beam-tilt": "2 mm"}, "expected a quantity"), ({"bean": "2 urad"}, "to none of")):
-        with pytest.raises(SetupError, match=says):
+        with pytest.raises(InputError, match=says):
             lt.recover(SCENE, tolerance=words, **how)
 
 

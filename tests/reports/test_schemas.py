@@ -102,7 +102,12 @@ ACCEPT: dict[str, Any] = {
     "format": "ltsim-accept/1",
     "error_origin": "measured",
     "plan_name": "plan.csv",
-    "specification": {"transverse_um": 1, "transverse_um_per_m": 1, "range_um": 1, "range_um_per_m": 1},
+    "specification": {
+        "transverse_limit_um": 1,
+        "transverse_limit_um_per_m": 1,
+        "range_limit_um": 1,
+        "range_limit_um_per_m": 1,
+    },
     "pass_probability": 1,
     "sentence": "all errors are within their limits",
     "groups": [{"name": "bar", "n_tests": 1, "pass_probability": 1, "largest_limit_ratio": 0.5}],
@@ -117,7 +122,10 @@ ACCEPT: dict[str, Any] = {
         (lambda c: c["tests"][0].update(limit_um=0), r"tests\.0\.limit_um: Input should be greater than 0"),
         (lambda c: c.update(tests=[]), "tests: Tuple should have at least 1 item"),
         (lambda c: c.update(groups=[]), "groups: Tuple should have at least 1 item"),
-        (lambda c: c["specification"].update(range_um=0, range_um_per_m=0), "0 in both range_um and range_um_per_m"),
+        (
+            lambda c: c["specification"].update(range_limit_um=0, range_limit_um_per_m=0),
+            "0 in both range_limit_um and range_limit_um_per_m",
+        ),
     ],
 )
 def test_figures_that_others_are_divided_by_are_not_0(change: Any, words: str, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 import ltsim as lt
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.planning.loading import load_plan
 from ltsim.scene.cad import Y_UP_TO_Z_UP, read_mesh
 from ltsim.simulation.workshop import placed_obstacles
@@ -86,7 +86,7 @@ def test_a_damaged_file_is_one_sentence_and_nothing_else(suffix: str, tmp_path: 
     pytest.importorskip("cascadio", reason="the extra step is not installed")
     file = tmp_path / f"bad{suffix}"
     file.write_text(HEADER + "#1=NONSENSE(;\n")
-    with pytest.raises(SetupError, match=rf"bad\{suffix}: is not a complete"):
+    with pytest.raises(InputError, match=rf"bad\{suffix}: is not a complete"):
         read_mesh(file)
     assert capfd.readouterr() == ("", "")
 
@@ -94,7 +94,7 @@ def test_a_damaged_file_is_one_sentence_and_nothing_else(suffix: str, tmp_path: 
 def test_a_gltf_in_several_files_is_one_sentence(tmp_path: Path) -> None:
     for name, content in trimesh.creation.box().export(file_type="gltf").items():
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(SetupError, match=r"gltf: stores its surfaces in other files \(.*bin\); export it as .glb"):
+    with pytest.raises(InputError, match=r"gltf: stores its surfaces in other files \(.*bin\); export it as .glb"):
         read_mesh(tmp_path / "model.gltf")
 
 
@@ -102,7 +102,7 @@ def test_without_the_library_the_sentence_says_what_to_install(tmp_path: Path, m
     monkeypatch.setitem(sys.modules, "cascadio", None)
     file = tmp_path / "machine.step"
     file.write_text("ISO-10303-21;")
-    with pytest.raises(SetupError, match=r'machine.step: .*pip install "ltsim\[step\]", or export it .* as STL'):
+    with pytest.raises(InputError, match=r'machine.step: .*pip install "ltsim\[step\]", or export it .* as STL'):
         read_mesh(file)
 
 
@@ -212,7 +212,7 @@ def test_a_body_that_cannot_be_meant_so_is_a_question(
     if scale != 1.0:
         trimesh.load(tmp_path / name).apply_scale(scale).export(tmp_path / name)
     plan.write_text(plan.read_text().replace(PLACE, place))
-    with pytest.raises(SetupError) as caught:
+    with pytest.raises(InputError) as caught:
         load_plan(plan)
     assert str(caught.value).startswith(str(tmp_path / name))
     assert sentence in str(caught.value)
@@ -233,9 +233,9 @@ def test_single_precision_at_grid_coordinates_is_refused_where_it_is_lost(suffix
     if suffix == "obj":
         assert np.ptp(read_mesh(tmp_path / "far.obj").triangles, axis=(0, 1)) == pytest.approx([1.0, 0.8, 0.6])
         return
-    with pytest.raises(SetupError, match=r"single precision .* resolution is 512 mm; export it with its origin near"):
+    with pytest.raises(InputError, match=r"single precision .* resolution is 512 mm; export it with its origin near"):
         read_mesh(tmp_path / "far.stl")
-    with pytest.raises(SetupError, match=r"resolution is 5.12e\+05 mm"):
+    with pytest.raises(InputError, match=r"resolution is 5.12e\+05 mm"):
         read_mesh(tmp_path / "far.stl", unit="m")
     near = trimesh.creation.box((1000.0, 800.0, 600.0))
     near.apply_translation((2.7e5, 5.3e5, 4.7e3))
@@ -247,7 +247,7 @@ def test_single_precision_at_grid_coordinates_is_refused_where_it_is_lost(suffix
 def test_a_body_that_vanishes_on_the_grid_is_one_sentence(suffix: str, tmp_path: Path) -> None:
     file = tmp_path / f"body{suffix}"
     trimesh.creation.box(extents=(1e-9, 1e-9, 1e-9)).export(file)
-    with pytest.raises(SetupError, match=r"body\.\w+: has no triangle larger than 10 um"):
+    with pytest.raises(InputError, match=r"body\.\w+: has no triangle larger than 10 um"):
         read_mesh(file)
 
 
@@ -255,5 +255,5 @@ def test_a_body_whose_points_have_two_coordinates_is_refused(tmp_path: Path) -> 
     """The rows of points were divided by three: a traceback."""
     file = tmp_path / "flat.obj"
     file.write_text("v 0 0\nv 300 0\nv 300 300\nv 0 300\nf 1 2 3\nf 1 3 4\n")
-    with pytest.raises(SetupError, match="without three coordinates"):
+    with pytest.raises(InputError, match="without three coordinates"):
         read_mesh(file)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.scene.cad import read_mesh
 from ltsim.scene.meshes import (
     N_CYLINDER_SIDES,
@@ -142,11 +142,11 @@ def test_cad_files_give_the_same_triangles(suffix: str, tmp_path: Path) -> None:
 def test_damaged_files_get_one_sentence(name: str, content: bytes, message: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_bytes(content)
-    with pytest.raises(SetupError, match=message) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         read_mesh(path, "mm", "z")
     assert "\n" not in str(caught.value)
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(SetupError, match=r"gone\.stl: cannot be read"):
+    with pytest.raises(InputError, match=r"gone\.stl: cannot be read"):
         read_mesh(tmp_path / "gone.stl", "mm")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.simulation.draws import StandardNormalSource
 from ltsim.simulation.fieldwork import make_measurement_geometry
 from ltsim.simulation.scenario import load_scenario
@@ -59,15 +59,15 @@ def square(diagonal_mm: float) -> list[dict[str, object]]:
 def test_own_gauges_need_all_their_lengths_and_must_fit_in_space() -> None:
     table = {"targets": ("A", "B", "C", "D"), "position_mm": PLACE}
     assert len(make_gauge_frame(ScenarioGauge.model_validate({**table, "distance": square(300 * 2**0.5)})).lengths) == 6
-    with pytest.raises(SetupError, match="the lengths contradict each other"):
+    with pytest.raises(InputError, match="the lengths contradict each other"):
         make_gauge_frame(ScenarioGauge.model_validate({**table, "distance": square(500.0)}))
-    with pytest.raises(SetupError, match="the length B-D is missing"):
+    with pytest.raises(InputError, match="the length B-D is missing"):
         make_gauge_frame(ScenarioGauge.model_validate({**table, "distance": square(400.0)[:-1]}))
-    with pytest.raises(SetupError, match="is not a pair of"):
+    with pytest.raises(InputError, match="is not a pair of"):
         make_gauge_frame(
             ScenarioGauge.model_validate({**table, "distance": [{"from": "A", "to": "X", "length_mm": 1}]})
         )
-    with pytest.raises(SetupError, match="has 3 reflectors"):
+    with pytest.raises(InputError, match="has 3 reflectors"):
         make_gauge_frame(ScenarioGauge(position_mm=PLACE, targets=("A", "B", "C")))
 
 

@@ -10,7 +10,7 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.campaigns.truth import make_cell_truth
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.geometry.rigid import align_with_scale
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.search_inputs import planned_survey
@@ -61,7 +61,7 @@ def test_a_plan_and_trials_know_ranges_alone_and_nothing_between() -> None:
         False,
     ]
     angles = lt.scenario("paper-workshop", {"instrument.observables": ["azimuth", "elevation"]})
-    with pytest.raises(SetupError, match="or ranges only"):
+    with pytest.raises(InputError, match="or ranges only"):
         planned_survey(angles)
 
 

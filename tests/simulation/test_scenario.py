@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.simulation.builtin import builtin_names, builtin_text
 from ltsim.simulation.fieldwork import make_measurement_geometry
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
@@ -61,7 +61,7 @@ def test_a_file_may_say_only_what_differs_from_a_built_in_one(write: Write) -> N
     base = load_scenario("paper-workshop")
     assert changed.gauge is None and changed.work == base.work.model_copy(update={"repeats": 3})
     assert [*changed.targets] == [*base.targets] and changed.targets["T03"].position_mm == (50, 3901, 5900)
-    with pytest.raises(SetupError, match="did you mean paper-workshop"):
+    with pytest.raises(InputError, match="did you mean paper-workshop"):
         load_scenario(write(text.replace("workshop", "workshp")))
 
 
@@ -106,7 +106,7 @@ WRONG = [
 @pytest.mark.parametrize(("old", "new", "message"), WRONG)
 def test_wrong_files_get_one_sentence_with_file_and_key(old: str, new: str, message: str, write: Write) -> None:
     assert old in MINIMAL
-    with pytest.raises(SetupError, match=message) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         load_scenario(write(MINIMAL.replace(old, new)))
     assert "mine.toml" in str(caught.value) and "\n" not in str(caught.value)
 
@@ -129,20 +129,20 @@ PHYSICS = [
 def test_physics_that_does_not_exist_is_refused(text: str, message: str, write: Write) -> None:
     from ltsim.simulation.simulator import simulate
 
-    with pytest.raises(SetupError, match=message):
+    with pytest.raises(InputError, match=message):
         simulate(load_scenario(write(MINIMAL + text)), 1)
 
 
 def test_unknown_names_are_refused_with_the_closest() -> None:
-    with pytest.raises(SetupError, match="did you mean paper-workshop"):
+    with pytest.raises(InputError, match="did you mean paper-workshop"):
         load_scenario("paper-workshp")
-    with pytest.raises(SetupError, match="no built-in scenario"):
+    with pytest.raises(InputError, match="no built-in scenario"):
         builtin_text("nothing-like-it")
 
 
 def test_a_station_that_sees_nothing_is_refused(write: Write) -> None:
     text = MINIMAL + "[[workshop.obstacles]]\nbox_mm = [1000, 1000, 3000]\nposition_mm = [3000, 3000, 0]\n"
-    with pytest.raises(SetupError, match=r"stations\.S1: sees no reflector \(A is station inside an obstacle\)"):
+    with pytest.raises(InputError, match=r"stations\.S1: sees no reflector \(A is station inside an obstacle\)"):
         make_measurement_geometry(load_scenario(write(text)), 1)
 
 
@@ -151,7 +151,7 @@ def test_cad_files_are_found_beside_the_scenario(write: Write, tmp_path: Path) -
     path = write(text)
     scenario = load_scenario(path)
     assert scenario.workshop.obstacles[0].file == str(tmp_path / "press.stl")
-    with pytest.raises(SetupError, match=r"press\.stl: cannot be read"):
+    with pytest.raises(InputError, match=r"press\.stl: cannot be read"):
         make_measurement_geometry(scenario, 1)
 
 
@@ -173,7 +173,7 @@ def test_cad_files_are_found_beside_the_scenario(write: Write, tmp_path: Path) -
     ],
 )
 def test_constants_that_mean_nothing_are_refused(write: Write, tables: str, says: str) -> None:
-    with pytest.raises(SetupError, match=re.escape(says)):
+    with pytest.raises(InputError, match=re.escape(says)):
         make_measurement_geometry(load_scenario(write(f"{MINIMAL}\n{tables}\n")), 1)
 
 

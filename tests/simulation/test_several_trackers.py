@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.randomness import random_stream
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.planning.search_inputs import planned_survey
@@ -140,7 +140,7 @@ def test_calibration_finds_the_errors_of_both_and_corrects_each_with_its_own() -
     ],
 )
 def test_wrong_input_gets_one_sentence(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(SetupError, match=message) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         simulate(change_scenario(TWO, changes, Path("two.toml")), 1)
     assert "\n" not in str(caught.value)
 
@@ -148,10 +148,10 @@ def test_wrong_input_gets_one_sentence(changes: dict[str, Any], message: str) ->
 def test_stations_name_trackers_only_where_there_are_some() -> None:
     table = PAPER.model_dump(mode="json", by_alias=True, exclude_none=True)
     table["stations"]["S2"]["instrument"] = "A"
-    with pytest.raises(SetupError, match="names 'A', which is not declared"):
+    with pytest.raises(InputError, match="names 'A', which is not declared"):
         validate_scenario(table, Path("paper.toml"))
 
 
 def test_a_plan_is_for_one_tracker() -> None:
-    with pytest.raises(SetupError, match="a plan needs one, in the table"):
+    with pytest.raises(InputError, match="a plan needs one, in the table"):
         planned_survey(TWO)

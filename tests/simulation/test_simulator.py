@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from ltsim.adjustment import adjust
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.units import ARCSECOND, MICROMETRE
 from ltsim.geometry.polar import to_polar, wrap_angle
 from ltsim.physics.effects import CATALOGUE, Effect, find_effect
@@ -179,7 +179,7 @@ def test_an_effect_on_the_noise_scales_the_same_draws() -> None:
 
 def test_more_noise_cannot_be_taken_away_than_there_is() -> None:
     entry = [{"name": "turbulence", "values": {p.name: -1e6 for p in find_effect("turbulence").parameters}}]
-    with pytest.raises(SetupError, match="turbulence makes a variance"):
+    with pytest.raises(InputError, match="turbulence makes a variance"):
         simulate(with_(PAPER, effects=entry), 1)
 
 
@@ -317,5 +317,5 @@ def test_an_effect_without_anything_to_act_on_is_told() -> None:
 def test_a_recording_of_too_many_pointings_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A million took 1 GB and 31 s."""
     monkeypatch.setattr("ltsim.simulation.fieldwork.MAX_SIMULATED_POINTINGS", 139)
-    with pytest.raises(SetupError, match="the scenario has 140 pointings, expected at most 139: give fewer"):
+    with pytest.raises(InputError, match="the scenario has 140 pointings, expected at most 139: give fewer"):
         simulate(load_scenario("paper-workshop"), 1)

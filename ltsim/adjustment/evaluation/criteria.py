@@ -84,12 +84,12 @@ class DisagreementEntry(Entry):
 
 
 class CriterionEntry(Entry):
-    """Disagreement by one criterion (distances or coordinates) before and after a calibration."""
+    """Disagreement of the stations in one quantity (distances between targets, or coordinates of targets)."""
 
     before: DisagreementEntry = DisagreementEntry()
-    """Disagreement of the uncorrected readings."""
+    """Disagreement of the stations with uncorrected readings."""
     after: DisagreementEntry | None = None
-    """Disagreement of the corrected readings; null without a calibration."""
+    """Disagreement of the stations with readings that a calibration corrects; null without a calibration."""
     improvement_percent: OptionalFloat = None
     """Decrease of the mean by the calibration, in percent of the mean before."""
 
@@ -107,7 +107,7 @@ class CriterionEntry(Entry):
 
     @property
     def text(self) -> str:
-        """Mean disagreement [um] before and after the calibration, as text in one line."""
+        """Mean disagreement [um] of the stations with each other before and after calibration, as text in one line."""
         if self.before.mean_um is None:
             return MISSING_TEXT
         before = f"{self.before.mean_um:.1f} um"
@@ -117,10 +117,10 @@ class CriterionEntry(Entry):
 
 
 class CriteriaEntry(Entry):
-    """Disagreement of the stations in distances and coordinates, before and after calibration."""
+    """Disagreement of the stations in distances and coordinates of targets, before and after calibration."""
 
     distance: CriterionEntry
-    """Deviations of distances from their mean over the stations."""
+    """Deviations of distances between targets from their mean over the stations."""
     coordinate: CriterionEntry
     """Deviations of coordinates between the stations after their rigid fit (Sensors 2021, 21, 7479, eq. 12)."""
     distance_to_first: CriterionEntry | None = None

@@ -1,9 +1,9 @@
 from ltsim.core.units import MICRORADIAN, SI_PER_UNIT
 from ltsim.physics.effects.effect import LightPathStage, Parameter
-from ltsim.physics.effects.places import Drift
+from ltsim.physics.effects.places import MotionDrift
 
 
-class AzimuthDrift(Drift):
+class AzimuthDrift(MotionDrift):
     """Drift of the azimuth zero: the base or the tripod head rotates, or the circle warms up.
 
     Correction of the azimuth = r t (at every station, or at one) or A exp(-t / tau), with the time t, the rate r, the

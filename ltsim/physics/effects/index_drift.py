@@ -1,9 +1,9 @@
 from ltsim.core.units import MICRORADIAN, SI_PER_UNIT
 from ltsim.physics.effects.effect import LightPathStage, Parameter
-from ltsim.physics.effects.places import Drift
+from ltsim.physics.effects.places import MotionDrift
 
 
-class IndexDrift(Drift):
+class IndexDrift(MotionDrift):
     """Drift of the vertical index: the head warms up and the zero of the elevation circle changes.
 
     Correction of the raw elevation = r t (over the recording, or from the start of every station) or A exp(-t / tau),

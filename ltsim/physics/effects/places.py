@@ -85,7 +85,7 @@ def first_pointing_time(sightings: Sightings) -> float:
 
 
 TimeLaw = Literal["visit", "linear", "exponential"]
-"""Name of the law of time of a drift, see `Drift.law`."""
+"""Name of the law of time of a drift, see `MotionDrift.law`."""
 
 WARM_UP_TIME_CONSTANT_PARAMETER = ShapeParameter(
     "time_constant", "min", "time constant of the warm-up", 600.0, 14_400.0, has_logarithmic_grid=True, n_grid_values=6
@@ -101,7 +101,7 @@ constants exceed `MAX_TIME_CONSTANT_RATIO`."""
 
 
 @dataclass(frozen=True)
-class Drift(Effect):
+class MotionDrift(Effect):
     """Base class of drifts: corrections of one motion of the kinematic chain that depend on time."""
 
     law: TimeLaw = "linear"

@@ -1,9 +1,9 @@
 from ltsim.core.units import MICROMETRE, SI_PER_UNIT
 from ltsim.physics.effects.effect import LightPathStage, Parameter
-from ltsim.physics.effects.places import Drift
+from ltsim.physics.effects.places import MotionDrift
 
 
-class RangeDrift(Drift):
+class RangeDrift(MotionDrift):
     """Drift of the range zero: electronics and head warm up.
 
     Delta_d = r t (over the recording, or from the start of every station) or A exp(-t / tau) (warm-up), with the time

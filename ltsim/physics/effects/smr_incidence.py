@@ -164,6 +164,10 @@ class SmrIncidence(Effect):
         )
 
     def reading_change(self, sightings: Sightings, parameter_values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings of n pointings by the table and by the parameters (14,) [m]."""
+        """Change (n, 3) [m, rad, rad] of the raw readings of n pointings by the incidence error; only ranges change.
+
+        The error is that of `table`, plus that of `parameter_values` (14,) [m], which are additions to the parameters
+        that correspond to the table (`parameters_from_table`).
+        """
         change: Floats = self.design(sightings) @ (self.parameters_from_table + parameter_values)
         return change

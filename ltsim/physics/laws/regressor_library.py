@@ -56,8 +56,7 @@ _SIGN_COVARIATES = ("face", "approach-azimuth", "approach-elevation", "parity", 
 ACCUMULATED_ROTATIONS = ("work-azimuth", "work-elevation")
 """Accumulated rotations of the axes since the set-up began."""
 OPERATOR_PREFIXES = ("last", "move", "work")
-"""Prefixes of covariates: the value at the previous pointing, the change since then, the sum of all absolute changes.
-"""
+"""Prefixes of covariates: value at the previous pointing, change since then, sum of all absolute changes."""
 MEMORY_COVARIATES = (
     "wound-azimuth",
     "lapse",
@@ -76,7 +75,7 @@ _HEAD_COVARIATES = (
     *(n for n in MEMORY_COVARIATES if not n.endswith("distance")),
 )
 """Covariates that are angles or motions of the tracker head."""
-COVARIATES_BY_KIND: dict[str, tuple[str, ...]] = {
+COVARIATES_BY_RESPONSE_KIND: dict[str, tuple[str, ...]] = {
     "instrument": (
         *(*CLOCK_COVARIATES, *_HEAD_COVARIATES, "distance", "height"),
         *("move-distance", "last-distance", "work-distance"),
@@ -169,7 +168,8 @@ def is_admissible(response_kind: str, regressor: Regressor, sightings: Sightings
     """True if a response of this kind (`Response.kind`) can depend on a regressor; a `reading` can depend on all."""
     names = [*regressor.covariates, *(n for f in regressor.factors if f.kind != "field" for n in f.covariates)]
     return response_kind == "reading" or all(
-        n in COVARIATES_BY_KIND[response_kind] or name_without_memory_prefix(n) in sightings.covariates for n in names
+        n in COVARIATES_BY_RESPONSE_KIND[response_kind] or name_without_memory_prefix(n) in sightings.covariates
+        for n in names
     )
 
 

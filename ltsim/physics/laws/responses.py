@@ -121,23 +121,23 @@ _MULTI_OBSERVABLE_RESPONSES = tuple(
 _RANGE_SCALE_RESPONSE = Response("range scale", "ppm", PLAUSIBLE_SCALE_ERROR, ("distance",))
 
 
-def constant_names_of_slot(slot: str) -> tuple[str, ...]:
+def constant_names_of_chain_error(error_key: str) -> tuple[str, ...]:
     """Names of the instrument constants of the ordinary calibration that change an error of the kinematic chain.
 
-    `slot` is the key of the error (`error_key`).
+    `error_key` is the key of the error in the chain, such as `azimuth`.
     """
     return tuple(
         p.name
         for e in MISALIGNMENT_EFFECTS
         for p, t in zip(e.parameters, e.terms, strict=True)
-        if t == ChainErrorTerm(slot)
+        if t == ChainErrorTerm(error_key)
     )
 
 
 VARIED_CONSTANTS_BY_RESPONSE = (
-    {response.name: constant_names_of_slot(slot) for slot, response in _CHAIN_ERROR_RESPONSES.items()}
+    {response.name: constant_names_of_chain_error(key) for key, response in _CHAIN_ERROR_RESPONSES.items()}
     | {response.name: tuple(p.name for p in effect.parameters) for response, effect in _ECCENTRICITY_RESPONSES.items()}
-    | {"distance": constant_names_of_slot("range"), _RANGE_SCALE_RESPONSE.name: ("range-scale",)}
+    | {"distance": constant_names_of_chain_error("range"), _RANGE_SCALE_RESPONSE.name: ("range-scale",)}
 )
 """Names of the instrument constants of the ordinary calibration that a law varies, by the name of its response."""
 _STAND_TILT_RESPONSE = Response("lean of the stand", "urad", PLAUSIBLE_ANGLE_ERROR, (), "stand", ("about x", "about y"))
@@ -174,9 +174,9 @@ def _multi_observable_design(sightings: Sightings, response: Response) -> Floats
     return np.concatenate(component_designs, axis=2)
 
 
-def _chain_error_design(sightings: Sightings, slot: str) -> Floats:
-    """Change (n, 3, 1) of the readings of n pointings per unit of the kinematic chain's error with the key `slot`."""
-    return sightings.reading_change_by_error_key[slot][:, :, None]
+def _chain_error_design(sightings: Sightings, error_key: str) -> Floats:
+    """Change (n, 3, 1) of the readings of n pointings per unit of the kinematic chain's error `error_key`."""
+    return sightings.reading_change_by_error_key[error_key][:, :, None]
 
 
 def _range_scale_design(sightings: Sightings) -> Floats:
@@ -217,7 +217,7 @@ def _response_registry() -> dict[str, tuple[Response, ResponseDesignFunction]]:
     derivatives: list[tuple[Response, ResponseDesignFunction]] = [
         *((response, partial(_observable_design, observable=response.name)) for response in _READING_RESPONSES),
         *((response, partial(_multi_observable_design, response=response)) for response in _MULTI_OBSERVABLE_RESPONSES),
-        *((response, partial(_chain_error_design, slot=slot)) for slot, response in _CHAIN_ERROR_RESPONSES.items()),
+        *((response, partial(_chain_error_design, error_key=key)) for key, response in _CHAIN_ERROR_RESPONSES.items()),
         *((response, effect.design) for response, effect in _ECCENTRICITY_RESPONSES.items()),
         (_RANGE_SCALE_RESPONSE, _range_scale_design),
         (_STAND_TILT_RESPONSE, lambda s: station_motion_design(s)[:, :, 3:5]),

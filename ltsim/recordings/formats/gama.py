@@ -40,7 +40,7 @@ from ltsim.recordings.pointings import (
 )
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.references import check_differences
-from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Gauge, Instrument, Noise, Setup, Station, Target
+from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Instrument, LengthGauge, Noise, Setup, Station, Target
 from ltsim.recordings.xml import XmlNode, parse_xml
 
 MIRRORED_AXES = ("ne", "sw", "es", "wn")
@@ -356,7 +356,7 @@ def _make_recording(network: GamaNetwork) -> Recording:
         title=network.title,
         air=NO_AIR_UNCERTAINTY,
         instrument=Instrument(noise=_noise(network), corrected=True),
-        gauge=Gauge(distance=tuple(gauge)) if gauge else None,
+        gauge=LengthGauge(distance=tuple(gauge)) if gauge else None,
         stations=stations,
         targets={n: _target(network.points.get(n, GamaPoint()), target_heights.get(n, 0.0)) for n in names},
         differences=tuple(with_distinct_names(network.differences)),

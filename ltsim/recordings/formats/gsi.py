@@ -146,9 +146,9 @@ class _GsiFileProperties:
     """True if a block has a horizontal direction (21)."""
     has_staff_readings: bool = False
     """True if a block has the reading of a levelling staff (33)."""
-    code_with_height: str | None = None
+    code_of_first_block_with_height: str | None = None
     """Code (word 41) of the first block that has a code, a name (42) and a height (43)."""
-    code_with_name: str | None = None
+    code_of_first_block_with_name: str | None = None
     """Code (word 41) of the first block that has a code and a name (42)."""
     last_block: _GsiBlock | None = None
     """Last block of the file."""
@@ -168,9 +168,9 @@ class _GsiFileProperties:
         self.has_directions = self.has_directions or block.has_words("21")
         self.has_staff_readings = self.has_staff_readings or block.has_words("33")
         if block.has_words("41", "42"):
-            self.code_with_name = self.code_with_name or block.name("41")
+            self.code_of_first_block_with_name = self.code_of_first_block_with_name or block.name("41")
             if block.has_words("43"):
-                self.code_with_height = self.code_with_height or block.name("41")
+                self.code_of_first_block_with_height = self.code_of_first_block_with_height or block.name("41")
         self.word_indices_of_second_last_block = (
             frozenset() if self.last_block is None else frozenset(self.last_block.words)
         )
@@ -193,7 +193,7 @@ class _GsiFileProperties:
             raise self.last_block.location.error("the last line has no line break and is incomplete")
         if self.has_staff_readings and not self.has_directions:
             raise RecordError("is the file of a level: it has staff readings (33) and no directions (21)", file=path)
-        return None if self.has_stations else self.code_with_height or self.code_with_name
+        return None if self.has_stations else self.code_of_first_block_with_height or self.code_of_first_block_with_name
 
 
 def _is_station(block: _GsiBlock) -> bool:

@@ -276,11 +276,12 @@ def _count_reading_kinds(columns: Sequence[TableColumn]) -> int:
 
 def count_recognised_titles(fields: Sequence[str]) -> int:
     """Number of fields that are titles with a known role; a header has at least two."""
-    return sum(map(_has_role, fields))
+    return sum(map(_is_recognised_title, fields))
 
 
 @lru_cache(maxsize=65_536)
-def _has_role(title: str) -> bool:
+def _is_recognised_title(title: str) -> bool:
+    """True if the title of a column, with or without a unit, has a known role."""
     degrees_match = _match_unit_ending(_ANGLE_PART_PATTERNS[0], title)
     return bool(_column_from_title(0, title).role) or (degrees_match is not None and bool(title_role(degrees_match[1])))
 

@@ -8,7 +8,9 @@ from ltsim.recordings.recording import HEIGHT_COLUMNS
 from ltsim.recordings.tables.pointing_table import PointingTable, indices_by_value
 
 
-def with_heights_of_setups(table: PointingTable, covariates: dict[str, Floats]) -> tuple[dict[str, Floats], list[str]]:
+def covariates_with_instrument_heights(
+    table: PointingTable, covariates: dict[str, Floats]
+) -> tuple[dict[str, Floats], list[str]]:
     """Covariates in which each row has the instrument height of its set-up, and notes on empty cells of heights.
 
     `covariates` (n,) are additional columns of n numbers by name. Tables often give the height of the instrument only

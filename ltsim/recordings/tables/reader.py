@@ -28,7 +28,7 @@ from ltsim.recordings.specification import NO_NOISE_NOTE
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.clock_columns import pointing_times, with_time_column
 from ltsim.recordings.tables.header import DISTANCE_ROLES, UNITS_BY_ROLE, TableColumn, has_named_coordinates
-from ltsim.recordings.tables.heights import with_heights_of_setups
+from ltsim.recordings.tables.heights import covariates_with_instrument_heights
 from ltsim.recordings.tables.interpretation import ColumnInterpretation, interpret_readings, sigmas_from_coordinates
 from ltsim.recordings.tables.packed_angles import with_unpacked_angles
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, decimal_places
@@ -122,7 +122,7 @@ def assemble_recording(
     times, start_moment, time_notes = pointing_times(table, hints)
     if start_moment and not setup.started:
         setup = setup.model_copy(update={"started": start_moment})
-    covariates, height_notes = with_heights_of_setups(table, covariates)
+    covariates, height_notes = covariates_with_instrument_heights(table, covariates)
     height = np.stack([covariates.get(name, missing_values) for name in HEIGHT_COLUMNS], axis=1) * MILLIMETRE
     unapplied = unapplied_heights_notes(table, readings, height)
     if unapplied:

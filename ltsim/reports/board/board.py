@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.errors import LtsimError, SetupError
+from ltsim.core.errors import InputError, LtsimError
 from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.information import LayoutInformation
@@ -71,7 +71,7 @@ class MovableLayout:
 
     @classmethod
     def from_plan(cls, source: str | Path) -> MovableLayout:
-        """Layout of a plan file, a scenario, or a folder that `ltsim plan` wrote; raises SetupError, RecordError."""
+        """Layout of a plan file, a scenario, or a folder that `ltsim plan` wrote; raises InputError, RecordError."""
         plan_or_scenario, scenario = load_plan_and_scenario(source)
         plan_file, search_space = plan_without_search(plan_or_scenario, scenario)
         return cls(
@@ -128,7 +128,7 @@ class MovableLayout:
         )
 
     def survey(self, stations: Sequence[Mapping[str, Any]]) -> PlannedSurvey:
-        """Survey with the given stations (mappings with `name`, `position_mm` and `yaw_deg`); raises SetupError.
+        """Survey with the given stations (mappings with `name`, `position_mm` and `yaw_deg`); raises InputError.
 
         A station that is not in the plan has the lines of sight and the order of targets of a station of the plan; the
         stations of the plan are taken in turn.
@@ -139,15 +139,15 @@ class MovableLayout:
             positions_mm = np.array([s["position_mm"] for s in stations], dtype=np.float64).reshape(-1, 3)
             yaws_deg = np.array([s["yaw_deg"] for s in stations], dtype=np.float64)
         except (KeyError, TypeError, ValueError):
-            raise SetupError("each station needs name, position_mm (x, y, z) and yaw_deg") from None
+            raise InputError("each station needs name, position_mm (x, y, z) and yaw_deg") from None
         if not np.all(np.abs([*positions_mm.ravel(), *yaws_deg]) < MAX_COORDINATE_MM):
-            raise SetupError(
+            raise InputError(
                 f"coordinates and yaw of a station must be smaller than {MAX_COORDINATE_MM:g} mm and degrees"
             )
         if not MIN_LAYOUT_STATIONS <= len(names) <= MAX_LAYOUT_STATIONS:
-            raise SetupError(f"a layout has {MIN_LAYOUT_STATIONS} to {MAX_LAYOUT_STATIONS} stations, not {len(names)}")
+            raise InputError(f"a layout has {MIN_LAYOUT_STATIONS} to {MAX_LAYOUT_STATIONS} stations, not {len(names)}")
         if len({*names}) < len(names) or not all(re.fullmatch(STATION_NAME_PATTERN, name) for name in names):
-            raise SetupError("each station needs a different name of letters, digits, points and hyphens")
+            raise InputError("each station needs a different name of letters, digits, points and hyphens")
         old_names = survey.station_names
         template_stations = [
             old_names.index(name) if name in old_names else k % len(old_names) for k, name in enumerate(names)

@@ -29,7 +29,7 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator
 
-from ltsim.core.errors import LtsimError, SetupError
+from ltsim.core.errors import InputError, LtsimError
 from ltsim.reports.board.board import MovableLayout
 from ltsim.reports.document_model import CONTENT_SECURITY_POLICY
 
@@ -318,7 +318,7 @@ class _LimitedServer(ThreadingHTTPServer):
 
 
 def serve_planner(requests: PlannerRequests, announce_address: Callable[[str], None], port: int = 0) -> None:
-    """Serve the page until Ctrl-C, after a call of `announce_address`; raises SetupError if the port is in use."""
+    """Serve the page until Ctrl-C, after a call of `announce_address`; raises InputError if the port is in use."""
     work_queue: SimpleQueue[tuple[Future[HttpResponse], str, str, bytes]] = SimpleQueue()
     handler: type[_RequestHandler] = type(
         "Handler", (_RequestHandler,), {"work_queue": work_queue, "requests": requests}
@@ -326,7 +326,7 @@ def serve_planner(requests: PlannerRequests, announce_address: Callable[[str], N
     try:
         server = _LimitedServer((LOOPBACK_ADDRESS, port), handler)
     except OSError as problem:
-        raise SetupError(f"--port {port} cannot be used ({problem.strerror}); omit it to use any free port") from None
+        raise InputError(f"--port {port} cannot be used ({problem.strerror}); omit it to use any free port") from None
     ports = (f":{server.server_port}", *([""] if server.server_port == HTTP_PORT else []))
     handler.allowed_hosts = frozenset(name + behind for name in (LOOPBACK_ADDRESS, "localhost") for behind in ports)
     with server:

@@ -232,7 +232,11 @@ def _draw_floor_areas(ax: Axes, floor: Floor) -> list[MapLabel]:
 
 
 def _axis_limits(workshop: WorkshopScene) -> Floats:
-    """Lower (x, y) and upper (x, y) limits, (2, 2) [m], around the floor and the inner shadow circles."""
+    """Limits of the axes of the floor plan, lower (x, y) and upper (x, y), shape (2, 2) [m].
+
+    They enclose the floor and, around each station, the circle on the floor that the tracker cannot see because of its
+    lowest elevation.
+    """
     radius = workshop.shadow_radius(workshop.cone_openings[0])[:, None]
     places = np.concatenate(
         [workshop.floor_corners, workshop.station_positions[:, :2] - radius, workshop.station_positions[:, :2] + radius]
@@ -243,7 +247,7 @@ def _axis_limits(workshop: WorkshopScene) -> Floats:
 
 
 def _draw_shadow_cones(ax: Axes, workshop: WorkshopScene) -> None:
-    """Draw the circles in which the shadow cones meet the floor."""
+    """Draw the circles in which the shadow cones (what a tracker cannot see below it) meet the floor."""
     for k, opening in enumerate(workshop.cone_openings):
         inner, outer = {"facecolor": "#D55E0022"}, {"facecolor": "none", "linestyle": (0, (3, 2))}
         patch_style: dict[str, Any] = {"edgecolor": style.RED, "linewidth": 0.9, "zorder": 1} | (outer if k else inner)

@@ -46,7 +46,7 @@ from ltsim.reports.figures.campaign_factors import (
     statistic_figures,
     varying_factors,
 )
-from ltsim.reports.formatting import capitalised_sentence, count_text, tracker_presets_text
+from ltsim.reports.formatting import capitalised_sentence, count_text, tracker_preset_names_text
 from ltsim.reports.sections.campaign_coverage import coverage_blocks, coverage_key_figures
 from ltsim.reports.sections.method_comparison import MethodComparison
 from ltsim.simulation.keys import key_description
@@ -83,7 +83,7 @@ def campaign_section(folder: Path) -> Section:
 
     Raises
     ------
-    SetupError
+    InputError
         If the folder contains no finished shard (file of rows), or a damaged one.
     """
     results = CampaignResults(folder)
@@ -122,7 +122,7 @@ def campaign_section(folder: Path) -> Section:
         seed_text=str(manifest.seed),
         package_versions=versions,
         axes_text="those of the scenario",
-        instrument_text=tracker_presets_text(manifest.scenarios),
+        instrument_text=tracker_preset_names_text(manifest.scenarios),
         n_open_blocks=min(len(open_blocks), MAX_OPEN_BLOCKS),
     )
 

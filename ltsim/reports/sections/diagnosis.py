@@ -23,7 +23,7 @@ from ltsim.diagnosis.schema import (
     FindingScope,
     Misfit,
 )
-from ltsim.diagnosis.sentences import effect_text, finding_title, significant_constants_texts
+from ltsim.diagnosis.sentences import effect_title_in_sentence, finding_title, significant_constants_texts
 from ltsim.physics.effects import effect_title, find_effect, parameter_text
 from ltsim.physics.effects.catalogue import catalogue_entry
 from ltsim.recordings.result_file import require_same_recording
@@ -270,7 +270,7 @@ def _finding_blocks(
             text = f"Estimated change of the {finding.carrier} over {finding.curve.covariate}."
         blocks.append(PictureBlock(f"Effect of finding {finding_number}", draw_figure, text))
     blocks += _finding_place_blocks(finding, finding_number, adjustments)
-    evidence = finding.evidence
+    evidence, others = finding.evidence, finding.equivalents
     renamed_parameters = [p.model_copy(update={"name": parameter_text(p.name)}) for p in finding.parameters]
     lines = [
         f"where: {_place_text(finding.where)}",
@@ -279,7 +279,7 @@ def _finding_blocks(
         else f"chi2 falls by {number_text(evidence.chi2_drop)} for {count_text(evidence.parameters, 'parameter')}",
         f"p, corrected for the search: {p_text(evidence.p_value)}",
         f"probability: {100 * evidence.probability:.3g} %",
-        *(f"alternative: {effect_text(e.effect)}, {100 * e.probability:.2g} %" for e in finding.equivalents),
+        *(f"alternative: {effect_title_in_sentence(e.effect)}, {100 * e.probability:.2g} %" for e in others),
     ]
     blocks += entries_table_blocks(
         f"Finding {finding_number} in figures", renamed_parameters, "name=parameter", "value+-sigma", "unit"

@@ -117,5 +117,5 @@ def _difference_text(method: str, differences: Sequence[PairedDifference]) -> st
 
 def _verdict(difference: PairedDifference) -> str:
     """Text with the method of smaller error if the interval of the difference excludes 0; otherwise `not decided`."""
-    better = difference.second if difference.low > 0 else difference.first if difference.high < 0 else ""
+    better = difference.second_name if difference.low > 0 else difference.first_name if difference.high < 0 else ""
     return f"{better} is better" if better else "not decided"

@@ -22,7 +22,7 @@ from ltsim.reports.document_model import (
     picture_or_note,
     table_blocks,
 )
-from ltsim.reports.formatting import QUALITY_MEASURES, duration_text, tracker_presets_text
+from ltsim.reports.formatting import QUALITY_MEASURES, duration_text, tracker_preset_names_text
 from ltsim.reports.sections.network import scene_block, undetermined_tables
 from ltsim.simulation.scenario import Scenario, load_scenario
 
@@ -32,7 +32,7 @@ def plan_section(content: Plan, context: SectionContext) -> Section:
 
     Raises
     ------
-    RecordError, SetupError
+    RecordError, InputError
         When a file is malformed.
     """
     frame = f"{content.frame[:1].upper()}{content.frame[1:]}." if content.frame else ""
@@ -60,7 +60,7 @@ def plan_section(content: Plan, context: SectionContext) -> Section:
     return Section(
         title=content.title or "Plan of a network", kind="Plan", summary=content.summary, assessment=assessment,
         key_figures=_key_figures(content), blocks=blocks, seed_text="" if content.seed is None else str(content.seed),
-        instrument_text=tracker_presets_text([scenario]) if scenario else "", measurement_date="planned",
+        instrument_text=tracker_preset_names_text([scenario]) if scenario else "", measurement_date="planned",
         axes_text="those of the hall",
     )  # fmt: skip
 
@@ -82,8 +82,8 @@ def _reflector_changes_blocks(content: Plan) -> list[Block]:
     """Table of the reflectors to move, to add or to omit; a note if no such change improves the plan."""
     title, changes = "Reflectors to move, to add or to omit", content.table("changes")
     if not changes.rows:
-        return [NoteBlock(title, content.changes_summary)] if content.changes_summary else []
-    return [*table_blocks(title, changes, note=content.changes_summary)]
+        return [NoteBlock(title, content.reflector_changes_sentence)] if content.reflector_changes_sentence else []
+    return [*table_blocks(title, changes, note=content.reflector_changes_sentence)]
 
 
 def _key_figures(content: Plan) -> list[KeyFigure]:

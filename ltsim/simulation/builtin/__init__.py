@@ -4,7 +4,7 @@ import difflib
 from importlib.resources import files
 from pathlib import Path
 
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.recordings.files import quoted_text
 
 
@@ -15,15 +15,15 @@ def builtin_names() -> tuple[str, ...]:
 
 
 def builtin_path(scenario_name: str) -> Path:
-    """File of a built-in scenario; SetupError with similar names for an unknown name."""
+    """File of a built-in scenario; InputError with similar names for an unknown name."""
     names = builtin_names()
     if scenario_name not in names:
         near = difflib.get_close_matches(scenario_name, names, n=3, cutoff=0.5) or names
         message = "there is no such file, and no built-in scenario of this name"
-        raise SetupError(f"{quoted_text(scenario_name)}: {message}; did you mean {', '.join(near)}?")
+        raise InputError(f"{quoted_text(scenario_name)}: {message}; did you mean {', '.join(near)}?")
     return Path(str(files(__name__) / f"{scenario_name}.toml"))
 
 
 def builtin_text(scenario_name: str) -> str:
-    """Text of the file of a built-in scenario, with comments, as a template; raises SetupError."""
+    """Text of the file of a built-in scenario, with comments, as a template; raises InputError."""
     return builtin_path(scenario_name).read_text(encoding="utf-8")

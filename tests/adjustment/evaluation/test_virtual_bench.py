@@ -7,7 +7,7 @@ import pytest
 
 from experiments.virtual_bench import FULL_TURN, MIDDLE, BenchTest, measure_bench, vertex_table
 from ltsim.adjustment.evaluation.bench import evaluate_reflector_bench, fit_vertex_offset
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES, PAPER_RANGE_ERRORS
 
@@ -78,7 +78,7 @@ def test_a_vertex_off_centre_is_named() -> None:
 
 
 def test_impossible_benches_are_refused_in_a_sentence() -> None:
-    with pytest.raises(SetupError, match="one each"):
+    with pytest.raises(InputError, match="one each"):
         BenchTest(table=np.zeros(3))
-    with pytest.raises(SetupError, match="needs 3 or more"):
+    with pytest.raises(InputError, match="needs 3 or more"):
         BenchTest(probe_angles=np.zeros(2))

@@ -151,7 +151,7 @@ def along_axes(recording: Recording, points: Points, away: float, stations: tupl
 def exactly_vertical(recording: Recording) -> Recording:
     """The recording with pi/2 in place of the elevation of each pointing along the vertical axis."""
     readings = recording.readings.copy()
-    readings[recording.is_vertical, 2] = 0.5 * np.pi
+    readings[recording.is_along_standing_axis, 2] = 0.5 * np.pi
     return recording.with_readings(readings)
 
 
@@ -190,7 +190,7 @@ VERBS = {
 def test_the_angles_along_the_vertical_axis_are_used_by_no_verb(verb: str, way: str) -> None:
     recording, state = workshop()
     vertical = AXES[way](recording, state.target_points)
-    assert vertical.is_vertical.any()
+    assert vertical.is_along_standing_axis.any()
     assert VERBS[verb](vertical) == VERBS[verb](without_angles(vertical))
 
 
@@ -202,8 +202,8 @@ def test_azimuths_along_the_vertical_axis_change_nothing_in_a_check_of_one_set_u
     noise = random_stream(5, "two faces").standard_normal((count, 3)) * np.where(twice.is_usable, twice.sigma(), 1e-6)
     readings = to_face(twice.readings, face) + noise
     twice = twice.replace(readings=readings, face=face, time=np.arange(count) * 1.0, has_clock=False)
-    turned = np.where(twice.is_vertical[:, None] & [False, True, False], 1.0 + face[:, None], readings)
-    assert twice.is_vertical.sum() == 2 and check(twice).passed
+    turned = np.where(twice.is_along_standing_axis[:, None] & [False, True, False], 1.0 + face[:, None], readings)
+    assert twice.is_along_standing_axis.sum() == 2 and check(twice).passed
     assert str(check(twice.with_readings(turned))) == str(check(twice))
     assert len(face_pair_rows(twice)) == len(once) - 1
 

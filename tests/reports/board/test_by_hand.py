@@ -14,7 +14,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.core.errors import SetupError
+from ltsim.core.errors import InputError
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
 from ltsim.planning.planner import layout_visibility
@@ -81,7 +81,7 @@ def test_a_layout_that_breaks_a_rule_is_never_reached(hall: Path) -> None:
     assert board.evaluation_json(stations)["problem"] == rule
     place = ",".join(f"{v}" for v in stations[0]["position_mm"])
     move = {name: [float(v) for v in place.split(",")] for name in ("S1", "S2")}
-    with pytest.raises(SetupError, match=re.escape(f"move: {rule}")):
+    with pytest.raises(InputError, match=re.escape(f"move: {rule}")):
         lt.plan(hall, move=move)
 
 
@@ -102,7 +102,7 @@ def test_stations_are_added_and_removed(hall: Path, tmp_path: Path) -> None:
         ([*stations, stations[0]], "a different name"),
         ([*stations[:2], {**stations[2], "name": "<b>"}], "a different name"),
     ):
-        with pytest.raises(SetupError, match=says):
+        with pytest.raises(InputError, match=says):
             board.evaluation_json(wrong)
 
 
@@ -139,7 +139,7 @@ def test_what_is_saved_is_planned_and_simulated_where_it_stands(hall: Path, tmp_
     assert len(recording.stations) == 3
     elsewhere = (tmp_path / "moved" / "plan.toml").read_text().replace("x_mm = 4710", "x_mm = 4711", 1)
     (tmp_path / "moved" / "plan.toml").write_text(elsewhere)
-    with pytest.raises(SetupError, match="'M00' is the name of a target at another position"):
+    with pytest.raises(InputError, match="'M00' is the name of a target at another position"):
         load_plan(tmp_path / "moved" / "plan.toml")
 
 
