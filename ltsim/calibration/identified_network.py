@@ -55,7 +55,21 @@ class IdentifiedNetwork:
 
         Raises NetworkError or ConvergenceError if the network cannot be solved; the message names the next action.
         """
-        selection = identify_causes(recording)
+        return cls.from_selection(
+            recording, construction, identify_causes(recording), robust=robust, datum_names=datum_names
+        )
+
+    @classmethod
+    def from_selection(
+        cls,
+        recording: Recording,
+        construction: GeometricErrorModel,
+        selection: CauseSelection | None,
+        *,
+        robust: bool = False,
+        datum_names: Sequence[str] | None = None,
+    ) -> Self:
+        """Network as in `from_recording`, with the selected causes of `identify_causes` for the recording."""
         try:
             adjustment = adjust_with_selection(recording, construction, robust, None, datum_names, selection=selection)
             adjustment.solution.require_success()
