@@ -1,25 +1,21 @@
 """Calibration by network adjustment: poses, targets and instrument parameters in one adjustment, with priors."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust as adjusted_network
-from ltsim.adjustment.identification import CauseSelection, adjust_with_causes, cause_tests, identify_causes
-from ltsim.adjustment.identification.cause_tests import cause_sentence
-from ltsim.adjustment.prior import ParameterPrior, expected_error_sigmas, prior_sigmas
-from ltsim.adjustment.quality import require_usable
-from ltsim.adjustment.reference_tests import TESTED_KINDS_EXCEPT_SCALE, TESTED_REFERENCE_KINDS
+from ltsim.adjustment.identification import cause_tests, identify_causes
+from ltsim.adjustment.prior import expected_error_sigmas, prior_sigmas
 from ltsim.adjustment.stochastic_model import NoiseGrouping
 from ltsim.calibration import result
 from ltsim.calibration.arrays import CalibrationArrays
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.extra_effects import RequestedEffect, fit_with_extra_effects
+from ltsim.calibration.identified_network import adjust_with_selection, network_uncertainty_factor
 from ltsim.calibration.prior_conflict import (
-    MAX_SIGMA0_FOR_WIDENING,
     contradicted_prior_mask,
     is_noise_overstated,
     prior_conflict_sentences,
@@ -28,9 +24,8 @@ from ltsim.calibration.prior_information import NO_PRIOR_SIGMA_FACTOR, Parameter
 from ltsim.calibration.reported_uncertainty import uncertainty_factor, with_reported_uncertainty
 from ltsim.calibration.schema import FitEntry, VerdictEntry
 from ltsim.calibration.shrinkage import recommend_correction
-from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
+from ltsim.core.errors import ConvergenceError, LtsimError
 from ltsim.core.limits import MAX_CALIBRATED_POINTINGS, MAX_CALIBRATED_TARGETS
-from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.verbs import name_tuple
 from ltsim.physics.model.construction import GeometricErrorModel, declared_construction, ideal_construction
@@ -82,7 +77,7 @@ def calibrate_network(
     selection = identify_causes(recording, model, prior) if choose_correction and not extra_effects else None
     for remaining in reversed(range(MAX_ALTERNATIONS if choose_correction else 1)):
         adjusted = partial(
-            _adjust_with_options,
+            adjust_with_selection,
             recording,
             model,
             robust,
@@ -184,7 +179,7 @@ def adjust(
     source = load_recording(recording)
     datum_names = None if datum is None else name_tuple(datum)
     selection = identify_causes(source)
-    adjustment = _adjust_with_options(
+    adjustment = adjust_with_selection(
         source, ideal_construction(), robust, _noise_grouping(noise_from_data), datum_names, selection=selection
     )
     tests, constants = () if selection is None else cause_tests(selection), _fit_with_constants(adjustment)
@@ -200,7 +195,7 @@ def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
     It is None if the fit without instrument constants is accepted, and for corrected instruments.
     """
     recording = adjustment.recording
-    if recording.is_corrected or _uncertainty_factor_of(adjustment) == 1.0:
+    if recording.is_corrected or network_uncertainty_factor(adjustment) == 1.0:
         return None
     try:
         built = declared_construction(recording)
@@ -216,70 +211,9 @@ def _fit_with_constants(adjustment: Adjustment) -> FitEntry | None:
     return result.fit_entry(fitted) if fitted.solution.has_converged else None
 
 
-def _uncertainty_factor_of(adjustment: Adjustment) -> float:
-    """Factor on the standard deviations of a network: sigma0 if the readings contradict the model, otherwise 1."""
-    return uncertainty_factor(
-        result.fit_entry(adjustment), is_sigma0_credible=result.fit_verdict(adjustment).uses_estimated_noise
-    )
-
-
 def _noise_grouping(noise_from_data: bool) -> NoiseGrouping | None:
     """Grouping of the readings for the estimation of their noise; None if it is not estimated."""
     return "instrument" if noise_from_data else None
-
-
-def _adjust_with_options(
-    recording: Recording,
-    construction: GeometricErrorModel,
-    robust: bool,
-    grouping: NoiseGrouping | None,
-    datum: Sequence[str] | None,
-    prior: ParameterPrior | None = None,
-    selection: CauseSelection | None = None,
-    effects: Sequence[LinearEffect] = (),
-) -> Adjustment:
-    """Adjustment with the options of a calibration, with extra effects, and with the selected causes of a misfit."""
-    how: dict[str, Any] = {"robust": robust, "noise_grouping": grouping, "datum_names": datum, "prior": prior}
-    if selection is not None and selection.requires_adjustment_with_causes:
-        fit = selection.fit
-        how["reading_mask"] = ~(fit.is_outlier & fit.is_gross_reading)
-        adjustment = adjust_with_causes(fit, recording, construction, fit.hypotheses, effects=effects, **how)
-        adjustment = replace(adjustment, cause_sentences=_cause_sentences(selection))
-        require_usable(adjustment)
-        return _require_available_datum(adjustment, datum)
-    has_no_scale_parameter = prior is None or prior.is_fixed.all()
-    how["tested_reference_kinds"] = TESTED_REFERENCE_KINDS if has_no_scale_parameter else TESTED_KINDS_EXCEPT_SCALE
-    if selection is not None:
-        effects = (*effects, *selection.certain_station_motions, *selection.certain_target_motions)
-    adjustment = adjusted_network(recording, construction, effects=effects, **how)
-    if adjustment.sigma0 >= MAX_SIGMA0_FOR_WIDENING and any(
-        test.kind == "scale" for test in adjustment.rejected_references
-    ):
-        how["tested_reference_kinds"] = (
-            TESTED_REFERENCE_KINDS  # lengths so far off that no scale of an instrument is: they count by their ratios
-        )
-        adjustment = adjusted_network(recording, construction, effects=effects, **how)
-    require_usable(adjustment)
-    if selection is not None and selection.is_consistent and selection.has_shifts_other_than_motions:
-        adjustment = replace(adjustment, cause_sentences=_cause_sentences(selection))
-    if selection is not None and grouping is None:
-        noise_sentences = tuple(cause_sentence(selection.fit, h) for h in selection.larger_noise_hypotheses)
-        adjustment = replace(adjustment, noise_sentences=noise_sentences)
-    return _require_available_datum(adjustment, datum)
-
-
-def _cause_sentences(selection: CauseSelection) -> tuple[str, ...]:
-    """Sentences on the selected causes of a misfit, the most certain cause first."""
-    return tuple(cause_sentence(selection.fit, choice.hypothesis) for choice in selection.selected_hypotheses)
-
-
-def _require_available_datum(adjustment: Adjustment, datum: Sequence[str] | None) -> Adjustment:
-    """Adjustment unchanged; raises NetworkError if a datum is requested but control points define the frame."""
-    if datum and not adjustment.problem.free_motions.shape[1]:
-        raise NetworkError(
-            "the control points define the frame already: leave out the datum, or the coordinates of the control points"
-        )
-    return adjustment
 
 
 def _make_calibration(

@@ -16,6 +16,8 @@ import scipy.linalg
 from pydantic import Field
 from scipy import special
 
+from ltsim.adjustment.identification import CauseTest
+from ltsim.adjustment.identification.recommendations import corrected_faults
 from ltsim.adjustment.reliability import noncentrality
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL
 from ltsim.core.arrays import Bools, Floats, Ints
@@ -100,8 +102,12 @@ class Comparison(ResultFile):
     scale_ppm: OptionalFloat = None
     """Scale of the second epoch relative to the first [ppm]; null if it was not estimated."""
     notes: tuple[str, ...] = ()
-    """Notes on the epochs: undetermined motions of the network, exchanged point names, a common motion of all points.
-    """
+    """Notes on the epochs: identified errors of the recordings, undetermined motions of the network, exchanged point
+    names, a common motion of all points."""
+    tests: tuple[CauseTest, ...] = ()
+    """Tests of the identified causes of a misfit of the first recording, and of its outliers."""
+    second_tests: tuple[CauseTest, ...] = ()
+    """Tests of the identified causes of a misfit of the second recording, and of its outliers."""
     has_common_rigid_motion: bool = False
     """True if one rigid motion of all points explains most displacements: the lists may have different frames."""
     displacements: tuple[Displacement, ...] = Field(min_length=1)
@@ -114,6 +120,11 @@ class Comparison(ResultFile):
             f"hypothesis of no displacement: {p_relation_text(self.p_value)} for all points, "
             f"{p_relation_text(self.p_value_without_moved_points)} for the points that did not move",
         ]
+
+    @property
+    def faults(self) -> list[CauseTest]:
+        """Errors of both recordings that the model corrects."""
+        return corrected_faults((*self.tests, *self.second_tests))
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {"displacements": lambda: DISPLACEMENTS_TABLE.with_rows(d.table_row for d in self.displacements)}

@@ -17,6 +17,7 @@ import scipy.linalg
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.coordinate_uncertainty import covariance_due_to_air, displacement_per_observation
+from ltsim.calibration.identified_network import network_uncertainty_factor
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, option_text, unknown_name_error
 from ltsim.core.notation import listing
@@ -215,12 +216,13 @@ class _Epoch:
             *(shifts_by_source[name] for name in common_sources if name in shifts_by_source),
         ]
         names = [adjustment.recording.targets[i] for i in target_indices]
-        covariance = reach.T @ reach + covariance_due_to_air(adjustment, columns)[0]
+        factor = network_uncertainty_factor(adjustment)
+        covariance = factor**2 * (reach.T @ reach) + covariance_due_to_air(adjustment, columns)[0]
         return cls(
             names,
             adjustment.state.target_points[target_indices],
             covariance,
-            np.hstack(responses),
+            factor * np.hstack(responses),
             adjustment.problem.free_motions,
         )
 

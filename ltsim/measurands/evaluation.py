@@ -67,13 +67,14 @@ class TaskEvaluation:
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings on single results (nonlinear, not normal, not stable) and on the air, one sentence each."""
+        """Warnings on the air, on the recording and on single results (nonlinear, not normal), one sentence each."""
         air = self.inputs.air_text
         warnings = (
             [f"all budgets include the {air}; change these values in the table [air] of the task file or of the set-up"]
             if air
             else []
         )
+        warnings += [] if self.inputs.network is None else self.inputs.network.warnings
         for i, (task, output) in enumerate(self.outputs):
             what = f"{task.name}, {output.name}"
             if self.nonlinearity_ratios[i] > MAX_NONLINEARITY_RATIO:
@@ -95,15 +96,12 @@ class TaskEvaluation:
     @property
     def to_result(self) -> Uncertainty:
         """Result with values and uncertainties in the units of the tasks."""
-        point_source = self.inputs.point_source
+        point_source, network = self.inputs.point_source, self.inputs.network
         if isinstance(point_source, EpochCoordinates):
             source, frame, sigma0 = SourceEntry.from_coordinates(point_source), "that of the list of coordinates", None
         else:
-            source, frame, sigma0 = (
-                SourceEntry.from_recording(point_source.recording),
-                frame_text(point_source),
-                point_source.sigma0,
-            )
+            source = SourceEntry.from_recording(point_source.recording) if network is None else network.source_entry
+            frame, sigma0 = frame_text(point_source), point_source.sigma0
         return Uncertainty(
             recording=source,
             title=self.tasks.title,
@@ -115,6 +113,9 @@ class TaskEvaluation:
             results=tuple(self._task_result(i, task, output) for i, (task, output) in enumerate(self.outputs)),
             correlation=tuple(tuple(row) for row in self.linear_uncertainty.correlation.tolist()),
             warnings=tuple(self.warnings),
+            uncertainty_factor=1.0 if network is None else network.uncertainty_factor,
+            corrections_text="" if network is None else network.corrections_text,
+            tests=() if network is None else network.tests,
         )
 
     def _task_result(self, result_index: int, task: Task, task_output: TaskOutput) -> TaskResult:

@@ -10,7 +10,7 @@ from typing import Literal, Self
 
 import numpy as np
 
-from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment import Adjustment
 from ltsim.adjustment.coordinate_uncertainty import (
     displacement_per_observation,
     displacements_by_air_error,
@@ -18,6 +18,7 @@ from ltsim.adjustment.coordinate_uncertainty import (
     longest_range,
     relevant_air_uncertainty,
 )
+from ltsim.calibration.identified_network import IdentifiedNetwork
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import InputError, ModelError, unknown_name_error
@@ -50,6 +51,9 @@ CONTROL_SOURCE = "control points"
 """Name, in budgets, of the source of uncertainty from coordinates of control points."""
 PRIOR_SOURCE = "specification"
 """Name, in budgets, of the source of uncertainty from the prior of the instrument parameters."""
+CORRECTIONS_SOURCE = "plausible size of corrected errors"
+"""Name, in budgets, of the source of uncertainty from the weak prior of errors of the recording that the model
+corrects."""
 STREAM_KEY_BY_SOURCE = {PRIOR_SOURCE: "what the maker guarantees"}
 """Key of the random stream of a source whose key is not its name. The draws depend on the key, which therefore must not
 change."""
@@ -95,6 +99,8 @@ class TaskInputs(ValueEquality):
     rms_displacements_by_shared_air_error: dict[str, Floats] = field(default_factory=dict)
     """Displacement of the points, shape (coordinates,) [m], by one standard deviation of each error of the air that all
     stations share and that changes no residual, by the error's description. The sources do not include these errors."""
+    network: IdentifiedNetwork | None = None
+    """Network with the identified causes of its misfit; None for a list of coordinates."""
 
     @classmethod
     def from_recording(cls, recording: Recording, tasks: Tasks) -> Self:
@@ -104,8 +110,10 @@ class TaskInputs(ValueEquality):
         target or effect.
         """
         construction = declared_construction(recording) if tasks.calibrate else ideal_construction()
-        adjustment = adjust(recording, construction, robust=tasks.robust, datum_names=tasks.datum or None)
-        adjustment.solution.require_success()
+        network = IdentifiedNetwork.from_recording(
+            recording, construction, robust=tasks.robust, datum_names=tasks.datum or None
+        )
+        adjustment, factor = network.adjustment, network.uncertainty_factor
         names = _target_names(tasks)
         for name in names:
             if name not in recording.targets:
@@ -115,7 +123,7 @@ class TaskInputs(ValueEquality):
         indices = np.array([recording.targets.index(name) for name in names])
         reach = displacement_per_observation(adjustment, adjustment.problem.unknowns.target_columns[indices].ravel())
         observed = [
-            replace(s, displacements_per_sigma=_reduce_variates(s.displacements_per_sigma))
+            replace(s, displacements_per_sigma=factor * _reduce_variates(s.displacements_per_sigma))
             for s in observation_uncertainty_sources(adjustment, reach)
         ]
         observed += smr_uncertainty_sources(adjustment, reach)
@@ -125,9 +133,8 @@ class TaskInputs(ValueEquality):
         further += air_uncertainty_sources(adjustment, reach, counted) if counted else []
         words = air_uncertainty_text(counted, longest_range(adjustment)) if counted else ""
         hidden = displacements_by_shared_air_error(adjustment, reach, air)
-        return cls(
-            adjustment, names, adjustment.state.target_points[indices], reach, (*observed, *further), words, hidden
-        )
+        points, sources = adjustment.state.target_points[indices], (*observed, *further)
+        return cls(adjustment, names, points, reach, sources, words, hidden, network)
 
     @classmethod
     def from_coordinates(cls, coordinates: EpochCoordinates, tasks: Tasks) -> Self:
@@ -204,11 +211,13 @@ def _nuisance_sources(adjustment: Adjustment, point_derivatives: Floats) -> list
     """Sources of uncertainty, one per kind of error, from errors that the adjustment estimates with a prior.
 
     `point_derivatives` (errors, coordinates) [m] are the derivatives of the coordinates with respect to the whitened
-    prior values of these errors; the errors of additional effects come first.
+    prior values of these errors; the errors of additional effects, which the model corrects, come first.
     """
     model = adjustment.problem.model
     finite = np.isfinite(adjustment.problem.effect_prior_sigmas[: model.n_effect_parameters])
     at, reached = int(finite.sum()), dict[str, list[Floats]]()
+    if at:
+        reached[CORRECTIONS_SOURCE] = [point_derivatives[:at].T]
     for error in model.nuisance_errors:
         count = len(error.parameters)
         reached.setdefault(error.parameters[0].description, []).append(point_derivatives[at : at + count].T)

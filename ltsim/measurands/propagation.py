@@ -139,6 +139,7 @@ def nonlinearity_differences(task_inputs: TaskInputs, measurands: Sequence[Measu
         again = adjust_from_state(
             recording.with_readings(readings),
             point_source.construction,
+            effects=point_source.effects,
             sigma=problem.sigma,
             reading_mask=problem.is_used_reading,
             start_state=point_source.state,

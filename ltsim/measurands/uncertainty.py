@@ -7,6 +7,8 @@ import numpy as np
 from pydantic import Field
 from scipy import special
 
+from ltsim.adjustment.identification import CauseTest
+from ltsim.adjustment.identification.recommendations import corrected_faults
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_expanded_uncertainty
 from ltsim.core.results import Column, Table, number_columns, text_columns
@@ -208,12 +210,25 @@ class Uncertainty(ResultFile):
     """Correlation matrix of the results, in their order."""
     warnings: tuple[str, ...] = ()
     """Warnings about the validity of the results."""
+    uncertainty_factor: float = 1.0
+    """Factor that the uncertainties from the adjustment contain: sigma0 if the readings contradict the model, otherwise
+    1."""
+    corrections_text: str = ""
+    """Sentence on the errors of the recording that the model corrects; empty for none."""
+    tests: tuple[CauseTest, ...] = ()
+    """Tests of the identified causes of a misfit of the recording, and of its outliers."""
 
     def _lines(self) -> list[str]:
         lines = [r.text for r in self.results[:MAX_SUMMARY_RESULTS]]
         n_more = len(self.results) - len(lines)
         head = f"{len(self.results)} results, {100 * self.coverage_probability:g} % intervals, {self.trials} trials"
-        return [head, *lines, *([f"and {n_more} more: to_dataframe()"] if n_more > 0 else [])]
+        lines += [f"and {n_more} more: to_dataframe()"] if n_more > 0 else []
+        return [head, *lines, *([self.corrections_text] if self.corrections_text else [])]
+
+    @property
+    def has_faults(self) -> bool:
+        """True if the model corrects errors of the recording, or if the readings contradict the model."""
+        return self.uncertainty_factor > 1.0 or bool(corrected_faults(self.tests))
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         budget_rows = [(r, p) for r in self.results for p in r.budget]

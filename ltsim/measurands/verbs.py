@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ltsim.adjustment import Adjustment, adjust
+from ltsim.calibration.identified_network import IdentifiedNetwork
 from ltsim.core.arguments import check_bounds
-from ltsim.core.errors import ModelError, option_text
+from ltsim.core.errors import ConvergenceError, ModelError, NetworkError, option_text
 from ltsim.measurands.comparison import Comparison
-from ltsim.measurands.epochs import compare_adjustments as compared, compare_coordinates
+from ltsim.measurands.epochs import compare_adjustments, compare_coordinates
 from ltsim.measurands.evaluation import evaluate_tasks, evaluate_tasks_on_coordinates
 from ltsim.measurands.spec import TASKS_FORMAT, Tasks, load_tasks, validate_tasks
 from ltsim.measurands.uncertainty import Uncertainty
@@ -135,17 +135,43 @@ def compare(
             f"{option_text('free=True')} is for lists of coordinates: a recording declares its free motions"
         )
 
-    def adjust_epoch(recording: Recording) -> Adjustment:
-        adjustment = adjust(
-            recording, declared_construction(recording) if calibrate else ideal_construction(), robust=robust
-        )
-        adjustment.solution.require_success()
-        return adjustment
+    def adjust_epoch(recording: Recording, epoch_name: str) -> IdentifiedNetwork:
+        construction = declared_construction(recording) if calibrate else ideal_construction()
+        try:
+            return IdentifiedNetwork.from_recording(recording, construction, robust=robust)
+        except NetworkError as problem:
+            raise NetworkError(f"the {epoch_name} recording: {problem}") from problem
+        except ConvergenceError as problem:
+            raise ConvergenceError(f"the {epoch_name} recording: {problem}", problem.solution) from problem
 
     epochs = [
-        adjust_epoch(load_recording(source)) for source in (first, second) if not isinstance(source, EpochCoordinates)
+        adjust_epoch(load_recording(source), name)
+        for source, name in ((first, "first"), (second, "second"))
+        if not isinstance(source, EpochCoordinates)
     ]
-    return compared(*epochs, stable_names=stable_names, with_scale=scaled, same_instrument=same_instrument, alpha=level)
+    before, after = epochs
+    comparison = compare_adjustments(
+        before.adjustment,
+        after.adjustment,
+        stable_names=stable_names,
+        with_scale=scaled,
+        same_instrument=same_instrument,
+        alpha=level,
+    )
+    notes = [
+        *(f"In the first epoch: {sentence}" for sentence in before.sentences),
+        *(f"In the second epoch: {sentence}" for sentence in after.sentences),
+        *comparison.notes,
+    ]
+    return comparison.model_copy(
+        update={
+            "recording": before.source_entry,
+            "second_recording": after.source_entry,
+            "notes": tuple(notes),
+            "tests": before.tests,
+            "second_tests": after.tests,
+        }
+    )
 
 
 def _load_coordinates(source: RecordingSource | EpochCoordinates) -> EpochCoordinates | None:

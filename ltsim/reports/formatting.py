@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from itertools import takewhile
 from typing import TYPE_CHECKING
 
-from ltsim.core.notation import listing as listing
+from ltsim.core.notation import count_text as count_text, listing as listing
 from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL, p_relation_text, two_sided_p_value
 
 if TYPE_CHECKING:
@@ -43,11 +43,6 @@ def tracker_preset_names_text(scenarios: Iterable[Scenario | ScenarioSettings]) 
     """Names of the presets of all trackers in scenarios, each once, as text such as `preset leica-at901`."""
     trackers = [t for s in scenarios for t in (*s.instruments.values(),) or (s.instrument,)]
     return ", ".join(f"preset {name}" for name in dict.fromkeys(t.preset for t in trackers))
-
-
-def count_text(n_items: int, singular: str, plural: str = "") -> str:
-    """Number with noun: `1 station`, `5 stations`."""
-    return f"{n_items} {singular if n_items == 1 else plural or singular + 's'}"
 
 
 def natural_sort_key(name: str) -> list[tuple[int, str]]:

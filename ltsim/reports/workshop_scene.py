@@ -10,13 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment import Adjustment
+from ltsim.adjustment.identification import identify_causes
 from ltsim.adjustment.remedies.candidates import FloorPlan
+from ltsim.calibration.identified_network import IdentifiedNetwork
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.equality import ValueEquality
-from ltsim.core.errors import InputError
+from ltsim.core.errors import ConvergenceError, InputError
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.physics.model.construction import declared_construction
+from ltsim.physics.model.construction import declared_construction, ideal_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import ElevationLimits, Setup
 from ltsim.scene.cad import implausible_size_question, read_mesh
@@ -164,17 +166,18 @@ def workshop_from_adjustment(
 
 
 def workshop_from_recording(recording: Recording) -> WorkshopScene:
-    """Workshop of a recording adjusted with the instrument's parameters.
+    """Workshop of a recording adjusted with the instrument's parameters and the identified causes of a misfit.
 
     Arrows show the change of the targets by the estimation of these parameters.
     """
-    ideal_adjustment = adjust(recording)
-    ideal_adjustment.solution.require_success()
-    adjustment_with_errors = adjust(recording, declared_construction(recording))
-    return workshop_from_adjustment(
-        adjustment_with_errors if adjustment_with_errors.solution.has_converged else ideal_adjustment,
-        adjustment_without_parameters=ideal_adjustment,
-    )
+    selection = identify_causes(recording)
+    ideal_adjustment = IdentifiedNetwork.from_selection(recording, ideal_construction(), selection).adjustment
+    construction = declared_construction(recording)
+    try:
+        adjustment_with_errors = IdentifiedNetwork.from_selection(recording, construction, selection).adjustment
+    except ConvergenceError:
+        adjustment_with_errors = ideal_adjustment
+    return workshop_from_adjustment(adjustment_with_errors, adjustment_without_parameters=ideal_adjustment)
 
 
 def workshop_with_surroundings(scene: WorkshopScene, setup: Setup) -> WorkshopScene:

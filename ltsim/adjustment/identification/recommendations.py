@@ -1,9 +1,9 @@
-"""Recommended next action of a user after an identified cause."""
+"""Sentences on identified causes that the model of a result corrects, and recommended next actions."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 from ltsim.adjustment.identification.cause_tests import CauseTest
-from ltsim.core.notation import listing
+from ltsim.core.notation import count_text, listing
 
 RECOMMENDATION_BY_CAUSE_KIND = {
     "outlier": "Measure again {rows}.",
@@ -51,3 +51,27 @@ def recommendation_for_cause(test: CauseTest) -> str:
 def recommendations_for_causes(tests: Iterable[CauseTest]) -> list[str]:
     """Next actions after the accepted causes that are faults, in the order of the causes and without repetitions."""
     return list(dict.fromkeys(filter(None, (recommendation_for_cause(test) for test in tests if test.is_fault))))
+
+
+def corrected_faults(tests: Iterable[CauseTest]) -> list[CauseTest]:
+    """Causes of a misfit, other than outliers, that the adjusted model of a result contains."""
+    return [test for test in tests if test.is_fault and test.kind != "outlier"]
+
+
+def corrections_sentence(tests: Iterable[CauseTest], excluded_reference_names: Collection[str]) -> str:
+    """Sentence on the causes of a misfit in the adjusted model; empty without such causes.
+
+    `excluded_reference_names` are the names of the reference values that the adjustment excludes.
+    """
+    faults = [test for test in corrected_faults(tests) if test.kind != "noise-level"]
+    for test in faults:
+        if test.kind == "reference-value" and not set(excluded_reference_names).intersection(test.where.targets):
+            remedy = "ltsim calibrate also estimates the constants of the instrument and tests them again"
+            return f"{test.sentence} This adjustment uses the reference values; {remedy}."
+    if not faults:
+        return ""
+    places = dict.fromkeys(name for test in faults for name in (*test.where.stations, *test.where.targets))
+    place_text = f" at {listing(list(places))}" if places else ""
+    dof = sum(test.dof for test in faults if test.sigma is not None)
+    degrees = f", with {count_text(dof, 'degree')} of freedom" if dof else ""
+    return f"The model corrects {count_text(len(faults), 'error')}{place_text}{degrees}."

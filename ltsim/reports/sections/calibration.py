@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ltsim.adjustment.identification import CauseTest
-from ltsim.adjustment.identification.recommendations import recommendations_for_causes
+from ltsim.adjustment.identification.recommendations import (
+    corrected_faults,
+    corrections_sentence,
+    recommendations_for_causes,
+)
 from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN
 from ltsim.adjustment.verdict import VerdictCase
 from ltsim.calibration.calibration import Calibration
@@ -122,7 +125,7 @@ def calibration_section(content: Calibration, context: SectionContext) -> Sectio
     recording_title = (recording.setup.title if recording else "") or (
         content.recording.title if content.recording else ""
     )
-    assessment = "caution" if is_accepted and _corrected_faults(content) else assessment_of(is_accepted)
+    assessment = "caution" if is_accepted and corrected_faults(content.tests) else assessment_of(is_accepted)
     return Section(
         title=f"{kind}: {recording_title}"
         if recording_title
@@ -160,7 +163,7 @@ def _summary_sentence(content: Calibration, agreement_text: str, targets: Path |
             f"({number_text(distance.before.mean_um)} to "
             f"{number_text(distance.after.mean_um if distance.after else None)} um)"
         )
-        shifts = [test for test in _corrected_faults(content) if test.sigma is not None]
+        shifts = [test for test in corrected_faults(content.tests) if test.sigma is not None]
         if shifts:
             sentence += f", by the calibration and the correction of {count_text(len(shifts), 'error')}"
     if content.outliers:
@@ -179,26 +182,11 @@ def _summary_sentence(content: Calibration, agreement_text: str, targets: Path |
     return f"{sentence}{accuracy}".rstrip()
 
 
-def _corrected_faults(content: Calibration) -> list[CauseTest]:
-    """Causes of a misfit, other than outliers, that the adjusted model of the result contains."""
-    return [test for test in content.tests if test.is_fault and test.kind != "outlier"]
-
-
 def _corrections_sentence(content: Calibration) -> str:
     """Sentence on the causes of a misfit in the adjusted model, with a leading blank; empty without such causes."""
-    faults = [test for test in _corrected_faults(content) if test.kind != "noise-level"]
-    excluded_names = {entry.name for entry in content.reference_values if entry.excluded}
-    for test in faults:
-        if test.kind == "reference-value" and not excluded_names.intersection(test.where.targets):
-            remedy = "ltsim calibrate also estimates the constants of the instrument and tests them again"
-            return f" {test.sentence} This adjustment uses the reference values; {remedy}."
-    if not faults:
-        return ""
-    places = dict.fromkeys(name for test in faults for name in (*test.where.stations, *test.where.targets))
-    place_text = f" at {listing(list(places))}" if places else ""
-    dof = sum(test.dof for test in faults if test.sigma is not None)
-    degrees = f", with {count_text(dof, 'degree')} of freedom" if dof else ""
-    return f" The model corrects {count_text(len(faults), 'error')}{place_text}{degrees}."
+    excluded_names = [entry.name for entry in content.reference_values if entry.excluded]
+    sentence = corrections_sentence(content.tests, excluded_names)
+    return f" {sentence}" if sentence else ""
 
 
 def _has_explaining_noise(content: Calibration) -> bool:
@@ -288,7 +276,7 @@ def _reference_value_blocks(content: Calibration) -> list[TableBlock]:
 
 def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     """Next actions, the most urgent first."""
-    actions = recommendations_for_causes(_corrected_faults(content))
+    actions = recommendations_for_causes(corrected_faults(content.tests))
     remaining = [o for o in content.outliers if not o.excluded]
     if remaining:
         reading_names = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)

@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.identification import identify_causes
+from ltsim.adjustment.identification.recommendations import corrected_faults
 from ltsim.calibration.combinations import UNDETERMINED_TABLE, DeterminedEntry, UndeterminedEntry
 from ltsim.calibration.files import read_targets
+from ltsim.calibration.identified_network import IdentifiedNetwork
 from ltsim.calibration.schema import STATION_COORDINATES_TABLE
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError, NetworkError, is_installed, missing_extra_error
@@ -18,7 +21,7 @@ from ltsim.core.limits import MAX_NETWORK_SETUPS
 from ltsim.core.notation import MISSING_TEXT, listing, number_text
 from ltsim.core.probability import p_text, two_sided_p_value
 from ltsim.core.results import Table, number_columns, text_columns
-from ltsim.physics.model.construction import declared_construction
+from ltsim.physics.model.construction import declared_construction, ideal_construction
 from ltsim.recordings import Recording, read
 from ltsim.recordings.files import read_text
 from ltsim.reports import figures
@@ -61,20 +64,37 @@ AdjustmentPair = tuple[Adjustment, Adjustment]
 """Two adjustments of one recording: without, then with the instrument's parameters."""
 
 
-def adjustment_pair(recording: Recording) -> AdjustmentPair:
-    """Adjustments without and with the instrument's parameters; raises NetworkError, ConvergenceError."""
-    without_parameters, with_parameters = adjust(recording), adjust(recording, declared_construction(recording))
-    without_parameters.solution.require_success()
-    with_parameters.solution.require_success()
+def network_pair(recording: Recording) -> tuple[IdentifiedNetwork, IdentifiedNetwork]:
+    """Networks without and with the instrument's parameters, with the identified causes of a misfit in their models.
+
+    Raises NetworkError, ConvergenceError.
+    """
+    selection = identify_causes(recording)
+    without_parameters, with_parameters = (
+        IdentifiedNetwork.from_selection(recording, construction, selection)
+        for construction in (ideal_construction(), declared_construction(recording))
+    )
     return without_parameters, with_parameters
 
 
 def adjustment_pair_if_possible(recording: Recording | None) -> AdjustmentPair | None:
-    """Adjustments without and with the instrument's parameters; None without a recording that can be adjusted."""
+    """Adjustments without and with the instrument's parameters; None without a recording that can be adjusted.
+
+    The identified causes of a misfit are in the models only if no network can be adjusted without them.
+    """
+    if recording is None:
+        return None
     try:
-        return adjustment_pair(recording) if recording is not None else None
+        pair = adjust(recording), adjust(recording, declared_construction(recording))
+        if all(adjustment.solution.has_converged for adjustment in pair):
+            return pair
+    except NetworkError:
+        pass
+    try:
+        without_parameters, with_parameters = network_pair(recording)
     except (NetworkError, ConvergenceError):
         return None
+    return without_parameters.adjustment, with_parameters.adjustment
 
 
 def truth_in_folder(context: SectionContext) -> Truth | None:
@@ -241,10 +261,12 @@ def recording_section(folder: Path, *, hall_view: HallView = "3d", omits_residua
     ]
     last_blocks: list[Block] = [*_work_tables(recording), _settings_block(folder)]
     try:
-        without_parameters, with_parameters = adjustment_pair(recording)
+        networks = network_pair(recording)
     except (NetworkError, ConvergenceError) as problem:
         answer = f"{_recording_size_sentence(recording)} The network could not be adjusted: {problem}."
         return Section(title, "Recording", answer, "bad", facts, last_blocks)
+    without_parameters, with_parameters = (network.adjustment for network in networks)
+    corrections_text = f" {networks[1].corrections_text}".rstrip()
     agrees, agreement_text = global_test_verdict(with_parameters.chi2, with_parameters.dof, with_parameters.p_value)
     flagged_readings = with_parameters.flagged_readings()
     outlier_text = f" Outliers: {count_text(len(flagged_readings), 'reading')}." if flagged_readings else ""
@@ -255,6 +277,9 @@ def recording_section(folder: Path, *, hall_view: HallView = "3d", omits_residua
         KeyFigure("p, two-sided", p_text(two_sided_p_value(with_parameters.p_value)), assessment_of(agrees)),
         KeyFigure("outliers", str(len(flagged_readings)), "bad" if flagged_readings else "plain"),
     ]
+    assessment = assessment_of(agrees and not flagged_readings)
+    if assessment == "good" and corrected_faults(networks[1].tests):
+        assessment = "caution"
     workshop = (
         workshop_from_adjustment(with_parameters, adjustment_without_parameters=without_parameters)
         if hall_view != "none"
@@ -263,15 +288,17 @@ def recording_section(folder: Path, *, hall_view: HallView = "3d", omits_residua
     if not omits_residuals:
         before, after = Residuals.from_adjustment(without_parameters), Residuals.from_adjustment(with_parameters)
         last_blocks = [*residual_figures(after, before), *last_blocks]
-    del without_parameters, with_parameters  # whose designs take more memory than all pictures
+    del without_parameters, with_parameters, networks  # whose designs take more memory than all pictures
     blocks = workshop_blocks(lambda: workshop, hall_view) if workshop is not None else []
     size_sentence = _recording_size_sentence(recording)
-    answer = f"{size_sentence} With the instrument's parameters adjusted, {agreement_text}.{outlier_text}"
+    answer = (
+        f"{size_sentence} With the instrument's parameters adjusted, {agreement_text}.{corrections_text}{outlier_text}"
+    )
     return Section(
         title,
         "Recording",
         answer,
-        assessment_of(agrees and not flagged_readings),
+        assessment,
         facts,
         [*blocks, *last_blocks],
         n_open_blocks=2,

@@ -96,10 +96,8 @@ def check_section(content: Check, context: SectionContext) -> Section:
     blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and file else blocks
     n_open_blocks = 2 if failed else 1
     recording_title = content.recording.title if content.recording else ""
-    title, answer = (
-        f"Check in the field: {recording_title}" if recording_title else "Check in the field",
-        capitalised_sentence(content.sentence),
-    )
+    title = f"Check in the field: {recording_title}" if recording_title else "Check in the field"
+    answer = capitalised_sentence(content.sentence)
     actions = [*recommendations_for_causes(content.tests), *_failed_test_actions(content)]
     return Section(
         title,
@@ -153,9 +151,11 @@ def comparison_section(content: Comparison, _: SectionContext) -> Section:
     action = f"Inspect and re-measure these points before you use them as references: {listing(moved_targets)}."
     if content.has_common_rigid_motion:
         action = f"If the lists are in different frames, compare them with {option_text('free=True')}."
+    actions = [*([action] if moved_targets else []), *recommendations_for_causes(content.faults)]
+    assessment = "caution" if content.faults and not moved_targets else assessment_of(not moved_targets)
     return Section(
-        "Comparison of two epochs", "Comparison", answer, assessment_of(not moved_targets), facts, [picture, *table],
-        axes_text="those of the first epoch", next_actions=[action] if moved_targets else [],
+        "Comparison of two epochs", "Comparison", answer, assessment, facts, [picture, *table],
+        axes_text="those of the first epoch", next_actions=actions,
     )  # fmt: skip
 
 
@@ -234,29 +234,30 @@ def uncertainty_section(content: Uncertainty, _: SectionContext) -> Section:
     caption = "Contributions to the variance of each result; improve the source with the widest bar."
     blocks.append(picture_or_note("Budget", lambda: uncertainty_budget_figure(content), caption, len(content.results)))
     blocks += table_blocks("Undetectable errors", content.table("hidden"), note=UNDETECTABLE_NOTE)
-    blocks += [BulletListBlock("Warnings", content.warnings)] if content.warnings else []
+    warnings: list[Block] = [BulletListBlock("Warnings", content.warnings)] if content.warnings else []
+    blocks = [*warnings, *blocks] if content.has_faults else [*blocks, *warnings]
     fields = ("source", "evaluation_type=type", "standard_uncertainty=sigma", "variance_fraction=variance fraction")
     for r in content.results:
         head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
         blocks += entries_table_blocks(head, [part for part in r.budget if part.variance_fraction > 1e-3], *fields)
     result_texts_by_judgement = {w: [r.text for r in judged_results if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
-    answer = (
-        "; ".join(f"{word}: {listing(names, 3)}" for word, names in result_texts_by_judgement.items() if names)
-        or content.results[0].text
-    )
+    answers = [f"{word}: {listing(names, 3)}" for word, names in result_texts_by_judgement.items() if names]
+    answer = "; ".join(answers) or content.results[0].text
     coverage = f"{100 * content.coverage_probability:g} %"
     facts = [KeyFigure("results", str(len(content.results))), KeyFigure("coverage probability", coverage)]
     facts += [] if content.sigma0 is None else [KeyFigure("sigma0 of the adjustment", number_text(content.sigma0))]
-    title = content.title or "Uncertainty of tasks"
+    judgements = [r.conformity.judgement for r in judged_results if r.conformity]
+    assessment = ASSESSMENT_BY_JUDGEMENT[joint_judgement(judgements)]
     return Section(
-        title,
+        content.title or "Uncertainty of tasks",
         "Uncertainty",
-        capitalised_sentence(answer),
-        ASSESSMENT_BY_JUDGEMENT[joint_judgement([r.conformity.judgement for r in judged_results if r.conformity])],
+        f"{capitalised_sentence(answer)} {content.corrections_text}".rstrip(),
+        "caution" if content.has_faults and assessment == "good" else assessment,
         facts,
         blocks,
         axes_text=content.frame,
+        next_actions=recommendations_for_causes(content.tests),
     )
 
 

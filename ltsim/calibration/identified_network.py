@@ -1,0 +1,166 @@
+"""Adjustment of a network with the identified causes of its misfit in the model, for all verbs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+from ltsim.adjustment import Adjustment, adjust as adjusted_network
+from ltsim.adjustment.identification import (
+    CauseSelection,
+    CauseTest,
+    adjust_with_causes,
+    cause_tests,
+    identify_causes,
+)
+from ltsim.adjustment.identification.cause_tests import cause_sentence
+from ltsim.adjustment.identification.recommendations import corrected_faults, corrections_sentence
+from ltsim.adjustment.prior import ParameterPrior
+from ltsim.adjustment.quality import require_usable
+from ltsim.adjustment.reference_tests import TESTED_KINDS_EXCEPT_SCALE, TESTED_REFERENCE_KINDS
+from ltsim.adjustment.stochastic_model import NoiseGrouping
+from ltsim.calibration import result
+from ltsim.calibration.prior_conflict import MAX_SIGMA0_FOR_WIDENING
+from ltsim.calibration.reported_uncertainty import uncertainty_factor
+from ltsim.core.errors import ConvergenceError, NetworkError
+from ltsim.core.notation import listing, number_text
+from ltsim.physics.effects.linear_effect import LinearEffect
+from ltsim.physics.model.construction import GeometricErrorModel
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.result_file import SourceEntry
+
+
+@dataclass(frozen=True)
+class IdentifiedNetwork:
+    """Network of a recording, adjusted with the identified causes of its misfit in the model."""
+
+    adjustment: Adjustment
+    """Adjustment with the causes in its model."""
+    source_entry: SourceEntry
+    """Description of the recording as it was read."""
+    tests: tuple[CauseTest, ...]
+    """Tests of the causes and of the outliers."""
+    uncertainty_factor: float
+    """Factor on the standard deviations: sigma0 if the readings contradict the model, otherwise 1."""
+
+    @classmethod
+    def from_recording(
+        cls,
+        recording: Recording,
+        construction: GeometricErrorModel,
+        *,
+        robust: bool = False,
+        datum_names: Sequence[str] | None = None,
+    ) -> Self:
+        """Network of a recording with the prior of the set-up; `datum_names` are the targets that define the datum.
+
+        Raises NetworkError or ConvergenceError if the network cannot be solved; the message names the next action.
+        """
+        return cls.from_selection(
+            recording, construction, identify_causes(recording), robust=robust, datum_names=datum_names
+        )
+
+    @classmethod
+    def from_selection(
+        cls,
+        recording: Recording,
+        construction: GeometricErrorModel,
+        selection: CauseSelection | None,
+        *,
+        robust: bool = False,
+        datum_names: Sequence[str] | None = None,
+    ) -> Self:
+        """Network as in `from_recording`, with the selected causes of `identify_causes` for the recording."""
+        try:
+            adjustment = adjust_with_selection(recording, construction, robust, None, datum_names, selection=selection)
+            adjustment.solution.require_success()
+        except ConvergenceError as problem:
+            raise ConvergenceError(f"{problem}; run ltsim diagnose on this recording", problem.solution) from problem
+        tests = () if selection is None else cause_tests(selection)
+        return cls(adjustment, SourceEntry.from_recording(recording), tests, network_uncertainty_factor(adjustment))
+
+    @property
+    def corrections_text(self) -> str:
+        """Sentence on the number and place of the causes in the model; empty without a cause."""
+        excluded_names = [test.name for test in self.adjustment.rejected_references]
+        return corrections_sentence(self.tests, excluded_names)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Sentences on the causes in the model and on readings that contradict the model; empty for a good network."""
+        return tuple(dict.fromkeys(filter(None, (self.corrections_text, *self.warnings))))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences on each cause in the model, and on readings that contradict the model with the next action."""
+        faults = corrected_faults(self.tests)
+        warnings = [test.sentence for test in faults if test.sentence]
+        if moved := [name for test in faults if test.kind == "target-moved" for name in test.where.targets]:
+            warnings.append(f"The coordinates of {listing(moved)} refer to the time before the motion.")
+        if self.uncertainty_factor > 1.0:
+            warnings.append(
+                f"The readings contradict the model: all standard deviations are multiplied by sigma0 = "
+                f"{number_text(self.uncertainty_factor, 3)}. If a single cause acts, coordinates may have larger "
+                "errors: run ltsim diagnose on the recording."
+            )
+        return tuple(dict.fromkeys(warnings))
+
+
+def network_uncertainty_factor(adjustment: Adjustment) -> float:
+    """Factor on the standard deviations of a network: sigma0 if the readings contradict the model, otherwise 1."""
+    return uncertainty_factor(
+        result.fit_entry(adjustment), is_sigma0_credible=result.fit_verdict(adjustment).uses_estimated_noise
+    )
+
+
+def adjust_with_selection(
+    recording: Recording,
+    construction: GeometricErrorModel,
+    robust: bool,
+    grouping: NoiseGrouping | None,
+    datum: Sequence[str] | None,
+    prior: ParameterPrior | None = None,
+    selection: CauseSelection | None = None,
+    effects: Sequence[LinearEffect] = (),
+) -> Adjustment:
+    """Adjustment with the options of a calibration, with extra effects, and with the selected causes of a misfit."""
+    how: dict[str, Any] = {"robust": robust, "noise_grouping": grouping, "datum_names": datum, "prior": prior}
+    if selection is not None and selection.requires_adjustment_with_causes:
+        fit = selection.fit
+        how["reading_mask"] = ~(fit.is_outlier & fit.is_gross_reading)
+        adjustment = adjust_with_causes(fit, recording, construction, fit.hypotheses, effects=effects, **how)
+        adjustment = replace(adjustment, cause_sentences=_cause_sentences(selection))
+        require_usable(adjustment)
+        return _require_available_datum(adjustment, datum)
+    has_no_scale_parameter = prior is None or prior.is_fixed.all()
+    how["tested_reference_kinds"] = TESTED_REFERENCE_KINDS if has_no_scale_parameter else TESTED_KINDS_EXCEPT_SCALE
+    if selection is not None:
+        effects = (*effects, *selection.certain_station_motions, *selection.certain_target_motions)
+    adjustment = adjusted_network(recording, construction, effects=effects, **how)
+    if adjustment.sigma0 >= MAX_SIGMA0_FOR_WIDENING and any(
+        test.kind == "scale" for test in adjustment.rejected_references
+    ):
+        how["tested_reference_kinds"] = (
+            TESTED_REFERENCE_KINDS  # lengths so far off that no scale of an instrument is: they count by their ratios
+        )
+        adjustment = adjusted_network(recording, construction, effects=effects, **how)
+    require_usable(adjustment)
+    if selection is not None and selection.is_consistent and selection.has_shifts_other_than_motions:
+        adjustment = replace(adjustment, cause_sentences=_cause_sentences(selection))
+    if selection is not None and grouping is None:
+        noise_sentences = tuple(cause_sentence(selection.fit, h) for h in selection.larger_noise_hypotheses)
+        adjustment = replace(adjustment, noise_sentences=noise_sentences)
+    return _require_available_datum(adjustment, datum)
+
+
+def _cause_sentences(selection: CauseSelection) -> tuple[str, ...]:
+    """Sentences on the selected causes of a misfit, the most certain cause first."""
+    return tuple(cause_sentence(selection.fit, choice.hypothesis) for choice in selection.selected_hypotheses)
+
+
+def _require_available_datum(adjustment: Adjustment, datum: Sequence[str] | None) -> Adjustment:
+    """Adjustment unchanged; raises NetworkError if a datum is requested but control points define the frame."""
+    if datum and not adjustment.problem.free_motions.shape[1]:
+        raise NetworkError(
+            "the control points define the frame already: leave out the datum, or the coordinates of the control points"
+        )
+    return adjustment
