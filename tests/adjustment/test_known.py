@@ -134,7 +134,7 @@ def test_a_wrong_temperature_of_the_gauge_is_told_of_all_its_lengths_and_of_no_r
     assert found.verdict is not None
     assert f"too {'long' if degrees > 0 else 'short'} (w = " in found.verdict.sentence
     told = lt.check(recording)
-    no_go = [item.sentence for item in told.items if item.kind == "network" and not item.passed]
+    no_go = [item.sentence for item in told.items if item.kind == "reference" and not item.passed]
     assert len(no_go) == 1
     assert no_go[0].startswith("all known lengths are ")
 
