@@ -30,8 +30,15 @@ RECOMMENDATION_BY_CAUSE_KIND = {
 """Next action for each kind of cause. `place` stands for the names of the stations and targets, `at_place` for the same
 names after the word "at", `setups` for the set-ups to measure again, `rows` for the pointing with its row number.
 """
-VERTICAL_INDEX_RECOMMENDATION = "Determine the vertical index of the tracker, and measure {place} again."
+VERTICAL_INDEX_RECOMMENDATION = (
+    "Determine the vertical index of the tracker, and measure {place} again in both faces: their mean is free of the "
+    "index."
+)
 """Next action for an offset of the elevations at one set-up."""
+INDEX_DRIFT_RECOMMENDATION = (
+    "The vertical index differs between set-ups ({stations}), which suggests a drift: run ltsim diagnose."
+)
+"""Next action after offsets of the elevations at several set-ups, whose names `stations` stands for."""
 
 
 def recommendation_for_cause(test: CauseTest) -> str:
@@ -39,7 +46,7 @@ def recommendation_for_cause(test: CauseTest) -> str:
     names = (*test.where.stations, *test.where.targets)
     place = listing(names, len(names)) if names else "the set-ups"
     action = RECOMMENDATION_BY_CAUSE_KIND.get(test.kind, "")
-    if test.kind in ("constant-offset", "constant-step") and test.acts_on == "elevation":
+    if _is_vertical_index_error(test):
         action = VERTICAL_INDEX_RECOMMENDATION
     targets = listing(test.where.targets, len(test.where.targets)) or "the reading"
     row = f" (row {test.rows[0]})" if len(test.rows) == 1 else ""
@@ -49,5 +56,19 @@ def recommendation_for_cause(test: CauseTest) -> str:
 
 
 def recommendations_for_causes(tests: Iterable[CauseTest]) -> list[str]:
-    """Next actions after the accepted causes that are faults, in the order of the causes and without repetitions."""
-    return list(dict.fromkeys(filter(None, (recommendation_for_cause(test) for test in tests if test.is_fault))))
+    """Next actions after the accepted causes that are faults, in the order of the causes and without repetitions.
+
+    An action against a drift of the vertical index follows if its errors were accepted at several set-ups.
+    """
+    faults = [test for test in tests if test.is_fault]
+    actions = [recommendation_for_cause(test) for test in faults]
+    index_errors = (test for test in faults if _is_vertical_index_error(test))
+    stations = list(dict.fromkeys(name for test in index_errors for name in test.where.stations))
+    if len(stations) > 1:
+        actions.append(INDEX_DRIFT_RECOMMENDATION.format(stations=listing(stations)))
+    return list(dict.fromkeys(filter(None, actions)))
+
+
+def _is_vertical_index_error(test: CauseTest) -> bool:
+    """True for an offset or step of elevations."""
+    return test.kind in ("constant-offset", "constant-step") and test.acts_on == "elevation"
