@@ -1,6 +1,6 @@
 """Recommended next action of a user after an identified cause."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.core.notation import listing
@@ -43,16 +43,36 @@ INDEX_DRIFT_RECOMMENDATION = (
 
 def recommendation_for_cause(test: CauseTest) -> str:
     """Sentence on the next action after an accepted cause; empty if the kind of the cause has no action."""
-    names = (*test.where.stations, *test.where.targets)
+    return recommendation_at_place(
+        test.kind,
+        test.where.stations,
+        test.where.targets,
+        test.rows,
+        concerns_vertical_index=_is_vertical_index_error(test),
+    )
+
+
+def recommendation_at_place(
+    cause_kind: str,
+    stations: Sequence[str],
+    targets: Sequence[str],
+    rows: Sequence[int] = (),
+    *,
+    concerns_vertical_index: bool = False,
+) -> str:
+    """Sentence on the next action after a cause at stations and targets, in pointings with these `rows` (from 1).
+
+    It is empty if the kind of the cause has no action.
+    """
+    names = (*stations, *targets)
     place = listing(names, len(names)) if names else "the set-ups"
-    action = RECOMMENDATION_BY_CAUSE_KIND.get(test.kind, "")
-    if _is_vertical_index_error(test):
-        action = VERTICAL_INDEX_RECOMMENDATION
-    targets = listing(test.where.targets, len(test.where.targets)) or "the reading"
-    row = f" (row {test.rows[0]})" if len(test.rows) == 1 else ""
-    reading_text = f"{targets}{' from ' if test.where.stations else ''}{', '.join(test.where.stations)}{row}"
-    setups = "this set-up" if len(test.where.stations) == 1 else "these set-ups" if names else "all set-ups"
-    return action.format(place=place, at_place=f" at {place}" if names else "", rows=reading_text, setups=setups)
+    action = VERTICAL_INDEX_RECOMMENDATION if concerns_vertical_index else RECOMMENDATION_BY_CAUSE_KIND.get(cause_kind)
+    row = f" (row {rows[0]})" if len(rows) == 1 else ""
+    target_text = listing(targets, len(targets)) or "the reading"
+    reading_text = f"{target_text}{' from ' if stations else ''}{', '.join(stations)}{row}"
+    setups = "this set-up" if len(stations) == 1 else "these set-ups" if names else "all set-ups"
+    at_place = f" at {place}" if names else ""
+    return (action or "").format(place=place, at_place=at_place, rows=reading_text, setups=setups)
 
 
 def recommendations_for_causes(tests: Iterable[CauseTest]) -> list[str]:
