@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust as adjusted_network
 from ltsim.adjustment.identification import CauseSelection, adjust_with_causes, cause_tests, identify_causes
-from ltsim.adjustment.identification.cause_tests import cause_sentence
+from ltsim.adjustment.identification.cause_tests import CauseTest, cause_sentence
 from ltsim.adjustment.prior import ParameterPrior, expected_error_sigmas, prior_sigmas
 from ltsim.adjustment.quality import require_usable
 from ltsim.adjustment.reference_tests import TESTED_KINDS_EXCEPT_SCALE, TESTED_REFERENCE_KINDS
@@ -28,6 +28,7 @@ from ltsim.calibration.prior_information import NO_PRIOR_SIGMA_FACTOR, Parameter
 from ltsim.calibration.reported_uncertainty import uncertainty_factor, with_reported_uncertainty
 from ltsim.calibration.schema import FitEntry, VerdictEntry
 from ltsim.calibration.shrinkage import recommend_correction
+from ltsim.calibration.undetermined import undetermined_entries
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
 from ltsim.core.limits import MAX_CALIBRATED_POINTINGS, MAX_CALIBRATED_TARGETS
 from ltsim.physics.effects.linear_effect import LinearEffect
@@ -282,6 +283,12 @@ def _require_available_datum(adjustment: Adjustment, datum: Sequence[str] | None
     return adjustment
 
 
+def _suspect_targets(tests: Sequence[CauseTest]) -> tuple[str, ...]:
+    """Names of the targets with an accepted cause that is no outlier of a single reading."""
+    faults = (test for test in tests if test.is_fault and test.kind != "outlier")
+    return tuple(dict.fromkeys(name for test in faults for name in test.where.targets))
+
+
 def _make_calibration(
     source: Recording, adjustment: Adjustment, method: str, *, recommend_measurements: bool, **fields: Any
 ) -> Calibration:
@@ -314,8 +321,12 @@ def _make_calibration(
         arrays,
         method=method,
         fit=result.fit_entry(adjustment),
-        undetermined=result.undetermined_entries(
-            adjustment, construction, directions, recommend_measurements=recommend_measurements
+        undetermined=undetermined_entries(
+            adjustment,
+            construction,
+            directions,
+            recommend_measurements=recommend_measurements,
+            suspect_targets=_suspect_targets(fields.get("tests", ())),
         ),
         frame=result.frame_text(adjustment),
         stations=result.station_poses(adjustment),
