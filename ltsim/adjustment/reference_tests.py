@@ -88,10 +88,12 @@ class ReferenceTest(ReferenceValue):
 
     @property
     def error_text(self) -> str:
-        """Size of the error (length of its vector) with standard deviation and unit, as text."""
+        """Size of the error (length of its vector) with standard deviation and unit, as text.
+
+        The standard deviation is that of the size of an error in the estimated direction: size / `normalised_error`.
+        """
         error_size = float(np.linalg.norm(self.error))
-        along = self.error / error_size if error_size else np.zeros(len(self.error))
-        sigma = float(np.linalg.norm(along * np.where(np.isfinite(self.sigma_error), self.sigma_error, 0.0)))
+        sigma = error_size / self.normalised_error if self.normalised_error else 0.0
         unit, factor = ERROR_UNITS.get(self.kind, ("mm", MILLIMETRE))
         return with_sigma(error_size / factor, sigma / factor, unit)
 

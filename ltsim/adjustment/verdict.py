@@ -100,7 +100,7 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
             f"Trust the estimated sigma0 and the tau-test. {_outlier_sentence(by_tau, ' in the tau-test')}"
         )
         return Verdict(VerdictCase.SMALLER_NOISE, sentence.rstrip(), True)
-    flagged_sentence = _flagged_sentence(by_w, by_tau)
+    flagged_sentence = _flagged_sentence(by_w, by_tau, origin)
     if adjustment.noise_sentences:
         noise, constants = (
             " ".join(adjustment.noise_sentences),
@@ -129,10 +129,13 @@ def _verdict_from_tests(adjustment: Adjustment, alpha: float, fit_with_constants
         )
         return Verdict(VerdictCase.UNEXPLAINED_MISFIT, sentence, True)
     reasons = _rejection_reasons(adjustment, alpha, fit_with_constants)
-    sentence = (
-        f"{reasons} Trust the global test, which fails, and the estimated sigma0: {phrase}. {flagged_sentence}"
-        f"{_noisy_targets_sentence(adjustment)}"
-    )
+    conclusion = f"Trust the global test, which fails, and the estimated sigma0: {phrase}."
+    if fit_with_constants is not None and fit_with_constants[1] > 0:
+        conclusion = (
+            f"This adjustment, without the constants, fails the global test: {phrase}. Its standard deviations are "
+            "multiplied by this sigma0."
+        )
+    sentence = f"{reasons} {conclusion} {flagged_sentence}{_noisy_targets_sentence(adjustment)}"
     return Verdict(VerdictCase.UNEXPLAINED_MISFIT, sentence, True)
 
 
@@ -225,10 +228,13 @@ def _outlier_sentence(n_readings: int, condition: str = "") -> str:
     return f"{count}{condition}."
 
 
-def _flagged_sentence(n_flagged: int, n_outliers: int) -> str:
-    """Sentence on the number of readings flagged by the w-test, and of outliers in a test with the observed noise."""
+def _flagged_sentence(n_flagged: int, n_outliers: int, origin: str) -> str:
+    """Sentence on the number of readings flagged by the w-test, and of outliers in a test with the estimated noise.
+
+    `origin` is the origin of the noise of the w-test as an adjective.
+    """
     if not n_flagged:
         return "The w-test flags no reading."
     flagged = "one reading" if n_flagged == 1 else f"{n_flagged} readings"
-    verb = "is an outlier" if n_outliers == 1 else "are outliers"
-    return f"The w-test flags {flagged}, of which {n_outliers or 'none'} {verb} at the observed noise level."
+    outliers = f"{n_outliers} are outliers" if n_outliers > 1 else f"{'one' if n_outliers else 'none'} is an outlier"
+    return f"The w-test with the {origin} noise flags {flagged}, of which {outliers} with the estimated noise."

@@ -26,6 +26,7 @@ from ltsim.calibration.distance_solver import (
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.calibration.prior_information import ParameterSelection
 from ltsim.calibration.schema import FitEntry
+from ltsim.calibration.undetermined import undetermined_entries
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.model.construction import GeometricErrorModel, declared_construction
 from ltsim.physics.model.measurement import MeasurementModel, NetworkState
@@ -156,7 +157,7 @@ def _undetermined_entries(
     """Entries of the combinations of parameters that the distances do not determine."""
     instruments = adjustment.recording.instruments
     if len(instruments) == 1:
-        return result.undetermined_entries(
+        return undetermined_entries(
             adjustment,
             construction,
             [list(estimate.undetermined_combinations)],

@@ -8,6 +8,7 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust as adjusted_network
 from ltsim.adjustment.identification import cause_tests, identify_causes
+from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.adjustment.prior import expected_error_sigmas, prior_sigmas
 from ltsim.adjustment.stochastic_model import NoiseGrouping
 from ltsim.calibration import result
@@ -24,6 +25,7 @@ from ltsim.calibration.prior_information import NO_PRIOR_SIGMA_FACTOR, Parameter
 from ltsim.calibration.reported_uncertainty import uncertainty_factor, with_reported_uncertainty
 from ltsim.calibration.schema import FitEntry, VerdictEntry
 from ltsim.calibration.shrinkage import recommend_correction
+from ltsim.calibration.undetermined import undetermined_entries
 from ltsim.core.errors import ConvergenceError, LtsimError
 from ltsim.core.limits import MAX_CALIBRATED_POINTINGS, MAX_CALIBRATED_TARGETS
 from ltsim.physics.effects.range_mode import RangeMode
@@ -216,6 +218,12 @@ def _noise_grouping(noise_from_data: bool) -> NoiseGrouping | None:
     return "instrument" if noise_from_data else None
 
 
+def _suspect_targets(tests: Sequence[CauseTest]) -> tuple[str, ...]:
+    """Names of the targets with an accepted cause that is no outlier of a single reading."""
+    faults = (test for test in tests if test.is_fault and test.kind != "outlier")
+    return tuple(dict.fromkeys(name for test in faults for name in test.where.targets))
+
+
 def _make_calibration(
     source: Recording, adjustment: Adjustment, method: str, *, recommend_measurements: bool, **fields: Any
 ) -> Calibration:
@@ -248,8 +256,12 @@ def _make_calibration(
         arrays,
         method=method,
         fit=result.fit_entry(adjustment),
-        undetermined=result.undetermined_entries(
-            adjustment, construction, directions, recommend_measurements=recommend_measurements
+        undetermined=undetermined_entries(
+            adjustment,
+            construction,
+            directions,
+            recommend_measurements=recommend_measurements,
+            suspect_targets=_suspect_targets(fields.get("tests", ())),
         ),
         frame=result.frame_text(adjustment),
         stations=result.station_poses(adjustment),

@@ -11,14 +11,11 @@ from ltsim.adjustment.evaluation.criteria import CriteriaEntry, evaluate_criteri
 from ltsim.adjustment.frame import DeclaredFrame
 from ltsim.adjustment.reference_tests import ERROR_UNITS
 from ltsim.adjustment.remedies.undetermined import (
-    MeasurementForCombination,
     ParameterCombination,
-    measurements_for_undetermined,
     undetermined_combinations,
 )
 from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS
 from ltsim.adjustment.verdict import Verdict, verdict_on
-from ltsim.calibration.combinations import UndeterminedEntry
 from ltsim.calibration.schema import (
     DISPLAY_UNITS,
     AxesEntry,
@@ -300,28 +297,6 @@ def _has_declared_datum_points(adjustment: Adjustment) -> bool:
     names = adjustment.datum.point_names if adjustment.datum is not None else ()
     setups = [adjustment.recording.target_setup(name) for name in names]
     return any(s.approximate_mm or s.known_mm for s in setups)
-
-
-def undetermined_entries(
-    adjustment: Adjustment,
-    construction: GeometricErrorModel,
-    undetermined_by_instrument: list[list[ParameterCombination]],
-    *,
-    recommend_measurements: bool,
-) -> tuple[UndeterminedEntry, ...]:
-    """Entries of undetermined combinations by instrument, on request with measurements that would determine these."""
-    instruments = adjustment.recording.instruments
-    measurements = [[MeasurementForCombination()] * len(group) for group in undetermined_by_instrument]
-    if recommend_measurements:
-        measurements = measurements_for_undetermined(adjustment, construction, undetermined_by_instrument)
-    combinations = []
-    for i, group in enumerate(undetermined_by_instrument):
-        names = construction.instrument_parameter_names(instruments)[i * construction.n_parameters :]
-        for direction, (instruction, sentence) in zip(group, measurements[i], strict=True):
-            terms = direction.coefficients(names)
-            entry = UndeterminedEntry(combination=terms, gain=direction.gain, cure=sentence, measurement=instruction)
-            combinations.append(entry)
-    return tuple(combinations)
 
 
 def undetermined_by_instrument(covariance: Floats, prior_sigma: Floats) -> list[list[ParameterCombination]]:

@@ -160,9 +160,15 @@ class Recovery(ResultFile):
         phrase = "the given tolerances" if self.tolerances else "its declared uncertainty"
         if self.failed_checks():
             return "the check fails"
+        names, count = [p.parameter for p in self.parameters], len(self.parameters)
+        limited = [name for name in names if name in self.tolerances]
+        if self.tolerances and len(limited) < count:
+            verb = "is" if len(limited) == 1 else "are"
+            checked_text = f"{len(limited)} of {count} parameters ({listing(limited, MAX_LISTED_PARAMETERS)}) {verb}"
+            return f"{checked_text} recovered within {phrase}, the others have no tolerance and are not checked"
         if not self.unchecked_parameters:
             return f"everything is recovered within {phrase}"
-        checked, count = len(self.parameters) - len(self.unchecked_parameters), len(self.parameters)
+        checked = count - len(self.unchecked_parameters)
         if not checked:
             return "no parameter is checked"
         return f"{checked} of {count} parameters are recovered within {phrase}, the others are not checked"

@@ -17,6 +17,9 @@ CONTRADICTED_MODEL_SENTENCE = (
     "therefore improbable. Look for single wrong pointings and for repeats that share errors."
 )
 """Sentence for users if held-out readings contradict the effects in the model."""
+MIN_ERROR_OF_REMAINING_MISFIT = 1.2
+"""Prediction error of held-out readings, divided by the noise, above which a sentence says that errors remain; noise
+alone gives 1. By convention."""
 COVARIATE_TEXTS = {
     "approach": "the motion of the head before the pointing",
     "place": "the position in the hall",
@@ -237,8 +240,10 @@ def _held_out_sentence(error_before: float | None, error_after: float | None) ->
     if error_before is None or error_after is None or error_before == error_after:
         return ""
     before_text, after_text = f"{error_before:.2f}", f"{error_after:.2f}"
-    comparison = f", and within {before_text} times without them" if before_text != after_text else ", as without them"
-    return (
-        " Readings that the fit has not used are predicted within "
-        f"{after_text} times the noise (rms) with the findings{comparison}."
-    )
+    subject = "the prediction of readings that the fit has not used"
+    if before_text == after_text:
+        return f" The findings do not change {subject}: its error is {after_text} times the noise (rms)."
+    verb = "improve" if error_after < error_before else "worsen"
+    end = ", which shows that further errors remain" if error_after > MIN_ERROR_OF_REMAINING_MISFIT else ""
+    change = f"{'falls' if error_after < error_before else 'rises'} from {before_text} to {after_text}"
+    return f" The findings {verb} {subject}: its error {change} times the noise (rms){end}."

@@ -240,13 +240,17 @@ def page_html(document: Document) -> str:
         finalize=lambda value: as_printable(value) if type(value) is str else value,
     )
     environment.filters["print"] = typographic_text
-    environment.filters["names"] = lambda text: Markup(
-        re.sub(r"[_:]|\.(?=[a-z])", r"\g<0><wbr>", str(escape(as_printable(text))))
-    )
+    environment.filters["cell"] = cell_markup
     files = "palette.css", "page.css", "page.js"
     palette, style, script = (loader.get_source(environment, file)[0] for file in files)
     assets = {"style": Markup(palette + style), "script": Markup(script)}
     return environment.get_template("page.html.j2").render(document=document, policy=CONTENT_SECURITY_POLICY, **assets)
+
+
+def cell_markup(text: str) -> Markup:
+    """Escaped text of a table cell: names may break after `_`, `:` and `.`, a number and its sigma do not break."""
+    unbroken_text = as_printable(text).replace(" ± ", "\u00a0±\u00a0")
+    return Markup(re.sub(r"[_:]|\.(?=[a-z])", r"\g<0><wbr>", str(escape(unbroken_text))))
 
 
 def package_versions() -> list[tuple[str, str]]:

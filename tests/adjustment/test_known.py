@@ -11,6 +11,7 @@ import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.axes import with_axes_from_points, with_control_points
 from ltsim.adjustment.quality import adjustment_warnings
+from ltsim.adjustment.reference_tests import ReferenceTest
 from ltsim.calibration.network import calibrate_network
 from ltsim.core.errors import RecordError
 from ltsim.core.randomness import random_stream
@@ -134,7 +135,7 @@ def test_a_wrong_temperature_of_the_gauge_is_told_of_all_its_lengths_and_of_no_r
     assert found.verdict is not None
     assert f"too {'long' if degrees > 0 else 'short'} (w = " in found.verdict.sentence
     told = lt.check(recording)
-    no_go = [item.sentence for item in told.items if item.kind == "network" and not item.passed]
+    no_go = [item.sentence for item in told.items if item.kind == "reference" and not item.passed]
     assert len(no_go) == 1
     assert no_go[0].startswith("all known lengths are ")
 
@@ -322,3 +323,23 @@ def test_control_points_of_a_table_have_weight(tmp_path: Path) -> None:
     file.write_text("target,x_mm,y_mm,z_mm,sigma_mm\nX01,1,2,3,0.1\n")
     with pytest.raises(RecordError, match="none of the recording's targets"):
         with_control_points(recording, file)
+
+
+def test_the_sigma_of_an_error_agrees_with_its_w() -> None:
+    """`2.999 +- 0.014 mm (w = 695)` was printed: the components of the error were correlated."""
+    error, covariance = np.array([3e-3, 1e-4, 0.0]), np.diag([1.4e-5, 1e-5, 1e-5]) ** 2
+    covariance[0, 1] = covariance[1, 0] = 0.9 * 1.4e-5 * 1e-5
+    test = ReferenceTest(
+        "axes",
+        "P05",
+        "xyz",
+        sigma=np.full(3, 1e-5),
+        residual=error,
+        error=error,
+        sigma_error=np.sqrt(np.diag(covariance)),
+        chi2_drop=float(error @ np.linalg.solve(covariance, error)),
+        rank=3,
+    )
+    size, sigma = (float(text) for text in test.error_text.removesuffix(" mm").split(" +- "))
+    assert size / sigma == pytest.approx(test.normalised_error, rel=0.05)
+    assert f"(w = {test.normalised_error:.3g})" in test.sentence

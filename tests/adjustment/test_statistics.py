@@ -188,6 +188,16 @@ def test_a_group_without_redundancy_keeps_its_noise():
 # --- verdict ------------------------------------------------------------------------------------------------------
 
 
+def test_the_verdict_says_to_which_adjustment_a_sigma0_belongs():
+    """`Trust the estimated sigma0: 5.989` stood next to `sigma0 is 0.999`."""
+    misfit = adjust(noisy(1, (6.0, 6.0, 6.0)), TRACKER)
+    sentence = verdict_on(misfit, fit_with_constants=(float(misfit.dof), misfit.dof)).sentence
+    assert "If these constants are estimated, sigma0 is 1.000 (" in sentence
+    assert f"This adjustment, without the constants, fails the global test: sigma0 = {misfit.sigma0:.3f} (" in sentence
+    assert "Trust" not in sentence
+    assert "is an outlier with the estimated noise." in sentence
+
+
 def test_the_verdict_says_which_test_to_trust():
     clean = next(a for a in (adjust(noisy(s, faces=2), TRACKER) for s in range(9)) if 0.2 < a.p_value < 0.8)
     assert verdict_on(clean).case is VerdictCase.CLEAN

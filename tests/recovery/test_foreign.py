@@ -216,6 +216,11 @@ def test_a_parameter_without_a_sigma_is_not_checked_and_does_not_pass() -> None:
     assert allowed.parameters[0].coverage_95 is None and allowed.parameters[1].coverage_95 is not None
     judged = lt.recover(SCENE, trials=3, calibrator=constant(1000.0, None), tolerance={"beam-tilt": "2 urad"})
     assert not judged.unchecked_parameters and not judged.passed
+    limited = lt.recover(SCENE, trials=3, seed=2, calibrator=constant(8.0, None), tolerance={"beam-tilt": "99 urad"})
+    assert limited.verdict_text() == (
+        "1 of 2 parameters (beam-tilt) is recovered within the given tolerances, the others have no tolerance and are "
+        "not checked"
+    )
     nothing = lt.recover(SCENE, trials=2, calibrator=lambda recording: {"beam-tilt": (8.0, None, "urad")})
     assert nothing.verdict_text() == "no parameter is checked" and not nothing.passed
 

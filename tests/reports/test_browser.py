@@ -21,7 +21,16 @@ PROBE = """<script>addEventListener("load", () => {
   document.querySelectorAll("details").forEach(part => part.open = true);
   const wide = [...document.querySelectorAll(".wide")].filter(table => table.scrollWidth > table.clientWidth + 1);
   const names = wide.map(table => table.closest(".table").querySelector("h3").textContent);
-  console.log(`WIDTH ${document.documentElement.scrollWidth} of ${innerWidth}, cut: ${names.join(", ") || "none"}`);
+  const broken = [];
+  document.querySelectorAll("td").forEach(cell => {
+    const node = [...cell.childNodes].find(child => child.nodeType === Node.TEXT_NODE);
+    if (!node || !/^[−-]?[0-9.]+( ± [0-9.]+)?$/.test(node.data.replace(/\\u00a0/g, " "))) return;
+    const range = document.createRange();
+    range.selectNodeContents(node);
+    if (new Set([...range.getClientRects()].map(line => line.top)).size > 1) broken.push(node.data);
+  });
+  const width = `WIDTH ${document.documentElement.scrollWidth} of ${innerWidth}`;
+  console.log(`${width}, cut: ${names.join(", ") || "none"}, broken: ${broken.join(", ") || "none"}`);
 });</script></body>"""
 
 
@@ -112,6 +121,15 @@ def test_coordinates_of_a_large_hall_are_not_cut_on_a_phone(tmp_path: Path) -> N
     assert_nothing_is_cut_on_a_phone(page_html(Document("Targets", "", "plain", [section])), tmp_path)
 
 
+def test_numbers_with_many_digits_do_not_break_on_a_phone(tmp_path: Path) -> None:
+    """A coordinate broke as `-1103.115` and `2`."""
+    columns: dict[str, list[str]] = {name: ["-1103.1152", "-112345.6789"] for name in ("x", "y", "z")}
+    columns |= {"error": ["-1103.1152 +- 1048.0012", "0.28 +- 0.21"], "meaning": ["a sentence of several words", "-"]}
+    table = Table.from_columns("targets", {"name": ["M01", "pillar north"], **columns})
+    section = Section("Targets", "Network", "Two targets.", blocks=table_blocks("Targets", table))
+    assert_nothing_is_cut_on_a_phone(page_html(Document("Targets", "", "plain", [section])), tmp_path)
+
+
 def assert_nothing_is_cut_on_a_phone(html: str, tmp_path: Path) -> None:
     """Check of the widths of the page and of its tables in a frame of 390 pixels."""
     inner = tmp_path / "inner.html"
@@ -124,4 +142,4 @@ def assert_nothing_is_cut_on_a_phone(html: str, tmp_path: Path) -> None:
     assert clean(seen.console) == []
     said = [line for line in seen.console if "WIDTH" in line]
     assert len(said) == 1
-    assert "WIDTH 390 of 390, cut: none" in said[0]
+    assert "WIDTH 390 of 390, cut: none, broken: none" in said[0]

@@ -373,12 +373,22 @@ def test_a_check_has_its_tests_in_a_table(tmp_path: Path) -> None:
         and section.summary.startswith("Go: ")
         and not section.next_actions
     )
+
+
+@pytest.mark.parametrize(
+    ("kind", "action"),
+    [
+        ("network", "Run ltsim diagnose to locate the disagreement of the stations."),
+        ("reference", "Check the reference values at T08 in their source, and correct the wrong one."),
+    ],
+)
+def test_the_action_after_a_failed_check_belongs_to_the_failed_test(kind: str, action: str, tmp_path: Path) -> None:
     content = check(samples.recording())
-    failed = content.items[0].model_copy(update={"passed": False, "kind": "network"})
+    failed = content.items[0].model_copy(update={"passed": False, "kind": kind, "targets": ("T08",)})
     content = content.model_copy(update={"passed": False, "items": (failed, *content.items[1:])})
     (tmp_path / "check.json").write_text(content.text())
     (section,) = document_of_folder(tmp_path).sections
-    assert section.next_actions == ["Run ltsim diagnose to locate the disagreement of the stations."]
+    assert section.next_actions == [action]
 
 
 def test_the_page_of_a_diagnosis_needs_no_3d(folder: Path, tmp_path: Path) -> None:

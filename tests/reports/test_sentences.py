@@ -11,6 +11,7 @@ import pytest
 
 from ltsim.campaigns.results import PairedDifference
 from ltsim.diagnosis.diagnosis import Diagnosis
+from ltsim.diagnosis.recommendations import inspection_action
 from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, FindingScope, Misfit, ParameterEstimate
 from ltsim.diagnosis.sentences import catalogue_effect_sentence, diagnosis_summary
 from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
@@ -51,6 +52,46 @@ def test_the_answer_names_causes_by_their_titles(kind: type, other: type) -> Non
     )
     assert "cannot exclude" in answer
     assert not KEYS.search(answer), answer
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "sentence"),
+    [
+        (1.5, 1.4, "The findings improve the prediction of readings that the fit has not used: its error falls from "
+         "1.50 to 1.40 times the noise (rms), which shows that further errors remain."),
+        (1.5, 1.0, "improve the prediction of readings that the fit has not used: its error falls from 1.50 to 1.00 "
+         "times the noise (rms)."),
+        (1.0, 1.1, "worsen the prediction of readings that the fit has not used: its error rises from 1.00 to 1.10"),
+        (1.001, 1.002, "do not change the prediction of readings that the fit has not used: its error is 1.00 times"),
+    ],
+)  # fmt: skip
+def test_the_answer_says_whether_the_findings_improve_predictions(before: float, after: float, sentence: str) -> None:
+    """`within 1.40 times the noise with the findings, and within 1.50 without` read like a failure."""
+    misfits = Misfit(chi2=9.0, dof=3, held_out_rms=before), Misfit(chi2=3.0, dof=2, held_out_rms=after)
+    assert sentence in diagnosis_summary("mismatch", [finding("range-step", "range-drift")], 0.01, *misfits)
+
+
+def test_cards_of_corrected_readings_name_the_corrected_finding(tmp_path: Path) -> None:
+    content = copy.deepcopy(samples.DIAGNOSIS)
+    content["tests"] = [{"kind": "target-moved", "acts_on": "position", "where": {}, "statistic": 9.0, "dof": 3,
+                         "sentence": "Target T05 moved."}]  # fmt: skip
+    moved = finding("target-moved", "nest-lift").model_copy(update={"sentence": "Target T05 moved."})
+    context = SectionContext(folder=tmp_path)
+    for findings, labels in (
+        ([], ["findings", "global test, two-sided p", "chi2 per degree of freedom"]),
+        ([moved], ["findings", "global test after the correction of finding 2, two-sided p",
+                   "chi2 per degree of freedom after the correction of finding 2"]),
+    ):  # fmt: skip
+        result = Diagnosis.model_validate_json(json.dumps(content))
+        result = result.model_copy(update={"findings": (*result.findings, *findings)})
+        assert [fact.name for fact in diagnosis_section(result, context).key_figures] == labels
+
+
+def test_a_wrong_reflector_constant_has_the_action_of_its_cause() -> None:
+    assert inspection_action(finding("reflector-constant", "range-step")) == (
+        "Check the SMR and the distance constant at S3; correct the wrong one."
+    )
+    assert inspection_action(finding("station-settling", "range-step")).startswith("Inspect S3 for the cause: ")
 
 
 def prose(section: Section) -> list[str]:

@@ -154,7 +154,7 @@ def network_items(
         marks = tuple(dict.fromkeys(motion.mark for motion in centring_errors.occupations))
         check_items.append(CheckItem.from_test("", "mistake", False, centring_errors.sentence, targets=marks))
     check_items += [
-        CheckItem.from_test("", "network", False, test.sentence, targets=() if test.kind == "scale" else (test.name,))
+        CheckItem.from_test("", "reference", False, test.sentence, targets=() if test.kind == "scale" else (test.name,))
         for test in fitted.rejected_references
     ]
     if fitted.solution.has_converged and fitted.dof > 0:
@@ -268,5 +268,5 @@ def _length_items(fitted: Adjustment, test_family: BonferroniFamily) -> list[Che
         agreement = (
             f"{test.name}: agreement with the measured distances within noise and specification ({test.error_text})"
         )
-        check_items.append(CheckItem.from_test("", "network", passed, agreement if passed else test.sentence, p))
+        check_items.append(CheckItem.from_test("", "reference", passed, agreement if passed else test.sentence, p))
     return check_items

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
@@ -22,7 +23,17 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import Entry, Finite, OptionalFloat, ResultFile, SourceEntry
 
 CheckItemKind = Literal[
-    "cause", "two-face", "gross", "bump", "drift", "instrument-drift", "closure", "network", "level", "mistake"
+    "cause",
+    "two-face",
+    "gross",
+    "bump",
+    "drift",
+    "instrument-drift",
+    "closure",
+    "network",
+    "reference",
+    "level",
+    "mistake",
 ]
 """Kind of test of a field check."""
 FIRST_REPORTED_KINDS = ("cause", "mistake", "bump", "drift")
@@ -70,7 +81,7 @@ ITEM_KIND_BY_CAUSE: dict[str, CheckItemKind] = {
     "outlier": "gross",
     "station-bump": "bump",
     "station-drift": "drift",
-    "reference-value": "network",
+    "reference-value": "reference",
     "names": "mistake",
     "unit": "mistake",
     "height": "mistake",
@@ -174,7 +185,7 @@ class Check(ResultFile):
         result = cls(
             recording=SourceEntry.from_recording(arrays.recording),
             passed=all(item.passed for item in items),
-            sentence=_go_or_no_go_sentence(items, causes, len(arrays.setups)),
+            sentence=_go_or_no_go_sentence(items, causes, arrays),
             level=alpha,
             tests=tuple(tests),
             items=items,
@@ -212,8 +223,13 @@ class Check(ResultFile):
         return TWO_FACE_TABLE.with_rows(rows)
 
 
-def _go_or_no_go_sentence(check_items: Sequence[CheckItem], cause_items: Sequence[CheckItem], n_setups: int) -> str:
-    """Sentence with go or no-go and the first failed test, in an order that prefers causes of other failures."""
+def _go_or_no_go_sentence(
+    check_items: Sequence[CheckItem], cause_items: Sequence[CheckItem], arrays: CheckArrays
+) -> str:
+    """Sentence with go or no-go and the first failed test, in an order that prefers causes of other failures.
+
+    The first failed test begins with a capital letter, unless it begins with the name of a station or target.
+    """
     failed_items = [item for item in check_items if not item.passed]
     n_failed_causes = sum(not item.passed for item in cause_items)
     rest = sorted(
@@ -224,7 +240,12 @@ def _go_or_no_go_sentence(check_items: Sequence[CheckItem], cause_items: Sequenc
     if failed_items:
         n_more = len(failed_items) - 1
         more = f" (and {n_more} more failed test{'s' if n_more > 1 else ''})" if n_more else ""
-        return f"no-go: {failed_items[0].sentence}{more}"
+        reason = failed_items[0].sentence
+        names = (*arrays.recording.stations, *arrays.recording.targets)
+        is_name_first = any(re.match(rf"{re.escape(name)}(?!\w)", reason) for name in names)
+        reason = reason if is_name_first else f"{reason[:1].upper()}{reason[1:]}"
+        return f"no-go: {reason}{more}"
+    n_setups = len(arrays.setups)
     return f"go: {n_setups} set-up{'s' if n_setups > 1 else ''} within noise and specification"
 
 

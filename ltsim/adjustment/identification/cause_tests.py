@@ -274,14 +274,14 @@ def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate:
     place, link = ("target", "to") if hypothesis.targets else ("station", "from")
     cause = OBSERVABLE_CAUSE_TEXTS[hypothesis.kind, hypothesis.acts_on, place]
     what, number = f"The {hypothesis.acts_on}s {link} {place_names or 'all stations'}", estimate["estimate"]
-    size_text = f"{with_sigma(abs(number), estimate['sigma'], estimate['unit'])}"
+    change_text, size_text = (with_sigma(x, estimate["sigma"], estimate["unit"]) for x in (number, abs(number)))
     if hypothesis.kind == "constant-step":
-        return f"{what} changed by {size_text} {_interval_text(fit, hypothesis)}: {cause}."
+        return f"{what} changed by {change_text} {_interval_text(fit, hypothesis)}: {cause}."
     if hypothesis.kind == "constant-drift":
         interval = "the measurement" if len(hypothesis.stations) == 1 else "the longest occupation"
-        return f"{what} drifted by {size_text} during {interval}: {cause}."
+        return f"{what} drifted by {change_text} during {interval}: {cause}."
     if hypothesis.acts_on != "distance":
-        return f"{what} are wrong by {size_text}: {cause}."
+        return f"{what} are {size_text} too {'large' if number > 0 else 'small'}: {cause}."
     if hypothesis.kind == "constant-offset":
         values, covariance = fit.estimate_and_covariance(hypothesis)
         cause = offset_cause_text(float(values[0]), float(np.sqrt(covariance[0, 0]))) or cause

@@ -1,6 +1,6 @@
 """Sentences on identified causes that the model of a result corrects, and recommended next actions."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 
 from ltsim.adjustment.identification.cause_tests import CauseTest
 from ltsim.core.notation import count_text, listing
@@ -30,27 +30,68 @@ RECOMMENDATION_BY_CAUSE_KIND = {
 """Next action for each kind of cause. `place` stands for the names of the stations and targets, `at_place` for the same
 names after the word "at", `setups` for the set-ups to measure again, `rows` for the pointing with its row number.
 """
-VERTICAL_INDEX_RECOMMENDATION = "Determine the vertical index of the tracker, and measure {place} again."
+VERTICAL_INDEX_RECOMMENDATION = (
+    "Determine the vertical index of the tracker, and measure {place} again in both faces: their mean is free of the "
+    "index."
+)
 """Next action for an offset of the elevations at one set-up."""
+INDEX_DRIFT_RECOMMENDATION = (
+    "The vertical index differs between set-ups ({stations}), which suggests a drift: run ltsim diagnose."
+)
+"""Next action after offsets of the elevations at several set-ups, whose names `stations` stands for."""
 
 
 def recommendation_for_cause(test: CauseTest) -> str:
     """Sentence on the next action after an accepted cause; empty if the kind of the cause has no action."""
-    names = (*test.where.stations, *test.where.targets)
+    return recommendation_at_place(
+        test.kind,
+        test.where.stations,
+        test.where.targets,
+        test.rows,
+        concerns_vertical_index=_is_vertical_index_error(test),
+    )
+
+
+def recommendation_at_place(
+    cause_kind: str,
+    stations: Sequence[str],
+    targets: Sequence[str],
+    rows: Sequence[int] = (),
+    *,
+    concerns_vertical_index: bool = False,
+) -> str:
+    """Sentence on the next action after a cause at stations and targets, in pointings with these `rows` (from 1).
+
+    It is empty if the kind of the cause has no action.
+    """
+    names = (*stations, *targets)
     place = listing(names, len(names)) if names else "the set-ups"
-    action = RECOMMENDATION_BY_CAUSE_KIND.get(test.kind, "")
-    if test.kind in ("constant-offset", "constant-step") and test.acts_on == "elevation":
-        action = VERTICAL_INDEX_RECOMMENDATION
-    targets = listing(test.where.targets, len(test.where.targets)) or "the reading"
-    row = f" (row {test.rows[0]})" if len(test.rows) == 1 else ""
-    reading_text = f"{targets}{' from ' if test.where.stations else ''}{', '.join(test.where.stations)}{row}"
-    setups = "this set-up" if len(test.where.stations) == 1 else "these set-ups" if names else "all set-ups"
-    return action.format(place=place, at_place=f" at {place}" if names else "", rows=reading_text, setups=setups)
+    action = VERTICAL_INDEX_RECOMMENDATION if concerns_vertical_index else RECOMMENDATION_BY_CAUSE_KIND.get(cause_kind)
+    row = f" (row {rows[0]})" if len(rows) == 1 else ""
+    target_text = listing(targets, len(targets)) or "the reading"
+    reading_text = f"{target_text}{' from ' if stations else ''}{', '.join(stations)}{row}"
+    setups = "this set-up" if len(stations) == 1 else "these set-ups" if names else "all set-ups"
+    at_place = f" at {place}" if names else ""
+    return (action or "").format(place=place, at_place=at_place, rows=reading_text, setups=setups)
 
 
 def recommendations_for_causes(tests: Iterable[CauseTest]) -> list[str]:
-    """Next actions after the accepted causes that are faults, in the order of the causes and without repetitions."""
-    return list(dict.fromkeys(filter(None, (recommendation_for_cause(test) for test in tests if test.is_fault))))
+    """Next actions after the accepted causes that are faults, in the order of the causes and without repetitions.
+
+    An action against a drift of the vertical index follows if its errors were accepted at several set-ups.
+    """
+    faults = [test for test in tests if test.is_fault]
+    actions = [recommendation_for_cause(test) for test in faults]
+    index_errors = (test for test in faults if _is_vertical_index_error(test))
+    stations = list(dict.fromkeys(name for test in index_errors for name in test.where.stations))
+    if len(stations) > 1:
+        actions.append(INDEX_DRIFT_RECOMMENDATION.format(stations=listing(stations)))
+    return list(dict.fromkeys(filter(None, actions)))
+
+
+def _is_vertical_index_error(test: CauseTest) -> bool:
+    """True for an offset or step of elevations."""
+    return test.kind in ("constant-offset", "constant-step") and test.acts_on == "elevation"
 
 
 def corrected_faults(tests: Iterable[CauseTest]) -> list[CauseTest]:

@@ -344,16 +344,18 @@ def second_face_candidate(network: PlannedNetwork) -> CandidateMeasurement | Non
     return first_remedy if first_remedy and first_remedy.instruction == advice_sentence("other face") else None
 
 
-def calibrated_length_candidates(network: PlannedNetwork) -> Iterator[CandidateMeasurement]:
-    """Calibrated length between the two targets whose distance is nearest to 2 m; empty if all targets coincide."""
+def calibrated_length_candidates(
+    network: PlannedNetwork, suspect_targets: Iterable[str] = ()
+) -> Iterator[CandidateMeasurement]:
+    """Calibrated length between those two targets, without suspects, whose distance is nearest to 2 m."""
     points, names = network.state.target_points, network.recording.targets
-    if len(points) < 2:
-        return
-    first, second = np.triu_indices(len(points), k=1)
+    usable = np.flatnonzero([name not in set(suspect_targets) for name in names])
+    first, second = (usable[ends] for ends in np.triu_indices(len(usable), k=1))
     lengths = np.linalg.norm(points[first] - points[second], axis=1)
-    best_index = int(np.argmin(np.abs(lengths - REFERENCE_BAR_LENGTH)))
-    if lengths[best_index] <= REFERENCE_BAR_SIGMA_MM * MILLIMETRE:
-        return  # all targets coincide
+    is_distinct = lengths > REFERENCE_BAR_SIGMA_MM * MILLIMETRE
+    if not is_distinct.any():
+        return
+    best_index = int(np.argmin(np.where(is_distinct, np.abs(lengths - REFERENCE_BAR_LENGTH), np.inf)))
     i, j = int(first[best_index]), int(second[best_index])
     words = advice_sentence("length", length=REFERENCE_BAR_LENGTH, targets=list_text([names[i], names[j]]))
     yield CandidateMeasurement("length", words, BAR_CALIBRATION_TIME, network.with_length(i, j, REFERENCE_BAR_SIGMA_MM))
@@ -367,9 +369,8 @@ def near_reflector_candidates(network: PlannedNetwork) -> Iterator[CandidateMeas
         *([("other face and near", two_face_remedy.network)] if two_face_remedy else []),
     ]:
         recording, state = start.recording, start.state
-        points = np.concatenate(
-            [centre + from_polar(NEAR_REFLECTOR_COORDINATES) for centre in state.station_positions[:2]]
-        )
+        centres = state.station_positions[:2]
+        points = np.concatenate([centre + from_polar(NEAR_REFLECTOR_COORDINATES) for centre in centres])
         axes = (
             np.arange(len(recording.stations)),
             len(state.target_points) + np.arange(len(points)),

@@ -348,7 +348,8 @@ def rank_deciding_measurements(
     suspects = [target for e in explanations for target in e.effect.targets]
     nearby_candidates = sorted(pointing_candidates(network, suspects, visibility_function), key=_effort_rank)
     repeat_remedies = sorted(repeated_setup_candidates(network, seconds_per_move), key=_effort_rank)
-    costly_remedies = sorted([*procedure_candidates(network), *calibrated_length_candidates(network)], key=_effort_rank)
+    lengths = calibrated_length_candidates(network, suspects)
+    costly_remedies = sorted([*procedure_candidates(network), *lengths], key=_effort_rank)
     n_proposals = len(nearby_candidates) + len(repeat_remedies) + N_EVALUATED_STATIONS + len(costly_remedies)
     proposals: list[MeasurementProposal] = []
     stations = _most_informative_stations(network, seconds_per_move, visibility_function)

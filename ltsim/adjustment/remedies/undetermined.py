@@ -144,20 +144,23 @@ class MeasurementForCombination(NamedTuple):
 
 
 def measurements_for_undetermined(
-    adjustment: Adjustment, construction: GeometricErrorModel, directions: Sequence[Sequence[ParameterCombination]]
+    adjustment: Adjustment,
+    construction: GeometricErrorModel,
+    directions: Sequence[Sequence[ParameterCombination]],
+    suspect_targets: Sequence[str] = (),
 ) -> list[list[MeasurementForCombination]]:
     """Measurements that determine the undetermined combinations of each instrument.
 
     The proposal for a combination is the first measurement that increases its gain (fraction of the prior variance that
     readings remove) above one half, or otherwise the measurement with the largest increase. `directions` contains the
-    combinations of each instrument, `construction` is the error model with their parameters. The result has one list
-    per instrument.
+    combinations of each instrument, `construction` is the error model with their parameters. Targets named in
+    `suspect_targets`, which may have moved, are no ends of a proposed length. The result has one list per instrument.
     """
     if not any(directions):
         return [[] for _ in directions]
     network = PlannedNetwork.from_adjustment(adjustment, construction)
     present_gains = _gains_of_combinations(network, directions)
-    cheap = [r for r in (second_face_candidate(network), *calibrated_length_candidates(network)) if r]
+    cheap = [r for r in (second_face_candidate(network), *calibrated_length_candidates(network, suspect_targets)) if r]
     candidates = chain(
         cheap, repeated_setup_candidates(network, 0.0, [0]), near_reflector_candidates(network)
     )  # the cheapest first

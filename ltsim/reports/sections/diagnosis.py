@@ -11,10 +11,10 @@ import numpy as np
 
 from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAIN
 from ltsim.calibration.schema import RESIDUALS_TABLE
-from ltsim.core.errors import ModelError
 from ltsim.core.notation import MISSING_TEXT, number_text
 from ltsim.core.probability import p_text, two_sided_p_value
 from ltsim.diagnosis.diagnosis import Diagnosis
+from ltsim.diagnosis.recommendations import inspection_action, is_name_exchange
 from ltsim.diagnosis.schema import (
     DIAGNOSED_TARGETS_TABLE,
     RESIDUALS_BEFORE_TABLE,
@@ -24,8 +24,7 @@ from ltsim.diagnosis.schema import (
     Misfit,
 )
 from ltsim.diagnosis.sentences import effect_title_in_sentence, finding_title, significant_constants_texts
-from ltsim.physics.effects import effect_title, find_effect, parameter_text
-from ltsim.physics.effects.catalogue import catalogue_entry
+from ltsim.physics.effects import effect_title, parameter_text
 from ltsim.recordings.result_file import require_same_recording
 from ltsim.reports import figures
 from ltsim.reports.document_model import (
@@ -144,7 +143,7 @@ def _next_actions(content: Diagnosis) -> list[str]:
         for finding in content.findings
         if finding.separate_by and _has_probable_alternative(finding)
     ]
-    inspections = [_inspection_action(finding) for finding in content.findings]
+    inspections = [inspection_action(finding) for finding in content.findings]
     use_sentence = "Use the coordinates in targets.csv, which account for the findings."
     moved_targets = [
         name for finding in content.findings if finding.effect == "target-moved" for name in finding.where.targets
@@ -164,60 +163,37 @@ def _has_probable_alternative(finding: Finding) -> bool:
     )
 
 
-def _inspection_action(finding: Finding) -> str:
-    """Sentence on the part of the set-up to inspect or to correct because of a finding."""
-    scope = finding.where
-    trackers = [f"instrument {name}" for name in scope.instruments]
-    place = listing([*trackers, *scope.stations, *scope.targets])
-    if _is_name_exchange(finding):
-        names = listing(scope.targets)
-        if not scope.stations:
-            return f"Exchange the reference coordinates of {names} in setup.toml."
-        return f"Exchange the names {names} at {listing(scope.stations)}."
-    if finding.effect == "noise-level":
-        return "Set the noise in setup.toml to the estimated values."
-    if finding.concerns_reference_value:
-        return f"Check the {finding.carrier} ({place or 'all of them'})."
-    covariates_text = f" with {listing(scope.covariates)}" if scope.covariates else ""
-    change = f"change of the {finding.carrier or 'readings'}{covariates_text}"
-    title = effect_title(finding.effect) if finding.is_catalogued else f"a {change}"
-    action = f"Inspect {place} for the cause: {title}" if place else f"Look for {title} in all set-ups"
-    return f"{action}{_confirmation_text(finding)}."
-
-
-def _confirmation_text(finding: Finding) -> str:
-    """Measurement that confirms the effect of a finding, after a semicolon.
-
-    The text is empty for a law outside the catalogue, and if no measurement is needed.
-    """
-    if not finding.is_catalogued:
-        return ""
-    try:
-        measurement = catalogue_entry(find_effect(finding.effect)).confirming_measurement
-    except ModelError:  # an effect of another package, which is not installed here
-        return ""
-    return f"; confirmed by {measurement}" if measurement else ""
-
-
-def _is_name_exchange(finding: Finding) -> bool:
-    """True if the names of two reflectors were exchanged."""
-    return finding.effect == "target-swap" and len(finding.where.targets) == 2
-
-
 def _key_figures(content: Diagnosis) -> list[KeyFigure]:
-    test = content.global_test
+    """Key figures; labels of tests of corrected readings name the findings that were corrected."""
+    test, corrected = content.global_test, _corrected_findings_text(content)
+    after_text = f" after the correction of {corrected}" if corrected else ""
     p_value = test.p_value if test.dof > 0 else None
     verdict = assessment_of(content.verdict == "consistent")
+    p_text_of_global_test = p_text(None if p_value is None else two_sided_p_value(p_value))
     facts = [
         KeyFigure("findings", str(len(content.findings)), verdict),
-        KeyFigure("global test, two-sided p", p_text(None if p_value is None else two_sided_p_value(p_value))),
+        KeyFigure(f"global test{after_text}, two-sided p", p_text_of_global_test),
     ]
     if test.search_p_value is not None:
-        facts.append(KeyFigure("whole search, p", p_text(test.search_p_value)))
+        facts.append(KeyFigure(f"whole search{after_text}, p", p_text(test.search_p_value)))
     if content.fit is not None:
         ratios = dict.fromkeys(_chi2_per_dof_text(fit) for fit in (content.fit.before, content.fit.after))
-        facts.append(KeyFigure("chi2 per degree of freedom", " to ".join(ratios)))
+        facts.append(KeyFigure(f"chi2 per degree of freedom{after_text}", " to ".join(ratios)))
     return facts
+
+
+def _corrected_findings_text(content: Diagnosis) -> str:
+    """Text of the numbers of the findings that were corrected before the global test; empty if there are none.
+
+    They are the findings of tests, and those without a p-value; a change of the noise is not corrected.
+    """
+    sentences = {test.sentence for test in content.tests}
+    numbers = [
+        str(number)
+        for number, finding in enumerate(content.findings, start=1)
+        if finding.sentence in sentences or (finding.evidence.p_value is None and finding.effect != "noise-level")
+    ]
+    return f"finding{'s' if len(numbers) > 1 else ''} {listing(numbers)}" if numbers else ""
 
 
 def _chi2_per_dof_text(fit: Misfit) -> str:
@@ -335,10 +311,10 @@ def _finding_place_blocks(finding: Finding, finding_number: int, adjustments: Ad
     }
     if adjustments is None or not (targets or centre_parameters) or len(targets) > MAX_MARKED_TARGETS:
         return []
-    is_name_exchange = _is_name_exchange(finding)
-    marked_names, pairs = (*stations, *targets), [(targets[0], targets[1])] if is_name_exchange else []
+    has_exchange = is_name_exchange(finding)
+    marked_names, pairs = (*stations, *targets), [(targets[0], targets[1])] if has_exchange else []
     text = "The names of the marked targets were exchanged: each reading belongs to the other end of the arrow."
-    caption = text if is_name_exchange else "Seen from above; stations and targets of the finding are marked."
+    caption = text if has_exchange else "Seen from above; stations and targets of the finding are marked."
     caption += " Shaded: region of the finding in the hall, +- two standard deviations." if centre_parameters else ""
     workshop = workshop_from_adjustment(adjustments[1])
     area = {axis: (p.value, 2.0 * p.sigma) for axis, p in centre_parameters.items()}
@@ -367,6 +343,8 @@ def _fit_tables(content: Diagnosis) -> list[TableBlock]:
         "Held-out error: 5-fold cross-validated prediction error, divided by the declared noise (or by the estimated "
         "noise if this is larger). The noise alone gives 1."
     )
+    if corrected := _corrected_findings_text(content):
+        note = f"Both models are fitted after the correction of {corrected}. {note}"
     return table_blocks("Fit before and after", content.table("fit"), note=note)
 
 

@@ -6,8 +6,8 @@ from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 from ltsim.acceptance.files import AcceptanceFile, Judgement, joint_judgement
-from ltsim.adjustment.fieldcheck.result import Check, item_from_cause
-from ltsim.adjustment.identification.recommendations import recommendations_for_causes
+from ltsim.adjustment.fieldcheck.recommendations import recommendations_after_check
+from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.calibration.calibration_series import ChangeEntry
 from ltsim.calibration.events import MIN_STEPS_FOR_TEST, MIN_STEPS_TO_CALL_USUAL, EventEntry
@@ -68,17 +68,6 @@ MAX_BUDGET_BARS = 40
 """Largest number of results in a figure of uncertainty budgets; only the first results are drawn."""
 MAX_LISTED_TESTS = 200
 """Largest number of acceptance tests in a table, the least likely to pass first."""
-ACTIONS_BY_FAILED_TEST = {
-    ("two-face",): "Run the two-face compensation of the tracker, or estimate its errors with ltsim calibrate.",
-    ("gross", "bump", "drift", "instrument-drift", "closure", "level", "mistake"): (
-        "Measure {place} again before moving the tripod."
-    ),
-    ("network",): "Run ltsim diagnose to locate the disagreement of the stations.",
-}
-"""Next action by the kinds of failed tests without an identified cause.
-
-`place` stands for the targets of the tests, or for their stations if they have no targets.
-"""
 
 
 def check_section(content: Check, context: SectionContext) -> Section:
@@ -98,7 +87,7 @@ def check_section(content: Check, context: SectionContext) -> Section:
     recording_title = content.recording.title if content.recording else ""
     title = f"Check in the field: {recording_title}" if recording_title else "Check in the field"
     answer = capitalised_sentence(content.sentence)
-    actions = [*recommendations_for_causes(content.tests), *_failed_test_actions(content)]
+    actions = recommendations_after_check(content)
     return Section(
         title,
         "Check",
@@ -109,19 +98,6 @@ def check_section(content: Check, context: SectionContext) -> Section:
         n_open_blocks=n_open_blocks,
         next_actions=actions,
     )
-
-
-def _failed_test_actions(content: Check) -> list[str]:
-    """Next actions after failed tests without an identified cause."""
-    actions = []
-    causes = [item_from_cause(test) for test in content.tests]
-    for kinds, action in ACTIONS_BY_FAILED_TEST.items():
-        items = [i for i in content.items if not i.passed and i.kind in kinds and i not in causes]
-        targets = list(dict.fromkeys(name for item in items for name in item.targets))
-        stations = list(dict.fromkeys(item.station for item in items if item.station))
-        if items:
-            actions.append(action.format(place=listing(targets or stations) or "the set-ups"))
-    return actions
 
 
 def comparison_section(content: Comparison, _: SectionContext) -> Section:

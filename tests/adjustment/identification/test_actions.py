@@ -23,6 +23,16 @@ def test_each_kind_of_cause_has_an_action() -> None:
     assert "vertical index" in recommendation_for_cause(cause("constant-offset", "elevation"))
 
 
+def test_different_vertical_indices_at_set_ups_suggest_a_drift() -> None:
+    first = cause("constant-offset", "elevation")
+    second = first.model_copy(update={"where": CausePlace(stations=("ST4",))})
+    assert "both faces" in recommendation_for_cause(first)
+    assert recommendations_for_causes([first]) == [recommendation_for_cause(first)]
+    actions = recommendations_for_causes([first, second])
+    assert len(actions) == 3
+    assert "(ST3, ST4), which suggests a drift: run ltsim diagnose" in actions[-1]
+
+
 def test_noise_smaller_than_declared_is_no_fault() -> None:
     quiet, loud, again = (cause("noise-level", "noise", size) for size in (0.5, 3.0, 4.0))
     assert not quiet.is_fault and loud.is_fault

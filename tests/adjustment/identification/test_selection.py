@@ -102,6 +102,15 @@ def test_an_offset_of_all_distances_from_a_station(size: float) -> None:
     assert the_one(identified(shifted(recording, recording.station == 2, 0, size))) == ("constant-offset", ("S3",), ())
 
 
+@pytest.mark.parametrize(("size", "direction"), [(3e-5, "large"), (-3e-5, "small")])
+def test_an_offset_of_the_elevations_from_a_station_has_its_sign(size: float, direction: str) -> None:
+    recording, _ = hall()
+    selection = identified(shifted(recording, recording.station == 2, 2, size))
+    (test,) = [t for t in cause_tests(selection) if t.accepted and t.kind != "outlier"]
+    assert test.estimate == pytest.approx(size / ARCSECOND, abs=5.0 * test.sigma)
+    assert f"arcsec too {direction}: the vertical index differs at this set-up" in test.sentence
+
+
 @pytest.mark.parametrize("share", family([3e-5, 0.01]))
 def test_a_scale_error_of_a_station(share: float) -> None:
     recording, _ = hall()

@@ -62,6 +62,31 @@ def test_a_length_that_is_known_is_not_calibrated_again(measured: PlannedNetwork
     assert len(grown.recording.gauge.distance) == len(measured.recording.gauge.distance) + 1
 
 
+def test_a_proposed_length_does_not_end_at_a_suspect_target(measured: PlannedNetwork) -> None:
+    (proposal,) = calibrated_length_candidates(measured)
+    ends = proposal.instruction.partition(" between ")[2].split(" and ")
+    for suspects in (ends[:1], ends[1:], ends):
+        (other,) = calibrated_length_candidates(measured, suspects)
+        assert not set(suspects) & set(other.instruction.partition(" between ")[2].split(" and "))
+    assert not list(calibrated_length_candidates(measured, measured.recording.targets[1:]))
+
+
+def test_a_calibration_proposes_no_length_to_a_moved_target() -> None:
+    """A moved target was proposed as an end of the length that determines the scale."""
+    recording, _ = network(seed=1, faces=2)
+    plain = recording.replace(setup=recording.setup.model_copy(update={"gauge": None}))
+    (first, *_) = [
+        c.measurement for c in calibrate_network(plain).undetermined if "such as the distance" in c.measurement
+    ]
+    name = first.partition(" between ")[2].split(" and ")[0]
+    later = (plain.target == plain.targets.index(name)) & (plain.time > np.median(plain.time))
+    moved = plain.with_readings(plain.readings + np.outer(later, [0.003, 0.0, 0.0]))
+    found = calibrate_network(moved)
+    assert any(test.where.targets == (name,) for test in found.tests)
+    instructions = " ".join(c.measurement for c in found.undetermined)
+    assert "such as the distance between" in instructions and not re.search(rf"\b{name}\b", instructions)
+
+
 def test_the_smallest_recordings_get_advice_and_no_traceback() -> None:
     """One pointing, one target from one station in both faces, two targets from one station."""
     recording, _ = network(seed=1, faces=2)

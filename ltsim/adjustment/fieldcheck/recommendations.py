@@ -1,0 +1,43 @@
+"""Recommended next actions of a user after a field check."""
+
+from ltsim.adjustment.fieldcheck.result import Check, CheckItem, item_from_cause
+from ltsim.adjustment.identification.recommendations import (
+    RECOMMENDATION_BY_CAUSE_KIND,
+    recommendations_for_causes,
+)
+from ltsim.core.notation import listing
+
+RECOMMENDATION_BY_FAILED_TESTS = {
+    ("two-face",): "Run the two-face compensation of the tracker, or estimate its errors with ltsim calibrate.",
+    ("gross", "bump", "drift", "instrument-drift", "closure", "level", "mistake"): (
+        "Measure {place} again before moving the tripod."
+    ),
+    ("network",): "Run ltsim diagnose to locate the disagreement of the stations.",
+    ("reference",): RECOMMENDATION_BY_CAUSE_KIND["reference-value"],
+    ("reference-scale",): RECOMMENDATION_BY_CAUSE_KIND["reference-scale"],
+}
+"""Next action by the kinds of failed tests without an identified cause.
+
+`reference-scale` stands for tests of the common scale of all reference lengths. In the sentences `place` stands for the
+targets of the tests, or for their stations if they have no targets, `at_place` for the same names after the word "at".
+"""
+
+
+def recommendations_after_check(check: Check) -> list[str]:
+    """Next actions after the identified causes and then after the other failed tests, without repetitions."""
+    actions = recommendations_for_causes(check.tests)
+    causes = [item_from_cause(test) for test in check.tests]
+    failed_items = [item for item in check.items if not item.passed and item not in causes]
+    for kinds, action in RECOMMENDATION_BY_FAILED_TESTS.items():
+        items = [item for item in failed_items if _recommendation_kind(item) in kinds]
+        targets = list(dict.fromkeys(name for item in items for name in item.targets))
+        stations = list(dict.fromkeys(item.station for item in items if item.station))
+        place = listing(targets or stations)
+        if items:
+            actions.append(action.format(place=place or "the set-ups", at_place=f" at {place}" if place else ""))
+    return list(dict.fromkeys(actions))
+
+
+def _recommendation_kind(item: CheckItem) -> str:
+    """Kind of a test in `RECOMMENDATION_BY_FAILED_TESTS`."""
+    return "reference-scale" if item.kind == "reference" and not (item.targets or item.station) else item.kind

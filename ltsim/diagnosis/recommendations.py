@@ -1,0 +1,58 @@
+"""Recommended next action of a user after a finding of a diagnosis."""
+
+from ltsim.adjustment.identification.recommendations import recommendation_at_place
+from ltsim.core.errors import ModelError
+from ltsim.core.notation import listing
+from ltsim.diagnosis.schema import Finding
+from ltsim.physics.effects import catalogue_entry, effect_title, find_effect
+
+CAUSE_KIND_BY_EFFECT_NAME = {
+    "reflector-constant": "constant-offset",
+    "range-step": "constant-step",
+    "smr-offset": "reflector-radius",
+    "target-moved": "target-moved",
+}
+"""Kind of cause whose recommended action is used after a finding, by the name of the catalogue effect."""
+
+
+def inspection_action(finding: Finding) -> str:
+    """Sentence on the part of the set-up to inspect or to correct because of a finding."""
+    scope = finding.where
+    trackers = [f"instrument {name}" for name in scope.instruments]
+    place = listing([*trackers, *scope.stations, *scope.targets])
+    if is_name_exchange(finding):
+        names = listing(scope.targets)
+        if not scope.stations:
+            return f"Exchange the reference coordinates of {names} in setup.toml."
+        return f"Exchange the names {names} at {listing(scope.stations)}."
+    if finding.effect == "noise-level":
+        return "Set the noise in setup.toml to the estimated values."
+    if finding.effect in CAUSE_KIND_BY_EFFECT_NAME and place:
+        kind = CAUSE_KIND_BY_EFFECT_NAME[finding.effect]
+        return recommendation_at_place(kind, [*trackers, *scope.stations], scope.targets)
+    if finding.concerns_reference_value:
+        return f"Check the {finding.carrier} ({place or 'all of them'})."
+    covariates_text = f" with {listing(scope.covariates)}" if scope.covariates else ""
+    change = f"change of the {finding.carrier or 'readings'}{covariates_text}"
+    title = effect_title(finding.effect) if finding.is_catalogued else f"a {change}"
+    action = f"Inspect {place} for the cause: {title}" if place else f"Look for {title} in all set-ups"
+    return f"{action}{_confirmation_text(finding)}."
+
+
+def _confirmation_text(finding: Finding) -> str:
+    """Measurement that confirms the effect of a finding, after a semicolon.
+
+    The text is empty for a law outside the catalogue, and if no measurement is needed.
+    """
+    if not finding.is_catalogued:
+        return ""
+    try:
+        measurement = catalogue_entry(find_effect(finding.effect)).confirming_measurement
+    except ModelError:  # an effect of another package, which is not installed here
+        return ""
+    return f"; confirmed by {measurement}" if measurement else ""
+
+
+def is_name_exchange(finding: Finding) -> bool:
+    """True if the names of two reflectors were exchanged."""
+    return finding.effect == "target-swap" and len(finding.where.targets) == 2
