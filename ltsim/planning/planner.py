@@ -255,6 +255,8 @@ def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visib
         is_reaimed=~aimed,
         obstacles=search_space.obstacles,
     )
+    if not search_space.position_tolerance:
+        return table
     return table.with_marginal_pairs(~search_space.is_visible(survey.station_positions, survey.target_points))
 
 
