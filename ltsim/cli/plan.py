@@ -28,7 +28,7 @@ PlanSourceArgument = Annotated[
 ]
 PlanFolderOption = Annotated[
     Path | None,
-    typer.Option("--out", metavar="DIR", help="Folder to write to; default plan-NAME, none with --json."),
+    typer.Option("--out", metavar="DIR", help="Folder to write to; default plan-NAME, none with --json or --move."),
     RESULT_FOLDER_OUTPUT,
 ]
 ShowPlanOption = Annotated[bool, typer.Option("--show", help="Print a built-in plan as a file to edit, and stop.")]
@@ -205,6 +205,8 @@ def _write_and_print_plan(terminal: Terminal, plan_result: Plan, folder: Path | 
         terminal.print_text(
             f"for a page with pictures: ltsim report {folder}; in 3D: ltsim view {folder / 'scenario.toml'}"
         )
+    else:
+        terminal.print_text("\nThe layout was evaluated only, and no file was written; --out DIR writes this plan.")
 
 
 def _picture_files(plan_result: Plan) -> dict[str, bytes]:

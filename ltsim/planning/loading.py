@@ -15,8 +15,9 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, RecordError, as_input_error
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects import CATALOGUE
-from ltsim.planning.search_space import MIN_VISIBLE_TARGETS, StationPlacement
+from ltsim.planning.search_space import MIN_VISIBLE_TARGETS
 from ltsim.planning.spec import WALLS_NAME, PlanFile, PlanPoint
+from ltsim.planning.station_placement import StationPlacement
 from ltsim.recordings.coordinates import PointList, read_points as read_coordinates
 from ltsim.recordings.files import parse_comma_number, quoted_text
 from ltsim.recordings.settings import read_toml, validate_settings
@@ -167,8 +168,9 @@ def _check_dependent_keys(plan_file: PlanFile, scenario: Scenario, file: object)
     fixed_keys = [f"budget.{key}" for key in ("faces", "repeats") if getattr(plan_file.budget, key) is not None]
     if fixed_keys and not plan_file.chooses_procedure:
         raise InputError(
-            f"{file}: {' and '.join(fixed_keys)} without budget.max_hours has no effect; give the hours for the work, "
-            "or fix faces and repeats in the table [work] of the scenario"
+            f"{file}: {' and '.join(fixed_keys)} {'have' if len(fixed_keys) > 1 else 'has'} no effect without "
+            "budget.max_hours or tolerances; give one of them, or fix faces and repeats in the table [work] of the "
+            "scenario"
         )
     if plan_file.goal.diagnosis_weight and not plan_file.goal.effects:
         raise InputError(f"{file}: goal.diagnosis_weight is above 0, but goal.effects names no effect")

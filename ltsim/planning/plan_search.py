@@ -7,7 +7,6 @@ import numpy as np
 
 from ltsim.adjustment.remedies.next_measurement import ProgressCallback, no_progress
 from ltsim.core.errors import InputError, NetworkError
-from ltsim.core.randomness import random_stream
 from ltsim.core.units import MICROMETRE
 from ltsim.planning.loading import require_small_grid
 from ltsim.planning.multistart_search import (
@@ -24,18 +23,16 @@ from ltsim.planning.planner import (
     evaluate_plan,
     objective_and_qualities,
 )
-from ltsim.planning.search import LayoutSearcher
+from ltsim.planning.required_sights import never_visible_text, placement_seeing_all_points, with_feasible_min_sights
 from ltsim.planning.search_inputs import (
     candidate_procedures,
     layout_objective,
     make_search_space,
     min_sights_of_reflector,
 )
-from ltsim.planning.search_space import SearchSpace, StationPlacement
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import PointTolerances, feasibility_and_error_ratio
-from ltsim.scene.floor import grid_step
 from ltsim.simulation.scenario import Scenario
 
 SEARCH_PROGRESS_FRACTION = 0.8
@@ -151,7 +148,10 @@ class _PlanSearch:
         return made
 
     def best_for_station_count(self) -> TradeoffPoint:
-        """Layout with the smallest objective for the given number of stations, or within the hours of the budget."""
+        """Layout with the smallest objective for the given number of stations, or within the hours of the budget.
+
+        With tolerances it is the layout that meets them by the fastest measuring procedure, or the closest one.
+        """
         scenario = self.problem.scenario
         count, work = self.plan_file.stations.count or len(scenario.stations), scenario.work
         site = make_search_space(self.plan_file, scenario, n_stations=count, n_faces=work.faces)
@@ -159,11 +159,12 @@ class _PlanSearch:
         self.problem = replace(self.problem, plan_file=file)
         faces, settings = self.face_and_round_choices[0], file.search
         usual_faces = work.faces if work.faces in faces else faces[-1]
+        searched_faces = faces if file.has_tolerances else [usual_faces]
         tasks = [
             SearchTask(n, f, start)
             for f in faces
             for n in sorted({*file.stations.tradeoff_counts, count})
-            for start in range(settings.starts if (n, f) == (count, usual_faces) else settings.tradeoff_starts)
+            for start in range(settings.starts if n == count and f in searched_faces else settings.tradeoff_starts)
         ]
         self._run_searches(tasks, lambda share: share)
         if (count, usual_faces) not in self.layouts and not self.is_stopped:
@@ -173,8 +174,14 @@ class _PlanSearch:
         options = self.tradeoff_points(self.layouts)
         if not options:
             raise InputError(STOPPED_MESSAGE)
-        hours = file.budget.max_hours
-        if hours is None:
+        hours = np.inf if file.budget.max_hours is None else file.budget.max_hours
+        demands = PointTolerances.from_plan_file(file)
+        if demands:
+            of_count = {key: layouts for key, layouts in self.layouts.items() if key[0] == count} or self.layouts
+            options = self.tradeoff_points(
+                {key: self._layout_with_smallest_error_ratio(layouts, demands) for key, layouts in of_count.items()}
+            )
+        elif np.isinf(hours):
             return min(options, key=lambda o: (len(o.survey.station_positions) != count, o.objective_value))
         paid = [o for o in options if o.hours <= hours]
         if not paid:
@@ -182,6 +189,12 @@ class _PlanSearch:
             raise InputError(
                 f"budget.max_hours is {hours:g} h, but the fastest procedure takes {cheapest:.1f} h: increase it"
             )
+        if demands:
+            judged = [(*feasibility_and_error_ratio(o.survey, demands, self.problem.construction), o) for o in paid]
+            good = [option for feasible, _, option in judged if feasible]
+            if good:
+                return min(good, key=lambda o: o.hours)
+            return min(judged, key=lambda judgement: (judgement[1], judgement[2].hours))[2]
         return min(paid, key=lambda o: o.objective_value)
 
     def best_with_fewest_stations(self) -> TradeoffPoint:
@@ -209,7 +222,7 @@ class _PlanSearch:
         k = 0
         for n in station_counts:
             if n < station_counts[-1] and (
-                lacking := _never_visible_text(self.problem.search_space(SearchTask(n, faces[-1], 0)), placement)
+                lacking := never_visible_text(self.problem.search_space(SearchTask(n, faces[-1], 0)), placement)
             ):
                 self.station_count_results.append(StationCountResult(n, None, False, lacking))
                 continue
@@ -301,83 +314,3 @@ class _PlanSearch:
             replace(o, is_efficient=bool(o.objective_value < before))
             for o, before in zip(points, previous_best, strict=True)
         )
-
-
-def _never_visible_text(search_space: SearchSpace, placement: StationPlacement) -> str:
-    """Names of the points that lack sights even in the best placement of stations on the grid; empty for none.
-
-    It is also empty if the present layout of `search_space` is feasible.
-    """
-    position = search_space.survey.station_positions
-    if search_space.is_feasible(position[None], search_space.is_visible(position)[None])[0]:
-        return ""
-    return search_space.unseen_targets_text(
-        placement, placement.place_stations(len(position) - len(search_space.fixed_stations), search_space.min_sights)
-    )
-
-
-def max_stations_seeing_every_target(search_space: SearchSpace, step: float, n_heights: int) -> tuple[int, str]:
-    """Largest number of stations that can see every reflector, and name of the reflector seen from fewest positions.
-
-    `step` [m] and `n_heights` define the grid of candidate positions. The number is a lower bound, found by placing one
-    station after the other at the best position, and exact if one position on the floor sees everything.
-    """
-    placement, names = search_space.candidate_placement(step, n_heights), search_space.survey.target_names
-    limiting = names[int(np.argmin(placement.is_visible.mean(axis=0)))]
-    n_free_stations = len(search_space.survey.station_positions) - len(search_space.fixed_stations)
-    enough = (
-        k
-        for k in range(search_space.min_sights, 0, -1)
-        if not placement.missing_sights(placement.place_stations(n_free_stations, k), k).any()
-    )
-    return next(enough, 0), limiting
-
-
-def with_feasible_min_sights(file: PlanFile, search_space: SearchSpace) -> PlanFile:
-    """Plan file whose value of `stations.min_stations_per_target` can be met by some layout.
-
-    A default value is reduced if necessary. For a value that the file gives, InputError reports the largest possible
-    value.
-    """
-    settings, count = file.search, len(search_space.survey.station_positions)
-    step = grid_step(search_space.allowed_areas, settings.grid_step_mm)
-    reachable, limiting = max_stations_seeing_every_target(search_space, step, settings.height_count)
-    if reachable >= search_space.min_sights:
-        return file
-
-    def layout_error(min_sights: int) -> InputError | None:
-        """Error of the search for an initial layout with `min_sights` stations per target; None if one is found."""
-        searcher = LayoutSearcher(
-            search_space.replace(min_sights=min_sights), grid_step=step, n_yaws=1, n_heights=settings.height_count
-        )
-        try:
-            searcher.random_layout(random_stream(settings.seed, "plan", "sights"))
-        except InputError as problem:
-            return problem
-        return None
-
-    if not file.gives_min_stations and reachable:
-        while reachable > 1 and layout_error(reachable):
-            reachable -= 1
-        return file.with_min_stations(reachable)
-    problem = layout_error(search_space.min_sights)
-    if problem is None:
-        return file
-    if not reachable:
-        raise problem
-    cure = "remove a station from stations.fixed_stations" if len(search_space.fixed_stations) else "enlarge the floor"
-    raise InputError(
-        f"stations.min_stations_per_target requires {search_space.min_sights} of {count} stations to see every "
-        f"reflector, but at most {reachable} can, and {limiting} is visible from the fewest positions: set "
-        f"stations.min_stations_per_target = {reachable}, move {limiting}, or {cure}"
-    )
-
-
-def placement_seeing_all_points(search_space: SearchSpace, file: PlanFile) -> StationPlacement:
-    """Candidate positions of stations on the grid; raises InputError, which names points that no position sees."""
-    placement = search_space.candidate_placement(
-        grid_step(search_space.allowed_areas, file.search.grid_step_mm), file.search.height_count
-    )
-    if not placement.is_visible.any(axis=0).all():
-        raise InputError(search_space.invisible_targets_sentence(np.flatnonzero(~placement.is_visible.any(axis=0))))
-    return placement

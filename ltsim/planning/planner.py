@@ -7,13 +7,15 @@ import numpy as np
 from ltsim.core.arrays import Bools
 from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import NetworkError
+from ltsim.core.notation import listing
+from ltsim.core.units import MILLIMETRE
 from ltsim.physics.model.construction import GeometricErrorModel
 from ltsim.planning.information import CriteriaPredictor, ExpectedCriteria, LayoutInformation
 from ltsim.planning.layout_scorer import LayoutScorer
 from ltsim.planning.objective import LayoutObjective
 from ltsim.planning.reflector_changes import ReflectorChanges, evaluate_reflector_changes
 from ltsim.planning.search_inputs import is_immovable_target, layout_objective, make_search_space, planned_survey
-from ltsim.planning.search_space import BrokenRule, SearchSpace
+from ltsim.planning.search_space import MAX_NAMES_IN_RULE_TEXT, BrokenRule, SearchSpace
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import PlannedSurvey
 from ltsim.planning.tolerances import (
@@ -28,6 +30,9 @@ from ltsim.recordings.setup import Target
 from ltsim.scene.visibility import Visibility, best_nest_normals, compute_visibility
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
+
+MAX_PAIRS_IN_SENTENCE = 3
+"""Largest number of blocked sights that a sentence describes."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,32 @@ class LayoutEvaluation(ValueEquality):
     """
     broken_rules: tuple[BrokenRule, ...] = ()
     """Rules of the plan that the layout breaks."""
+
+    def blocked_sight_sentences(self) -> list[str]:
+        """Sentence, as a list, on the number of blocked sights and the first of them; empty for none."""
+        names, targets = self.survey.station_names, self.survey.target_names
+        is_shown = ~self.visibility.is_marginal[~self.visibility.is_visible]
+        pairs = self.visibility.invisible_pair_sentences(names, targets)
+        blocked = [sentence for sentence, shown in zip(pairs, is_shown, strict=True) if shown]
+        more = "; and more" if len(blocked) > MAX_PAIRS_IN_SENTENCE else ""
+        first = "; ".join(blocked[:MAX_PAIRS_IN_SENTENCE])
+        return [f"{len(blocked)} sights are blocked: {first}{more}."] if blocked else []
+
+    def marginal_sight_sentences(self, position_tolerance: float) -> list[str]:
+        """Sentence, as a list, on marginal sights, which do not count; empty for none.
+
+        `position_tolerance` [m] is the distance from its planned position at which an instrument may stand.
+        """
+        names, targets = self.survey.station_names, self.survey.target_names
+        pairs = [f"{names[s]} to {targets[t]}" for s, t in np.argwhere(self.visibility.is_marginal).tolist()]
+        if not pairs:
+            return []
+        many = len(pairs) > 1
+        return [
+            f"{len(pairs)} marginal sight{'s' if many else ''} {'do' if many else 'does'} not count, because a tripod "
+            f"{position_tolerance / MILLIMETRE:g} mm beside its planned position may lose {'them' if many else 'it'} "
+            f"(stations.position_tolerance_mm): {listing(pairs, MAX_NAMES_IN_RULE_TEXT)}."
+        ]
 
 
 @dataclass(frozen=True)
@@ -134,12 +165,14 @@ def evaluate_plan(plan_file: PlanFile, scenario: Scenario, survey: PlannedSurvey
         n_repeats=survey.repeats,
     )
     objective = layout_objective(plan_file, survey)
+    layout = evaluate_layout(site, survey, objective, built)
+    survey = layout.survey  # all parts of the plan have its sights
     return PlannedNetwork(
         plan_file=plan_file,
         scenario=scenario,
         search_space=site,
         reference_evaluation=_reference_evaluation(plan_file, scenario, site, built, survey),
-        layout=evaluate_layout(site, survey, objective, built),
+        layout=layout,
         tolerances=demands,
         tolerance_check=check_tolerances(survey, demands, built) if demands else None,
         loss_checks=checks_after_every_loss(survey, demands, built),
@@ -181,6 +214,7 @@ def evaluate_layout(
     """
     table = layout_visibility(search_space, survey)
     survey = survey.replace(is_visible=table.is_visible)
+    _require_sight_of_every_target(survey, table)
     information = LayoutInformation.from_survey(with_aimed_nests(search_space, survey), construction)
     broken = search_space.broken_rules(survey)
     value, qualities = objective_and_qualities(survey, objective, construction)
@@ -189,13 +223,31 @@ def evaluate_layout(
     return LayoutEvaluation(survey, np.inf if broken else value, qualities, information, table, expected, broken)
 
 
+def _require_sight_of_every_target(survey: PlannedSurvey, visibility: Visibility) -> None:
+    """Check that a station sees each target; otherwise raises NetworkError with the reason for each station."""
+    unseen = np.flatnonzero(~visibility.is_visible.any(axis=0))
+    if not len(unseen):
+        return
+    first = survey.target_names[unseen[0]]
+    named = listing([survey.target_names[t] for t in unseen], MAX_NAMES_IN_RULE_TEXT)
+    reasons = "; ".join(
+        f"{station} does not see {first}: {texts[unseen[0]]}"
+        for station, texts in zip(survey.station_names, visibility.reason_texts(), strict=True)
+    )
+    verb = "s {} are" if len(unseen) > 1 else " {} is"
+    raise NetworkError(f"target{verb.format(named)} not visible from any station ({reasons})")
+
+
 def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visibility:
-    """Visibility between stations and targets; fixed nests without a declared normal are aimed at the stations."""
+    """Visibility between stations and targets; fixed nests without a declared normal are aimed at the stations.
+
+    A sight counts only if it is free from every position within `SearchSpace.position_tolerance` of its station.
+    """
     normal, aimed = (
         best_nest_normals(survey.station_positions, survey.target_points)[0],
         _is_aimed(search_space, survey),
     )
-    return compute_visibility(
+    table = compute_visibility(
         survey.station_positions,
         survey.target_points,
         search_space.sight_limits,
@@ -203,6 +255,9 @@ def layout_visibility(search_space: SearchSpace, survey: PlannedSurvey) -> Visib
         is_reaimed=~aimed,
         obstacles=search_space.obstacles,
     )
+    if not search_space.position_tolerance:
+        return table
+    return table.with_marginal_pairs(~search_space.is_visible(survey.station_positions, survey.target_points))
 
 
 def _is_aimed(search_space: SearchSpace, survey: PlannedSurvey) -> Bools:

@@ -286,10 +286,8 @@ def _limit_sentences(plan: PlannedNetwork) -> list[str]:
                 f"{listing(under, MAX_NAMES_IN_RULE_TEXT)} lie up to {depth.max() / MILLIMETRE:.2g} mm inside a curved "
                 "body, within the tolerance of its mesh, and are treated as on its surface."
             )
-    lost_pairs = plan.layout.visibility.invisible_pair_sentences(names, survey.target_names)
-    if lost_pairs:
-        more = "; and more" if len(lost_pairs) > 3 else ""
-        sentences.append(f"{len(lost_pairs)} sights are blocked: {'; '.join(lost_pairs[:3])}{more}.")
+    sentences += plan.layout.blocked_sight_sentences()
+    sentences += plan.layout.marginal_sight_sentences(site.position_tolerance)
     return sentences
 
 

@@ -18,7 +18,8 @@ from ltsim.physics.model.construction import GeometricErrorModel, misalignment_c
 from ltsim.planning.layout_scorer import LayoutScorer
 from ltsim.planning.normal_blocks import NormalBlocks
 from ltsim.planning.objective import MIN_SWEEP_IMPROVEMENT, LayoutObjective
-from ltsim.planning.search_space import SearchSpace, StationPlacement
+from ltsim.planning.search_space import SearchSpace
+from ltsim.planning.station_placement import StationPlacement
 
 SETUPS_PER_BATCH = 64
 """Number of candidate set-ups whose objectives are computed together."""

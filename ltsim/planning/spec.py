@@ -57,7 +57,9 @@ class StationSettings(TomlSection):
     spacing_mm: Annotated[Finite, Field(ge=1)] = 1000.0
     """Smallest horizontal distance between two stations, at least 1 mm."""
     position_tolerance_mm: NonNegative = 50.0
-    """Largest distance of an instrument from its planned position at which every sight must still be free."""
+    """Largest distance of an instrument from its planned position at which every sight must still be free; a sight that
+    is not is marginal, and the plan does not count it.
+    """
     min_stations_per_target: Literal["all"] | Annotated[int, Field(ge=1, le=40)] = "all"
     """Smallest number of stations that must see each reflector; default all, or the most that any layout permits."""
 
@@ -121,7 +123,7 @@ class BudgetSettings(TomlSection):
     seconds_per_pointing: Positive | None = None
     """Time from one pointing to the next; default that of the scenario."""
     minutes_per_move: NonNegative | None = None
-    """Time to move the instrument to the next station; default that of the scenario."""
+    """Time to set up the instrument at each station, the first included; default that of the scenario."""
     max_hours: Positive | None = None
     """Longest duration of the whole measurement [h]; without it and without tolerances, the procedure of the scenario
     is used.
@@ -247,15 +249,17 @@ class PlanFile(TomlSection):
     @property
     def chooses_procedure(self) -> bool:
         """True if the search chooses faces and rounds: within `budget.max_hours`, or the fastest within tolerances."""
-        return self.budget.max_hours is not None or self.searches_station_count
+        return self.budget.max_hours is not None or self.has_tolerances
+
+    @property
+    def has_tolerances(self) -> bool:
+        """True if the goal or a listed point gives a tolerance."""
+        return bool(self.goal.tolerances) or any(point.tolerance_mm is not None for point in self.listed_points)
 
     @property
     def searches_station_count(self) -> bool:
         """True if the search determines the smallest number of stations with which the tolerances are met."""
-        has_tolerances = bool(self.goal.tolerances) or any(
-            point.tolerance_mm is not None for point in self.listed_points
-        )
-        return has_tolerances and self.stations.count is None
+        return self.has_tolerances and self.stations.count is None
 
     @property
     def listed_points(self) -> tuple[PlanPoint, ...]:

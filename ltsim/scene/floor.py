@@ -309,11 +309,18 @@ def refusal_reason(
     if not any(area.contains_instrument(position[None])[0] for area in areas_below):
         lowest, highest = zip(*(area.head_height_range for area in areas_below), strict=True)
         low, high = min(lowest), max(highest)
-        span = f"{low / MILLIMETRE:g} to {high / MILLIMETRE:g} mm (floor.height_mm)"
-        return f"with its head at {position[2] / MILLIMETRE:.0f} mm, expected {span}"
+        span = height_range_text(low, high)
+        return f"with its head at {position[2] / MILLIMETRE:.0f} mm, expected {span} (floor.height_mm)"
     if any(free.contains_positions(place)[0] for free in keep_out_areas):
         return "in an area to be kept free (floor.keep_outs, floor.doors)"
-    return "inside an obstacle (workshop.obstacles)"
+    names = [] if obstacles is None else obstacles.body_names_around(position[None], of_setups=True)
+    return f"inside an obstacle (workshop.obstacles{': ' if names else ''}{', '.join(names)})"
+
+
+def height_range_text(lowest: float, highest: float) -> str:
+    """Text, in millimetres, of a range of heights [m]: `1400 to 1800 mm`, or `1500 mm` if both heights agree."""
+    low, high = f"{lowest / MILLIMETRE:g}", f"{highest / MILLIMETRE:g}"
+    return f"{low} mm" if low == high else f"{low} to {high} mm"
 
 
 def grid_over_area(standing_area: StandingArea, grid_spacing: float, n_heights: int) -> Floats:

@@ -5,7 +5,7 @@ may be wrong, are cast again in double precision by this module. Without Embree 
 slow for large CAD files only: in a hall of boxes the rays of trimesh alone take 1.5 to 3.5 times as long.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import blake2b
@@ -62,6 +62,8 @@ class Obstacles:
     """Corners of the m triangles, (m, 3, 3) [m]."""
     floor_height: float = 0.0
     """Height [m] of the floor on which tripods stand."""
+    named_bodies: tuple[tuple[str, int], ...] = ()
+    """Name and number of triangles of each body, in the order of `triangles`; empty if the bodies have no names."""
 
     @cached_property
     def _ray_caster(self) -> RayCaster | None:
@@ -188,6 +190,16 @@ class Obstacles:
         feet[:, 2] = np.minimum(self.floor_height + RAY_BUNDLE_RADIUS, points[:, 2] - RAY_BUNDLE_RADIUS)
         return self.is_inside_body(points) | self.is_blocked(points, feet)
 
+    def body_names_around(self, points: Floats, *, of_setups: bool = False) -> list[str]:
+        """Names of the bodies inside which any of n points (n, 3) [m] lies, or any instrument or tripod `of_setups`."""
+        names, start = [], 0
+        for name, n_triangles in self.named_bodies:
+            body = Obstacles(self.triangles[start : start + n_triangles], self.floor_height)
+            start += n_triangles
+            if (body.is_setup_inside_body(points) if of_setups else body.is_inside_body(points)).any():
+                names.append(name)
+        return names
+
 
 def count_ray_hits(triangles: Floats, origins: Floats, ray_directions: Floats, ray_lengths: Floats) -> np.ndarray:
     """Number (n,) of the m triangles (m, 3, 3) [m] that each of n rays meets within its length, in double precision.
@@ -290,25 +302,29 @@ def wall_triangles(hall_size: Floats) -> Floats:
     return body[np.ptp(body[..., 2], axis=1) > 0.0][:, ::-1]
 
 
-def join_obstacles(triangle_sets: Iterable[Floats], floor_height: float = 0.0) -> Obstacles:
+def join_obstacles(
+    triangle_sets: Iterable[Floats], floor_height: float = 0.0, body_names: Sequence[str] = ()
+) -> Obstacles:
     """Obstacles of several sets of m triangles, each (m, 3, 3) [m], above a floor at `floor_height` [m].
 
-    The object of the last call is returned again if triangles and floor are the same. Reuse saves memory: the ray
-    caster takes 600 bytes per triangle, which only garbage collection frees.
+    `body_names` are the names of the sets. The object of the last call is returned again if triangles, floor and names
+    are the same. Reuse saves memory: the ray caster takes 600 bytes per triangle, which only garbage collection frees.
     """
-    triangles = np.concatenate([np.zeros((0, 3, 3)), *triangle_sets])
-    key = blake2b(triangles.ravel().data).digest(), floor_height
+    parts = list(triangle_sets)
+    triangles = np.concatenate([np.zeros((0, 3, 3)), *parts])
+    named_bodies = tuple(zip(body_names, map(len, parts), strict=True)) if body_names else ()
+    key = blake2b(triangles.ravel().data).digest(), floor_height, named_bodies
     latest = _LATEST_OBSTACLES.get(key)
     if latest is None:
         triangles.flags.writeable = False
-        latest = Obstacles(triangles, floor_height)
+        latest = Obstacles(triangles, floor_height, named_bodies)
         _LATEST_OBSTACLES.clear()
         _LATEST_OBSTACLES[key] = latest
     return latest
 
 
-_LATEST_OBSTACLES: dict[tuple[bytes, float], Obstacles] = {}
-"""Obstacles of the last call of `join_obstacles`, by a digest of their triangles and the height of the floor."""
+_LATEST_OBSTACLES: dict[tuple[bytes, float, tuple[tuple[str, int], ...]], Obstacles] = {}
+"""Obstacles of the last call of `join_obstacles`, by a digest of their triangles, height of the floor, and bodies."""
 
 
 def candidate_nest_positions(

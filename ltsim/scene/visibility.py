@@ -6,7 +6,7 @@ Arrays have a row for each station and a column for each target. Only obstacles 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -34,6 +34,7 @@ class InvisibilityReason(IntEnum):
     SHADOW = 5
     ACCEPTANCE = 6
     OBSTACLE = 7
+    MARGINAL = 8
 
 
 REASON_TEXTS = (
@@ -45,6 +46,7 @@ REASON_TEXTS = (
     "in the shadow cone",
     "outside the acceptance angle of the reflector",
     "hidden by an obstacle",
+    "marginal, not free from every position within stations.position_tolerance_mm of the planned one",
 )
 """Text of each `InvisibilityReason` for users; empty for a visible pair."""
 
@@ -128,6 +130,16 @@ class Visibility:
             ),
         }.get(code, ("", ""))
         return f"{REASON_TEXTS[code]} ({number}: instrument.limits.{key})" if key else REASON_TEXTS[code]
+
+    @property
+    def is_marginal(self) -> Bools:
+        """Flags (S, T) of the pairs of S stations and T targets with a line of sight that counts as too uncertain."""
+        return np.asarray(self.reason_codes == InvisibilityReason.MARGINAL)
+
+    def with_marginal_pairs(self, is_marginal: Bools) -> Visibility:
+        """Copy in which the visible ones of the pairs that `is_marginal` (S, T) flags are marginal, thus invisible."""
+        codes = np.where(self.is_visible & is_marginal, np.int8(InvisibilityReason.MARGINAL), self.reason_codes)
+        return replace(self, reason_codes=codes)
 
     def invisible_pair_sentences(self, stations: Sequence[str], targets: Sequence[str]) -> list[str]:
         """Sentence about each pair that does not see each other; `stations` and `targets` are their names."""

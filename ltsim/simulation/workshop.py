@@ -262,7 +262,11 @@ class PlacedObstacle:
 def make_obstacles(scenario: Scenario) -> Obstacles | None:
     """Obstacles that can block lines of sight; None in a workshop without obstacles; raises InputError."""
     obstacle_parts = placed_obstacles(scenario)
-    return join_obstacles(body.triangles for body in obstacle_parts) if obstacle_parts else None
+    if not obstacle_parts:
+        return None
+    return join_obstacles(
+        (body.triangles for body in obstacle_parts), body_names=[body.name for body in obstacle_parts]
+    )
 
 
 def placed_obstacles(scenario: Scenario) -> list[PlacedObstacle]:

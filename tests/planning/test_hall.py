@@ -17,7 +17,8 @@ from ltsim.planning import reasons, work_order
 from ltsim.planning.loading import load_plan, read_points
 from ltsim.planning.planner import StationCountResult
 from ltsim.planning.result import scenario_of_plan
-from ltsim.planning.search_space import SearchSpace, StationPlacement
+from ltsim.planning.search_space import SearchSpace
+from ltsim.planning.station_placement import StationPlacement
 from ltsim.planning.tolerances import PointTolerances, ToleranceCheck, error_radius, plan_verdict
 from ltsim.planning.work_order import TapeDistance, station_instructions, tape_deficiency_sentence
 from ltsim.recordings.air import AirUncertainty
@@ -114,7 +115,7 @@ def test_holes_ceilings_and_clearance_take_floor_away() -> None:
         ("12000, 8000, 5000", "12000, 2000, 5000", "outside the hall"),
         ("[search]", '[[goal.tolerances]]\ngroup = "machin"\ntolerance_mm = 0.1\n[search]', "did you mean machine?"),
         ('points = "points.csv"', "", "has 0 reflectors"),
-        ("[search]", "[stations]\ncount = 3\n[budget]\nfaces = [1]\n[search]", "budget.faces without budget.max_hours"),
+        ("[search]", "[stations]\ncount = 3\n[budget]\nfaces = [1]\n[search]", "budget.faces has no effect without"),
         ('"points.csv"', '"nowhere.csv"', "nowhere.csv: there is no such file"),
     ],
 )  # fmt: skip

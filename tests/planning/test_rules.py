@@ -77,7 +77,7 @@ def hall(tmp_path: Path) -> Path:
         ((300, 2000), (4000, 2000), "S1 stands outside the permitted floor (floor.corners_mm"),
         ((2500, 2000, 2100), (4000, 2000), "S1 stands with its head at 2100 mm, expected 1400 to 1800 mm (floor.he"),
         ((4100, 900), (2000, 2000), "S1 stands in an area to be kept free (floor.keep_outs, floor.doors)"),
-        ((4500, 2800), (2000, 2000), "S1 stands inside an obstacle (workshop.obstacles)"),
+        ((4500, 2800), (2000, 2000), "S1 stands inside an obstacle (workshop.obstacles: crate)"),
     ],
 )
 def test_a_place_that_breaks_a_rule_is_refused_by_name(

@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.core.errors import InputError
 from ltsim.planning.loading import load_plan
-from ltsim.planning.plan_search import max_stations_seeing_every_target, with_feasible_min_sights
+from ltsim.planning.required_sights import max_stations_seeing_every_target, with_feasible_min_sights
 from ltsim.planning.search_inputs import make_search_space
 from ltsim.planning.search_space import SearchSpace
 from ltsim.planning.spec import PlanFile, StationSettings

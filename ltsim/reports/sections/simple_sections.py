@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 from ltsim.acceptance.files import AcceptanceFile, Judgement, joint_judgement
 from ltsim.adjustment.fieldcheck.recommendations import recommendations_after_check
 from ltsim.adjustment.fieldcheck.result import Check
+from ltsim.adjustment.identification.recommendations import recommendations_for_causes
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.calibration.calibration_series import ChangeEntry
 from ltsim.calibration.events import MIN_STEPS_FOR_TEST, MIN_STEPS_TO_CALL_USUAL, EventEntry

@@ -1,0 +1,128 @@
+"""Choice of positions for stations from candidate positions on the floor, by the targets that are visible from each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.optimize import Bounds, LinearConstraint, milp
+
+from ltsim.core.arrays import Bools, Floats, Ints
+
+N_DRAWN_PLACES_PER_STATION = 24
+"""Number of candidate positions that are drawn for a station of a random layout, of which the best is used."""
+MAX_BRANCH_NODES = 3000
+"""Largest number of nodes in the branch-and-bound tree for the positions of stations; a few were sufficient in all
+halls that were tried.
+"""
+MAX_RANDOM_PLACE_COST = 1e-4
+"""Largest random cost of a candidate position in the choice of positions, where a missing sight costs 1; it makes each
+random draw of a layout different."""
+
+
+@dataclass(frozen=True)
+class StationPlacement:
+    """Candidate positions for stations, in addition to fixed stations, and the selection of positions from them."""
+
+    candidate_positions: Floats
+    """Coordinates (N, 3) [m] of N candidate positions, which are referred to by index."""
+    is_visible: Bools
+    """Flags (N, T): True where one of T targets is visible from one of N candidate positions."""
+    min_spacing: float
+    """Smallest horizontal distance between two stations [m]."""
+    fixed_positions: Floats
+    """Positions (F, 3) [m] of the F fixed stations."""
+    n_fixed_sights: Ints
+    """Number (T,) of fixed stations that see each of T targets."""
+
+    def place_stations(
+        self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None = None
+    ) -> list[int]:
+        """Indices of positions for `n_stations` stations with which `wanted_sights` stations see each target.
+
+        If that is not possible, the fewest sights are missing. With `random_generator` each station is at the best of a
+        few random positions, so that draws differ.
+        """
+        place_indices: list[int] = []
+        while (
+            len(place_indices) < n_stations
+            and (place := self._best_place(place_indices, wanted_sights, random_generator)) >= 0
+        ):
+            place_indices.append(place)
+        if len(place_indices) == n_stations and not self.missing_sights(place_indices, wanted_sights).any():
+            return place_indices
+        return self._optimal_places(n_stations, wanted_sights, random_generator) or place_indices
+
+    def missing_sights(self, place_indices: list[int], wanted_sights: int) -> Ints:
+        """Number (T,) of sights that each of T targets lacks to have `wanted_sights`, with stations at these places."""
+        return np.asarray(
+            np.maximum(wanted_sights - self.n_fixed_sights - self.is_visible[place_indices].sum(axis=0), 0)
+        )
+
+    def _best_place(
+        self, used_places: list[int], wanted_sights: int, random_generator: np.random.Generator | None
+    ) -> int:
+        """Index of the position that sees most targets with too few sights; -1 if no position keeps the spacing.
+
+        `used_places` are the positions of earlier stations. Sights beyond `wanted_sights` have a small weight. With
+        `random_generator` only a few random positions are compared.
+        """
+        n_candidates = len(self.candidate_positions)
+        candidate_order = (
+            np.arange(n_candidates)
+            if random_generator is None
+            else random_generator.integers(n_candidates, size=min(N_DRAWN_PLACES_PER_STATION, n_candidates))
+        )
+        present_sights = self.n_fixed_sights + self.is_visible[used_places].sum(axis=0)
+        added_sights = (
+            (
+                np.minimum(present_sights + self.is_visible[candidate_order], wanted_sights)
+                - np.minimum(present_sights, wanted_sights)
+            )
+            .sum(axis=1)
+            .astype(np.float64)
+        )
+        added_sights += 1e-3 * (self.is_visible[candidate_order] / (1.0 + present_sights) ** 2).sum(axis=1)
+        for place in (*self.fixed_positions, *self.candidate_positions[used_places]):
+            added_sights[
+                np.linalg.norm(self.candidate_positions[candidate_order, :2] - place[:2], axis=1) < self.min_spacing
+            ] = -1.0
+        return int(candidate_order[np.argmax(added_sights)]) if added_sights.max(initial=-1.0) >= 0.0 else -1
+
+    def _optimal_places(
+        self, n_stations: int, wanted_sights: int, random_generator: np.random.Generator | None
+    ) -> list[int]:
+        """Indices of the positions that together miss the fewest sights; empty if no combination keeps the spacing.
+
+        It is the solution of a mixed-integer linear program; random costs make it different in each draw.
+        """
+        places, targets = self.is_visible.shape
+        gap = np.linalg.norm(self.candidate_positions[:, None, :2] - self.fixed_positions[None, :, :2], axis=2)
+        free = (gap >= self.min_spacing).all(axis=1)
+        is_too_near = (
+            np.linalg.norm(self.candidate_positions[:, None, :2] - self.candidate_positions[None, :, :2], axis=2)
+            < self.min_spacing
+        )
+        first, second = np.nonzero(np.triu(is_too_near, 1))
+        rows = np.arange(len(first))
+        pair_matrix = sp.csr_array(
+            (np.ones(2 * len(first)), (np.r_[rows, rows], np.r_[first, second])), (len(first), places)
+        )
+        sights = sp.hstack([sp.csr_array(self.is_visible.T.astype(np.float64)), sp.eye_array(targets)])
+        need = np.maximum(wanted_sights - self.n_fixed_sights, 0)
+        limits = [
+            LinearConstraint(sights, need, np.inf),
+            LinearConstraint(np.r_[np.ones(places), np.zeros(targets)][None], n_stations, n_stations),
+        ]
+        if len(first):
+            limits.append(LinearConstraint(sp.hstack([pair_matrix, sp.csr_array((len(first), targets))]), -np.inf, 1.0))
+        cost = np.zeros(places) if random_generator is None else MAX_RANDOM_PLACE_COST * random_generator.random(places)
+        solution = milp(
+            np.r_[cost, np.ones(targets)],
+            constraints=limits,
+            integrality=np.r_[np.ones(places), np.zeros(targets)],
+            bounds=Bounds(0.0, np.r_[free.astype(np.float64), np.full(targets, float(wanted_sights))]),
+            options={"node_limit": MAX_BRANCH_NODES},
+        )
+        return [] if solution.x is None else np.flatnonzero(solution.x[:places] > 0.5).tolist()
