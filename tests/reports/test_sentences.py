@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAIN
 from ltsim.campaigns.results import PairedDifference
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.recommendations import inspection_action
@@ -85,6 +86,14 @@ def test_cards_of_corrected_readings_name_the_corrected_finding(tmp_path: Path) 
         result = Diagnosis.model_validate_json(json.dumps(content))
         result = result.model_copy(update={"findings": (*result.findings, *findings)})
         assert [fact.name for fact in diagnosis_section(result, context).key_figures] == labels
+
+
+def test_the_evidence_of_an_effect_in_every_adjustment_is_not_called_a_failed_fit(tmp_path: Path) -> None:
+    content = copy.deepcopy(samples.DIAGNOSIS)
+    content["findings"][0]["evidence"]["chi2_drop"] = 2.0 * MAX_LOG_EVIDENCE_GAIN
+    section = diagnosis_section(Diagnosis.model_validate_json(json.dumps(content)), SectionContext(folder=tmp_path))
+    text = section.terminal_text()
+    assert "its fall was not computed, because every compared adjustment contains this effect" in text
 
 
 def test_a_wrong_reflector_constant_has_the_action_of_its_cause() -> None:
