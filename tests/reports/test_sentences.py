@@ -59,9 +59,9 @@ def test_the_answer_names_causes_by_their_titles(kind: type, other: type) -> Non
     ("before", "after", "sentence"),
     [
         (1.5, 1.4, "The findings improve the prediction of readings that the fit has not used: its error falls from "
-         "1.50 to 1.40 times the noise (rms), which shows that further errors remain."),
+         "1.50 to 1.40 times the noise (rms; noise alone gives 1)."),
         (1.5, 1.0, "improve the prediction of readings that the fit has not used: its error falls from 1.50 to 1.00 "
-         "times the noise (rms)."),
+         "times the noise (rms; noise alone gives 1)."),
         (1.0, 1.1, "worsen the prediction of readings that the fit has not used: its error rises from 1.00 to 1.10"),
         (1.001, 1.002, "do not change the prediction of readings that the fit has not used: its error is 1.00 times"),
     ],
