@@ -17,9 +17,6 @@ CONTRADICTED_MODEL_SENTENCE = (
     "therefore improbable. Look for single wrong pointings and for repeats that share errors."
 )
 """Sentence for users if held-out readings contradict the effects in the model."""
-MIN_ERROR_OF_REMAINING_MISFIT = 1.2
-"""Prediction error of held-out readings, divided by the noise, above which a sentence says that errors remain; noise
-alone gives 1. By convention."""
 COVARIATE_TEXTS = {
     "approach": "the motion of the head before the pointing",
     "place": "the position in the hall",
@@ -244,6 +241,5 @@ def _held_out_sentence(error_before: float | None, error_after: float | None) ->
     if before_text == after_text:
         return f" The findings do not change {subject}: its error is {after_text} times the noise (rms)."
     verb = "improve" if error_after < error_before else "worsen"
-    end = ", which shows that further errors remain" if error_after > MIN_ERROR_OF_REMAINING_MISFIT else ""
     change = f"{'falls' if error_after < error_before else 'rises'} from {before_text} to {after_text}"
-    return f" The findings {verb} {subject}: its error {change} times the noise (rms){end}."
+    return f" The findings {verb} {subject}: its error {change} times the noise (rms; noise alone gives 1)."

@@ -421,6 +421,17 @@ def test_the_agreement_after_a_correction_is_not_that_of_the_calibration_alone(t
     assert "better than before" in summary and "), by the calibration and the correction of 1 error." in summary
 
 
+def test_criteria_say_that_the_readings_contain_a_corrected_error(tmp_path: Path) -> None:
+    recording, _ = lt.simulate("paper-workshop", seed=7)
+    readings = recording.readings.copy()
+    readings[recording.station == 2, 0] += 0.011
+    for name, made in (("wrong", recording.with_readings(readings)), ("right", recording)):
+        write_calibration(lt.adjust(made), tmp_path / name)
+        (section,) = document_of_folder(tmp_path / name).sections
+        (note,) = (getattr(block, "note", "") for block in section.blocks if block.title == "Criteria")
+        assert ("from the readings as they are, with the errors that the model corrects" in note) == (name == "wrong")
+
+
 def test_a_calibration_with_a_corrected_error_is_not_called_consistent(tmp_path: Path) -> None:
     content = adjust(samples.recording()).model_copy(update={"fit_with_constants": None})
     content = content.model_copy(update={"fit": content.fit.model_copy(update={"p_value": 0.4})})

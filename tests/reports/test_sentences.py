@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAIN
 from ltsim.campaigns.results import PairedDifference
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.recommendations import inspection_action
@@ -58,9 +59,9 @@ def test_the_answer_names_causes_by_their_titles(kind: type, other: type) -> Non
     ("before", "after", "sentence"),
     [
         (1.5, 1.4, "The findings improve the prediction of readings that the fit has not used: its error falls from "
-         "1.50 to 1.40 times the noise (rms), which shows that further errors remain."),
+         "1.50 to 1.40 times the noise (rms; noise alone gives 1)."),
         (1.5, 1.0, "improve the prediction of readings that the fit has not used: its error falls from 1.50 to 1.00 "
-         "times the noise (rms)."),
+         "times the noise (rms; noise alone gives 1)."),
         (1.0, 1.1, "worsen the prediction of readings that the fit has not used: its error rises from 1.00 to 1.10"),
         (1.001, 1.002, "do not change the prediction of readings that the fit has not used: its error is 1.00 times"),
     ],
@@ -85,6 +86,14 @@ def test_cards_of_corrected_readings_name_the_corrected_finding(tmp_path: Path) 
         result = Diagnosis.model_validate_json(json.dumps(content))
         result = result.model_copy(update={"findings": (*result.findings, *findings)})
         assert [fact.name for fact in diagnosis_section(result, context).key_figures] == labels
+
+
+def test_the_evidence_of_an_effect_in_every_adjustment_is_not_called_a_failed_fit(tmp_path: Path) -> None:
+    content = copy.deepcopy(samples.DIAGNOSIS)
+    content["findings"][0]["evidence"]["chi2_drop"] = 2.0 * MAX_LOG_EVIDENCE_GAIN
+    section = diagnosis_section(Diagnosis.model_validate_json(json.dumps(content)), SectionContext(folder=tmp_path))
+    text = section.terminal_text()
+    assert "its fall was not computed, because every compared adjustment contains this effect" in text
 
 
 def test_a_wrong_reflector_constant_has_the_action_of_its_cause() -> None:

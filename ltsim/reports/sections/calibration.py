@@ -331,6 +331,8 @@ def _criteria_blocks(content: Calibration) -> list[TableBlock]:
     if content.criteria is None:
         return []
     text = "Disagreement of the stations in distances between reflectors and in their coordinates."
+    if content.method == "adjustment" and any(test.sigma is not None for test in _corrected_faults(content)):
+        text += " It is computed from the readings as they are, with the errors that the model corrects."
     table = content.criteria.criteria_table()
     is_compared = any("after" in heading for heading in table.headings)
     return table_blocks("Criteria before and after calibration" if is_compared else "Criteria", table, note=text)

@@ -250,7 +250,7 @@ def _finding_blocks(
     renamed_parameters = [p.model_copy(update={"name": parameter_text(p.name)}) for p in finding.parameters]
     lines = [
         f"where: {_place_text(finding.where)}",
-        "chi2: no adjustment without this effect fits the readings"
+        "chi2: its fall was not computed, because every compared adjustment contains this effect"
         if evidence.chi2_drop >= MAX_LOG_EVIDENCE_GAIN
         else f"chi2 falls by {number_text(evidence.chi2_drop)} for {count_text(evidence.parameters, 'parameter')}",
         f"p, corrected for the search: {p_text(evidence.p_value)}",
