@@ -331,7 +331,7 @@ def _criteria_blocks(content: Calibration) -> list[TableBlock]:
     if content.criteria is None:
         return []
     text = "Disagreement of the stations in distances between reflectors and in their coordinates."
-    if content.method == "adjustment" and any(test.sigma is not None for test in _corrected_faults(content)):
+    if content.method == "adjustment" and any(test.sigma is not None for test in corrected_faults(content.tests)):
         text += " It is computed from the readings as they are, with the errors that the model corrects."
     table = content.criteria.criteria_table()
     is_compared = any("after" in heading for heading in table.headings)
