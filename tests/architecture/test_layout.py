@@ -7,6 +7,7 @@ import importlib
 import inspect
 import pkgutil
 import re
+import subprocess
 import tomllib
 from pathlib import Path
 
@@ -115,6 +116,21 @@ def test_there_are_at_most_twelve_floors(root: Path) -> None:
     packages = {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()}
     assert len(floors) <= 12 and len(packages) <= 16
     assert {re.sub(r"\W", "", name) for floor in floors for name in floor.split("|")} == {*packages, "api"}
+
+
+TOP_LEVEL = {
+    *(".ci", ".gitignore", "CHANGELOG.md", "CITATION.cff", "LICENSE", "README.md", "SECURITY.md", "benchmarks", "docs"),
+    *("experiments", "ltsim", "pyproject.toml", "results", "tests"),
+}
+"""Files and folders of the repository."""
+
+
+def test_the_top_level_has_no_further_folder(root: Path) -> None:
+    """A folder of results, which a command wrote beside the sources, was committed once."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=root, capture_output=True, text=True, check=False)
+    if listed.returncode:
+        pytest.skip("the sources are not in a git repository")
+    assert {name.split("/")[0] for name in listed.stdout.split("\0") if name} == TOP_LEVEL
 
 
 def test_every_room_is_a_package() -> None:
