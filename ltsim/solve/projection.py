@@ -172,9 +172,8 @@ class FactorResidualProjector:
 
     def hat_matrix_spectra(self, row_groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
         """Eigenvalues and eigenvectors of parts of the hat matrix, as `BasisResidualProjector.hat_matrix_spectra`."""
-        edges = np.cumsum([0, *(len(rows) for rows in row_groups)])
-        thick = edges[-1] == 0 or max(len(rows) for rows in row_groups) > self.design.shape[1] // 2
-        if thick:
+        n_rows = [len(rows) for rows in row_groups]
+        if not any(n_rows) or max(n_rows) > self.design.shape[1] // 2:
             yield from (self._spectrum_from_covariance(rows) for rows in row_groups)
             return
         for hat in self._hat_matrix_blocks(row_groups):
