@@ -27,6 +27,8 @@ from ltsim.core.notation import listing
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.specification import Specification
 
+OUTLIER_KINDS: tuple[CauseKind, ...] = ("outlier", "reflector-seating")
+"""Kinds of causes whose pointings are neither adjusted nor tested: outliers, and sights to a badly seated reflector."""
 MAX_OUTLIER_ROUNDS = 3
 """Largest number of repeated adjustments, each without the outliers identified before."""
 TRACKER_CAUSE_KINDS: tuple[CauseKind, ...] = ("constant-drift", "noise-level", CENTRING_CAUSE_KIND)
@@ -171,7 +173,7 @@ def _calibrate_without_outliers(recording: Recording) -> tuple[Calibration, tupl
     outliers: list[CauseTest] = []
     for _ in range(MAX_OUTLIER_ROUNDS):
         calibration = calibrate(recording, advise=False)
-        identified = [test for test in calibration.tests if test.kind == "outlier"]
+        identified = [test for test in calibration.tests if test.kind in OUTLIER_KINDS]
         if not identified:
             break
         outliers += identified

@@ -117,6 +117,7 @@ EFFECT_NAME_BY_CAUSE = {
     ("station-drift", "position"): "station-settling",
     ("target-moved", "position"): "target-moved",
     ("reflector-radius", "position"): "smr-offset",
+    ("reflector-seating", "position"): "nest-lift",
     ("centring", "position"): "nest-lift",
     ("names", "position"): "target-swap",
     ("names", "point"): "target-swap",

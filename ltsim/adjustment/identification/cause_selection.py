@@ -44,9 +44,10 @@ SHARED_CAUSE_KINDS = (
     "scale-error",
     "orientation",
     "reflector-radius",
+    "reflector-seating",
     "centring",
 )
-"""Kinds of causes that change all readings of one observable, or of one set-up."""
+"""Kinds of causes that change all readings of one observable, of one set-up, or of one sight."""
 MAX_REFERENCE_MISCLOSURE = 0.1
 """Misclosure [m] of a reference value above which the value is excluded before the adjustment, because the adjustment
 may not converge with it. """
@@ -86,6 +87,14 @@ class SelectedHypothesis:
     """Alternative hypotheses, each with its gain of log evidence in place of this hypothesis."""
 
     @property
+    def is_certain(self) -> bool:
+        """True if the gain of log evidence exceeds `MIN_LOG_EVIDENCE_CERTAIN`, or if a reflector was badly seated.
+
+        Readings to a badly seated reflector are outliers without this hypothesis, so that they are wrong in both cases.
+        """
+        return self.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN or self.hypothesis.kind == "reflector-seating"
+
+    @property
     def posterior_probabilities(self) -> Floats:
         """Posterior probabilities (k + 2,): of the hypothesis, of its k alternatives, and of no error at all."""
         every = [self.log_evidence_gain, *(gain for _, gain in self.alternatives), 0.0]
@@ -105,8 +114,8 @@ class CauseSelection:
 
     @property
     def _decisively_supported_hypotheses(self) -> list[CauseHypothesis]:
-        """Selected hypotheses with a gain of log evidence of more than `MIN_LOG_EVIDENCE_CERTAIN`."""
-        return [c.hypothesis for c in self.selected_hypotheses if c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN]
+        """Selected hypotheses that are certain."""
+        return [c.hypothesis for c in self.selected_hypotheses if c.is_certain]
 
     @property
     def _certain_effects(self) -> list[LinearEffect]:
@@ -182,7 +191,7 @@ class CauseSelection:
         others = omitted or any(self.fit.problem.marks.mark_names)
         doubtful = quieter or others or (has_larger_noise_of_all_readings(self.fit) and bool(self.fit.is_outlier.any()))
         causes = self.selected_hypotheses
-        sure = all(c.log_evidence_gain > MIN_LOG_EVIDENCE_CERTAIN and c.hypothesis.kind != "unit" for c in causes)
+        sure = all(c.is_certain and c.hypothesis.kind != "unit" for c in causes)
         return bool(changes) and sure and not doubtful and self.fit.adjustment.p_value > FAMILY_WISE_LEVEL
 
 

@@ -26,7 +26,7 @@ from ltsim.adjustment.identification.reading_shifts import ReadingShift
 from ltsim.adjustment.reference_tests import ERROR_UNITS
 from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.core.arrays import Floats
-from ltsim.core.notation import with_sigma
+from ltsim.core.notation import listing, with_sigma
 from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.physics.laws.centring import shared_errors_sentence
@@ -130,6 +130,7 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
         if isinstance(h.model_change, ReadingShiftChange | ReferenceOmission)
         else None
     )
+    rows = _seating_rows(fit, h) if h.kind == "reflector-seating" else h.rows
     share = selected_hypothesis.posterior_probabilities.tolist()
     alternatives = tuple(
         AlternativeCause(
@@ -145,7 +146,7 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
         statistic=drop,
         dof=rank,
         p_value=p,
-        rows=h.rows if len(h.rows) <= MAX_LISTED_OUTLIERS else (),
+        rows=rows if len(rows) <= MAX_LISTED_OUTLIERS else (),
         probability=share[0],
         alternatives=alternatives,
         sentence=cause_sentence(fit, h),
@@ -232,6 +233,12 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> st
             f"At {place_names} the centres of the SMRs are displaced by {size_text} "
             f"along the normals of their nests, {side} the nests: {cause}."
         )
+    if hypothesis.kind == "reflector-seating":
+        rows_text = f"rows {listing([str(row) for row in _seating_rows(fit, hypothesis)])}"
+        return (
+            f"The reflector at {hypothesis.targets[0]} was displaced by {size_text} while {hypothesis.stations[0]} "
+            f"measured it ({rows_text}): dirt in the nest, or another nest."
+        )
     if hypothesis.kind == "station-drift":
         return f"Station {place_names} moved at a constant rate during its measurement, by {size_text} in total."
     interval = _interval_text(fit, hypothesis)
@@ -252,6 +259,13 @@ def _shift_or_noise_sentence(fit: NetworkFit, hypothesis: CauseHypothesis) -> st
     )
     axes = f" along the axes of {first_station}" if is_frame_of_station else ""
     return f"Target {place_names} moved {interval}, by {size_text} ({', '.join(parts)} mm{axes})."
+
+
+def _seating_rows(fit: NetworkFit, hypothesis: CauseHypothesis) -> tuple[int, ...]:
+    """Row numbers, from 1, of the pointings to a badly seated reflector from the station of the hypothesis."""
+    assert isinstance(hypothesis.model_change, ReadingShiftChange)
+    is_affected = hypothesis.model_change.effect.pointing_indicator(fit.adjustment.sightings)
+    return tuple((np.flatnonzero(is_affected) + 1).tolist())
 
 
 OBSERVABLE_CAUSE_TEXTS = {
@@ -278,7 +292,11 @@ def _observable_sentence(fit: NetworkFit, hypothesis: CauseHypothesis, estimate:
     if hypothesis.kind == "constant-step":
         return f"{what} changed by {change_text} {_interval_text(fit, hypothesis)}: {cause}."
     if hypothesis.kind == "constant-drift":
+        assert isinstance(hypothesis.model_change, ReadingShiftChange)
+        assert isinstance(hypothesis.model_change.effect, ReadingShift)
         interval = "the measurement" if len(hypothesis.stations) == 1 else "the longest occupation"
+        if hypothesis.model_change.effect.drift_interval == "recording":
+            interval = "the recording"
         return f"{what} drifted by {change_text} during {interval}: {cause}."
     if hypothesis.acts_on != "distance":
         return f"{what} are {size_text} too {'large' if number > 0 else 'small'}: {cause}."

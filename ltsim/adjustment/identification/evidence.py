@@ -114,6 +114,7 @@ PRIOR_PROBABILITY_BY_KIND = {
     "station-drift": 0.05,
     "orientation": 0.04,
     "reflector-radius": 0.01,
+    "reflector-seating": 0.03,
     "reference-value": 0.07,
     "reference-scale": 0.03,
     "names": 0.05,

@@ -21,6 +21,7 @@ CauseKind = Literal[
     "station-drift",
     "orientation",
     "reflector-radius",
+    "reflector-seating",
     "reference-value",
     "reference-scale",
     "names",

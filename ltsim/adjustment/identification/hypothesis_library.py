@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import Literal, get_args
 
 import numpy as np
@@ -37,6 +37,7 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, largest_alignment_distance
 from ltsim.physics.effects.linear_effect import LinearEffect
 from ltsim.physics.effects.motions import station_motion_design
+from ltsim.physics.effects.nest_lift import NestLift
 from ltsim.physics.effects.smr_offset import SmrOffset
 from ltsim.physics.effects.station_bump import StationBump
 from ltsim.physics.effects.target_moved import TargetMoved
@@ -51,8 +52,13 @@ MAX_EXCHANGE_MISCLOSURE_RATIO = 0.02
 """Ratio below which the exchange of two reference points is a hypothesis: misclosure of all reference points after this
 exchange, divided by the smaller of the misclosures without an exchange and after any other exchange.
 """
-PlaceKind = Literal["station", "target", "instrument"]
-"""Kind of place of a shift of readings: one station, one target, or all stations of an instrument."""
+MIN_POINTINGS_PER_SEATING = 2
+"""Smallest number of pointings of a target from a station for a test of a badly seated reflector; the errors of a single
+pointing are outliers.
+"""
+PlaceKind = Literal["station", "target", "instrument", "sight"]
+"""Kind of place of a shift of readings: one station, one target, all stations of an instrument, or one target as it is
+measured from one station."""
 
 
 @dataclass(frozen=True)
@@ -69,20 +75,22 @@ class ShiftPlace:
 
 @dataclass(frozen=True)
 class ShiftFamily:
-    """Hypotheses of one kind of shift of readings, at each station, each target or each instrument."""
+    """Hypotheses of one kind of shift of readings, at each place of one kind."""
 
     kind: CauseKind
     """Kind of the error."""
     acts_on: str
     """Observable that is shifted, or `position`."""
     place_kind: PlaceKind
-    """Kind of place at which the error acts: `station`, `target` or `instrument`."""
+    """Kind of place at which the error acts."""
     design: Floats
     """Change (n, 3, p) of the readings of n pointings per unit of each of p parameters, if all pointings are
     shifted."""
     min_pointings_around_onset: int = 0
     """Smallest number of pointings of a place before and after the onset of the shift; 0 for a shift that acts from the
     first pointing on."""
+    drift_interval: Literal["occupation", "recording"] | None = None
+    """Interval in which the shift grows at a constant rate from zero; None for other shifts."""
 
     def candidate_onset_times(self, sightings: Sightings, rows: Ints) -> list[float]:
         """Times [s] at which a shift may begin at a place; `rows` are its pointings in the order of measurement."""
@@ -116,12 +124,16 @@ class ShiftFamily:
             return TargetMoved(stations, targets, time=onset_time)
         if self.kind == "reflector-radius":
             return SmrOffset(stations, targets)
-        is_drift = self.kind == "constant-drift"
-        return ReadingShift(self.acts_on, self.kind == "scale-error", stations, targets, onset_time, is_drift=is_drift)
+        if self.kind == "reflector-seating":
+            return NestLift(stations, targets, "free")
+        is_scale_error = self.kind == "scale-error"
+        return ReadingShift(
+            self.acts_on, is_scale_error, stations, targets, onset_time, drift_interval=self.drift_interval
+        )
 
 
 def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace]:
-    """Stations, targets or instruments (`place_kind`) of a recording; only instruments used at several stations."""
+    """Places of one kind in a recording; only instruments used at several stations, and sights measured repeatedly."""
     order = sightings.measurement_order
     if place_kind == "instrument":
         places = []
@@ -131,18 +143,22 @@ def shift_places(sightings: Sightings, place_kind: PlaceKind) -> list[ShiftPlace
             if len(stations) > 1:
                 places.append(ShiftPlace(stations if len(rows) < len(order) else (), (), rows))
         return places
-    index, names = (
-        (sightings.station, sightings.station_names)
-        if place_kind == "station"
-        else (sightings.target, sightings.target_names)
-    )
+    n_targets = len(sightings.target_names)
+    index, places_by_index = {
+        "station": (sightings.station, [((name,), ()) for name in sightings.station_names]),
+        "target": (sightings.target, [((), (name,)) for name in sightings.target_names]),
+        "sight": (
+            sightings.station * n_targets + sightings.target,
+            [((s,), (t,)) for s in sightings.station_names for t in sightings.target_names],
+        ),
+    }[place_kind]
     order = order[np.argsort(index[order], kind="stable")]
-    edges = np.searchsorted(index[order], np.arange(len(names) + 1))
-    rows_by_name = [(name, order[edges[i] : edges[i + 1]]) for i, name in enumerate(names)]
+    edges = np.searchsorted(index[order], np.arange(len(places_by_index) + 1))
+    min_pointings = MIN_POINTINGS_PER_SEATING if place_kind == "sight" else 1
     return [
-        ShiftPlace((name,), (), rows) if place_kind == "station" else ShiftPlace((), (name,), rows)
-        for name, rows in rows_by_name
-        if len(rows)
+        ShiftPlace(stations, targets, order[edges[i] : edges[i + 1]])
+        for i, (stations, targets) in enumerate(places_by_index)
+        if edges[i + 1] - edges[i] >= min_pointings
     ]
 
 
@@ -165,19 +181,24 @@ def shift_families(sightings: Sightings) -> Iterator[ShiftFamily]:
                     "constant-step", observable, place_kind, offset, min_pointings_around_onset=MIN_RIGID_POINTS
                 )
             drift = offset * sightings.elapsed_occupation_fraction[:, None, None]
-            yield ShiftFamily("constant-drift", observable, "station", drift)
+            yield ShiftFamily("constant-drift", observable, "station", drift, drift_interval="occupation")
         instrument_places = shift_places(sightings, "instrument")
-        for observable, offset in zip(OBSERVABLES, (distance, azimuth, elevation), strict=True):
+        intervals: tuple[Literal["occupation", "recording"], ...] = ("occupation", "recording")
+        for observable, interval in product(OBSERVABLES, intervals):
+            if (observable, interval) == ("azimuth", "recording"):  # orientations absorb the rest of such a drift
+                continue
             drifts = [
-                ReadingShift(observable, stations=place.stations, is_drift=True).design(sightings)
+                ReadingShift(observable, stations=place.stations, drift_interval=interval).design(sightings)
                 for place in instrument_places
             ]
-            yield ShiftFamily("constant-drift", observable, "instrument", np.sum([0.0 * offset, *drifts], axis=0))
+            design = np.sum([0.0 * distance, *drifts], axis=0)
+            yield ShiftFamily("constant-drift", observable, "instrument", design, drift_interval=interval)
         yield ShiftFamily("scale-error", "distance", "station", distance * sightings.range_[:, None, None])
         yield ShiftFamily("constant-offset", "distance", "target", distance)
         yield ShiftFamily(
             "target-moved", "position", "target", sightings.target_derivatives, min_pointings_around_onset=1
         )
+        yield ShiftFamily("reflector-seating", "position", "sight", sightings.target_derivatives)
         if np.isfinite(sightings.nest_normals).all(axis=1).any():
             yield ShiftFamily("reflector-radius", "position", "station", SmrOffset().design(sightings))
     motion = station_motion_design(sightings)

@@ -1,6 +1,7 @@
 """Shifts of readings: offsets, drifts and scale errors of one observable, at a station or target, from a time on."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -21,8 +22,8 @@ class ReadingShift(LinearEffect):
     """Offset, drift or scale error of the readings of one observable, for some stations and targets, from a time on.
 
     An offset of the elevations is an error of the vertical index, whose sign in the raw elevations depends on the face.
-    A drift grows at a constant rate from zero at the first pointing of each station; its parameter is the shift at the
-    end of the longest occupation of a station.
+    A drift grows at a constant rate from zero at the first pointing of each station, or of the recording; its parameter
+    is the largest shift, at the end of the longest occupation of a station or at the end of the recording.
     """
 
     observable: str
@@ -37,8 +38,13 @@ class ReadingShift(LinearEffect):
     """Time [s] of the first shifted reading."""
     plausible_size_factor: float = 1.0
     """Factor on the plausible size of the parameter, which scales its weak prior."""
-    is_drift: bool = False
-    """True if the shift grows with the time since the first pointing of the station."""
+    drift_interval: Literal["occupation", "recording"] | None = None
+    """Interval in which the shift grows at a constant rate from zero; None for a constant shift."""
+
+    @property
+    def is_drift(self) -> bool:
+        """True if the shift grows with time."""
+        return self.drift_interval is not None
 
     @property
     def name(self) -> str:
@@ -63,7 +69,10 @@ class ReadingShift(LinearEffect):
         """Change (n, 3, 1) of the raw readings of n pointings per unit [SI] of the parameter."""
         is_shifted = self.pointing_indicator(sightings) * (sightings.time >= self.onset_time)
         if self.is_drift:
-            elapsed = is_shifted * sightings.time_since_station_start
+            elapsed = sightings.time_since_station_start
+            if self.drift_interval == "recording":
+                elapsed = sightings.time - float(sightings.time[is_shifted > 0].min(initial=np.inf))
+            elapsed = np.where(is_shifted > 0, elapsed, 0.0)
             is_shifted = elapsed / (float(elapsed.max(initial=0.0)) or 1.0)  # readings made at one time do not drift
         shift_per_unit = is_shifted * sightings.range_ if self.is_proportional else is_shifted
         shift_per_unit = shift_per_unit * sightings.face_sign if self.observable == "elevation" else shift_per_unit

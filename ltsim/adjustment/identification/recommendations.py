@@ -19,6 +19,7 @@ RECOMMENDATION_BY_CAUSE_KIND = {
     "station-bump": "Check the tripod of {place}, and measure this set-up again.",
     "station-drift": "Let the tripod of {place} settle, and measure this set-up again.",
     "orientation": "Check the clamping of the tracker at {place}, and measure this set-up again.",
+    "reflector-seating": "Clean the nest, seat the reflector again, and measure again {rows}.",
     "reflector-radius": "Check the SMR at {place}, and declare its radius.",
     "reference-value": "Check the reference values{at_place} in their source, and correct the wrong one.",
     "reference-scale": "Check the temperature and expansion of the reference lengths, and the scale of the distances.",
