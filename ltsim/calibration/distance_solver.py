@@ -3,13 +3,13 @@
 Least squares and least absolute deviations both use Gauss-Newton steps. For absolute deviations, each step is the
 solution of a linear program.
 
-`solve_distances` estimates only combinations of parameters that the distances determine better than the prior (gain
-above one half). The other combinations stay at zero with their prior uncertainty, so that the result is not the minimum
-of eq. 9.
+`solve_determined_combinations` estimates only combinations of parameters that the distances determine better than the
+prior (gain above one half). The other combinations stay at zero with their prior uncertainty, so that the result is not
+the minimum of eq. 9.
 
-`solve_equation_9` computes this minimum, for comparison with the paper. It can be restricted to a box around zero. It
-excludes only combinations that change no distance, and therefore fits the noise if the readings determine little: eq. 9
-as printed has up to 78 parameters.
+`solve_all_combinations` computes this minimum, for comparison with the paper. It can be restricted to a box around
+zero. It excludes only combinations that change no distance, and therefore fits the noise if the readings determine
+little: eq. 9 as printed has up to 78 parameters.
 
 The objective ignores that distances share points, so that the covariance derived from it would be too small. The
 covariance computed here propagates the declared noise of each reading and of the gauge through the estimator.
@@ -118,7 +118,7 @@ def _append_gauge_rows(
     )
 
 
-def solve_distances(
+def solve_determined_combinations(
     problem: DistanceProblem,
     norm: ObjectiveNorm,
     *,
@@ -138,7 +138,7 @@ def solve_distances(
     unknowns, free = _start_values(problem, start_values, fixed_mask)
     deviation_rows = mean_deviation_comparisons(problem, problem.distances_at(unknowns))
     _require_compared_distances(deviation_rows, np.ones_like(free))
-    estimated, undetermined = determined_combinations(deviation_rows, free)
+    estimated, undetermined = determined_and_undetermined_combinations(deviation_rows, free)
     moved, iterations = np.inf, 0
     while iterations < MAX_ITERATIONS and not moved < MAX_ROUNDING_ERROR:
         iterations += 1
@@ -153,7 +153,7 @@ def solve_distances(
     )
 
 
-def solve_equation_9(
+def solve_all_combinations(
     problem: DistanceProblem,
     norm: ObjectiveNorm,
     *,
@@ -164,7 +164,7 @@ def solve_equation_9(
     """Minimum of the distance objective (Sensors 2021, 21, 7479, eq. 9) over all combinations of unknowns.
 
     Each unknown stays within `bound_in_prior_sigmas` prior standard deviations of zero, if given. The other arguments
-    and the errors are as in `solve_distances`.
+    and the errors are as in `solve_determined_combinations`.
 
     Raises
     ------
@@ -244,7 +244,7 @@ def objective_of(compared_distances: ComparedDistances, norm: ObjectiveNorm) -> 
     )
 
 
-def determined_combinations(
+def determined_and_undetermined_combinations(
     compared_distances: ComparedDistances, is_free_unknown: Bools
 ) -> tuple[Floats, tuple[ParameterCombination, ...]]:
     """Combinations of unknowns to estimate, and combinations to fix at zero.
@@ -385,16 +385,16 @@ def estimate_covariance(
     return covariance, estimated_combinations @ (-inverse @ noise_response)
 
 
-def sentences_on_minimum(
+def minimum_comparison_sentences(
     problem: DistanceProblem, norm: ObjectiveNorm, estimate: DistanceEstimate, fixed_mask: Bools
 ) -> tuple[str, ...]:
     """Sentence that compares the distance objective at an estimate with its minimum over all combinations."""
-    minimum = solve_equation_9(problem, norm, start_values=estimate.unknowns, fixed_mask=fixed_mask).objective_value
-    power, unit = (1e6, "mm^2") if norm == "squares" else (1e3, "mm")
-    method = "equation-9" if norm == "squares" else "equation-9-l1"
+    minimum = solve_all_combinations(problem, norm, start_values=estimate.unknowns, fixed_mask=fixed_mask)
+    power, unit, method = (1e6, "mm^2", "equation-9") if norm == "squares" else (1e3, "mm", "equation-9-l1")
     n_undetermined = len(estimate.undetermined_combinations)
     return (
         f"the distance objective (Sensors 2021, 21, 7479, eq. 9) is {power * estimate.objective_value:.4g} {unit}, "
-        f"with {n_undetermined} hardly determined combinations set to zero. Its minimum is {power * minimum:.4g} "
-        f"{unit} (method {method}), where these combinations are fitted to the noise",
+        f"with {n_undetermined} hardly determined combinations set to zero. Its minimum is "
+        f"{power * minimum.objective_value:.4g} {unit} (method {method}), where these combinations are fitted to the "
+        "noise",
     )

@@ -206,7 +206,7 @@ class LawBatch:
         scores = self._products_with_ensemble_vectors(null_ensemble, columns)
         score, trials, _ = null_ensemble.split_products(scores)
         null = np.full((1, null_ensemble.n_trials), -np.inf)
-        if null_ensemble.computes_gram_matrices:
+        if null_ensemble.is_first_screening:
             grams = null_ensemble.projected_gram(scores, self._unprojected_gram_matrices(columns))
             eigen_decompositions = self._scaled_eigen_decompositions(grams, regressor_range)
             self._cached_eigen_decompositions[regressor_range.start] = eigen_decompositions

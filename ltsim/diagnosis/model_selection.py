@@ -34,7 +34,7 @@ def select_noise_and_effects(
     shifts = state.searcher.model_by_forward_steps(noise).penalised_log_evidence
     if noise >= shifts:
         identified = state.searcher.catalogue_designs.hypotheses_of_effects(
-            state.identified_effects[: MAX_MODEL_EFFECTS - 1]
+            state.effects_of_uncorrected_causes[: MAX_MODEL_EFFECTS - 1]
         )
         start_model = state.searcher.model_with(identified)
         rival = max(

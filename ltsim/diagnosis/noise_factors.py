@@ -132,7 +132,7 @@ class VarianceFactors:
                 pattern_hypotheses.append((n_hypotheses, sizes))
             n_hypotheses += len(sizes)
         pattern_groups = (
-            [_pattern_group(few, slice(None), _sparse_rows(sparse, len(observation_kinds)))] if sparse else []
+            [_pattern_group(few, slice(None), _sparse_pattern_matrix(sparse, len(observation_kinds)))] if sparse else []
         )
         del sparse
         for touched_kinds, (filled, pattern_hypotheses) in dense.items():
@@ -178,7 +178,7 @@ def _pattern_group(
     return PatternGroup(members, pattern_indices, pattern_sizes, row_indices, added_variance)
 
 
-def _sparse_rows(row_entries: Sequence[tuple[Ints, Floats32]], n_rows: int) -> sp.csr_array:
+def _sparse_pattern_matrix(row_entries: Sequence[tuple[Ints, Floats32]], n_rows: int) -> sp.csr_array:
     """Sparse matrix (p, n_rows) of p patterns on `n_rows` rows, from indices and values of its nonzero elements."""
     ends = np.cumsum([0, *(len(row_indices) for row_indices, _ in row_entries)]).astype(np.int32)
     row_indices, values = (np.concatenate([part[k] for part in row_entries]) for k in (0, 1))

@@ -48,7 +48,7 @@ class NoiseHypothesis:
         """
         return min(self.log_evidence - 0.5 * self.chi2_drop, self.log_prior)
 
-    def increased_by(self, added_change: NoiseHypothesis) -> NoiseHypothesis:
+    def sum_with(self, added_change: NoiseHypothesis) -> NoiseHypothesis:
         """Sum of this change of the noise and a further change with the same effect."""
         return replace(
             self,

@@ -51,7 +51,7 @@ class SpanGramAndScore(NamedTuple):
     """Contribution (S,) of each of S spans to the mean square of the regressor."""
 
 
-def n_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
+def n_tried_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
     """Number of waves of the same covariate that the search tried, if the law has a wave; 1 for all other laws.
 
     The law with the most probable of these waves represents any switch. The prior of the switch is therefore the prior
