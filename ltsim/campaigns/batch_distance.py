@@ -18,7 +18,7 @@ import numpy as np
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.calibration.distance import OBJECTIVE_NORM_BY_DISTANCE_METHOD
 from ltsim.calibration.distance_solver import (
-    ComparedDistances,
+    DistanceComparisons,
     DistanceEstimate,
     mean_deviation_comparisons,
     pair_difference_comparisons,
@@ -107,11 +107,11 @@ class BatchDistance(BatchCalibrator):
         return determined @ np.linalg.inv(determined.T @ normal @ determined) @ determined.T
 
     @cached_property
-    def _mean_deviation_rows(self) -> ComparedDistances:
+    def _mean_deviation_rows(self) -> DistanceComparisons:
         return mean_deviation_comparisons(self.distance_problem, self._nominal_distances)
 
     @cached_property
-    def _pair_difference_rows(self) -> ComparedDistances:
+    def _pair_difference_rows(self) -> DistanceComparisons:
         return pair_difference_comparisons(self.distance_problem, self._nominal_distances)
 
     @property

@@ -128,7 +128,10 @@ class SelectedModelFit:
         hypotheses, gains = self.model.hypotheses, [gain.sum() for gain in self.squared_residual_decreases]
         is_doubtful = [
             self.p_real(i) < MIN_PROBABILITY_OF_PROBABLE_CAUSE
-            and (gains[i] < max(gains) or (self.has_test_findings and self.p_any_cause(i) < 1.0 - FAMILY_WISE_LEVEL))
+            and (
+                gains[i] < max(gains)
+                or (self.has_test_findings and self.p_cause_other_than_wrong_readings(i) < 1.0 - FAMILY_WISE_LEVEL)
+            )
             for i in range(len(hypotheses))
         ]
         return tuple(hypothesis.key for hypothesis, doubt in zip(hypotheses, is_doubtful, strict=True) if doubt)
@@ -152,7 +155,7 @@ class SelectedModelFit:
             return 0.0
         return max(self.p_same_name(effect_index), p_same_scope) * (1.0 - self._p_wrong_readings(effect_index))
 
-    def p_any_cause(self, effect_index: int) -> float:
+    def p_cause_other_than_wrong_readings(self, effect_index: int) -> float:
         """Probability that an effect in the model has any cause other than several wrong readings."""
         return (1.0 - self.rankings_of_alternatives[effect_index].p_no_cause) * (
             1.0 - self._p_wrong_readings(effect_index)

@@ -10,7 +10,7 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.hypotheses import probability_and_equivalents
 from ltsim.diagnosis.instruments import ConstantContradiction
 from ltsim.diagnosis.prior import MAX_P_OF_TEST_FINDINGS
-from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, ParameterEstimate
+from ltsim.diagnosis.schema import EquivalentEffect, Finding, FindingEvidence, ParameterEstimate
 from ltsim.diagnosis.scopes import scope_with_names
 from ltsim.diagnosis.sentences import percent_text
 from ltsim.physics.effects import MISALIGNMENT_EFFECTS, parameter_text
@@ -146,7 +146,7 @@ def cause_test_finding(test: CauseTest) -> Finding:
         ),
         sentence=test.sentence,
         equivalents=tuple(
-            Equivalent(effect=EFFECT_NAME_BY_CAUSE.get((a.kind, "position"), a.kind), probability=a.probability)
+            EquivalentEffect(effect=EFFECT_NAME_BY_CAUSE.get((a.kind, "position"), a.kind), probability=a.probability)
             for a in test.alternatives
         ),
         formula=formula if wrong else "",

@@ -21,7 +21,7 @@ from ltsim.diagnosis.law_search_space import MIN_POINTINGS_PER_COEFFICIENT
 from ltsim.diagnosis.prior import P_EVEN_ODDS, P_RARE_FORM, P_SINGLE_SET_UP_BY_RESPONSE_KIND, PRIOR_WEIGHT_BY_FORM
 from ltsim.diagnosis.schema import ResponseCurve
 from ltsim.diagnosis.switches import (
-    MAX_PIECES,
+    MAX_PIECES_OF_LAW,
     N_TOGGLED_INTERVALS_AFTER_MAXIMUM,
     n_tried_waves_of_same_covariate,
     switched_forms,
@@ -233,7 +233,7 @@ def _piecewise_forms(
         -np.inf,
         float(np.log(2 * len(atoms))),
     )  # prior of the choice of a piece, and of a further piece
-    while len(atom_indices) < min(n_selected + N_TOGGLED_INTERVALS_AFTER_MAXIMUM, MAX_PIECES, len(atoms)):
+    while len(atom_indices) < min(n_selected + N_TOGGLED_INTERVALS_AFTER_MAXIMUM, MAX_PIECES_OF_LAW, len(atoms)):
         values = np.full(len(atoms), -np.inf)
         remaining = [i for i in range(len(atoms)) if i not in atom_indices]
         columns = np.stack([places[:, [*atom_indices, i]].ravel() for i in remaining])

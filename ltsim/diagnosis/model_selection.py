@@ -51,7 +51,7 @@ def select_noise_and_effects(
         and contradicting_constants.log_evidence_of_all_contradictions - model.penalised_log_evidence
         > (len(constants) - len(model.hypotheses)) * MIN_EFFECT_LOG_EVIDENCE
     ):
-        state = state.with_released_priors(constants)
+        state = state.with_widened_priors(constants)
         model = state.searcher.select_effects(requires_effect=False)
     return _alternate_noise_and_effects(state, model)
 

@@ -143,7 +143,7 @@ class SelectionState:
 
         return refit_with_effects(with_causes if old.effects else adjusted, effects, start_state=old.state)
 
-    def with_released_priors(self, contradictions: Sequence[ConstantContradiction]) -> SelectionState:
+    def with_widened_priors(self, contradictions: Sequence[ConstantContradiction]) -> SelectionState:
         """State after an adjustment without the prior of the constants that contradict their reference."""
         old = self.baseline_adjustment
         freed = np.zeros(old.state.instrument_parameters.shape, dtype=bool)
