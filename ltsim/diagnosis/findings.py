@@ -197,7 +197,7 @@ class SelectedModelFit:
         scope = self._scope(
             effect, observables_changed_by_effect(space.is_used_reading, shift[:rows], projected_design[:rows])
         )
-        estimates = self._estimates_of(effect_index, hypothesis, others)
+        estimates = self._estimates_of_effect(effect_index, hypothesis, others)
         sentence, further_values = "", dict[str, object]()
         if isinstance(effect, EmpiricalLaw):
             regressor = regressor_text(effect.regressor, has_clock=self.selection_state.recording.has_clock)
@@ -328,7 +328,7 @@ class SelectedModelFit:
         index = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
         return int(recording.instrument[recording.station == index][0])
 
-    def _estimates_of(
+    def _estimates_of_effect(
         self, effect_index: int, hypothesis: Hypothesis, reduced_model: Model
     ) -> tuple[ParameterEstimate, ...]:
         """Estimates of the sizes and shape constants of an effect; without a clock its times are numbers of pointings.

@@ -218,7 +218,7 @@ class _LawBatchBuilder:
                 ]
                 depth = N_OPERATORS_BY_REGRESSOR_KIND[name] + max(n_joint_observables - 1, 0)
                 weight = PLACE_PRIOR[place_kind] * kinds[kind] * ODDS_PER_OPERATOR**depth / n_responses
-                self._register_with_weight(
+                self._register_laws_with_prior_weight(
                     tuple(c for c, _ in kind_responses if _may_change_in_region(name, c)),
                     admissible_regressors,
                     places,
@@ -226,7 +226,7 @@ class _LawBatchBuilder:
                     n_components,
                 )
 
-    def _register_with_weight(
+    def _register_laws_with_prior_weight(
         self,
         responses: tuple[Response, ...],
         regressors: Sequence[Regressor],
