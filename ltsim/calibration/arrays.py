@@ -10,7 +10,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import WIDENED_SIGMA_FACTOR
-from ltsim.calibration.schema import DISPLAY_UNITS, RESIDUALS_TABLE, TARGETS_TABLE, ParameterEntry
+from ltsim.calibration.schema import OBSERVABLE_DISPLAY_UNITS, RESIDUALS_TABLE, TARGETS_TABLE, ParameterEntry
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.equality import ValueEquality
 from ltsim.core.errors import ModelError, RecordError, unknown_name_error
@@ -208,7 +208,7 @@ def residuals_table(adjustment: Adjustment) -> Table:
     recording = adjustment.recording
 
     def table_row(pointing_index: int, observable_index: int) -> list[object]:
-        unit, factor = DISPLAY_UNITS[observable_index]
+        unit, factor = OBSERVABLE_DISPLAY_UNITS[observable_index]
         names = (
             recording.stations[recording.station[pointing_index]],
             recording.targets[recording.target[pointing_index]],

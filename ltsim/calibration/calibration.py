@@ -53,7 +53,7 @@ EntryT = TypeVar("EntryT", DeterminedEntry, HarmonicEntry)
 MAX_SIGMA_TO_PRIOR_SIGMA_RATIO = 0.975
 """Ratio of the posterior to the prior standard deviation below which a parameter counts as determined: the readings
 then removed at least 5 % of the prior variance (0.975 squared is 0.95)."""
-MAX_REDUNDANCY_FRACTION_WITH_ESTIMATED_NOISE = 0.9
+MAX_ESTIMATED_NOISE_FRACTION_FOR_GLOBAL_TEST = 0.9
 """Fraction of the total redundancy that belongs to readings with estimated noise, above which the global test is not
 valid: the estimation of the noise makes chi-square equal to the redundancy."""
 
@@ -397,4 +397,4 @@ def _is_noise_estimated(noise: Sequence[NoiseRow]) -> bool:
     """True if the noise was estimated from the same readings, so that the global test is not valid."""
     redundancy = sum(n.redundancy for n in noise)
     redundancy_estimated = sum(n.redundancy for n in noise if n.factor_sigma is not None)
-    return redundancy_estimated > MAX_REDUNDANCY_FRACTION_WITH_ESTIMATED_NOISE * redundancy
+    return redundancy_estimated > MAX_ESTIMATED_NOISE_FRACTION_FOR_GLOBAL_TEST * redundancy

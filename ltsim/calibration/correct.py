@@ -94,14 +94,16 @@ def corrected_readings(recording: Recording, construction: GeometricErrorModel, 
 
     `parameter_values` are the parameters of the instrument, shape (parameters,) or (pointings, parameters) [SI].
     """
-    raw_readings = np.where(recording.is_measured, recording.readings, _replacement_readings(recording))
+    raw_readings = np.where(
+        recording.is_measured, recording.readings, _predicted_readings_of_incomplete_pointings(recording)
+    )
     ideal = to_face(to_polar(construction.points_from_readings(raw_readings, parameter_values)), recording.face)
     change = ideal - raw_readings
     change[:, 1:] = wrap_angle(change[:, 1:])
     return np.where(recording.is_measured, raw_readings + change, np.nan)
 
 
-def _replacement_readings(recording: Recording) -> Floats:
+def _predicted_readings_of_incomplete_pointings(recording: Recording) -> Floats:
     """Predicted readings of an ideal tracker for pointings without a range or an angle, shape (pointings, 3).
 
     They follow from the approximate network. All are zero if every pointing is complete.

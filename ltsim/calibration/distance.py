@@ -19,9 +19,9 @@ from ltsim.calibration.correct import corrected_readings
 from ltsim.calibration.distance_solver import (
     DistanceEstimate,
     ObjectiveNorm,
-    sentences_on_minimum,
-    solve_distances,
-    solve_equation_9,
+    minimum_comparison_sentences,
+    solve_all_combinations,
+    solve_determined_combinations,
 )
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.calibration.prior_information import ParameterSelection
@@ -72,7 +72,7 @@ def calibrate_distance(
         tuple[str, ...](),
     )
     if method.startswith("equation-9"):
-        estimate = solve_equation_9(
+        estimate = solve_all_combinations(
             problem,
             norm,
             bound_in_prior_sigmas=bound_in_prior_sigmas,
@@ -80,15 +80,15 @@ def calibrate_distance(
             fixed_mask=held.ravel(),
         )
     else:
-        estimate = solve_distances(problem, norm, start_values=start_values, fixed_mask=held.ravel())
-        notes = sentences_on_minimum(problem, norm, estimate, held.ravel()) if advise else ()
+        estimate = solve_determined_combinations(problem, norm, start_values=start_values, fixed_mask=held.ravel())
+        notes = minimum_comparison_sentences(problem, norm, estimate, held.ravel()) if advise else ()
     parameter_values = estimate.unknowns.reshape(prior.shape) * prior
     applied_values = parameter_values[0] if len(parameter_values) == 1 else parameter_values[recording.instrument]
     corrected_recording = recording.with_readings(corrected_readings(recording, model, applied_values))
     adjustment = adjust(corrected_recording)
     adjustment.solution.require_success()
     propagation = ErrorPropagation(recording, model, parameter_values, estimate, adjustment)
-    added_covariance = propagation.covariance_by_parameter_error()
+    added_covariance = propagation.network_covariance_from_parameter_errors()
     unknowns = adjustment.problem.unknowns
     pose = adjustment.pose_covariance
     added_pose = added_covariance[unknowns.pose_columns[:, :, None], unknowns.pose_columns[:, None, :]]
@@ -128,7 +128,7 @@ def calibrate_distance(
 
 def _fit_entry(propagation: ErrorPropagation) -> FitEntry:
     """Fit of the network that was adjusted with the parameters; `dof` is the expected chi-square, rounded."""
-    chi2, estimate = propagation.adjustment.chi2, propagation.estimate
+    chi2, estimate = propagation.adjustment.chi2, propagation.distance_estimate
     mean, variance = propagation.chi2_moments()
     expected_chi2 = round(mean)
     redundant = propagation.adjustment.dof > 0 and expected_chi2 > 0
@@ -188,20 +188,20 @@ class ErrorPropagation:
     """Instrument model."""
     estimates: Floats
     """Estimated parameters, shape (instruments, parameters) [SI]."""
-    estimate: DistanceEstimate
+    distance_estimate: DistanceEstimate
     """Estimate of the distance method, with its covariance."""
     adjustment: Adjustment
     """Adjustment of the corrected readings, without parameters."""
 
     @cached_property
-    def _used_rows(self) -> Ints:
+    def _used_reading_indices(self) -> Ints:
         """Indices of the readings in use, in the flattened array of all readings."""
         return np.flatnonzero(self.adjustment.problem.is_used_reading.ravel())
 
     @cached_property
     def _whitened_design(self) -> Floats:
         """Whitened design matrix of readings and gauge, shape (observations, unknowns of the network)."""
-        n_rows = len(self._used_rows) + len(self.adjustment.problem.gauge_rows)
+        n_rows = len(self._used_reading_indices) + len(self.adjustment.problem.gauge_rows)
         return to_dense(self.adjustment.solution.system.design[:n_rows])
 
     @cached_property
@@ -226,20 +226,20 @@ class ErrorPropagation:
         design[np.arange(len(recording)), :, recording.instrument] = by_value * prior[:, None, :]
         whitened = (design / self.adjustment.problem.sigma[:, :, None, None]).reshape(-1, count * size)
         gauge = np.zeros((len(self.adjustment.problem.gauge_rows), count * size))
-        return np.concatenate([whitened[self._used_rows], gauge])
+        return np.concatenate([whitened[self._used_reading_indices], gauge])
 
     @cached_property
-    def _noise_parameter_covariance(self) -> Floats:
+    def _noise_parameter_cross_covariance(self) -> Floats:
         """Covariance of the whitened noise with the error of the parameters, shape (observations, parameters)."""
         readings = 3 * len(self.recording)
-        noise = self.estimate.covariance_with_observations
-        return np.concatenate([noise[:, self._used_rows], noise[:, readings:]], axis=1).T
+        noise = self.distance_estimate.covariance_with_observations
+        return np.concatenate([noise[:, self._used_reading_indices], noise[:, readings:]], axis=1).T
 
-    def covariance_by_parameter_error(self) -> Floats:
+    def network_covariance_from_parameter_errors(self) -> Floats:
         """Part of the covariance (unknowns, unknowns) of the network that comes from the error of the parameters."""
         through = self._unknowns_per_observation @ self._parameter_design
-        cross_covariance = (self._unknowns_per_observation @ self._noise_parameter_covariance) @ through.T
-        return through @ self.estimate.covariance @ through.T - cross_covariance - cross_covariance.T
+        cross_covariance = (self._unknowns_per_observation @ self._noise_parameter_cross_covariance) @ through.T
+        return through @ self.distance_estimate.covariance @ through.T - cross_covariance - cross_covariance.T
 
     def _residual_part(self, observation_vectors: Floats) -> Floats:
         """Part of observation vectors, one per column, that remains in the residuals of the adjustment."""
@@ -249,13 +249,13 @@ class ErrorPropagation:
         """Expected value and variance of the adjustment's chi-square, for a correct model and the declared noise."""
         systematic, noise = (
             self._residual_part(self._parameter_design),
-            self._residual_part(self._noise_parameter_covariance),
+            self._residual_part(self._noise_parameter_cross_covariance),
         )
         stacked = np.concatenate([systematic, noise], axis=1)
         identity = np.eye(systematic.shape[1])
-        block_matrix = np.block([[self.estimate.covariance, -identity], [-identity, np.zeros_like(identity)]]) @ (
-            stacked.T @ stacked
-        )
+        block_matrix = np.block(
+            [[self.distance_estimate.covariance, -identity], [-identity, np.zeros_like(identity)]]
+        ) @ (stacked.T @ stacked)
         n_free = float(self.adjustment.dof)
         return n_free + float(np.trace(block_matrix)), 2 * (
             n_free + 2 * float(np.trace(block_matrix)) + float(np.sum(block_matrix * block_matrix.T))

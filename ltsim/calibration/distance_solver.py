@@ -3,13 +3,13 @@
 Least squares and least absolute deviations both use Gauss-Newton steps. For absolute deviations, each step is the
 solution of a linear program.
 
-`solve_distances` estimates only combinations of parameters that the distances determine better than the prior (gain
-above one half). The other combinations stay at zero with their prior uncertainty, so that the result is not the minimum
-of eq. 9.
+`solve_determined_combinations` estimates only combinations of parameters that the distances determine better than the
+prior (gain above one half). The other combinations stay at zero with their prior uncertainty, so that the result is not
+the minimum of eq. 9.
 
-`solve_equation_9` computes this minimum, for comparison with the paper. It can be restricted to a box around zero. It
-excludes only combinations that change no distance, and therefore fits the noise if the readings determine little: eq. 9
-as printed has up to 78 parameters.
+`solve_all_combinations` computes this minimum, for comparison with the paper. It can be restricted to a box around
+zero. It excludes only combinations that change no distance, and therefore fits the noise if the readings determine
+little: eq. 9 as printed has up to 78 parameters.
 
 The objective ignores that distances share points, so that the covariance derived from it would be too small. The
 covariance computed here propagates the declared noise of each reading and of the gauge through the estimator.
@@ -35,7 +35,7 @@ ObjectiveNorm = Literal["squares", "absolute"]
 
 
 @dataclass(frozen=True)
-class ComparedDistances:
+class DistanceComparisons:
     """Comparisons of distances between sets (one station and face each), linearised in the unknowns and the noise.
 
     The unknowns are the instrument parameters. A comparison is zero if the compared distances agree.
@@ -75,14 +75,14 @@ class DistanceEstimate:
     """True if the last step was below the tolerance."""
 
 
-def mean_deviation_comparisons(problem: DistanceProblem, distances: PairDistances) -> ComparedDistances:
+def mean_deviation_comparisons(problem: DistanceProblem, distances: PairDistances) -> DistanceComparisons:
     """Weighted deviations of distances from their mean over stations and faces; their squares add to the objective."""
     centre, count = mean_removal_matrix(distances)
     scaled_centring = sp.diags_array(np.sqrt(count)) @ centre
     return _append_gauge_rows(problem, distances, sp.csr_array(scaled_centring))
 
 
-def pair_difference_comparisons(problem: DistanceProblem, distances: PairDistances) -> ComparedDistances:
+def pair_difference_comparisons(problem: DistanceProblem, distances: PairDistances) -> DistanceComparisons:
     """Terms of the distance objective: differences of a distance between two stations or faces, or from the gauge."""
     first, second = compared_distance_indices(distances)
     problem._check_matrix_size(len(first))
@@ -101,7 +101,7 @@ def _selection_matrix(row_indices: Ints, n_columns: int) -> sp.csr_array:
 
 def _append_gauge_rows(
     problem: DistanceProblem, distances: PairDistances, set_comparison_matrix: sp.csr_array
-) -> ComparedDistances:
+) -> DistanceComparisons:
     """Comparisons between sets, followed by the deviations of distances from their gauge lengths."""
     at, which = problem.gauge_match_indices(distances)
     n_lengths = len(problem.reference_lengths)
@@ -113,12 +113,12 @@ def _append_gauge_rows(
     residual[set_comparison_matrix.shape[0] :] -= problem.reference_lengths.lengths[which]
     length_noise = sp.vstack([sp.csr_array((set_comparison_matrix.shape[0], n_lengths)), spread], format="csr")
     noise = sp.hstack([matrix @ distances.reading_derivatives, length_noise], format="csr")
-    return ComparedDistances(
+    return DistanceComparisons(
         sp.csr_array(matrix), residual, matrix @ distances.parameter_derivatives, sp.csr_array(noise)
     )
 
 
-def solve_distances(
+def solve_determined_combinations(
     problem: DistanceProblem,
     norm: ObjectiveNorm,
     *,
@@ -137,12 +137,12 @@ def solve_distances(
     """
     unknowns, free = _start_values(problem, start_values, fixed_mask)
     deviation_rows = mean_deviation_comparisons(problem, problem.distances_at(unknowns))
-    _require_compared_distances(deviation_rows, np.ones_like(free))
-    estimated, undetermined = determined_combinations(deviation_rows, free)
+    _require_distance_comparisons(deviation_rows, np.ones_like(free))
+    estimated, undetermined = determined_and_undetermined_combinations(deviation_rows, free)
     moved, iterations = np.inf, 0
     while iterations < MAX_ITERATIONS and not moved < MAX_ROUNDING_ERROR:
         iterations += 1
-        deviation_rows = compared_distances_at(problem, unknowns, norm)
+        deviation_rows = distance_comparisons_at(problem, unknowns, norm)
         step = estimated @ _unbounded_step(
             deviation_rows.unknown_derivatives @ estimated, deviation_rows.residuals, norm
         )
@@ -153,7 +153,7 @@ def solve_distances(
     )
 
 
-def solve_equation_9(
+def solve_all_combinations(
     problem: DistanceProblem,
     norm: ObjectiveNorm,
     *,
@@ -164,7 +164,7 @@ def solve_equation_9(
     """Minimum of the distance objective (Sensors 2021, 21, 7479, eq. 9) over all combinations of unknowns.
 
     Each unknown stays within `bound_in_prior_sigmas` prior standard deviations of zero, if given. The other arguments
-    and the errors are as in `solve_distances`.
+    and the errors are as in `solve_determined_combinations`.
 
     Raises
     ------
@@ -176,8 +176,8 @@ def solve_equation_9(
             f"the bound on the parameters (box) is {bound_in_prior_sigmas}; expected a positive number of prior sigmas"
         )
     unknowns, free = _start_values(problem, start_values, fixed_mask)
-    rows, iterations, moved = compared_distances_at(problem, unknowns, norm), 0, np.inf
-    _require_compared_distances(rows, free)
+    rows, iterations, moved = distance_comparisons_at(problem, unknowns, norm), 0, np.inf
+    _require_distance_comparisons(rows, free)
     while iterations < MAX_ITERATIONS and not moved < MAX_ROUNDING_ERROR:
         iterations += 1
         step = np.zeros(len(unknowns))
@@ -198,14 +198,14 @@ def _start_values(
     return unknowns, np.ones(n_parameters, dtype=bool) if fixed_mask is None else ~fixed_mask
 
 
-def _require_compared_distances(compared_distances: ComparedDistances, is_free_unknown: Bools) -> None:
+def _require_distance_comparisons(comparisons: DistanceComparisons, is_free_unknown: Bools) -> None:
     """Check that a comparison of distances depends on the unknowns to estimate; raises NetworkError otherwise."""
-    if not np.any(compared_distances.unknown_derivatives[:, is_free_unknown]):
+    if not np.any(comparisons.unknown_derivatives[:, is_free_unknown]):
         raise NetworkError("no distance can be compared: stations share no pair of targets, and there is no gauge")
 
 
 def _make_estimate(
-    compared_distances: ComparedDistances,
+    comparisons: DistanceComparisons,
     norm: ObjectiveNorm,
     solution: tuple[Floats, Floats, tuple[ParameterCombination, ...]],
     n_iterations: int,
@@ -217,35 +217,33 @@ def _make_estimate(
     zero.
     """
     unknowns, estimated, undetermined = solution
-    covariance, noise = estimate_covariance(compared_distances, estimated, norm)
+    covariance, noise = estimate_covariance(comparisons, estimated, norm)
     prior = np.array([d.coefficient_vector for d in undetermined]).reshape(len(undetermined), len(unknowns))
     return DistanceEstimate(
         unknowns,
         covariance + prior.T @ prior,
         noise,
         undetermined,
-        objective_of(compared_distances, norm),
+        objective_of(comparisons, norm),
         n_iterations,
         is_converged,
     )
 
 
-def compared_distances_at(problem: DistanceProblem, unknowns: Floats, norm: ObjectiveNorm) -> ComparedDistances:
+def distance_comparisons_at(problem: DistanceProblem, unknowns: Floats, norm: ObjectiveNorm) -> DistanceComparisons:
     """Comparisons of distances whose sum of squares, or of absolute values, is the distance objective."""
     distances = problem.distances_at(unknowns)
     comparisons_of = mean_deviation_comparisons if norm == "squares" else pair_difference_comparisons
     return comparisons_of(problem, distances)
 
 
-def objective_of(compared_distances: ComparedDistances, norm: ObjectiveNorm) -> float:
+def objective_of(comparisons: DistanceComparisons, norm: ObjectiveNorm) -> float:
     """Objective of Sensors 2021, 21, 7479, eq. 9: sum of squares [m^2] or of absolute values [m] of residuals."""
-    return float(
-        np.sum(compared_distances.residuals**2) if norm == "squares" else np.sum(np.abs(compared_distances.residuals))
-    )
+    return float(np.sum(comparisons.residuals**2) if norm == "squares" else np.sum(np.abs(comparisons.residuals)))
 
 
-def determined_combinations(
-    compared_distances: ComparedDistances, is_free_unknown: Bools
+def determined_and_undetermined_combinations(
+    comparisons: DistanceComparisons, is_free_unknown: Bools
 ) -> tuple[Floats, tuple[ParameterCombination, ...]]:
     """Combinations of unknowns to estimate, and combinations to fix at zero.
 
@@ -253,15 +251,12 @@ def determined_combinations(
     fraction below `MIN_DETERMINED_GAIN`, in ascending order. Unknowns outside `is_free_unknown` take no part.
     """
     strength, eigenvectors = np.linalg.eigh(
-        compared_distances.unknown_derivatives[:, is_free_unknown].T
-        @ compared_distances.unknown_derivatives[:, is_free_unknown]
+        comparisons.unknown_derivatives[:, is_free_unknown].T @ comparisons.unknown_derivatives[:, is_free_unknown]
     )
     vectors = np.zeros((len(is_free_unknown), len(eigenvectors)))
     vectors[is_free_unknown] = eigenvectors
     nonzero = strength > 1e-12 * strength[-1]
-    noise_response = np.asarray(
-        (compared_distances.noise_derivatives.T @ (compared_distances.unknown_derivatives @ vectors)).T
-    )
+    noise_response = np.asarray((comparisons.noise_derivatives.T @ (comparisons.unknown_derivatives @ vectors)).T)
     variance = np.full(len(strength), np.inf)
     variance[nonzero] = np.sum(noise_response[nonzero] ** 2, axis=1) / strength[nonzero] ** 2
     gain = 1.0 / (1.0 + variance)
@@ -270,16 +265,12 @@ def determined_combinations(
     return vectors[:, keep], tuple(sorted(combinations, key=lambda d: d.gain))
 
 
-def _split_observable_combinations(
-    compared_distances: ComparedDistances, is_free_unknown: Bools
-) -> tuple[Floats, Floats]:
+def _split_observable_combinations(comparisons: DistanceComparisons, is_free_unknown: Bools) -> tuple[Floats, Floats]:
     """Combinations of unknowns that change a compared distance, and combinations that change none.
 
     Both have the shape (unknowns, combinations). Only unknowns in the mask `is_free_unknown` take part.
     """
-    _, strength, right_vectors = np.linalg.svd(
-        compared_distances.unknown_derivatives[:, is_free_unknown], full_matrices=False
-    )
+    _, strength, right_vectors = np.linalg.svd(comparisons.unknown_derivatives[:, is_free_unknown], full_matrices=False)
     vectors = np.zeros((len(is_free_unknown), len(right_vectors)))
     vectors[is_free_unknown] = right_vectors.T
     nonzero = strength > MAX_ROUNDING_ERROR * strength[0]
@@ -294,20 +285,20 @@ def _unbounded_step(design: Floats, residual: Floats, norm: ObjectiveNorm) -> Fl
 
 
 def _bounded_step(
-    compared_distances: ComparedDistances,
+    comparisons: DistanceComparisons,
     unknowns: Floats,
     is_free_unknown: Bools,
     norm: ObjectiveNorm,
     bound_in_prior_sigmas: float | None,
 ) -> Floats:
     """Step of the free unknowns to the minimum of the linearised objective within the bounds."""
-    design = compared_distances.unknown_derivatives[:, is_free_unknown]
+    design = comparisons.unknown_derivatives[:, is_free_unknown]
     if bound_in_prior_sigmas is None:
-        visible = _split_observable_combinations(compared_distances, is_free_unknown)[0][is_free_unknown]
-        return visible @ _unbounded_step(design @ visible, compared_distances.residuals, norm)
+        visible = _split_observable_combinations(comparisons, is_free_unknown)[0][is_free_unknown]
+        return visible @ _unbounded_step(design @ visible, comparisons.residuals, norm)
     bounded_solver = _least_squares_in_bounds if norm == "squares" else _least_absolute_in_bounds
     return bounded_solver(
-        design, compared_distances.residuals, (-bound_in_prior_sigmas - unknowns, bound_in_prior_sigmas - unknowns)
+        design, comparisons.residuals, (-bound_in_prior_sigmas - unknowns, bound_in_prior_sigmas - unknowns)
     )
 
 
@@ -338,25 +329,25 @@ def _least_absolute_in_bounds(design: Floats, residual: Floats, bounds: tuple[Fl
 
 
 def _line_search(
-    problem: DistanceProblem, unknowns: Floats, step: Floats, compared_distances: ComparedDistances, norm: ObjectiveNorm
-) -> tuple[Floats, ComparedDistances, float]:
+    problem: DistanceProblem, unknowns: Floats, step: Floats, comparisons: DistanceComparisons, norm: ObjectiveNorm
+) -> tuple[Floats, DistanceComparisons, float]:
     """Backtracking line search along a step of the unknowns.
 
     The result is the new unknowns, the comparisons at these, and the relative decrease of the objective.
     """
-    before, share = objective_of(compared_distances, norm), 1.0
+    before, share = objective_of(comparisons, norm), 1.0
     while share > 1e-3:
         there = unknowns + share * step
-        rows_there = compared_distances_at(problem, there, norm)
+        rows_there = distance_comparisons_at(problem, there, norm)
         fallen = 1.0 - objective_of(rows_there, norm) / before
         if fallen > 0.0:
             return there, rows_there, fallen
         share *= 0.5
-    return unknowns, compared_distances, 0.0
+    return unknowns, comparisons, 0.0
 
 
 def estimate_covariance(
-    compared_distances: ComparedDistances, estimated_combinations: Floats, norm: ObjectiveNorm
+    comparisons: DistanceComparisons, estimated_combinations: Floats, norm: ObjectiveNorm
 ) -> tuple[Floats, Floats]:
     """Covariance of the estimates (unknowns, unknowns), and their covariance with the whitened observations.
 
@@ -364,37 +355,35 @@ def estimate_covariance(
     median for correlated normal observations is used: the score of an observation is its sign, with E[sign sign] = 2/pi
     asin(correlation), to first order off the diagonal.
     """
-    design = compared_distances.unknown_derivatives @ estimated_combinations
+    design = comparisons.unknown_derivatives @ estimated_combinations
     if norm == "squares":
         inverse = np.linalg.inv(design.T @ design)
-        influence = -inverse @ np.asarray((compared_distances.noise_derivatives.T @ design).T)
+        influence = -inverse @ np.asarray((comparisons.noise_derivatives.T @ design).T)
         noise = estimated_combinations @ influence
         return noise @ noise.T, noise
     spread = np.sqrt(
-        np.asarray(
-            compared_distances.noise_derivatives.multiply(compared_distances.noise_derivatives).sum(axis=1)
-        ).ravel()
+        np.asarray(comparisons.noise_derivatives.multiply(comparisons.noise_derivatives).sum(axis=1)).ravel()
     )
     spread = np.maximum(spread, 1e-12)
     scaled_design = design / spread[:, None]
     curvature = np.sqrt(2 / np.pi) * (design.T @ scaled_design)
-    noise_response = np.asarray((compared_distances.noise_derivatives.T @ scaled_design).T) * np.sqrt(2 / np.pi)
+    noise_response = np.asarray((comparisons.noise_derivatives.T @ scaled_design).T) * np.sqrt(2 / np.pi)
     score = noise_response @ noise_response.T + (1 - 2 / np.pi) * (design.T @ design)
     inverse = np.linalg.inv(curvature)
     covariance = estimated_combinations @ inverse @ score @ inverse.T @ estimated_combinations.T
     return covariance, estimated_combinations @ (-inverse @ noise_response)
 
 
-def sentences_on_minimum(
+def minimum_comparison_sentences(
     problem: DistanceProblem, norm: ObjectiveNorm, estimate: DistanceEstimate, fixed_mask: Bools
 ) -> tuple[str, ...]:
     """Sentence that compares the distance objective at an estimate with its minimum over all combinations."""
-    minimum = solve_equation_9(problem, norm, start_values=estimate.unknowns, fixed_mask=fixed_mask).objective_value
-    power, unit = (1e6, "mm^2") if norm == "squares" else (1e3, "mm")
-    method = "equation-9" if norm == "squares" else "equation-9-l1"
+    minimum = solve_all_combinations(problem, norm, start_values=estimate.unknowns, fixed_mask=fixed_mask)
+    power, unit, method = (1e6, "mm^2", "equation-9") if norm == "squares" else (1e3, "mm", "equation-9-l1")
     n_undetermined = len(estimate.undetermined_combinations)
     return (
         f"the distance objective (Sensors 2021, 21, 7479, eq. 9) is {power * estimate.objective_value:.4g} {unit}, "
-        f"with {n_undetermined} hardly determined combinations set to zero. Its minimum is {power * minimum:.4g} "
-        f"{unit} (method {method}), where these combinations are fitted to the noise",
+        f"with {n_undetermined} hardly determined combinations set to zero. Its minimum is "
+        f"{power * minimum.objective_value:.4g} {unit} (method {method}), where these combinations are fitted to the "
+        "noise",
     )

@@ -21,8 +21,8 @@ from ltsim.recordings.result_file import Entry, Finite, NotNegative
 
 MIN_STEPS_FOR_TEST = 3
 """Smallest number of steps between calibrations for which events are tested: the t-test has two degrees of freedom."""
-MIN_STEPS_TO_CALL_USUAL = 5
-"""Smallest number of steps between calibrations for which a report calls a step that is no event a usual one: the
+MIN_STEPS_TO_ESTIMATE_USUAL_CHANGES = 5
+"""Smallest number of steps between calibrations from which the standard deviation of usual changes is estimated: the
 variance of the steps then has four degrees of freedom."""
 TIME_GROWING_VARIANCE_FRACTIONS = np.linspace(0.0, 1.0, 5)
 """Tested fractions of the variance of usual steps that grow with the days between calibrations; p-values are averaged

@@ -70,7 +70,7 @@ def likelihood_information(
     return LikelihoodInformation(0.5 * (remaining + remaining.T), information, information_vector)
 
 
-def score_test(information: Floats, score: Floats, prior_covariance: Floats) -> tuple[Floats, Floats]:
+def change_score_and_information(information: Floats, score: Floats, prior_covariance: Floats) -> tuple[Floats, Floats]:
     """Score and information of a change of each parameter, with random changes of all parameters as null hypothesis.
 
     The random changes have the covariance `prior_covariance` (parameters, parameters). `score` (parameters,) is the
@@ -235,7 +235,7 @@ def log_sum_exp(logarithms: Floats, axis: int = 0) -> Floats:
     return total
 
 
-def size_weights_and_constants(
+def score_weights_and_constants_by_size(
     information_strength: Floats, sizes: Floats = RELATIVE_EFFECT_SIZES, log_size_prior: Floats = LOG_EFFECT_SIZE_PRIOR
 ) -> tuple[Floats, Floats]:
     """Weights of the squared scores and additive constants in the log evidence of an effect, at each of its sizes.
@@ -251,7 +251,7 @@ def log_evidence_by_size(squared_scores: Floats, weights_and_constants: tuple[Fl
     """Log evidence of an effect at each size, including the prior probability of the size, shape (..., sizes).
 
     `squared_scores` has the shape (..., components); `weights_and_constants` is the result of
-    `size_weights_and_constants`.
+    `score_weights_and_constants_by_size`.
     """
     log_evidences: Floats = (squared_scores[..., None, :] @ weights_and_constants[0])[
         ..., 0, :
@@ -269,4 +269,6 @@ def log_evidence(squared_scores: Floats, information_strength: Floats) -> Floats
     information_strength : (..., components) float
         Information on each component, in units of its plausible variance.
     """
-    return log_sum_exp(log_evidence_by_size(squared_scores, size_weights_and_constants(information_strength)), axis=-1)
+    return log_sum_exp(
+        log_evidence_by_size(squared_scores, score_weights_and_constants_by_size(information_strength)), axis=-1
+    )

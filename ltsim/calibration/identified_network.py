@@ -35,7 +35,7 @@ class IdentifiedNetwork:
 
     adjustment: Adjustment
     """Adjustment with the causes in its model."""
-    source_entry: SourceEntry
+    recording_entry: SourceEntry
     """Description of the recording as it was read."""
     tests: tuple[CauseTest, ...]
     """Tests of the causes and of the outliers."""
@@ -55,12 +55,12 @@ class IdentifiedNetwork:
 
         Raises NetworkError or ConvergenceError if the network cannot be solved; the message names the next action.
         """
-        return cls.from_selection(
+        return cls.from_cause_selection(
             recording, construction, identify_causes(recording), robust=robust, datum_names=datum_names
         )
 
     @classmethod
-    def from_selection(
+    def from_cause_selection(
         cls,
         recording: Recording,
         construction: GeometricErrorModel,
@@ -71,7 +71,9 @@ class IdentifiedNetwork:
     ) -> Self:
         """Network as in `from_recording`, with the selected causes of `identify_causes` for the recording."""
         try:
-            adjustment = adjust_with_selection(recording, construction, robust, None, datum_names, selection=selection)
+            adjustment = adjust_with_cause_selection(
+                recording, construction, robust, None, datum_names, selection=selection
+            )
             adjustment.solution.require_success()
         except ConvergenceError as problem:
             raise ConvergenceError(f"{problem}; run ltsim diagnose on this recording", problem.solution) from problem
@@ -112,7 +114,7 @@ def network_uncertainty_factor(adjustment: Adjustment) -> float:
     )
 
 
-def adjust_with_selection(
+def adjust_with_cause_selection(
     recording: Recording,
     construction: GeometricErrorModel,
     robust: bool,

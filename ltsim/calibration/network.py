@@ -15,7 +15,7 @@ from ltsim.calibration import result
 from ltsim.calibration.arrays import CalibrationArrays
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.extra_effects import RequestedEffect, fit_with_extra_effects
-from ltsim.calibration.identified_network import adjust_with_selection, network_uncertainty_factor
+from ltsim.calibration.identified_network import adjust_with_cause_selection, network_uncertainty_factor
 from ltsim.calibration.prior_conflict import (
     contradicted_prior_mask,
     is_noise_overstated,
@@ -79,7 +79,7 @@ def calibrate_network(
     selection = identify_causes(recording, model, prior) if choose_correction and not extra_effects else None
     for remaining in reversed(range(MAX_ALTERNATIONS if choose_correction else 1)):
         adjusted = partial(
-            adjust_with_selection,
+            adjust_with_cause_selection,
             recording,
             model,
             robust,
@@ -181,7 +181,7 @@ def adjust(
     source = load_recording(recording)
     datum_names = None if datum is None else name_tuple(datum)
     selection = identify_causes(source)
-    adjustment = adjust_with_selection(
+    adjustment = adjust_with_cause_selection(
         source, ideal_construction(), robust, _noise_grouping(noise_from_data), datum_names, selection=selection
     )
     tests, constants = () if selection is None else cause_tests(selection), _fit_with_constants(adjustment)

@@ -28,7 +28,7 @@ class PairDistances:
 
     lengths: Floats
     """Distances, shape (distances,) [m]."""
-    pair_indices: Ints
+    target_pair_indices: Ints
     """Index of the pair of targets of each distance, shape (distances,)."""
     parameter_derivatives: Floats
     """Derivative of each distance with respect to each parameter in prior sigmas, shape (distances, parameters) [m]."""
@@ -73,7 +73,7 @@ class DistanceProblem:
         return matrix, np.stack([keys // n_targets, keys % n_targets], axis=1)
 
     @cached_property
-    def _distance_ends(self) -> tuple[Ints, Ints, Ints]:
+    def _distance_end_and_pair_indices(self) -> tuple[Ints, Ints, Ints]:
         """Indices of the first and second mean point of each distance, and the index of its pair of targets."""
         sets, target = self._averaging_matrix[1].T
         a, b = _pairs_within_groups(
@@ -90,7 +90,7 @@ class DistanceProblem:
     def distances_at(self, unknowns: Floats) -> PairDistances:
         """Distances within all sets (station and face), for `unknowns`: instrument parameters in prior sigmas."""
         point, by_reading, by_value = self._points_and_derivatives(self.recording.readings, unknowns)
-        group = self._distance_ends[2]
+        group = self._distance_end_and_pair_indices[2]
         length, unit, by_parameter = self._distances_and_derivatives(point, by_value)
         return PairDistances(length, group, by_parameter, self._reading_derivatives(unit, by_reading))
 
@@ -105,7 +105,7 @@ class DistanceProblem:
         The shapes are (distances,), (distances, 3) and (distances, parameters).
         """
         averaging, _ = self._averaging_matrix
-        a, b, _ = self._distance_ends
+        a, b, _ = self._distance_end_and_pair_indices
         points = averaging @ point
         gap = points[a] - points[b]
         distances = np.linalg.norm(gap, axis=1)
@@ -116,7 +116,7 @@ class DistanceProblem:
     def distances_of_points(self, points: Floats) -> Floats:
         """Distances (distances, trials) within sets (station and face), for points (pointings, 3, trials)."""
         averaging, _ = self._averaging_matrix
-        a, b, _ = self._distance_ends
+        a, b, _ = self._distance_end_and_pair_indices
         means = (averaging @ points.reshape(len(points), -1)).reshape(-1, *points.shape[1:])
         return np.linalg.norm(means[a] - means[b], axis=1)
 
@@ -140,7 +140,7 @@ class DistanceProblem:
     def _reading_derivatives(self, directions: Floats, point_derivatives: Floats) -> sp.csr_array:
         """Derivative of the distances with respect to the whitened readings, shape (distances, 3 pointings)."""
         averaging, _ = self._averaging_matrix
-        a, b, _ = self._distance_ends
+        a, b, _ = self._distance_end_and_pair_indices
         n = len(point_derivatives)
         along = [sp.diags_array(directions[:, i]) for i in range(3)]
         point_rows = sp.csr_array(averaging[a] - averaging[b])
@@ -157,7 +157,7 @@ class DistanceProblem:
         lower_targets = np.minimum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
         upper_targets = np.maximum(self.reference_lengths.first_targets, self.reference_lengths.second_targets)
         index = {int(key): i for i, key in enumerate(lower_targets * n_targets + upper_targets)}
-        gauge_indices = np.array([index.get(int(group), -1) for group in distances.pair_indices], dtype=np.int64)
+        gauge_indices = np.array([index.get(int(group), -1) for group in distances.target_pair_indices], dtype=np.int64)
         matched_rows = np.flatnonzero(gauge_indices >= 0)
         return matched_rows, gauge_indices[matched_rows]
 
@@ -167,7 +167,7 @@ def mean_removal_matrix(distances: PairDistances) -> tuple[sp.csr_array, Floats]
 
     The matrix has the shape (distances, distances).
     """
-    _, group, count = np.unique(distances.pair_indices, return_inverse=True, return_counts=True)
+    _, group, count = np.unique(distances.target_pair_indices, return_inverse=True, return_counts=True)
     rows = np.arange(len(group))
     member = sp.csr_array(sp.coo_array((np.ones(len(group)), (rows, group))))
     mean = member @ sp.diags_array(1.0 / count) @ member.T
@@ -179,8 +179,8 @@ def compared_distance_indices(distances: PairDistances) -> tuple[Ints, Ints]:
 
     A set is the pointings of one station and face.
     """
-    order = np.argsort(distances.pair_indices, kind="stable")
-    return _pairs_within_groups(np.split(order, np.flatnonzero(np.diff(distances.pair_indices[order])) + 1))
+    order = np.argsort(distances.target_pair_indices, kind="stable")
+    return _pairs_within_groups(np.split(order, np.flatnonzero(np.diff(distances.target_pair_indices[order])) + 1))
 
 
 def _pairs_within_groups(groups: Iterable[Ints]) -> tuple[Ints, Ints]:

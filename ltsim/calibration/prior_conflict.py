@@ -10,7 +10,12 @@ from ltsim.adjustment.prior import WIDENED_SIGMA_FACTOR, ParameterPrior
 from ltsim.adjustment.remedies.undetermined import MAX_UNINFORMATIVE_GAIN, ParameterCombination
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL, MIN_DOF_FOR_ESTIMATED_NOISE, SINGLE_TEST_LEVEL
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.evidence import forward_select, likelihood_information, log_evidence, score_test
+from ltsim.calibration.evidence import (
+    change_score_and_information,
+    forward_select,
+    likelihood_information,
+    log_evidence,
+)
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.notation import MAX_LISTED_ITEMS, MAX_LISTED_SENTENCES, with_sigma
 from ltsim.core.probability import PRIOR_OF_WRONG_INSTRUMENT_CONSTANT
@@ -71,7 +76,7 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
         Because of the rounding, the first of several candidates that the readings do not distinguish is selected.
         """
         given_changes = WIDENED_SIGMA_FACTOR * directions[list(selected_changes)]
-        score, weight = score_test(
+        score, weight = change_score_and_information(
             likelihood.information_matrix,
             likelihood.information_vector,
             np.eye(len(free)) + given_changes.T @ given_changes,
@@ -79,7 +84,9 @@ def contradicted_prior_mask(adjustment: Adjustment, prior: ParameterPrior) -> Bo
         strength = np.einsum("hi,ij,hj->h", directions, weight, directions)
         informative = (strength > MAX_UNINFORMATIVE_GAIN) & ~np.isin(np.arange(len(directions)), list(selected_changes))
         estimate = directions @ score / np.where(informative, strength, np.inf)
-        odds = np.round(log_odds_of_errors(estimate * np.sqrt(np.abs(strength)) / scale, strength, len(directions)), 1)
+        odds = np.round(
+            log_odds_of_wrong_constants(estimate * np.sqrt(np.abs(strength)) / scale, strength, len(directions)), 1
+        )
         return np.where(informative & (np.abs(estimate) < WIDENED_SIGMA_FACTOR), odds, -np.inf)
 
     indices = [k for k, odds in forward_select(log_odds_given, 0.0).items() if odds[k] > 0.0]
@@ -115,7 +122,7 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
     gain = np.where(calibration.is_fixed | freed, 0.0, 1.0 - (calibration.sigma / calibration.prior_sigma) ** 2).ravel()
     deviation = ((calibration.estimates - prior.mean) / calibration.prior_sigma).ravel()
     w = _normalised_deviations(deviation, gain) / scale
-    odds = log_odds_of_errors(w, gain, freed.size + size * (len(freed) > 1))
+    odds = log_odds_of_wrong_constants(w, gain, freed.size + size * (len(freed) > 1))
     contradictions = [int(k) for k in np.argsort(-odds) if odds[k] > 0.0]
     if not contradictions:
         return (*sentences, *_combination_sentences(calibration, prior, scale))
@@ -131,7 +138,7 @@ def prior_conflict_sentences(calibration: Calibration) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def log_odds_of_errors(normalised_changes: Floats, information: Floats, n_constants: int) -> Floats:
+def log_odds_of_wrong_constants(normalised_changes: Floats, information: Floats, n_constants: int) -> Floats:
     """Log posterior odds that each constant is wrong, shape (candidates,).
 
     `normalised_changes` (candidates,) are the changes of the constants divided by their standard deviations,

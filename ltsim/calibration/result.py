@@ -17,7 +17,7 @@ from ltsim.adjustment.remedies.undetermined import (
 from ltsim.adjustment.significance import MAX_CHANCE_SIGMAS
 from ltsim.adjustment.verdict import Verdict, verdict_on
 from ltsim.calibration.schema import (
-    DISPLAY_UNITS,
+    OBSERVABLE_DISPLAY_UNITS,
     AxesEntry,
     FitEntry,
     FittedParameterEntry,
@@ -102,7 +102,7 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     whitened = np.nan_to_num(adjustment.residuals / adjustment.problem.sigma)
 
     def row(i: int, column: int, size_si: float, w: float, **other_fields: Any) -> OutlierRow:
-        unit, factor = DISPLAY_UNITS[column]
+        unit, factor = OBSERVABLE_DISPLAY_UNITS[column]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         named = {"row": i + 1, "station": station, "target": target, "observable": OBSERVABLES[column], "unit": unit}
         return OutlierRow(size=size_si / factor, w=w, **named, **other_fields)
@@ -113,7 +113,7 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
         residual, w = adjustment.residuals[i, k], float(whitened[i, k])
         outliers.append(row(i, k, residual, w, pointing_excluded=True, excluded=True))
     single = adjustment.is_rejected & ~adjustment.is_gross_pointing[:, None]
-    single &= _has_estimated_error(adjustment, whitened)
+    single &= _estimated_error_mask(adjustment, whitened)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(whitened[at[0], at[1]])):
         outliers.append(row(i, k, adjustment.residuals[i, k], float(whitened[i, k]), excluded=True))
     flagged_readings = adjustment.flagged_readings(uses_estimated_noise=fit_verdict(adjustment).uses_estimated_noise)
@@ -126,7 +126,7 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     )
 
 
-def _has_estimated_error(adjustment: Adjustment, whitened_residuals: Floats) -> Bools:
+def _estimated_error_mask(adjustment: Adjustment, whitened_residuals: Floats) -> Bools:
     """Mask (pointings, 3) of readings whose residual estimates their error.
 
     For a target without determined coordinates these are the readings with a large whitened residual only.
@@ -151,7 +151,7 @@ def noise_rows(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
             unit, factor, sigmas = "arcsec", ARCSECOND, problem.level_rows.sigma
         else:
             column = OBSERVABLES.index(c.observable)
-            unit, factor = DISPLAY_UNITS[column]
+            unit, factor = OBSERVABLE_DISPLAY_UNITS[column]
             names = np.array(recording.instruments)[recording.instrument]
             sigmas = problem.sigma[
                 problem.is_used_reading[:, column] & ((names == c.instrument) | (c.instrument == "")), column

@@ -23,7 +23,7 @@ from ltsim.recordings.result_file import (
     Vector,
 )
 
-DISPLAY_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
+OBSERVABLE_DISPLAY_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
 """Name and SI value of the display unit of range, azimuth and elevation."""
 
 COORDINATE_COLUMNS = (
@@ -278,7 +278,7 @@ class RecommendedCorrection(Entry):
     """Sentences on the correction."""
 
     @property
-    def point_errors_um(self) -> tuple[float, float]:
+    def uncorrected_and_corrected_point_error_um(self) -> tuple[float, float]:
         """Expected 3D error [um] of a new point without and with the correction, with the noise of its reading."""
         noise = self.noise_error_um
         return math.hypot(self.uncorrected_error_um, noise), math.hypot(self.corrected_error_um, noise)
@@ -286,7 +286,7 @@ class RecommendedCorrection(Entry):
     @property
     def point_error_text(self) -> str:
         """Text of the error of a new point without and with the correction."""
-        before, after = (number_text(error, 3) for error in self.point_errors_um)
+        before, after = (number_text(error, 3) for error in self.uncorrected_and_corrected_point_error_um)
         noise = f"{number_text(self.noise_error_um, 3)} um of it is the measurement noise of that point"
         return f"expected 3D error of a new point: {before} um uncorrected, {after} um corrected ({noise})"
 

@@ -296,9 +296,9 @@ class HeldOutTarget:
 
     held_out_residual: Floats
     """Differences of the target's observations from their prediction by all other targets, whitened, shape (rows,)."""
-    prediction_parameter_covariance: Floats
+    residual_parameter_cross_covariance: Floats
     """Covariance of the held-out residuals with the instrument parameters, shape (rows, parameters)."""
-    covariance: Floats
+    parameter_covariance: Floats
     """Covariance of the instrument parameters, estimated without this target, shape (parameters, parameters)."""
     estimate_shift: Floats
     """Estimates of the parameters from all targets minus estimates without this target, shape (parameters,)."""
@@ -311,10 +311,10 @@ class HeldOutTarget:
         if not len(fixed_indices):
             return float(self.held_out_residual @ self.held_out_residual)
         change = np.linalg.solve(
-            self.covariance[np.ix_(fixed_indices, fixed_indices)],
+            self.parameter_covariance[np.ix_(fixed_indices, fixed_indices)],
             self.estimate_shift[fixed_indices] - parameters[fixed_indices],
         )
-        residual = self.held_out_residual - self.prediction_parameter_covariance[:, fixed_indices] @ change
+        residual = self.held_out_residual - self.residual_parameter_cross_covariance[:, fixed_indices] @ change
         return float(residual @ residual)
 
 

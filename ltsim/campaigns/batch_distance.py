@@ -18,12 +18,12 @@ import numpy as np
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.calibration.distance import OBJECTIVE_NORM_BY_DISTANCE_METHOD
 from ltsim.calibration.distance_solver import (
-    ComparedDistances,
+    DistanceComparisons,
     DistanceEstimate,
     mean_deviation_comparisons,
     pair_difference_comparisons,
-    solve_distances,
-    solve_equation_9,
+    solve_all_combinations,
+    solve_determined_combinations,
 )
 from ltsim.calibration.objective import DistanceProblem, PairDistances
 from ltsim.campaigns.batch_fit import BatchFit
@@ -77,8 +77,10 @@ class BatchDistance(BatchCalibrator):
     def nominal_estimate(self) -> DistanceEstimate:
         """Estimate at the nominal readings: zero, with its covariance and the combinations that are not estimated."""
         if self.estimates_all_combinations:
-            return solve_equation_9(self.distance_problem, "absolute" if self.uses_absolute_deviations else "squares")
-        return solve_distances(self.distance_problem, OBJECTIVE_NORM_BY_DISTANCE_METHOD[self.method])
+            return solve_all_combinations(
+                self.distance_problem, "absolute" if self.uses_absolute_deviations else "squares"
+            )
+        return solve_determined_combinations(self.distance_problem, OBJECTIVE_NORM_BY_DISTANCE_METHOD[self.method])
 
     @cached_property
     def _nominal_distances(self) -> PairDistances:
@@ -105,11 +107,11 @@ class BatchDistance(BatchCalibrator):
         return determined @ np.linalg.inv(determined.T @ normal @ determined) @ determined.T
 
     @cached_property
-    def _mean_deviation_rows(self) -> ComparedDistances:
+    def _mean_deviation_rows(self) -> DistanceComparisons:
         return mean_deviation_comparisons(self.distance_problem, self._nominal_distances)
 
     @cached_property
-    def _pair_difference_rows(self) -> ComparedDistances:
+    def _pair_difference_rows(self) -> DistanceComparisons:
         return pair_difference_comparisons(self.distance_problem, self._nominal_distances)
 
     @property

@@ -47,7 +47,7 @@ MAX_REPORTED_NOISE_SIZES = 12
 
 
 def assemble_diagnosis(
-    source_entry: SourceEntry,
+    recording_entry: SourceEntry,
     model_fit: SelectedModelFit,
     detectability: DetectabilityReport,
     test_findings: Sequence[Finding],
@@ -59,7 +59,7 @@ def assemble_diagnosis(
 ) -> Diagnosis:
     """Diagnosis from the selected model after its refit, and from the findings of tests.
 
-    `source_entry` identifies the recording, and `detectability` has the smallest detectable sizes of effects.
+    `recording_entry` identifies the recording, and `detectability` has the smallest detectable sizes of effects.
     `test_findings` are the findings of tests, which need no search. `final_adjustment` is the adjustment with the
     selected model, or the adjustment without it if the former did not converge. `held_out_errors` are prediction errors
     of held-out readings, and `cause_selection` contains the simple causes of the adjustment before the search.
@@ -89,7 +89,7 @@ def assemble_diagnosis(
             baseline,
             adjusted,
         ),
-        recording=source_entry,
+        recording=recording_entry,
         verdict=verdict,
         summary=diagnosis_summary(
             verdict,

@@ -25,7 +25,7 @@ from ltsim.diagnosis.evidence import (
     size_factor_to_noise_level,
 )
 from ltsim.diagnosis.hypotheses import Hypothesis
-from ltsim.diagnosis.null_ensemble import NullEnsemble, row_gram
+from ltsim.diagnosis.null_ensemble import NullEnsemble, gram_of_rows
 from ltsim.diagnosis.prior import log_prior_by_base_rate
 from ltsim.diagnosis.shape_constants import are_distinct
 from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
@@ -117,7 +117,7 @@ class EffectGroup:
             )
             products = np.concatenate(
                 [
-                    row_gram(transposed_designs.reshape(-1, self.n_parameters, len(weight)))
+                    gram_of_rows(transposed_designs.reshape(-1, self.n_parameters, len(weight)))
                     for transposed_designs in parts
                 ]
             )
@@ -125,7 +125,7 @@ class EffectGroup:
             data = self.transposed_designs.data * weight[self.transposed_designs.indices]
             ends = self.transposed_designs.indptr[:: self.n_parameters].tolist()
             products = np.stack(
-                [row_gram(data[low:high].reshape(self.n_parameters, -1)) for low, high in pairwise(ends)]
+                [gram_of_rows(data[low:high].reshape(self.n_parameters, -1)) for low, high in pairwise(ends)]
             )
         return replace(
             self,
@@ -251,12 +251,12 @@ class CatalogueDesigns:
             for part in group.effect_ranges(null_ensemble.probe_vectors.shape[1]):
                 scores = group.products_with_vectors(part, null_ensemble.probe_vectors)
                 gram = group.projected_gram[part]
-                if null_ensemble.computes_gram_matrices:
+                if null_ensemble.is_first_screening:
                     gram = null_ensemble.projected_gram(scores, group.unprojected_gram[part])
                     grams.append(gram)
                 score, trials, _ = null_ensemble.split_products(scores)
                 if not null_ensemble.uses_monte_carlo_gram:
-                    gram = gram - row_gram(group.products_with_vectors(part, null_ensemble.model_basis))
+                    gram = gram - gram_of_rows(group.products_with_vectors(part, null_ensemble.model_basis))
                 eigenvalues, eigenvectors = np.linalg.eigh(gram)
                 eigenvalues, eigenvectors = np.maximum(eigenvalues, 0.0), np.swapaxes(eigenvectors, 1, 2)
                 effect_indices = group.effect_indices[part]
@@ -372,7 +372,7 @@ def _dense_group(
     n_parameters: int, effect_indices: Sequence[int], transposed_designs: Floats32, row_indices: Ints
 ) -> EffectGroup:
     """Group of h effects with k parameters each, from `transposed_designs` (h, k, r) on r rows `row_indices` (r,)."""
-    products, weight = row_gram(transposed_designs).astype(np.float64), np.ones(len(row_indices), dtype=np.float32)
+    products, weight = gram_of_rows(transposed_designs).astype(np.float64), np.ones(len(row_indices), dtype=np.float32)
     flattened = transposed_designs.reshape(-1, len(row_indices))
     return EffectGroup(
         n_parameters, np.array(effect_indices), row_indices, flattened, weight, products, np.zeros_like(products)
@@ -384,7 +384,7 @@ def _sparse_group(n_parameters: int, indexed_designs: Sequence[tuple[int, Ints, 
 
     `indexed_designs` has the index, the r nonzero rows and the transposed design (k, r) of each effect.
     """
-    products = np.stack([row_gram(transposed_designs) for _, _, transposed_designs in indexed_designs]).astype(
+    products = np.stack([gram_of_rows(transposed_designs) for _, _, transposed_designs in indexed_designs]).astype(
         np.float64
     )
     indices = np.concatenate([np.tile(row_indices, n_parameters) for _, row_indices, _ in indexed_designs])

@@ -53,7 +53,7 @@ from ltsim.diagnosis.model_selection import ConstantComparisonFunction, select_n
 from ltsim.diagnosis.noise_hypothesis import NoiseHypothesis
 from ltsim.diagnosis.preprocessing import (
     adjustment_without_blunders,
-    identified_effects,
+    effects_of_uncorrected_causes,
 )
 from ltsim.diagnosis.prior import MAX_MODEL_EFFECTS
 from ltsim.diagnosis.schema import Finding
@@ -128,7 +128,7 @@ def diagnose(
     state, model, refit = _search_and_refit(state, compare_with_reference, is_mismatch=is_mismatch)
     if selection is not None and model.hypotheses:
         rejected_mask = np.isfinite(recording.readings) & ~state.is_used_reading
-        readmitted_mask = _explained_reading_mask(refit.adjustment, rejected_mask)
+        readmitted_mask = _readmitted_reading_mask(refit.adjustment, rejected_mask)
         if readmitted_mask.any():  # the effects of the model explain these rejected readings
             del state, initial_space, initial_designs, model, refit  # their memory is for the second search
             state, blunder_findings = start_state(level=None, readmitted_mask=readmitted_mask)
@@ -158,9 +158,9 @@ def diagnose(
         held_out_log_odds=errors.log_odds_of_model,
     )
     detectability = detectability_report(initial_space, initial_designs)
-    source_entry = SourceEntry.from_recording(recording)
+    recording_entry = SourceEntry.from_recording(recording)
     return assemble_diagnosis(
-        source_entry,
+        recording_entry,
         model_fit,
         detectability,
         [*blunder_findings, *constant_findings],
@@ -200,12 +200,12 @@ def _state_without_blunders(
         seed,
         level,
         tests_ordinary_constants=tests_ordinary_constants,
-        identified_effects=() if selection is None else identified_effects(selection),
+        effects_of_uncorrected_causes=() if selection is None else effects_of_uncorrected_causes(selection),
     )
     return state, blunder_findings
 
 
-def _explained_reading_mask(adjustment: Adjustment, is_omitted: Bools) -> Bools:
+def _readmitted_reading_mask(adjustment: Adjustment, is_omitted: Bools) -> Bools:
     """Flags (n, 3) of omitted readings of n pointings whose residuals are small in an adjustment with effects."""
     whitened_residual = np.nan_to_num(np.abs(adjustment.residuals / adjustment.problem.sigma), nan=np.inf)
     return is_omitted & (whitened_residual < MAX_CHANCE_SIGMAS)

@@ -58,7 +58,7 @@ class DiagnosisArrays(ValueEquality):
 
     targets: AveragedTargets
     """Coordinates of the targets, averaged over the explanations."""
-    reading_change_by_averaging: Floats
+    averaged_minus_refit_reading_change: Floats
     """Change (n, 3) [m, rad, rad] of the readings of n pointings, averaged over the explanations, minus their change
     by the refitted model."""
     variance_factors: Floats
@@ -185,7 +185,7 @@ class Diagnosis(ResultFile):
         model = adjusted.problem.model
         change = (
             model.change_by_effects(model.sightings(state), state.extra_parameters)
-            + self.arrays.reading_change_by_averaging
+            + self.arrays.averaged_minus_refit_reading_change
         )
         change = np.where(adjusted.is_rejected, change + adjusted.residuals, change)
         corrected = recording.readings - adjusted.recording.readings

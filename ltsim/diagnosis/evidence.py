@@ -30,7 +30,7 @@ from ltsim.calibration.evidence import (
     log_evidence,
     log_evidence_by_size,
     log_sum_exp,
-    size_weights_and_constants,
+    score_weights_and_constants_by_size,
 )
 from ltsim.core.arrays import Bools, Floats, Floats32, Ints, batches
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
@@ -91,7 +91,7 @@ def _simulated_log_evidence_batches(
 ) -> Iterator[Floats32]:
     """Iterator over batches of h hypotheses: log evidence with priors, (h, size factors, simulated recordings)."""
     for part in batches(len(scores), scores.size // max(len(scores), 1)):
-        weights, constants = size_weights_and_constants(eigenvalues[part])
+        weights, constants = score_weights_and_constants_by_size(eigenvalues[part])
         constants += log_prior[part, None]
         logs = np.swapaxes(weights, -1, -2).astype(np.float32) @ np.square(scores[part], dtype=np.float32)
         logs += constants[..., None].astype(np.float32)
@@ -201,7 +201,9 @@ def coefficient_posterior(
     """
     eigenvalues, eigenvectors = _scaled_eigen_decomposition(gram, plausible_sizes)
     z = eigenvectors.T @ score
-    log_evidences = log_evidence_by_size(z**2, size_weights_and_constants(eigenvalues, size_factors, log_size_prior))
+    log_evidences = log_evidence_by_size(
+        z**2, score_weights_and_constants_by_size(eigenvalues, size_factors, log_size_prior)
+    )
     weight = normalised_probabilities(log_evidences)
     variances = size_factors[:, None] ** 2 / (1.0 + size_factors[:, None] ** 2 * eigenvalues)
     means = variances * z

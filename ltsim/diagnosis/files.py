@@ -9,7 +9,7 @@ from ltsim.adjustment.coordinate_uncertainty import (
 )
 from ltsim.calibration.schema import RESIDUALS_TABLE
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.diagnosis.schema import DIAGNOSED_TARGETS_TABLE, RESIDUALS_BEFORE_TABLE
+from ltsim.diagnosis.schema import BASELINE_RESIDUALS_TABLE, DIAGNOSED_TARGETS_TABLE
 from ltsim.recordings.native import OBSERVATIONS_FILE, SETUP_FILE, recording_texts
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import write_result
@@ -20,7 +20,7 @@ COMPANION_FILE_NAMES = (
     DIAGNOSED_TARGETS_TABLE.file,
     COVARIANCE_FILE_NAME,
     RESIDUALS_TABLE.file,
-    RESIDUALS_BEFORE_TABLE.file,
+    BASELINE_RESIDUALS_TABLE.file,
     f"{RECORDING_FOLDER_NAME}/{OBSERVATIONS_FILE}",
     f"{RECORDING_FOLDER_NAME}/{SETUP_FILE}",
 )
@@ -41,7 +41,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
     texts = {
         DIAGNOSED_TARGETS_TABLE.file: diagnosis.table("targets").csv_text(),
         RESIDUALS_TABLE.file: diagnosis.table("residuals").csv_text(),
-        RESIDUALS_BEFORE_TABLE.file: diagnosis.table("residuals_before").csv_text(),
+        BASELINE_RESIDUALS_TABLE.file: diagnosis.table("residuals_before").csv_text(),
     }
     covariance_due_to_air = joint_covariance_due_to_air(diagnosis.final_adjustment)
     covariance = coordinate_covariance_csv_text(

@@ -128,7 +128,10 @@ class SelectedModelFit:
         hypotheses, gains = self.model.hypotheses, [gain.sum() for gain in self.squared_residual_decreases]
         is_doubtful = [
             self.p_real(i) < MIN_PROBABILITY_OF_PROBABLE_CAUSE
-            and (gains[i] < max(gains) or (self.has_test_findings and self.p_any_cause(i) < 1.0 - FAMILY_WISE_LEVEL))
+            and (
+                gains[i] < max(gains)
+                or (self.has_test_findings and self.p_cause_other_than_wrong_readings(i) < 1.0 - FAMILY_WISE_LEVEL)
+            )
             for i in range(len(hypotheses))
         ]
         return tuple(hypothesis.key for hypothesis, doubt in zip(hypotheses, is_doubtful, strict=True) if doubt)
@@ -152,7 +155,7 @@ class SelectedModelFit:
             return 0.0
         return max(self.p_same_name(effect_index), p_same_scope) * (1.0 - self._p_wrong_readings(effect_index))
 
-    def p_any_cause(self, effect_index: int) -> float:
+    def p_cause_other_than_wrong_readings(self, effect_index: int) -> float:
         """Probability that an effect in the model has any cause other than several wrong readings."""
         return (1.0 - self.rankings_of_alternatives[effect_index].p_no_cause) * (
             1.0 - self._p_wrong_readings(effect_index)
@@ -194,7 +197,7 @@ class SelectedModelFit:
         scope = self._scope(
             effect, observables_changed_by_effect(space.is_used_reading, shift[:rows], projected_design[:rows])
         )
-        estimates = self._estimates_of(effect_index, hypothesis, others)
+        estimates = self._estimates_of_effect(effect_index, hypothesis, others)
         sentence, further_values = "", dict[str, object]()
         if isinstance(effect, EmpiricalLaw):
             regressor = regressor_text(effect.regressor, has_clock=self.selection_state.recording.has_clock)
@@ -325,7 +328,7 @@ class SelectedModelFit:
         index = recording.stations.index(effect.stations[0]) if effect.stations else int(recording.station[0])
         return int(recording.instrument[recording.station == index][0])
 
-    def _estimates_of(
+    def _estimates_of_effect(
         self, effect_index: int, hypothesis: Hypothesis, reduced_model: Model
     ) -> tuple[ParameterEstimate, ...]:
         """Estimates of the sizes and shape constants of an effect; without a clock its times are numbers of pointings.

@@ -10,8 +10,8 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.hypotheses import probability_and_equivalents
 from ltsim.diagnosis.instruments import ConstantContradiction
 from ltsim.diagnosis.prior import MAX_P_OF_TEST_FINDINGS
-from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, ParameterEstimate
-from ltsim.diagnosis.scopes import confined_scope
+from ltsim.diagnosis.schema import EquivalentEffect, Finding, FindingEvidence, ParameterEstimate
+from ltsim.diagnosis.scopes import scope_with_names
 from ltsim.diagnosis.sentences import percent_text
 from ltsim.physics.effects import MISALIGNMENT_EFFECTS, parameter_text
 from ltsim.physics.effects.linear_effect import Parameter
@@ -26,7 +26,7 @@ def blunder_finding(blunder: IdentifiedBlunder) -> Finding:
     return Finding(
         effect=blunder.effect_name,
         known=True,
-        where=confined_scope(observables=blunder.observables, stations=blunder.stations, targets=blunder.targets),
+        where=scope_with_names(observables=blunder.observables, stations=blunder.stations, targets=blunder.targets),
         parameters=(ParameterEstimate(name="size", value=1e3 * blunder.size, sigma=1e3 * blunder.sigma, unit="mm"),),
         evidence=FindingEvidence(
             chi2_drop=(blunder.size / blunder.sigma) ** 2,
@@ -48,7 +48,7 @@ def axes_point_finding(test: ReferenceTest) -> Finding:
     return Finding(
         effect="unknown",
         known=False,
-        where=confined_scope(targets=(test.name,)),
+        where=scope_with_names(targets=(test.name,)),
         parameters=tuple(estimates),
         evidence=FindingEvidence(
             chi2_drop=test.chi2_drop, parameters=test.rank, p_value=None, probability=MAX_P_OF_TEST_FINDINGS
@@ -88,7 +88,7 @@ def contradicting_constant_finding(contradiction: ConstantContradiction) -> Find
     return Finding(
         effect=_effect_name_of_constant(p),
         known=True,
-        where=confined_scope(instruments=tuple(filter(None, contradiction.instruments))),
+        where=scope_with_names(instruments=tuple(filter(None, contradiction.instruments))),
         parameters=(estimate,),
         evidence=FindingEvidence(
             chi2_drop=chi2_drop, parameters=1, p_value=contradiction.p_value, probability=probability, p_same_scope=off
@@ -140,14 +140,14 @@ def cause_test_finding(test: CauseTest) -> Finding:
     return Finding(
         effect=name,
         known=name != "unknown",
-        where=confined_scope(observables=observables, stations=test.where.stations, targets=test.where.targets),
+        where=scope_with_names(observables=observables, stations=test.where.stations, targets=test.where.targets),
         parameters=estimates,
         evidence=FindingEvidence(
             chi2_drop=test.statistic, parameters=test.dof, p_value=test.p_value, probability=test.probability or 1.0
         ),
         sentence=test.sentence,
         equivalents=tuple(
-            Equivalent(effect=EFFECT_NAME_BY_CAUSE.get((a.kind, "position"), a.kind), probability=a.probability)
+            EquivalentEffect(effect=EFFECT_NAME_BY_CAUSE.get((a.kind, "position"), a.kind), probability=a.probability)
             for a in test.alternatives
         ),
         formula=formula if wrong else "",

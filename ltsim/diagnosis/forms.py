@@ -21,9 +21,9 @@ from ltsim.diagnosis.law_search_space import MIN_POINTINGS_PER_COEFFICIENT
 from ltsim.diagnosis.prior import P_EVEN_ODDS, P_RARE_FORM, P_SINGLE_SET_UP_BY_RESPONSE_KIND, PRIOR_WEIGHT_BY_FORM
 from ltsim.diagnosis.schema import ResponseCurve
 from ltsim.diagnosis.switches import (
-    MAX_PIECES,
+    MAX_PIECES_OF_LAW,
     N_TOGGLED_INTERVALS_AFTER_MAXIMUM,
-    n_waves_of_same_covariate,
+    n_tried_waves_of_same_covariate,
     switched_forms,
 )
 from ltsim.physics.laws.catalogue_names import catalogue_name
@@ -34,7 +34,7 @@ from ltsim.scene.sightings import Sightings
 
 RIGID_MOTION_REGRESSOR = Regressor("field", COORDINATE_COVARIATES, constant=1.0)
 """Regressor of a group of targets that moves and tilts as a rigid body."""
-MAX_ABSORBED_EVIDENCE_DIFFERENCE = 0.5
+MAX_LOG_EVIDENCE_DIFFERENCE_TO_SINGLE_SET_UP_LAW = 0.5
 """Difference of log evidence up to which a law at all set-ups counts as equivalent to the same law at one set-up. The
 poses of the other set-ups then absorb the law, and only the law at the one set-up is retained."""
 
@@ -70,7 +70,10 @@ def evaluate_forms(
         else []
     )
     base_evidence += float(np.log(1.0 - P_RARE_FORM)) if hypotheses else 0.0
-    permanent_law, share = law.without_switch(), float(np.log(P_RARE_FORM * n_waves_of_same_covariate(law, sightings)))
+    permanent_law, share = (
+        law.without_switch(),
+        float(np.log(P_RARE_FORM * n_tried_waves_of_same_covariate(law, sightings))),
+    )
     switch_hypotheses = (
         switched_forms(calculator, permanent_law, base_evidence + share, conditioning_model)
         if with_steps_and_switches
@@ -205,7 +208,7 @@ def _forms_at_single_set_ups(
         for h in with_ratios
         if isinstance(h.effect, EmpiricalLaw)
         and h.effect.regressor == law.regressor.with_field_centred_on(law.targets)
-        and abs(h.log_evidence - h.log_prior - evidence) < MAX_ABSORBED_EVIDENCE_DIFFERENCE
+        and abs(h.log_evidence - h.log_prior - evidence) < MAX_LOG_EVIDENCE_DIFFERENCE_TO_SINGLE_SET_UP_LAW
     ]
     return same[:1] or [form, *with_ratios]
 
@@ -230,7 +233,7 @@ def _piecewise_forms(
         -np.inf,
         float(np.log(2 * len(atoms))),
     )  # prior of the choice of a piece, and of a further piece
-    while len(atom_indices) < min(n_selected + N_TOGGLED_INTERVALS_AFTER_MAXIMUM, MAX_PIECES, len(atoms)):
+    while len(atom_indices) < min(n_selected + N_TOGGLED_INTERVALS_AFTER_MAXIMUM, MAX_PIECES_OF_LAW, len(atoms)):
         values = np.full(len(atoms), -np.inf)
         remaining = [i for i in range(len(atoms)) if i not in atom_indices]
         columns = np.stack([places[:, [*atom_indices, i]].ravel() for i in remaining])

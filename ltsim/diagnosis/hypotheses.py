@@ -16,11 +16,11 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.rounding import MAX_SOLUTION_ROUNDING_ERROR
 from ltsim.diagnosis.evidence import index_of_largest
 from ltsim.diagnosis.prior import LOG_PRIOR_ODDS_OF_REPETITION, P_UNMODELLED_CAUSE
-from ltsim.diagnosis.schema import Equivalent
+from ltsim.diagnosis.schema import EquivalentEffect
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.linear_effect import CandidateEffect
 
-MAX_EQUIVALENTS = 3
+MAX_LISTED_EQUIVALENTS = 3
 """Largest number of equivalent effects, which cannot be excluded, that a finding lists."""
 
 
@@ -250,18 +250,20 @@ def most_probable_name(probabilities: Mapping[str, float]) -> str:
     )
 
 
-def probability_and_equivalents(probabilities: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
+def probability_and_equivalents(
+    probabilities: Mapping[str, float], name: str
+) -> tuple[float, tuple[EquivalentEffect, ...]]:
     """Probability of the cause `name`, and the most probable other names that are not excluded.
 
     `probabilities` are the probabilities by name.
     """
     equivalents = [
-        Equivalent(effect=other_name, probability=p)
+        EquivalentEffect(effect=other_name, probability=p)
         for other_name, p in probabilities.items()
         if other_name != name and p > MIN_REPORTED_PROBABILITY
     ]
     return probabilities.get(name, 0.0), tuple(
-        sorted(equivalents, key=lambda other: -other.probability)[:MAX_EQUIVALENTS]
+        sorted(equivalents, key=lambda other: -other.probability)[:MAX_LISTED_EQUIVALENTS]
     )
 
 

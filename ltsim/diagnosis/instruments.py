@@ -13,6 +13,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import CORRECTED_INSTRUMENT_SIGMA_FRACTION, ParameterPrior, prior_sigmas
 from ltsim.adjustment.significance import MIN_REPORTED_PROBABILITY
 from ltsim.calibration.evidence import (
+    change_score_and_information,
     determined_combinations,
     estimates_with_plausible_priors,
     forward_select,
@@ -20,7 +21,6 @@ from ltsim.calibration.evidence import (
     log_evidence,
     log_marginal_likelihood,
     log_sum_exp,
-    score_test,
 )
 from ltsim.calibration.prior_information import EarlierCalibrationPrior
 from ltsim.core.arrays import Floats
@@ -186,7 +186,7 @@ def constants_contradicting_expectation(
     def log_evidences_given(other_changes: Collection[int]) -> Floats:
         """Log evidence (changes,) of each change, given that `other_changes` (their indices) are selected."""
         given_changes = change_directions[list(other_changes)]
-        score, weight = score_test(
+        score, weight = change_score_and_information(
             likelihood.information_matrix,
             score_vector,
             expectation.covariance + CHANGED_CONSTANT_PRIOR_VARIANCE_RATIO * given_changes.T @ given_changes,
@@ -209,7 +209,7 @@ def constants_contradicting_expectation(
         return log_evidences
 
     odds_by_change = forward_select(log_evidences_given, MIN_EFFECT_LOG_EVIDENCE)
-    score, weight = score_test(likelihood.information_matrix, score_vector, expectation.covariance)
+    score, weight = change_score_and_information(likelihood.information_matrix, score_vector, expectation.covariance)
     information = change_directions @ weight @ change_directions.T
     contradictions: list[int] = []
     for k in sorted(
@@ -309,7 +309,7 @@ class HistoryExpectation:
     """Earlier calibrations of the same instruments."""
     expected_constants: ParameterPrior
     """Mean and covariance of the constants [SI]; the covariance includes their scatter between calibrations."""
-    specification: Floats
+    manufacturer_specification: Floats
     """Specification of the manufacturer (I, p) [SI] for p constants of I instruments, the unit of computations."""
 
     @classmethod
@@ -333,7 +333,7 @@ class HistoryExpectation:
 
     def find_contradictions(self, adjustment: Adjustment) -> ContradictingConstants:
         """Instrument constants that changed after the earlier calibrations, with log evidences above the limit."""
-        parameters, unit = adjustment.construction.parameters, self.specification
+        parameters, unit = adjustment.construction.parameters, self.manufacturer_specification
         parameter_indices = [k for k, p in enumerate(parameters) if p.name in self.earlier_calibration_prior.parameters]
         names = [parameters[k].name for k in parameter_indices]
         covariance = [block / np.outer(u, u) for block, u in zip(self.expected_constants.covariance, unit, strict=True)]

@@ -122,7 +122,7 @@ class RegressorColumns:
         n_columns = self._regressors[0].n_columns
         return self._all_columns[:, regressor_range.start * n_columns : regressor_range.stop * n_columns]
 
-    def release(self) -> None:
+    def release_memory(self) -> None:
         """Removal of the columns from memory, unless they are always cached."""
         if not self.is_cached:
             self._all_columns = None
@@ -154,7 +154,7 @@ class LawBatch:
     whitened_response_designs: Floats32
     """Whitened change (n, 3, C, c) of the readings of n pointings by the plausible size of each of the c components of
     C responses."""
-    columns: RegressorColumns
+    regressor_columns: RegressorColumns
     """Columns of the regressors, which batches with the same regressors and cells share."""
     log_prior_by_place: Floats
     """Log prior (P,) of a single law (response, regressor and length scale) at each of P places."""
@@ -176,7 +176,7 @@ class LawBatch:
         """
         count, size = len(self.regressors), self.regressors[0].n_columns
         products = size * self.whitened_response_designs[0, 0].size * len(self.places)
-        n_entries = max(products * MIN_SIMULATED_RECORDINGS, self.columns.n_entries_per_regressor)
+        n_entries = max(products * MIN_SIMULATED_RECORDINGS, self.regressor_columns.n_entries_per_regressor)
         batch_results = [self._log_evidence_at_places(null_ensemble, part) for part in batches(count, n_entries)]
         log_evidences = np.concatenate([log_evidences for log_evidences, _ in batch_results], axis=2).reshape(
             len(self.places), -1
@@ -202,11 +202,11 @@ class LawBatch:
         it is too large for a law that is correlated with them. The laws with the largest evidence are evaluated again
         without this approximation.
         """
-        columns = self.columns.columns_of(regressor_range)
+        columns = self.regressor_columns.columns_of(regressor_range)
         scores = self._products_with_ensemble_vectors(null_ensemble, columns)
         score, trials, _ = null_ensemble.split_products(scores)
         null = np.full((1, null_ensemble.n_trials), -np.inf)
-        if null_ensemble.computes_gram_matrices:
+        if null_ensemble.is_first_screening:
             grams = null_ensemble.projected_gram(scores, self._unprojected_gram_matrices(columns))
             eigen_decompositions = self._scaled_eigen_decompositions(grams, regressor_range)
             self._cached_eigen_decompositions[regressor_range.start] = eigen_decompositions
@@ -298,9 +298,9 @@ def evaluate_law_batches(
     """Result of `LawBatch.best_laws_and_log_totals` for each batch, in order; shared columns are computed once."""
     by_columns: dict[int, list[int]] = {}
     for i, batch in enumerate(law_batches):
-        by_columns.setdefault(id(batch.columns), []).append(i)
+        by_columns.setdefault(id(batch.regressor_columns), []).append(i)
     scores = {}
     for members in by_columns.values():
         scores.update({i: law_batches[i].best_laws_and_log_totals(null_ensemble) for i in members})
-        law_batches[members[0]].columns.release()
+        law_batches[members[0]].regressor_columns.release_memory()
     return [scores[i] for i in range(len(law_batches))]

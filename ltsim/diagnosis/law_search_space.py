@@ -48,7 +48,7 @@ limit of the computing time."""
 TARGET_COUNTS_FOR_GROUP_LAWS = range(12, 101)
 """Numbers of targets in a network for which laws that act at a group of targets are tried. Fewer targets hardly form a
 group, and more targets take too much computing time."""
-MIN_POINTINGS_PER_FINE_COEFFICIENT = 4
+MIN_POINTINGS_PER_COEFFICIENT_OF_FINE_CURVE = 4
 """Number of pointings of a set-up per coefficient, above which a curve of one set-up has `N_MODES_DEFAULT` basis
 functions (eigenfunctions of the Laplacian). With fewer pointings it has `N_MODES_IN_PRODUCT`."""
 MIN_POINTINGS_PER_COEFFICIENT = 2
@@ -65,9 +65,20 @@ RESPONSE_KINDS_BY_REGRESSOR_KIND = dict.fromkeys(("product", *REGION_REGRESSOR_K
 """Kinds of responses with which a kind of regressor is combined; regressors of other kinds are combined with all. The
 omitted combinations would be many, and hardly physical.
 """
-NON_READING_WAVE_COVARIATES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
+WAVE_COVARIATES_FOR_NON_READING_RESPONSES = (*CLOCK_COVARIATES, *ACCUMULATED_ROTATIONS)
 """Covariates of waves for responses that are not readings: times, and accumulated rotations of the axes."""
-JOINT_REGRESSOR_KINDS = ("constant", "sign", "curve", "decay", "wave", "memory", "lag", "shape", "passage", "lever")
+MULTI_OBSERVABLE_REGRESSOR_KINDS = (
+    "constant",
+    "sign",
+    "curve",
+    "decay",
+    "wave",
+    "memory",
+    "lag",
+    "shape",
+    "passage",
+    "lever",
+)
 """Kinds of regressors for laws that change several observables together; other kinds have too many coefficients."""
 RegressorsByKind = Mapping[str, Sequence[Regressor]]
 """Regressors by kind, such as `curve` or `wave`."""
@@ -82,7 +93,7 @@ def law_batches(space: ResidualSpace, *, tests_ordinary_constants: bool = True) 
     coordinates of targets are estimated.
     """
     builder = _LawBatchBuilder(space)
-    for place, places, regressors in _kinds_of_places(space):
+    for place, places, regressors in _places_and_regressors_by_kind(space):
         excluded_kinds = (
             () if tests_ordinary_constants or place not in ("everywhere", "instrument") else ("instrument", "circle")
         )
@@ -90,7 +101,7 @@ def law_batches(space: ResidualSpace, *, tests_ordinary_constants: bool = True) 
     return builder.law_batches()
 
 
-def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ...], RegressorsByKind]]:
+def _places_and_regressors_by_kind(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ...], RegressorsByKind]]:
     """Kinds of places of laws, each as a tuple of its name, its places, and the regressors by kind for these places.
 
     A place is the stations, targets or instruments at which a law acts.
@@ -112,7 +123,7 @@ def _kinds_of_places(space: ResidualSpace) -> list[tuple[str, tuple[LawPlace, ..
     general_regressors = candidate_regressors(s)
     setup_regressors = (
         general_regressors
-        if median_pointings > MIN_POINTINGS_PER_FINE_COEFFICIENT * N_MODES_DEFAULT
+        if median_pointings > MIN_POINTINGS_PER_COEFFICIENT_OF_FINE_CURVE * N_MODES_DEFAULT
         else candidate_regressors(s, N_MODES_IN_PRODUCT)
     )
     setup_waves = list(wave_regressors(s, ("station-time",), n_parts=len(s.station_names)))
@@ -162,7 +173,7 @@ class _LawBatchBuilder:
         ] = {}
         for response, design in response_designs(self._sightings).values():
             weights = np.where(self._is_used[:, :, None], design / self._sigma[:, :, None], 0.0)
-            sized = with_size_raised_to_noise(response, weights)
+            sized = response_with_size_raised_to_noise(response, weights)
             self._responses.setdefault((response.kind, len(response.component_names)), []).append(
                 (sized, sized.plausible_size * weights)
             )
@@ -196,7 +207,9 @@ class _LawBatchBuilder:
                     or (name == "constant" and kind in excluded_kinds)
                 ):
                     continue
-                if n_joint_observables and (name not in JOINT_REGRESSOR_KINDS or place_kind in ("target", "group")):
+                if n_joint_observables and (
+                    name not in MULTI_OBSERVABLE_REGRESSOR_KINDS or place_kind in ("target", "group")
+                ):
                     continue
                 admissible_regressors = [
                     d
@@ -205,7 +218,7 @@ class _LawBatchBuilder:
                 ]
                 depth = N_OPERATORS_BY_REGRESSOR_KIND[name] + max(n_joint_observables - 1, 0)
                 weight = PLACE_PRIOR[place_kind] * kinds[kind] * ODDS_PER_OPERATOR**depth / n_responses
-                self._register_with_weight(
+                self._register_laws_with_prior_weight(
                     tuple(c for c, _ in kind_responses if _may_change_in_region(name, c)),
                     admissible_regressors,
                     places,
@@ -213,7 +226,7 @@ class _LawBatchBuilder:
                     n_components,
                 )
 
-    def _register_with_weight(
+    def _register_laws_with_prior_weight(
         self,
         responses: tuple[Response, ...],
         regressors: Sequence[Regressor],
@@ -298,12 +311,12 @@ def _may_change_in_region(regressor_kind: str, response: Response) -> bool:
 def _is_wave_tried_for(response_kind: str, wave: Regressor) -> bool:
     """True if a search tries a wave for a kind of response.
 
-    All waves are tried for readings, and waves in `NON_READING_WAVE_COVARIATES` for the other kinds.
+    All waves are tried for readings, and waves in `WAVE_COVARIATES_FOR_NON_READING_RESPONSES` for the other kinds.
     """
-    return response_kind == "reading" or wave.covariates[0] in NON_READING_WAVE_COVARIATES
+    return response_kind == "reading" or wave.covariates[0] in WAVE_COVARIATES_FOR_NON_READING_RESPONSES
 
 
-def with_size_raised_to_noise(response: Response, whitened_changes: Floats) -> Response:
+def response_with_size_raised_to_noise(response: Response, whitened_changes: Floats) -> Response:
     """Copy of a response whose plausible size is raised to the noise of the readings if it is smaller.
 
     `whitened_changes` (n, 3, c) are the whitened changes of the three readings of n pointings per unit of each of the c

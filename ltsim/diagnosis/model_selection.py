@@ -34,7 +34,7 @@ def select_noise_and_effects(
     shifts = state.searcher.model_by_forward_steps(noise).penalised_log_evidence
     if noise >= shifts:
         identified = state.searcher.catalogue_designs.hypotheses_of_effects(
-            state.identified_effects[: MAX_MODEL_EFFECTS - 1]
+            state.effects_of_uncorrected_causes[: MAX_MODEL_EFFECTS - 1]
         )
         start_model = state.searcher.model_with(identified)
         rival = max(
@@ -51,7 +51,7 @@ def select_noise_and_effects(
         and contradicting_constants.log_evidence_of_all_contradictions - model.penalised_log_evidence
         > (len(constants) - len(model.hypotheses)) * MIN_EFFECT_LOG_EVIDENCE
     ):
-        state = state.with_released_priors(constants)
+        state = state.with_widened_priors(constants)
         model = state.searcher.select_effects(requires_effect=False)
     return _alternate_noise_and_effects(state, model)
 

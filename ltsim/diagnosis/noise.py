@@ -31,7 +31,7 @@ from ltsim.diagnosis.evidence import (
     normalised_probabilities,
 )
 from ltsim.diagnosis.noise_estimation import reml_gain_function, with_estimated_sizes
-from ltsim.diagnosis.noise_factors import PatternWithSizes, VarianceFactors
+from ltsim.diagnosis.noise_factors import VarianceFactors, VariancePatternWithSizes
 from ltsim.diagnosis.noise_groups import (
     GroupNoiseChange,
     GroupNoiseMixture,
@@ -324,7 +324,7 @@ class NoiseHypothesisSet:
 
 def _noise_patterns(
     space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], averaging_matrices: Sequence[sp.csr_array]
-) -> Iterator[PatternWithSizes]:
+) -> Iterator[VariancePatternWithSizes]:
     """Iterator over patterns of the hypotheses: added variance of the readings per unit of the size, and the sizes.
 
     For errors that repeated readings share, the pattern contains the means of these readings (`averaging_matrices`). A

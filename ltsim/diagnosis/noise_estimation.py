@@ -66,7 +66,9 @@ def reml_gain_function(
     return reml_gain_at
 
 
-def _log_ratios_of_groups(reml_gain: Callable[[Floats], Floats], n_groups: int, variance_factors: Floats) -> Floats:
+def _log_likelihood_ratios_of_groups(
+    reml_gain: Callable[[Floats], Floats], n_groups: int, variance_factors: Floats
+) -> Floats:
     """Log restricted likelihood ratios (f, k) of k groups of readings for f variance factors."""
     base_gain = reml_gain(np.zeros(n_groups))
     return np.stack([reml_gain(np.full(n_groups, factor - 1.0)) - base_gain for factor in variance_factors])
@@ -99,7 +101,7 @@ def _heavy_tail_with_variances(hypothesis: NoiseHypothesis, reml_gain: Callable[
     The fraction of readings in the tail is the fraction with the largest likelihood.
     """
     n_readings = len(hypothesis.effect.parameters)
-    log_ratios = _log_ratios_of_groups(reml_gain, n_readings, HEAVY_TAIL_VARIANCE_FACTORS)
+    log_ratios = _log_likelihood_ratios_of_groups(reml_gain, n_readings, HEAVY_TAIL_VARIANCE_FACTORS)
     q = float(NOISY_GROUP_FRACTIONS[int(np.argmax(_log_likelihood_by_fraction(log_ratios)))])
     inside = expit(log_sum_exp(log_ratios) - np.log(len(log_ratios)) + np.log(q / (1.0 - q)))
     weight = (
@@ -162,4 +164,6 @@ def with_estimated_sizes(space: ResidualSpace, nominal_sigma: Floats, hypothesis
     estimated = replace(hypothesis, sizes=tuple(values.tolist()), chi2_drop=drop, size_sigmas=tuple(sigma.tolist()))
     if not getattr(effect, "group_kind", ""):
         return estimated
-    return _with_occam_factor(estimated, _log_ratios_of_groups(reml_gain, len(scale), COARSE_GROUP_VARIANCE_FACTORS))
+    return _with_occam_factor(
+        estimated, _log_likelihood_ratios_of_groups(reml_gain, len(scale), COARSE_GROUP_VARIANCE_FACTORS)
+    )

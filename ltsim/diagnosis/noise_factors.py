@@ -19,7 +19,7 @@ refers to the rows of the kinds of observations that the pattern changes."""
 
 
 @dataclass(frozen=True)
-class PatternGroup:
+class VariancePatternGroup:
     """Patterns of added variance, and hypotheses, each of which is a pattern times a size.
 
     Either all patterns are sparse, or all are dense on the same rows of the residual space.
@@ -90,22 +90,22 @@ def _relative_precision_loss(log_variance_factors: Floats32 | sp.csr_array) -> F
     )
 
 
-PatternWithSizes = tuple[Floats, tuple[float, ...]]
+VariancePatternWithSizes = tuple[Floats, tuple[float, ...]]
 """Pattern of added variance: its values for the first rows of the residual space per unit of the size, and the sizes of
 the hypotheses with this pattern."""
 
 
 @dataclass(frozen=True)
 class VarianceFactors:
-    """Variance factors of noise hypotheses, each of which is in one `PatternGroup`."""
+    """Variance factors of noise hypotheses, each of which is in one `VariancePatternGroup`."""
 
     n_hypotheses: int
     """Number h of hypotheses."""
-    groups: tuple[PatternGroup, ...]
+    groups: tuple[VariancePatternGroup, ...]
     """Groups of patterns, to one of which each hypothesis belongs."""
 
     @classmethod
-    def from_patterns(cls, patterns: Iterable[PatternWithSizes], observation_kinds: Ints) -> VarianceFactors:
+    def from_patterns(cls, patterns: Iterable[VariancePatternWithSizes], observation_kinds: Ints) -> VarianceFactors:
         """Variance factors from the patterns of consecutive hypotheses.
 
         `observation_kinds` (m,) is the kind of observation of each of the m rows of the residual space. Dense patterns
@@ -132,7 +132,7 @@ class VarianceFactors:
                 pattern_hypotheses.append((n_hypotheses, sizes))
             n_hypotheses += len(sizes)
         pattern_groups = (
-            [_pattern_group(few, slice(None), _sparse_rows(sparse, len(observation_kinds)))] if sparse else []
+            [_pattern_group(few, slice(None), _sparse_pattern_matrix(sparse, len(observation_kinds)))] if sparse else []
         )
         del sparse
         for touched_kinds, (filled, pattern_hypotheses) in dense.items():
@@ -171,14 +171,14 @@ FirstIndexAndSizes = tuple[int, tuple[float, ...]]
 
 def _pattern_group(
     pattern_hypotheses: Sequence[FirstIndexAndSizes], row_indices: Ints | slice, added_variance: Floats32 | sp.csr_array
-) -> PatternGroup:
+) -> VariancePatternGroup:
     members = np.concatenate([first + np.arange(len(sizes)) for first, sizes in pattern_hypotheses])
     pattern_indices = np.repeat(np.arange(len(pattern_hypotheses)), [len(sizes) for _, sizes in pattern_hypotheses])
     pattern_sizes = np.concatenate([sizes for _, sizes in pattern_hypotheses]).astype(np.float32)
-    return PatternGroup(members, pattern_indices, pattern_sizes, row_indices, added_variance)
+    return VariancePatternGroup(members, pattern_indices, pattern_sizes, row_indices, added_variance)
 
 
-def _sparse_rows(row_entries: Sequence[tuple[Ints, Floats32]], n_rows: int) -> sp.csr_array:
+def _sparse_pattern_matrix(row_entries: Sequence[tuple[Ints, Floats32]], n_rows: int) -> sp.csr_array:
     """Sparse matrix (p, n_rows) of p patterns on `n_rows` rows, from indices and values of its nonzero elements."""
     ends = np.cumsum([0, *(len(row_indices) for row_indices, _ in row_entries)]).astype(np.int32)
     row_indices, values = (np.concatenate([part[k] for part in row_entries]) for k in (0, 1))

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 from ltsim.diagnosis.prior import log_prior_by_base_rate, log_prior_of_each_explanation
-from ltsim.diagnosis.schema import Equivalent
+from ltsim.diagnosis.schema import EquivalentEffect
 from ltsim.physics.effects.linear_effect import CandidateNoiseEffect
 
 
@@ -31,7 +31,7 @@ class NoiseHypothesis:
     estimates; 0 for other changes."""
     probability: float = 0.0
     """Posterior probability that this change of the noise is the cause of the misfit."""
-    equivalents: tuple[Equivalent, ...] = ()
+    equivalents: tuple[EquivalentEffect, ...] = ()
     """Other effects that cannot be excluded as the cause of the misfit."""
 
     @property
@@ -48,7 +48,7 @@ class NoiseHypothesis:
         """
         return min(self.log_evidence - 0.5 * self.chi2_drop, self.log_prior)
 
-    def increased_by(self, added_change: NoiseHypothesis) -> NoiseHypothesis:
+    def sum_with(self, added_change: NoiseHypothesis) -> NoiseHypothesis:
         """Sum of this change of the noise and a further change with the same effect."""
         return replace(
             self,

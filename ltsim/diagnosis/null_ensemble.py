@@ -47,7 +47,7 @@ class NullEnsemble:
     """Number t of simulated recordings that give the p-value of a search; 0 for a search without p-value."""
     model_basis: Floats
     """Orthonormal basis (m, e), e vectors with m elements, of the projected design columns of the model's effects."""
-    computes_gram_matrices: bool
+    is_first_screening: bool
     """True for the first screening of a space, whose Gram matrices later screenings with a model use again."""
     uses_monte_carlo_gram: bool
     """True if the Gram matrices of the effects are estimated as means over simulated residuals.
@@ -68,9 +68,7 @@ class NullEnsemble:
         else:
             vectors[:, 1 + n_trials :] = basis
         empty_basis = np.zeros((space.n_equations, 0))
-        return cls(
-            space, vectors, n_trials, empty_basis, computes_gram_matrices=True, uses_monte_carlo_gram=basis is None
-        )
+        return cls(space, vectors, n_trials, empty_basis, is_first_screening=True, uses_monte_carlo_gram=basis is None)
 
     def with_model(self, residual: Floats, model_basis: Floats) -> NullEnsemble:
         """Ensemble for a model with m residuals `residual` (m,) and the orthonormal basis `model_basis` (m, e).
@@ -79,7 +77,7 @@ class NullEnsemble:
         matrices and null values of the empty model are used again.
         """
         vectors = residual[:, None].astype(np.float32)
-        return replace(self, probe_vectors=vectors, n_trials=0, model_basis=model_basis, computes_gram_matrices=False)
+        return replace(self, probe_vectors=vectors, n_trials=0, model_basis=model_basis, is_first_screening=False)
 
     @property
     def simulated_residuals(self) -> Floats32:
@@ -116,7 +114,7 @@ class NullEnsemble:
         unprojected_gram : (..., k, k) float
             Products of the columns with each other, without projection.
         """
-        squares = row_gram(self.split_products(scores)[2])
+        squares = gram_of_rows(self.split_products(scores)[2])
         return (
             squares / (self.probe_vectors.shape[1] - 1 - self.n_trials)
             if self.uses_monte_carlo_gram
@@ -148,6 +146,6 @@ def _simulate_residuals(space: ResidualSpace, rng: np.random.Generator, residual
         residuals[:, part] = space.project(white[:, part])
 
 
-def row_gram(rows: Any) -> Any:
+def gram_of_rows(rows: Any) -> Any:
     """Gram matrices (..., k, k) of the products of k rows with v elements each, `rows` (..., k, v)."""
     return rows @ np.swapaxes(rows, -1, -2)

@@ -57,7 +57,7 @@ def causes_corrected_before_search(selection: CauseSelection) -> list[CauseHypot
     return [h for h in chosen if not isinstance(h.model_change, NoiseFactor) and (gross or h not in shifts)]
 
 
-def identified_effects(selection: CauseSelection) -> tuple[CandidateEffect, ...]:
+def effects_of_uncorrected_causes(selection: CauseSelection) -> tuple[CandidateEffect, ...]:
     """Catalogue effects among the simple causes that are not corrected before the search, the most certain first."""
     corrected = causes_corrected_before_search(selection)
     changes = (

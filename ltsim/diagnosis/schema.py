@@ -23,7 +23,7 @@ DIAGNOSED_TARGETS_TABLE = Table(
         ),
     ),
 )
-RESIDUALS_BEFORE_TABLE = replace(
+BASELINE_RESIDUALS_TABLE = replace(
     RESIDUALS_TABLE, file="residuals_before.csv", description="residuals of the ordinary adjustment"
 )
 
@@ -68,7 +68,7 @@ class FindingEvidence(Entry):
         return max(self.probability, self.p_same_scope or 0.0)
 
 
-class Equivalent(Entry):
+class EquivalentEffect(Entry):
     """Other effect that cannot be excluded as the cause of a finding."""
 
     effect: str
@@ -128,7 +128,7 @@ class Finding(Entry):
     """Displacement of the targets if the finding is not modelled [um]: rms after a rigid least-squares fit."""
     evidence: FindingEvidence
     """Strength of the evidence for the finding."""
-    equivalents: tuple[Equivalent, ...] = ()
+    equivalents: tuple[EquivalentEffect, ...] = ()
     """Other effects that cannot be excluded as the cause."""
     separate_by: str = ""
     """Measurement that would discriminate the effect from its equivalents."""

@@ -18,7 +18,7 @@ def effect_scope(effect: CandidateEffect, default_observables: tuple[str, ...] =
     if isinstance(effect, EmpiricalLaw):
         stations = () if effect.has_coefficients_per_setup else stations
         observables = effect.response.observables or default_observables or observables
-    return confined_scope(
+    return scope_with_names(
         observables=() if set(observables) == set(OBSERVABLES) else observables,
         stations=() if instruments else stations,
         targets=effect.targets,
@@ -27,6 +27,6 @@ def effect_scope(effect: CandidateEffect, default_observables: tuple[str, ...] =
     )
 
 
-def confined_scope(**names_by_kind: tuple[str, ...]) -> FindingScope:
+def scope_with_names(**names_by_kind: tuple[str, ...]) -> FindingScope:
     """Scope with the given names by kind, such as `stations`; all other kinds are empty."""
     return FindingScope(**dict.fromkeys(FindingScope.model_fields, ()) | names_by_kind)

@@ -45,7 +45,7 @@ class SelectionState:
     """False-alarm rate of the search; None for a search without p-value."""
     tests_ordinary_constants: bool
     """True if changes of the constants of the ordinary calibration are also hypotheses."""
-    identified_effects: tuple[CandidateEffect, ...]
+    effects_of_uncorrected_causes: tuple[CandidateEffect, ...]
     """Catalogue effects among the simple causes of the network, from which a second search starts if the noise is
     larger than declared."""
     reading_sigmas: Floats
@@ -66,7 +66,7 @@ class SelectionState:
         false_alarm_rate: float | None = 0.05,
         *,
         tests_ordinary_constants: bool = True,
-        identified_effects: tuple[CandidateEffect, ...] = (),
+        effects_of_uncorrected_causes: tuple[CandidateEffect, ...] = (),
     ) -> SelectionState:
         """State before the first step of the selection, from the ordinary adjustment and the attributes of a state."""
         return cls(
@@ -75,7 +75,7 @@ class SelectionState:
             seed,
             false_alarm_rate,
             tests_ordinary_constants,
-            identified_effects,
+            effects_of_uncorrected_causes,
             adjustment.recording.sigma(),
             ResidualSpace.from_adjustment(adjustment),
         )
@@ -143,7 +143,7 @@ class SelectionState:
 
         return refit_with_effects(with_causes if old.effects else adjusted, effects, start_state=old.state)
 
-    def with_released_priors(self, contradictions: Sequence[ConstantContradiction]) -> SelectionState:
+    def with_widened_priors(self, contradictions: Sequence[ConstantContradiction]) -> SelectionState:
         """State after an adjustment without the prior of the constants that contradict their reference."""
         old = self.baseline_adjustment
         freed = np.zeros(old.state.instrument_parameters.shape, dtype=bool)
@@ -194,7 +194,7 @@ class SelectionState:
         if all(change.effect != new_change.effect for change in self.noise_changes):
             return self._with_noise_changes((*self.noise_changes, new_change)).with_estimated_noise(effects)
         noise_changes = [
-            change if change.effect != new_change.effect else change.increased_by(new_change)
+            change if change.effect != new_change.effect else change.sum_with(new_change)
             for change in self.noise_changes
         ]
         return self._with_noise_changes(noise_changes).with_estimated_noise(effects)

@@ -19,11 +19,11 @@ from ltsim.diagnosis.schema import ParameterEstimate
 from ltsim.physics.effects.linear_effect import CandidateEffect, ShapeParameter
 from ltsim.scene.sightings import Sightings
 
-REGION_CENTRE_STEP = 0.05
+REGION_CENTRE_DIFFERENCE_STEP = 0.05
 """Step [m] of the centre of a region of the hall for second differences of the log evidence."""
 MAX_CENTRE_SIGMA_IN_STEPS = 20.0
-"""Standard deviation, divided by `REGION_CENTRE_STEP`, that a coordinate of a region's centre gets if the readings do
-not determine it."""
+"""Standard deviation, divided by `REGION_CENTRE_DIFFERENCE_STEP`, that a coordinate of a region's centre gets if the
+readings do not determine it."""
 N_SHAPE_GRID_POINTS = 11
 """Number of grid points over which a shape constant is integrated, from one coarse step below its optimum to one coarse
 step above."""
@@ -55,7 +55,7 @@ def _dense_grid(shape: ShapeParameter, estimate: float, sigma: float, n_nodes: i
     return grid_values, np.maximum(np.abs(np.diff(edges)), 1e-300)
 
 
-def interpolate_shape_constant(shape: ShapeParameter, lower: float, upper: float, position: float) -> float:
+def shape_constant_at_position(shape: ShapeParameter, lower: float, upper: float, position: float) -> float:
     """Value of a shape constant at a `position` from -1 at `lower` to 1 at `upper`.
 
     The value, its logarithm or its reciprocal is a linear function of the position, as on the grid of the constant.
@@ -98,7 +98,7 @@ def _integrate_over_shape(
     u = np.linspace(-1.0, 1.0, N_SHAPE_GRID_POINTS)
 
     def log_evidence_at(positions: Floats) -> Floats:
-        values = (interpolate_shape_constant(shape, low, high, x) for x in positions.tolist())
+        values = (shape_constant_at_position(shape, low, high, x) for x in positions.tolist())
         return calculator.log_evidence(
             [effect.with_constants(**{shape.name: value}) for value in values], conditioning_model
         )
@@ -111,7 +111,7 @@ def _integrate_over_shape(
         order = np.argsort(np.concatenate([u, more]))
         u, logs = np.concatenate([u, more])[order], np.concatenate([logs, log_evidence_at(more)])[order]
     best_effect = effect.with_constants(
-        **{shape.name: interpolate_shape_constant(shape, low, high, float(u[index_of_largest(logs)]))}
+        **{shape.name: shape_constant_at_position(shape, low, high, float(u[index_of_largest(logs)]))}
     )
     height = np.exp(logs - logs.max())
     return best_effect, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
@@ -239,7 +239,7 @@ def region_centre_estimates(
     if not len(centre):
         return ()
     k = len(centre)
-    steps = REGION_CENTRE_STEP * np.eye(k)
+    steps = REGION_CENTRE_DIFFERENCE_STEP * np.eye(k)
     moves = [np.zeros(k), *steps, *-steps]
     axis_pairs = list(combinations(range(k), 2))
     moves += [steps[i] + steps[j] for i, j in axis_pairs] + [steps[i] - steps[j] for i, j in axis_pairs]
@@ -252,13 +252,13 @@ def region_centre_estimates(
         log_evidences[k + 1 : 2 * k + 1],
         log_evidences[2 * k + 1 :].reshape(4, -1),
     )
-    hessian = np.diag((2.0 * log_evidences[0] - ahead - behind) / REGION_CENTRE_STEP**2)
-    mixed = -(crossed[0] - crossed[1] - crossed[2] + crossed[3]) / (4.0 * REGION_CENTRE_STEP**2)
+    hessian = np.diag((2.0 * log_evidences[0] - ahead - behind) / REGION_CENTRE_DIFFERENCE_STEP**2)
+    mixed = -(crossed[0] - crossed[1] - crossed[2] + crossed[3]) / (4.0 * REGION_CENTRE_DIFFERENCE_STEP**2)
     for (i, j), value in zip(axis_pairs, mixed, strict=True):
         hessian[i, j] = hessian[j, i] = value
     eigenvalues, eigenvectors = np.linalg.eigh(hessian)
     variance = eigenvectors**2 @ (
-        1.0 / np.maximum(eigenvalues, 1.0 / (MAX_CENTRE_SIGMA_IN_STEPS * REGION_CENTRE_STEP) ** 2)
+        1.0 / np.maximum(eigenvalues, 1.0 / (MAX_CENTRE_SIGMA_IN_STEPS * REGION_CENTRE_DIFFERENCE_STEP) ** 2)
     )
     return tuple(
         ParameterEstimate(name=f"centre-{axis}", value=float(value), sigma=float(np.sqrt(v)), unit="m")

@@ -30,7 +30,7 @@ steps."""
 MIN_TARGET_SWITCH_EDGES = 3
 """Smallest number of times at which a switched law that acts on one target turns on or off. With one or two such times
 the law equals a catalogue effect, such as a target that moved."""
-MAX_PIECES = 10
+MAX_PIECES_OF_LAW = 10
 """Largest number of steps and ramps of a law, and of intervals whose state is toggled."""
 N_TOGGLED_INTERVALS_AFTER_MAXIMUM = 3
 """Number of intervals that a search toggles after the last increase of the evidence, before it stops."""
@@ -51,7 +51,7 @@ class SpanGramAndScore(NamedTuple):
     """Contribution (S,) of each of S spans to the mean square of the regressor."""
 
 
-def n_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
+def n_tried_waves_of_same_covariate(law: EmpiricalLaw, sightings: Sightings) -> int:
     """Number of waves of the same covariate that the search tried, if the law has a wave; 1 for all other laws.
 
     The law with the most probable of these waves represents any switch. The prior of the switch is therefore the prior
@@ -153,7 +153,7 @@ def _best_span_states(spans: SpanGramAndScore, plausible_sizes: Floats) -> tuple
     price = float(np.log(len(first)))
     state = best = np.zeros(count, dtype=bool)
     value, taken, turn = -np.inf, 0, 0
-    while turn < min(taken + N_TOGGLED_INTERVALS_AFTER_MAXIMUM, MAX_PIECES):
+    while turn < min(taken + N_TOGGLED_INTERVALS_AFTER_MAXIMUM, MAX_PIECES_OF_LAW):
         turn += 1
         sign = 1.0 - 2.0 * state
         within = sign[:, None, None, None] * spans.gram * sign[:, None]

@@ -100,7 +100,7 @@ class TaskEvaluation:
         if isinstance(point_source, EpochCoordinates):
             source, frame, sigma0 = SourceEntry.from_coordinates(point_source), "that of the list of coordinates", None
         else:
-            source = SourceEntry.from_recording(point_source.recording) if network is None else network.source_entry
+            source = SourceEntry.from_recording(point_source.recording) if network is None else network.recording_entry
             frame, sigma0 = frame_text(point_source), point_source.sigma0
         return Uncertainty(
             recording=source,

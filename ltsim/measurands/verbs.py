@@ -165,8 +165,8 @@ def compare(
     ]
     return comparison.model_copy(
         update={
-            "recording": before.source_entry,
-            "second_recording": after.source_entry,
+            "recording": before.recording_entry,
+            "second_recording": after.recording_entry,
             "notes": tuple(notes),
             "tests": before.tests,
             "second_tests": after.tests,

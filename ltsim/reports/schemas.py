@@ -70,7 +70,7 @@ COMPANION_TABLES: dict[str, tuple[Table, ...]] = {
     Calibration.FILE: (TARGETS_TABLE, RESIDUALS_TABLE),
     BenchFile.FILE: (BENCH_TABLE,),
     Truth.FILE: (NOMINAL_TABLE,),
-    Diagnosis.FILE: (diagnosis.DIAGNOSED_TARGETS_TABLE, RESIDUALS_TABLE, diagnosis.RESIDUALS_BEFORE_TABLE),
+    Diagnosis.FILE: (diagnosis.DIAGNOSED_TARGETS_TABLE, RESIDUALS_TABLE, diagnosis.BASELINE_RESIDUALS_TABLE),
     Plan.FILE: plan_tables.PLAN_TABLES,
     NextMeasurement.FILE: (PROPOSALS_TABLE,),
     ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS_TABLE),

@@ -171,10 +171,10 @@ def workshop_from_recording(recording: Recording) -> WorkshopScene:
     Arrows show the change of the targets by the estimation of these parameters.
     """
     selection = identify_causes(recording)
-    ideal_adjustment = IdentifiedNetwork.from_selection(recording, ideal_construction(), selection).adjustment
+    ideal_adjustment = IdentifiedNetwork.from_cause_selection(recording, ideal_construction(), selection).adjustment
     construction = declared_construction(recording)
     try:
-        adjustment_with_errors = IdentifiedNetwork.from_selection(recording, construction, selection).adjustment
+        adjustment_with_errors = IdentifiedNetwork.from_cause_selection(recording, construction, selection).adjustment
     except ConvergenceError:
         adjustment_with_errors = ideal_adjustment
     return workshop_from_adjustment(adjustment_with_errors, adjustment_without_parameters=ideal_adjustment)

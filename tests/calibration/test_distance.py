@@ -10,7 +10,11 @@ from scipy.stats import kstest
 
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.calibration.distance import calibrate_distance
-from ltsim.calibration.distance_solver import mean_deviation_comparisons, pair_difference_comparisons, solve_distances
+from ltsim.calibration.distance_solver import (
+    mean_deviation_comparisons,
+    pair_difference_comparisons,
+    solve_determined_combinations,
+)
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.core.errors import NetworkError
@@ -121,7 +125,7 @@ def test_stated_uncertainty_is_the_spread(make, drawn, norm: str) -> None:
     for trial in range(trials):
         truth = drawn(misalignment_construction(), 6, trial)
         problem = problem_of(make(truth, trial=trial))
-        found = solve_distances(problem, norm)
+        found = solve_determined_combinations(problem, norm)
         error = found.unknowns - truth / problem.prior_sigma[0]
         score.append(error / np.sqrt(np.diag(found.covariance)))
         total.append(error @ np.linalg.solve(found.covariance, error))
@@ -156,4 +160,4 @@ def test_nothing_to_compare_is_said(make) -> None:
     recording = make(np.zeros(16))
     alone = recording.select(recording.station == 0).replace(setup=Setup())
     with pytest.raises(NetworkError, match="no distance can be compared"):
-        solve_distances(problem_of(alone), "squares")
+        solve_determined_combinations(problem_of(alone), "squares")

@@ -11,8 +11,8 @@ from ltsim.adjustment.prior import prior_sigmas
 from ltsim.calibration.distance_solver import (
     mean_deviation_comparisons,
     pair_difference_comparisons,
-    solve_distances,
-    solve_equation_9,
+    solve_all_combinations,
+    solve_determined_combinations,
 )
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.physics.model.construction import misalignment_construction
@@ -37,10 +37,10 @@ def slope(problem: DistanceProblem, unknowns: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("seed", family(range(100), 10))
 def test_the_gradient_of_the_squares_vanishes(seed: int) -> None:
     problem = problem_of(seed)
-    found = solve_equation_9(problem, "squares")
+    found = solve_all_combinations(problem, "squares")
     assert found.has_converged
     assert np.max(np.abs(slope(problem, found.unknowns))) < 1e-7
-    assert found.objective_value < solve_distances(problem, "squares").objective_value
+    assert found.objective_value < solve_determined_combinations(problem, "squares").objective_value
 
 
 def least_subgradient(problem: DistanceProblem, unknowns: np.ndarray) -> float:
@@ -59,8 +59,8 @@ def least_subgradient(problem: DistanceProblem, unknowns: np.ndarray) -> float:
 
 def check_absolute(seed: int) -> None:
     problem = problem_of(seed)
-    found = solve_equation_9(problem, "absolute")
-    truncated = solve_distances(problem, "absolute")
+    found = solve_all_combinations(problem, "absolute")
+    truncated = solve_determined_combinations(problem, "absolute")
     assert found.has_converged
     assert least_subgradient(problem, found.unknowns) < 1e-6
     assert least_subgradient(problem, truncated.unknowns) > 1e-4
@@ -81,10 +81,10 @@ def test_zero_is_a_subgradient_of_the_absolute_values_for_many_seeds(seed: int) 
 @pytest.mark.parametrize("norm", family(["squares", "absolute"]))
 def test_in_a_box_no_unknown_leaves_it_and_nothing_in_it_lies_below(norm: str) -> None:
     problem, box = problem_of(3), 0.8
-    found = solve_equation_9(problem, norm, bound_in_prior_sigmas=box)
+    found = solve_all_combinations(problem, norm, bound_in_prior_sigmas=box)
     assert np.max(np.abs(found.unknowns)) <= box + 1e-9
     assert np.any(np.abs(found.unknowns) > box - 1e-6)
-    assert found.objective_value >= solve_equation_9(problem, norm).objective_value
+    assert found.objective_value >= solve_all_combinations(problem, norm).objective_value
     rng = np.random.default_rng(1)
     rows = mean_deviation_comparisons if norm == "squares" else pair_difference_comparisons
     for _ in range(20):

@@ -149,7 +149,7 @@ def test_a_target_held_out_is_predicted_as_an_adjustment_without_it_predicts(kno
     shift = held.estimate_shift / found.prior_sigma[0]
     assert (found.estimates - without.estimates)[0] / found.prior_sigma[0] == pytest.approx(shift, abs=2e-3)
     unit = np.outer(found.prior_sigma, found.prior_sigma)
-    assert held.covariance / unit == pytest.approx(without.covariance / unit, abs=2e-3)
+    assert held.parameter_covariance / unit == pytest.approx(without.covariance / unit, abs=2e-3)
 
 
 def test_a_term_that_only_local_errors_feign_is_not_applied() -> None:

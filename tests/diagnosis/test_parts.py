@@ -114,7 +114,7 @@ class Set:
     def p_real(self, member: int) -> float:
         return self.chances[self.members[member]]
 
-    def p_any_cause(self, member: int) -> float:
+    def p_cause_other_than_wrong_readings(self, member: int) -> float:
         return {"d": 0.999}.get(self.members[member], 0.9)
 
 

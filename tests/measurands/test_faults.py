@@ -84,6 +84,6 @@ def test_a_message_names_the_recording(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: Any, **__: Any) -> None:
         raise ConvergenceError("the adjustment did not converge", None)
 
-    monkeypatch.setattr("ltsim.calibration.identified_network.adjust_with_selection", fail)
+    monkeypatch.setattr("ltsim.calibration.identified_network.adjust_with_cause_selection", fail)
     with pytest.raises(ConvergenceError, match=r"^the first recording: .*; run ltsim diagnose on this recording$"):
         lt.compare(workshop(), workshop())

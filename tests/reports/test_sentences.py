@@ -13,7 +13,7 @@ from ltsim.adjustment.identification.cause_selection import MAX_LOG_EVIDENCE_GAI
 from ltsim.campaigns.results import PairedDifference
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.recommendations import inspection_action
-from ltsim.diagnosis.schema import Equivalent, Finding, FindingEvidence, FindingScope, Misfit, ParameterEstimate
+from ltsim.diagnosis.schema import EquivalentEffect, Finding, FindingEvidence, FindingScope, Misfit, ParameterEstimate
 from ltsim.diagnosis.sentences import catalogue_effect_sentence, diagnosis_summary
 from ltsim.physics.effects import CATALOGUE, MISALIGNMENT_EFFECTS
 from ltsim.reports.document_model import Section, SectionContext
@@ -42,7 +42,7 @@ def finding(name: str, other: str) -> Finding:
         parameters=rows,
         evidence=FindingEvidence(chi2_drop=90.0, parameters=1, p_value=1e-4, probability=0.8),
         sentence=catalogue_effect_sentence(name, where, rows, 0.8),
-        equivalents=(Equivalent(effect=other, probability=0.2),),
+        equivalents=(EquivalentEffect(effect=other, probability=0.2),),
     )
 
 

@@ -231,7 +231,7 @@ def _key_figures(content: Calibration, *, has_agreement: bool) -> list[KeyFigure
         KeyFigure("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]
     if has_agreement and content.correction is not None and content.correction.uncorrected_error_um > 0:
-        expected = f"{number_text(content.correction.point_errors_um[1], 3)} um"
+        expected = f"{number_text(content.correction.uncorrected_and_corrected_point_error_um[1], 3)} um"
         facts.append(KeyFigure("expected 3D error of a new point, corrected", expected))
     return facts
 

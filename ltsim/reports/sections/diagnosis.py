@@ -16,8 +16,8 @@ from ltsim.core.probability import p_text, two_sided_p_value
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.recommendations import inspection_action, is_name_exchange
 from ltsim.diagnosis.schema import (
+    BASELINE_RESIDUALS_TABLE,
     DIAGNOSED_TARGETS_TABLE,
-    RESIDUALS_BEFORE_TABLE,
     UNDETECTABLE_TABLE,
     Finding,
     FindingScope,
@@ -209,7 +209,7 @@ def _residuals_before_and_after(
     The covariates are computed from `adjustments`.
     """
     file_with_findings, file_without_findings = (
-        context.companion_file(name, content) for name in (RESIDUALS_TABLE.file, RESIDUALS_BEFORE_TABLE.file)
+        context.companion_file(name, content) for name in (RESIDUALS_TABLE.file, BASELINE_RESIDUALS_TABLE.file)
     )
     geometry = Residuals.from_adjustment(adjustments[0]) if adjustments is not None else None
     after, before = (

@@ -71,7 +71,7 @@ def network_pair(recording: Recording) -> tuple[IdentifiedNetwork, IdentifiedNet
     """
     selection = identify_causes(recording)
     without_parameters, with_parameters = (
-        IdentifiedNetwork.from_selection(recording, construction, selection)
+        IdentifiedNetwork.from_cause_selection(recording, construction, selection)
         for construction in (ideal_construction(), declared_construction(recording))
     )
     return without_parameters, with_parameters

@@ -11,7 +11,7 @@ from ltsim.adjustment.fieldcheck.result import Check
 from ltsim.adjustment.identification.recommendations import recommendations_for_causes
 from ltsim.adjustment.significance import FAMILY_WISE_LEVEL
 from ltsim.calibration.calibration_series import ChangeEntry
-from ltsim.calibration.events import MIN_STEPS_FOR_TEST, MIN_STEPS_TO_CALL_USUAL, EventEntry
+from ltsim.calibration.events import MIN_STEPS_FOR_TEST, MIN_STEPS_TO_ESTIMATE_USUAL_CHANGES, EventEntry
 from ltsim.calibration.history import History
 from ltsim.core.errors import option_text
 from ltsim.core.notation import number_text
@@ -300,7 +300,7 @@ def history_section(content: History, _: SectionContext) -> Section:
     """Section of the history of an instrument."""
     labels = content.labels
     content = _with_short_labels(content)
-    since, knows_usual_changes = content.change_since_first, len(labels) > MIN_STEPS_TO_CALL_USUAL
+    since, knows_usual_changes = content.change_since_first, len(labels) > MIN_STEPS_TO_ESTIMATE_USUAL_CHANGES
     has_changed = bool(content.events) if knows_usual_changes else since.p_value < FAMILY_WISE_LEVEL
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
     figure = partial(figures.parameters.history_figure, labels, content.determined_parameters)
