@@ -14,7 +14,7 @@ from ltsim.acceptance.files import (
     TestOutcome,
     group_summaries,
     joint_judgement,
-    make_test_outcome,
+    measured_test_outcome,
 )
 from ltsim.acceptance.network import NetworkTests, evaluate_network
 from ltsim.acceptance.prediction import AcceptancePlan, predicted_result
@@ -42,7 +42,7 @@ MAX_PREDICTED_TESTS = 2_000
 MB."""
 MAX_TEST_DRAWS = 3e8
 """Largest product of the numbers of tests and trials in a prediction; 3e8 take 23 s."""
-MIN_MARGIN_UM = 1e-3
+MIN_MARGIN_DIVISOR_UM = 1e-3
 """Smallest margin [um] between an error and its limit that is used as divisor; a smaller margin is replaced by it."""
 DECISION_RULE_TEXT = (
     "By ISO 14253-1, an error e with the expanded uncertainty U (95 %) is accepted if |e| + U is within its limit, "
@@ -96,7 +96,7 @@ def _require_few_draws(n_tests: int, n_trials: int) -> None:
 
 
 def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) -> AcceptanceFile:
-    limits = acceptance_settings.limits
+    limits = acceptance_settings.specification_or_data_sheet
     if acceptance_settings.recording is not None:
         recording = read(folder / acceptance_settings.recording)
         network_tests = evaluate_network(recording, limits)
@@ -163,7 +163,7 @@ def read_measured_errors(file: Path, tests: Sequence[AcceptanceTest], limits: Fl
         if not np.isfinite(numbers[0]):
             raise InputError(f"{file}: row {line}: error_um is empty, expected micrometres")
         i = place[name]
-        outcome_by_test[name] = make_test_outcome(
+        outcome_by_test[name] = measured_test_outcome(
             name, tests[i].group, numbers[0] * MICROMETRE, float(limits[i]), numbers[1] * MICROMETRE
         )
     if not outcome_by_test:
@@ -191,7 +191,7 @@ def evaluated_result(
     sentence = _judgement_sentence(test_outcomes, len(unmeasured_tests))
     actions = _next_actions(test_outcomes, unmeasured_tests, network_tests)
     if network_tests is not None:
-        sentence = " ".join((*network_tests.sentences, sentence[0].upper() + sentence[1:]))
+        sentence = " ".join((*network_tests.identified_error_sentences, sentence[0].upper() + sentence[1:]))
         judgement_actions = actions if is_valid else ()
         further_actions = network_tests.further_actions(is_rejected=judgement == "rejected")
         actions = (*network_tests.urgent_actions, *judgement_actions, *further_actions)
@@ -199,7 +199,7 @@ def evaluated_result(
         title=acceptance_settings.title,
         error_origin="measured" if recording is None else "network",
         plan_name=acceptance_settings.plan_name if recording is None else "own network",
-        specification=acceptance_settings.limits,
+        specification=acceptance_settings.specification_or_data_sheet,
         judgement=judgement,
         decision_rule=DECISION_RULE_TEXT if recording is None else f"{DECISION_RULE_TEXT} {NETWORK_UNCERTAINTY_TEXT}",
         unmeasured_tests=tuple(unmeasured_tests),
@@ -216,7 +216,7 @@ def evaluated_result(
 
 
 def _worst_outcome(test_outcomes: Sequence[TestOutcome], judgement: Judgement) -> TestOutcome:
-    return max((t for t in test_outcomes if t.judgement == judgement), key=lambda t: t.guarded_limit_ratio)
+    return max((t for t in test_outcomes if t.judgement == judgement), key=lambda t: t.lower_bound_to_limit_ratio)
 
 
 def _judgement_sentence(test_outcomes: Sequence[TestOutcome], n_unmeasured_tests: int) -> str:
@@ -289,7 +289,7 @@ def _sufficient_uncertainty_text(undecided_outcomes: Sequence[TestOutcome]) -> s
         return abs(test_outcome.limit_um - abs(test_outcome.error_um))
 
     def ratio(test_outcome: TestOutcome) -> float:
-        return (test_outcome.expanded_uncertainty_um or 0.0) / max(margin(test_outcome), MIN_MARGIN_UM)
+        return (test_outcome.expanded_uncertainty_um or 0.0) / max(margin(test_outcome), MIN_MARGIN_DIVISOR_UM)
 
     beyond = [t for t in undecided_outcomes if abs(t.error_um) > t.limit_um]
     entry = min(beyond, key=ratio) if beyond else max(undecided_outcomes, key=ratio)

@@ -29,7 +29,7 @@ from ltsim.reports.figures.floor_plan import floor_plan
 from ltsim.reports.figures.parameters import (
     criteria_before_after_figure,
     history_figure,
-    lines_figure,
+    lines_with_intervals_figure,
     parameter_figure,
     values_figure,
 )
@@ -120,7 +120,9 @@ def _(result: BenchFile) -> Figure:
             for row in result.range_errors
         ],
     }
-    return lines_figure([row.angle_deg for row in result.range_errors], lines, "incidence [deg]", "range error [um]")
+    return lines_with_intervals_figure(
+        [row.angle_deg for row in result.range_errors], lines, "incidence [deg]", "range error [um]"
+    )
 
 
 @figure_of.register
@@ -131,7 +133,7 @@ def _(result: DetectionCurve) -> Figure:
         for name in ("detections", "placed", "named")
     }
     strengths = [row["noncentrality"] for row in result.rows]
-    return lines_figure(strengths, lines, "noncentrality", "share, 95 % interval")
+    return lines_with_intervals_figure(strengths, lines, "noncentrality", "share, 95 % interval")
 
 
 @figure_of.register

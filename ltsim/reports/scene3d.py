@@ -194,7 +194,7 @@ def _draw_sights(plotter: pv.Plotter, workshop: WorkshopScene) -> tuple[str, flo
 def _draw_shadow_cones(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list[str]) -> None:
     """Draw the shadow cone below each station, which its elevation limit hides, and its circle on the floor."""
     z = workshop.floor_height
-    for k, opening in enumerate(workshop.cone_openings):
+    for k, opening in enumerate(workshop.shadow_cone_openings):
         radius = workshop.shadow_radius(opening)
         rims = []
         for s, position in enumerate(workshop.station_positions):

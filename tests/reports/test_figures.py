@@ -40,7 +40,7 @@ from ltsim.reports.figures import (
     points as points,
     residuals as misfits,
 )
-from ltsim.reports.formatting import distinct_labels, typographic_text
+from ltsim.reports.formatting import labels_without_common_prefix, typographic_text
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.campaign_coverage import coverage_sentence
 from ltsim.reports.workshop_scene import workshop_from_adjustment, workshop_from_scenario
@@ -87,14 +87,14 @@ def cell_rows_figure() -> Figure:
     return sweeps.cell_rows_figure(rows, x_label="improvement [%]", published_value=40.1)
 
 
-def factor_panels_figure() -> Figure:
+def sweep_panels_figure() -> Figure:
     rows = [
         sweeps.SweepPoint(x, method, f"faces {panel} {MARKUP}", x + m, x + m - 0.2, x + m + 0.2, x + m - 2, x + m + 2)
         for x in (1.0, 2.0, 4.0, 10.0)
         for m, method in enumerate(("network", "distance"))
         for panel in (1, 2)
     ]
-    return sweeps.factor_panels_figure(rows, statistic_title="error [µm]", x_title="noise factor", published_value=3.0)
+    return sweeps.sweep_panels_figure(rows, statistic_title="error [µm]", x_title="noise factor", published_value=3.0)
 
 
 def sigma_figure() -> Figure:
@@ -166,9 +166,9 @@ def parameter_figure() -> Figure:
     return estimates.parameter_figure(parameters(), [0.0] * len(parameters()))
 
 
-def reflector_changes_figure() -> Figure:
+def reflector_changes_floor_plan() -> Figure:
     changes = [ReflectorChangeEntry.model_validate(change) for change in samples.REFLECTOR_CHANGES]
-    return marked_floors.reflector_changes_figure(workshop_from_scenario(load_scenario("paper-workshop")), changes)
+    return marked_floors.reflector_changes_floor_plan(workshop_from_scenario(load_scenario("paper-workshop")), changes)
 
 
 def residuals_by_covariate_figure() -> Figure:
@@ -260,9 +260,9 @@ def values_figure() -> Figure:
     )
 
 
-def lines_figure() -> Figure:
+def lines_with_intervals_figure() -> Figure:
     lines = {"found": [(0.2, 0.0, 0.6), (1.0, 0.6, 1.0)], "named": [(0.0, 0.0, 0.4), (0.8, 0.4, 1.0)]}
-    return estimates.lines_figure([25.0, 400.0], lines, "noncentrality", "share, 95 % interval")
+    return estimates.lines_with_intervals_figure([25.0, 400.0], lines, "noncentrality", "share, 95 % interval")
 
 
 def marked_floor_plan() -> Figure:
@@ -273,10 +273,10 @@ def marked_floor_plan() -> Figure:
 DRAWINGS = {
     f.__name__: f
     for f in (
-        error_to_limit_figure, budget_figure, factor_panels_figure, cell_rows_figure, check_figure,
+        error_to_limit_figure, budget_figure, sweep_panels_figure, cell_rows_figure, check_figure,
         correlation_figure, coverage_figure, criteria_before_after_figure, displacement_figure, distributions_figure,
-        response_curve_figure, floor_plan, injected_and_estimated_figure, history_figure, lines_figure,
-        parameter_figure, reflector_changes_figure, residuals_by_covariate_figure, residuals_by_station_figure,
+        response_curve_figure, floor_plan, injected_and_estimated_figure, history_figure, lines_with_intervals_figure,
+        parameter_figure, reflector_changes_floor_plan, residuals_by_covariate_figure, residuals_by_station_figure,
         sigma_figure, finding_comparison_figure, trade_off_figure, values_figure, marked_floor_plan,
     )
 }  # fmt: skip
@@ -383,10 +383,10 @@ def test_a_plan_lists_where_each_tripod_goes() -> None:
 
 
 def test_labels_lose_what_they_share() -> None:
-    assert distinct_labels(["tracker_20Sep", "tracker_22Sep"]) == ("20Sep", "22Sep")
-    assert distinct_labels(["one", "two"]) == ("one", "two")
-    assert distinct_labels(["same", "same"]) == ("same", "same")
-    assert distinct_labels(["a-b-", "a-b-1"]) == ("a-b-", "a-b-1")
+    assert labels_without_common_prefix(["tracker_20Sep", "tracker_22Sep"]) == ("20Sep", "22Sep")
+    assert labels_without_common_prefix(["one", "two"]) == ("one", "two")
+    assert labels_without_common_prefix(["same", "same"]) == ("same", "same")
+    assert labels_without_common_prefix(["a-b-", "a-b-1"]) == ("a-b-", "a-b-1")
 
 
 def test_drawing_changes_no_global_setting() -> None:
@@ -431,17 +431,17 @@ def test_coverage_is_red_exactly_where_its_caption_says() -> None:
 
 def test_factors_with_words_and_designs_have_axes_that_read() -> None:
     rows = [sweeps.SweepPoint(x, "network", "", 1.0, 0.9, 1.1, 0.5, 1.5) for x in ("no", "yes")]
-    ax = sweeps.factor_panels_figure(rows, statistic_title="error [µm]", x_title="corrected").axes[0]
+    ax = sweeps.sweep_panels_figure(rows, statistic_title="error [µm]", x_title="corrected").axes[0]
     assert [t.get_text() for t in ax.get_xticklabels()] == ["no", "yes"]
     spread = [sweeps.SweepPoint(x, "network", "noise", 1.0, 0.9, 1.1, 0.5, 1.5) for x in np.geomspace(0.1, 3, 20)]
-    ax = sweeps.factor_panels_figure(spread, statistic_title="error [µm]", x_title="", joins_points=False).axes[0]
+    ax = sweeps.sweep_panels_figure(spread, statistic_title="error [µm]", x_title="", joins_points=False).axes[0]
     assert [t.get_text() for t in ax.get_xticklabels()] == ["0.1", "0.2", "0.5", "1", "2"]
     assert ax.get_xlabel() == "noise"
 
 
 def test_panels_above_nothing_have_ticks_and_nothing_is_shaded_where_nothing_spreads() -> None:
     rows = [sweeps.SweepPoint(x, "network", panel, 1.0, 0.9, 1.1, 1.0, 1.0) for x in (1.0, 2.0) for panel in "abc"]
-    figure = sweeps.factor_panels_figure(rows, statistic_title="error [µm]", x_title="noise")
+    figure = sweeps.sweep_panels_figure(rows, statistic_title="error [µm]", x_title="noise")
     figure.draw_without_rendering()
     seen = [any(t.get_visible() and t.get_text() for t in ax.get_xticklabels()) for ax in figure.axes[:3]]
     assert seen == [False, True, True]

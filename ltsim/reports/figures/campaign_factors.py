@@ -17,7 +17,7 @@ from ltsim.reports.figures.campaign import (
     cell_rows_figure,
     factor_axis_title,
     factor_level_text,
-    factor_panels_figure,
+    sweep_panels_figure,
 )
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def statistic_figures(
     """
     factors = varying_factors(results)
     trials_sentence = f"{results.manifest.trials} trials for each combination of factor levels."
-    panels_figure = partial(factor_panels_figure, statistic_title=label, published_value=published_value)
+    panels_figure = partial(sweep_panels_figure, statistic_title=label, published_value=published_value)
     n_cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
     is_grid = n_cells == len(results.levels) == math.prod(len(set(levels_of_cells(results, f))) for f in factors)
     if factors and results.manifest.settings.get("design"):

@@ -14,7 +14,12 @@ from ltsim.core.arrays import Floats
 from ltsim.core.notation import number_text, with_sigma
 from ltsim.core.results import Table
 from ltsim.reports import style
-from ltsim.reports.formatting import QUALITY_MEASURES, distinct_labels, is_determined, typographic_text
+from ltsim.reports.formatting import (
+    QUALITY_MEASURE_BY_GOAL,
+    is_determined_by_readings,
+    labels_without_common_prefix,
+    typographic_text,
+)
 
 if TYPE_CHECKING:
     from ltsim.calibration.history import ParameterHistory
@@ -50,7 +55,9 @@ def parameter_figure(parameters: Sequence[ParameterEntry], true_values: Sequence
         linewidth=1.8,
         label="95 % interval",
     )
-    is_well_determined = np.array([is_determined(row.sigma, row.prior_sigma) for row in parameters], dtype=bool)
+    is_well_determined = np.array(
+        [is_determined_by_readings(row.sigma, row.prior_sigma) for row in parameters], dtype=bool
+    )
     for chosen, face_colour, legend_label in (
         (is_well_determined, style.COLOUR_AFTER, "estimate"),
         (~is_well_determined, "white", "hardly determined"),
@@ -156,7 +163,7 @@ def history_figure(names: Sequence[str], parameter_histories: Sequence[Parameter
     n_panel_rows = max(1, -(-len(parameter_histories) // columns))
     figure = style.new_figure(0.7 + 1.35 * n_panel_rows)
     panels = figure.subplots(n_panel_rows, columns, sharex=True, squeeze=False)
-    labels = [style.shortened_name(name, 24) for name in distinct_labels(names)]
+    labels = [style.shortened_name(name, 24) for name in labels_without_common_prefix(names)]
     positions = np.arange(len(labels))
     for ax, course in zip(panels.ravel(), parameter_histories, strict=False):
         band = (course.mean - course.between_calibration_sigma, course.mean + course.between_calibration_sigma)
@@ -274,7 +281,7 @@ def values_figure(
 
 
 @style.with_figure_style
-def lines_figure(
+def lines_with_intervals_figure(
     positions: Sequence[float], lines: Mapping[str, Sequence[ValueWithInterval]], x_title: str, y_title: str
 ) -> Figure:
     """Lines through values with intervals at n `positions` on the x axis."""
@@ -308,7 +315,7 @@ def trade_off_figure(plan: Plan, quality_name: str) -> Figure:
 
     A line joins the layouts whose quality no faster layout exceeds.
     """
-    label, factor = QUALITY_MEASURES.get(quality_name, (quality_name, 1.0))
+    label, factor = QUALITY_MEASURE_BY_GOAL.get(quality_name, (quality_name, 1.0))
     points_by_role: dict[str, list[tuple[float, float, str]]] = {"tried": [], "best": [], "reference": [], "chosen": []}
     for option in plan.tradeoff_points:
         layout_text = f"{option.station_count}s {option.faces}f {option.repeats}r"

@@ -125,7 +125,7 @@ MAX_LEGEND_STATIONS = 8
 """Largest number of stations in a legend; only the first stations are listed."""
 MAX_LEGEND_NAME_LENGTH = 20
 """Largest length of the name of a station in a legend [characters]."""
-AXES_FRACTION_BELOW_LEGEND = 0.86
+AXES_HEIGHT_FRACTION_BELOW_LEGEND = 0.86
 """Fraction of the height of the axes that remains below a legend inside them."""
 
 
@@ -160,7 +160,7 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
         rows = setup.rows[setup.two_face_differences.uncorrected_pairs.rows[:, 0]] - 1
         names += [recording.targets[recording.target[row]] for row in rows]
         n_drawn += len(ratios)
-        ax.axvline(n_drawn - 0.5, ymax=AXES_FRACTION_BELOW_LEGEND, color=style.INK_COLOUR, lw=0.4)
+        ax.axvline(n_drawn - 0.5, ymax=AXES_HEIGHT_FRACTION_BELOW_LEGEND, color=style.INK_COLOUR, lw=0.4)
     for limit in (-1.0, 1.0):
         ax.axhline(limit, color=style.RED, lw=1.0)
     style.set_grid(ax)
@@ -172,7 +172,7 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
         return
     ax.set_xlim(-0.8, n_drawn - 0.2)
     low, high = ax.get_ylim()
-    ax.set_ylim(low, low + (high - low) / AXES_FRACTION_BELOW_LEGEND)
+    ax.set_ylim(low, low + (high - low) / AXES_HEIGHT_FRACTION_BELOW_LEGEND)
     shows_names = len(names) <= MAX_NAMED_TARGETS
     ax.set_xticks(
         range(n_drawn) if shows_names else [],
