@@ -133,7 +133,7 @@ def write(
 
 
 def _write_result(result_file: ResultFile, path: Path, recording: Recording | None) -> None:
-    """Writing of a result that is not a recording."""
+    """Write a result that is not a recording."""
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import write_calibration
     from ltsim.diagnosis.diagnosis import Diagnosis

@@ -238,7 +238,7 @@ class TestedNetwork:
 
     @cached_property
     def _non_tracker_parameter_covariance(self) -> Floats:
-        """Covariance (parameters, parameters) [SI] of the estimated parameters of effects that are no errors of the tracker."""
+        """Covariance (parameters, parameters) [SI] of the estimates of effects that are no errors of the tracker."""
         columns = self.adjustment.problem.unknowns.effect_columns[self._is_non_tracker_parameter]
         unit = np.zeros((self.adjustment.problem.unknowns.n_columns, len(columns)))
         unit[columns, np.arange(len(columns))] = 1.0

@@ -108,7 +108,9 @@ def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) 
     model = construction_of_beam_origin(acceptance_settings.construction)
     if acceptance_settings.measured_errors_file is not None:
         plan = AcceptancePlan(tests, model, limits, limits_si.noise)
-        errors = read_measured_errors(folder / acceptance_settings.measured_errors_file, tests, plan.permissible_errors)
+        errors = read_measured_outcomes(
+            folder / acceptance_settings.measured_errors_file, tests, plan.permissible_errors
+        )
         return evaluated_result(
             errors,
             acceptance_settings,
@@ -142,7 +144,7 @@ def _load_calibration(path: Path) -> Calibration:
 
 
 @as_input_error()
-def read_measured_errors(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -> list[TestOutcome]:
+def read_measured_outcomes(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -> list[TestOutcome]:
     """Outcomes of tests from a CSV file of measured errors with columns ``test``, ``error_um``, optionally ``U_um``.
 
     `limits` (tests,) [m] are the permissible errors of the planned tests. InputError is raised for an unknown or
@@ -215,7 +217,7 @@ def evaluated_result(
     )
 
 
-def _worst_outcome(test_outcomes: Sequence[TestOutcome], judgement: Judgement) -> TestOutcome:
+def _worst_outcome_with_judgement(test_outcomes: Sequence[TestOutcome], judgement: Judgement) -> TestOutcome:
     return max((t for t in test_outcomes if t.judgement == judgement), key=lambda t: t.lower_bound_to_limit_ratio)
 
 
@@ -223,7 +225,7 @@ def _judgement_sentence(test_outcomes: Sequence[TestOutcome], n_unmeasured_tests
     """Sentence with the number of errors of each judgement, and the worst error."""
     numbers, total = Counter(t.judgement for t in test_outcomes), len(test_outcomes)
     judgement = next(j for j in JUDGEMENT_ORDER if numbers[j])
-    worst_entry = _worst_outcome(test_outcomes, judgement)
+    worst_entry = _worst_outcome_with_judgement(test_outcomes, judgement)
     error_text = f"{worst_entry.error_um:.1f} um" + (
         "" if worst_entry.expanded_uncertainty_um is None else f" +- {worst_entry.expanded_uncertainty_um:.1f} um"
     )
@@ -266,7 +268,7 @@ def _next_actions(
 
 def _actions_after_rejection(rejected_outcomes: Sequence[TestOutcome]) -> tuple[str, ...]:
     """Actions after a rejection; a single rejected error is to be measured again, because it may be a blunder."""
-    worst = _worst_outcome(rejected_outcomes, "rejected")
+    worst = _worst_outcome_with_judgement(rejected_outcomes, "rejected")
     excess = f"{abs(worst.error_um) - (worst.expanded_uncertainty_um or 0.0) - worst.limit_um:.1f} um"
     if len(rejected_outcomes) > 1:
         names = listing([t.name for t in rejected_outcomes], 3)

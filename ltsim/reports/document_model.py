@@ -230,14 +230,14 @@ class Section:
 class Document:
     """Content of a page: sections, and the title, headline, summary and next actions at the head of the page.
 
-    `header_lines` and `versions` are pairs of name and text.
+    `header_lines` are pairs of name and text, `package_versions` pairs of the name and version of a package.
     """
 
     title: str
     summary: str
     assessment: Assessment
     sections: Sequence[Section] = ()
-    versions: Sequence[tuple[str, str]] = ()
+    package_versions: Sequence[tuple[str, str]] = ()
     header_lines: Sequence[tuple[str, str]] = ()
     headline: str = ""
     next_actions: Sequence[str] = ()

@@ -125,7 +125,7 @@ def document_of_folder(
         summary=first_section.summary,
         assessment=first_section.assessment,
         sections=sections,
-        versions=package_versions(),
+        package_versions=package_versions(),
         header_lines=_header_lines(page_parts, sections, about or ReportHeader()),
         headline=HEADLINES.get((first_section.kind, first_section.assessment), ""),
         next_actions=_recommended_actions(sections),

@@ -185,7 +185,7 @@ def workshop_from_recording(recording: Recording) -> WorkshopScene:
 
 
 def workshop_with_surroundings(scene: WorkshopScene, setup: Setup) -> WorkshopScene:
-    """Network with floor, walls and gauge, in the frame of the floor plan if the set-up has one."""
+    """Scene of a network with floor, walls and gauge, in the frame of the floor plan if the set-up has one."""
     floor_plan = FloorPlan.from_positions(setup, scene.stations, scene.station_positions, scene.station_rotations)
     rotation, has_plan = floor_plan.rotation_to_plan, floor_plan.has_plan
     points, position = (
