@@ -156,7 +156,7 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
         )
         n_rejected = sum(entry.judgement == "rejected" for entry in without_constants)
     causes = [test for test in calibration.tests if test.is_fault and test.kind != "outlier"]
-    corrected = tuple(c for c in causes if not may_be_tracker_error(c) and network.is_corrected(c))
+    corrected = tuple(c for c in causes if not may_be_tracker_error(c) and network.is_cause_corrected(c))
     tracker = tuple(c for c in causes if may_be_tracker_error(c))
     other_causes = tuple(c for c in causes if c not in corrected and c not in tracker)
     factor = 1.0 if causes else calibration.uncertainty_factor

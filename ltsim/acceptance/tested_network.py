@@ -101,7 +101,7 @@ class TestedNetwork:
                 readings -= effect.reading_change(adjustment.sightings, adjustment.state.extra_parameters[at])
         return to_polar(from_polar(readings))
 
-    def is_corrected(self, cause: CauseTest) -> bool:
+    def is_cause_corrected(self, cause: CauseTest) -> bool:
         """True if an error in the recording is removed from the readings, or included in uncertainties of lengths."""
         place = cause.where
         if cause.kind == CENTRING_CAUSE_KIND:

@@ -47,13 +47,13 @@ FLOOR_MARGIN = 0.4
 class DrawnSights:
     """Lines of sight to draw: index (n,) of the station, index (n,) of the target, and value (n,) of each of n lines.
 
-    The value determines the colour; `label` is its name with the unit.
+    The value determines the colour; `value_label` is its name with the unit.
     """
 
     station: Ints
     target: Ints
     value: Floats
-    label: str
+    value_label: str
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class WorkshopScene(ValueEquality):
             else (limit, ALTERNATIVE_SHADOW_CONE_OPENING)
         )
 
-    def shadow_radius(self, opening: float) -> Floats:
+    def shadow_radii_on_floor(self, opening: float) -> Floats:
         """Radius (S,) [m] of the shadow cone of each of S stations on the floor, for the full angle `opening` [rad]."""
         return shadow_radii(self.station_positions, self.floor_height, opening)
 

@@ -97,13 +97,13 @@ def sweep_panels_figure() -> Figure:
     return sweeps.sweep_panels_figure(rows, statistic_title="error [µm]", x_title="noise factor", published_value=3.0)
 
 
-def sigma_figure() -> Figure:
+def predicted_sigmas_figure() -> Figure:
     rows = [PlannedEntry(name=f"parameter-{i}", unit="urad", sigma=1.0 + i, prior_sigma=15.0) for i in range(6)]
     alone = PlannedEntry(name="alone", unit="um", sigma=3.0, prior_sigma=20.0)
-    return estimates.sigma_figure([*rows, alone], {f"parameter-{i}": 2.0 + i for i in range(6)})
+    return estimates.predicted_sigmas_figure([*rows, alone], {f"parameter-{i}": 2.0 + i for i in range(6)})
 
 
-def history_figure() -> Figure:
+def parameter_history_figure() -> Figure:
     labels = ("2021-09", "2021-10", MARKUP)
     values = np.array([1.0, 2.0, 1.5])
     test = ChiSquareEntry(chi2=1.0, dof=2, p_value=0.6)
@@ -115,7 +115,7 @@ def history_figure() -> Figure:
         "constancy_test": test,
     }
     courses = [ParameterHistory(name=f"parameter-{i}", values=tuple(values * (i + 1)), **told) for i in range(3)]
-    return estimates.history_figure(labels, courses)
+    return estimates.parameter_history_figure(labels, courses)
 
 
 def error_to_limit_figure() -> Figure:
@@ -162,8 +162,8 @@ def floor_plan() -> Figure:
     return floors.floor_plan(workshop_from_adjustment(samples.after()))
 
 
-def parameter_figure() -> Figure:
-    return estimates.parameter_figure(parameters(), [0.0] * len(parameters()))
+def parameter_estimates_figure() -> Figure:
+    return estimates.parameter_estimates_figure(parameters(), [0.0] * len(parameters()))
 
 
 def reflector_changes_floor_plan() -> Figure:
@@ -194,14 +194,14 @@ def trade_off_figure() -> Figure:
     return estimates.trade_off_figure(Plan.model_validate(plan), MARKUP)
 
 
-def budget_figure() -> Figure:
-    return estimates.budget_figure(
+def variance_budget_figure() -> Figure:
+    return estimates.variance_budget_figure(
         ["length", MARKUP], {"readings": [0.7, 0.2], "weather": [0.3, 0.5], MARKUP: [0.0, 0.3]}
     )
 
 
-def check_figure() -> Figure:
-    return points.check_figure(check_of(samples.recording()))
+def field_check_figure() -> Figure:
+    return points.field_check_figure(check_of(samples.recording()))
 
 
 def displacement_figure() -> Figure:
@@ -253,9 +253,9 @@ def injected_and_estimated_figure() -> Figure:
     )
 
 
-def values_figure() -> Figure:
+def values_with_intervals_figure() -> Figure:
     rows = {"add station S6 at (1.17, 1.08, 1.56) m, and measure all targets": (2.0, 1.0, 3.5), MARKUP: (0.5, 0.5, 0.5)}
-    return estimates.values_figure(
+    return estimates.values_with_intervals_figure(
         rows, "error of a new point [um]", reference_values={"as read": [4.0], "limits": [0.0, 3.0]}
     )
 
@@ -273,11 +273,12 @@ def marked_floor_plan() -> Figure:
 DRAWINGS = {
     f.__name__: f
     for f in (
-        error_to_limit_figure, budget_figure, sweep_panels_figure, cell_rows_figure, check_figure,
+        error_to_limit_figure, variance_budget_figure, sweep_panels_figure, cell_rows_figure, field_check_figure,
         correlation_figure, coverage_figure, criteria_before_after_figure, displacement_figure, distributions_figure,
-        response_curve_figure, floor_plan, injected_and_estimated_figure, history_figure, lines_with_intervals_figure,
-        parameter_figure, reflector_changes_floor_plan, residuals_by_covariate_figure, residuals_by_station_figure,
-        sigma_figure, finding_comparison_figure, trade_off_figure, values_figure, marked_floor_plan,
+        response_curve_figure, floor_plan, injected_and_estimated_figure, parameter_history_figure,
+        lines_with_intervals_figure, parameter_estimates_figure, reflector_changes_floor_plan,
+        residuals_by_covariate_figure, residuals_by_station_figure, predicted_sigmas_figure,
+        finding_comparison_figure, trade_off_figure, values_with_intervals_figure, marked_floor_plan,
     )
 }  # fmt: skip
 
@@ -462,14 +463,14 @@ def test_a_legend_of_long_names_of_stations_leaves_room_for_the_axes() -> None:
     made = samples.recording()
     names = {s: f"HALL-7.NORTH.TRIPOD.{s}" for s in made.stations}
     setup = made.setup.model_copy(update={"stations": {names[k]: v for k, v in made.setup.stations.items()}})
-    figure = points.check_figure(check_of(made.replace(stations=tuple(names.values()), setup=setup)))
+    figure = points.field_check_figure(check_of(made.replace(stations=tuple(names.values()), setup=setup)))
     style.svg_text(figure)  # matplotlib warns where a layout leaves no axes
     assert all(ax.get_position().width > 0.7 for ax in figure.axes)
 
 
 @pytest.mark.parametrize("words", [1, 4, 40])
 def test_a_budget_of_long_names_of_sources_leaves_room_for_the_axes(words: int) -> None:
-    figure = estimates.budget_figure(["length"], {f"{'certificate ' * words}{i}": [0.1] for i in range(9)})
+    figure = estimates.variance_budget_figure(["length"], {f"{'certificate ' * words}{i}": [0.1] for i in range(9)})
     style.svg_text(figure)
     assert all(ax.get_position().height > 0.2 for ax in figure.axes)
 

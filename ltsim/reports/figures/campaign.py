@@ -63,8 +63,8 @@ class SweepPoint:
     line_label: str
     panel_label: str
     mean: float
-    low: float
-    high: float
+    interval_low: float
+    interval_high: float
     quantile_05: float
     quantile_95: float
 
@@ -219,7 +219,7 @@ def _draw_line(ax: Axes, points: Sequence[SweepPoint], positions: Floats, line_n
         return
     order = np.argsort(positions, kind="stable")
     x, mean = positions[order], np.array([points[i].mean for i in order])
-    low, high = (np.array([getattr(points[i], side) for i in order]) for side in ("low", "high"))
+    low, high = (np.array([getattr(points[i], side) for i in order]) for side in ("interval_low", "interval_high"))
     colour = style.COLOUR_CYCLE[line_number % len(style.COLOUR_CYCLE)]
     p05, p95 = (np.array([getattr(points[i], side) for i in order]) for side in ("quantile_05", "quantile_95"))
     has_trials = bool(np.any(p05 < p95))
@@ -285,7 +285,7 @@ def cell_rows_figure(points: Sequence[SweepPoint], *, x_label: str, published_va
         colour = style.COLOUR_CYCLE[m % len(style.COLOUR_CYCLE)]
         ninety, mean = ("90 % of trials", "95 % interval of the mean") if m == 0 else ("", "")
         ax.hlines(y, [r.quantile_05 for r in mine], [r.quantile_95 for r in mine], color=colour, lw=0.9, label=ninety)
-        ax.hlines(y, [r.low for r in mine], [r.high for r in mine], color=colour, lw=3.6, label=mean)
+        ax.hlines(y, [r.interval_low for r in mine], [r.interval_high for r in mine], color=colour, lw=3.6, label=mean)
         ax.plot([r.mean for r in mine], y, style.MARKERS[m % len(style.MARKERS)], ms=4.5, color=colour, label=method)
     if published_value is not None:
         ax.axvline(published_value, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")

@@ -78,7 +78,7 @@ def statistic_figures(
         markers_sentence = "Each marker is the mean of one combination of factor levels; each panel shows one factor."
         yield f"{markers_sentence} {trials_sentence}", figure
     elif factors and is_grid and n_cells > 2:
-        axis, rows = _factor_lines(results, factors, summaries)
+        axis, rows = _axis_title_and_line_points(results, factors, summaries)
         names = list(dict.fromkeys(row.panel_label for row in rows))
         for first in range(0, len(names), MAX_FIGURE_PANELS):
             shown = names[first : first + MAX_FIGURE_PANELS]
@@ -104,7 +104,7 @@ def statistic_figures(
         )
 
 
-def _factor_lines(
+def _axis_title_and_line_points(
     results: CampaignResults, factors: Sequence[Factor], summaries: Sequence[StatisticSummary]
 ) -> tuple[str, list[SweepPoint]]:
     """Title of the x axis, and the points of all lines over the factor on this axis."""

@@ -237,7 +237,7 @@ def _axis_limits(workshop: WorkshopScene) -> Floats:
     They enclose the floor and, around each station, the circle on the floor that the tracker cannot see because of its
     lowest elevation.
     """
-    radius = workshop.shadow_radius(workshop.shadow_cone_openings[0])[:, None]
+    radius = workshop.shadow_radii_on_floor(workshop.shadow_cone_openings[0])[:, None]
     places = np.concatenate(
         [workshop.floor_corners, workshop.station_positions[:, :2] - radius, workshop.station_positions[:, :2] + radius]
     )
@@ -251,7 +251,7 @@ def _draw_shadow_cones(ax: Axes, workshop: WorkshopScene) -> None:
     for k, opening in enumerate(workshop.shadow_cone_openings):
         inner, outer = {"facecolor": "#D55E0022"}, {"facecolor": "none", "linestyle": (0, (3, 2))}
         patch_style: dict[str, Any] = {"edgecolor": style.RED, "linewidth": 0.9, "zorder": 1} | (outer if k else inner)
-        for s, radius in enumerate(workshop.shadow_radius(opening)):
+        for s, radius in enumerate(workshop.shadow_radii_on_floor(opening)):
             legend_label = f"shadow, cone of {opening / DEGREE:.0f}°" if s == 0 else None
             ax.add_patch(Circle(tuple(workshop.station_positions[s, :2]), radius, label=legend_label, **patch_style))
 

@@ -33,7 +33,9 @@ def parameter_labels(parameters: Sequence[ParameterEntry]) -> list[str]:
 
 
 @style.with_figure_style
-def parameter_figure(parameters: Sequence[ParameterEntry], true_values: Sequence[float | None] = ()) -> Figure:
+def parameter_estimates_figure(
+    parameters: Sequence[ParameterEntry], true_values: Sequence[float | None] = ()
+) -> Figure:
     """Estimates in units of their prior sigma with 95 % intervals; values at the right.
 
     The estimate of a parameter without a prior is divided by its sigma. Hollow markers show parameters that the
@@ -72,14 +74,16 @@ def parameter_figure(parameters: Sequence[ParameterEntry], true_values: Sequence
         ax.plot(
             truth, places[indices_with_truth], "|", ms=9, mew=1.8, color=style.INK_COLOUR, zorder=4, label="true value"
         )
-    style.write_at_right(ax, places, [with_sigma(r.value, r.sigma, r.unit) for r in parameters])
+    style.write_at_right_of_rows(ax, places, [with_sigma(r.value, r.sigma, r.unit) for r in parameters])
     ax.set_xlabel("estimate / sigma of the prior")
     style.add_legend(figure, [ax])
     return figure
 
 
 @style.with_figure_style
-def sigma_figure(parameters: Sequence[PlannedParameterEntry], reference_sigmas: Mapping[str, float]) -> Figure:
+def predicted_sigmas_figure(
+    parameters: Sequence[PlannedParameterEntry], reference_sigmas: Mapping[str, float]
+) -> Figure:
     """Predicted sigma of each parameter divided by its prior sigma, on a logarithmic axis; sigmas at the right.
 
     `reference_sigmas` are the predicted sigmas of another layout, by parameter.
@@ -107,7 +111,9 @@ def sigma_figure(parameters: Sequence[PlannedParameterEntry], reference_sigmas: 
     ticks = [t for t in (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0) if t >= 0.8 * low]
     ax.set_xticks(ticks, [f"{100 * t:g} %" for t in ticks])
     ax.minorticks_off()
-    style.write_at_right(ax, places, [f"{number_text(r.sigma, 2)} {style.unit_text(r.unit)}" for r in parameters])
+    style.write_at_right_of_rows(
+        ax, places, [f"{number_text(r.sigma, 2)} {style.unit_text(r.unit)}" for r in parameters]
+    )
     ax.set_xlabel("sigma after measuring / sigma of the prior")
     style.add_legend(figure, [ax])
     return figure
@@ -145,7 +151,7 @@ def correlation_figure(parameters: Sequence[ParameterEntry], covariance: Floats)
     ax.grid(visible=False)
     ax.spines[:].set_visible(False)
     for i, j in zip(*np.nonzero(np.abs(np.nan_to_num(table)) > 0.3), strict=True):
-        colour = style.TEXT_COLOUR_ON_DEEP if abs(matrix[i, j]) > 0.6 else style.TEXT_COLOUR_ON_PALE
+        colour = style.TEXT_COLOUR_ON_DARK if abs(matrix[i, j]) > 0.6 else style.TEXT_COLOUR_ON_LIGHT
         ax.text(j + 0.5, i + 0.5, f"{100 * matrix[i, j]:.0f}", ha="center", va="center", fontsize=5.5, color=colour)
     colour_bar = figure.colorbar(colours, ax=ax, shrink=0.7, pad=0.02)
     colour_bar.set_label("correlation (numbers: %)")
@@ -154,7 +160,7 @@ def correlation_figure(parameters: Sequence[ParameterEntry], covariance: Floats)
 
 
 @style.with_figure_style
-def history_figure(names: Sequence[str], parameter_histories: Sequence[ParameterHistory]) -> Figure:
+def parameter_history_figure(names: Sequence[str], parameter_histories: Sequence[ParameterHistory]) -> Figure:
     """Estimates of each parameter in all calibrations with 95 % intervals, one panel per parameter.
 
     The band is the mean over the calibrations, plus and minus the standard deviation of the true values between them.
@@ -219,7 +225,7 @@ MAX_BUDGET_SOURCES = 7
 
 
 @style.with_figure_style
-def budget_figure(names: Sequence[str], variance_fractions: Mapping[str, Sequence[float]]) -> Figure:
+def variance_budget_figure(names: Sequence[str], variance_fractions: Mapping[str, Sequence[float]]) -> Figure:
     """Fractions of the variance of each result by source of uncertainty, the largest sources first.
 
     Parameters
@@ -253,7 +259,7 @@ ValueWithInterval = tuple[float, float, float]
 
 
 @style.with_figure_style
-def values_figure(
+def values_with_intervals_figure(
     values_by_name: Mapping[str, ValueWithInterval],
     label: str,
     *,

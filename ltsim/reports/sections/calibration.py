@@ -322,7 +322,7 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
     ]
     if undetermined:
         note += f" Not determined by the recording, so that the prior remains: {listing(undetermined, 6)}."
-    parameter_figure = partial(figures.parameters.parameter_figure, rows, true_in_display_units)
+    parameter_figure = partial(figures.parameters.parameter_estimates_figure, rows, true_in_display_units)
     blocks: list[Block] = [
         picture_if_few_items("Instrument parameters", parameter_figure, text, len(rows)),
         *table_blocks("Parameters in numbers", PARAMETERS_TABLE.with_rows(rows), note=note, is_foldable=False),

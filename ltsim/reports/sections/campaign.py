@@ -144,7 +144,7 @@ def _summary_sentence(
     trials_text = f"Over {fewest} trials" if fewest == most else f"Over {fewest} to {most} trials"
     if len(manifest.cells) > 1:
         trials_text += f" for each of {len(manifest.cells)} combinations of factor levels"
-        trials_text += f" ({_list_text([factor_title(f) for f in factors])})" if factors else ""
+        trials_text += f" ({_enumeration_text([factor_title(f) for f in factors])})" if factors else ""
     mean_texts = []
     for method in manifest.methods:
         means = [s for s in summaries.get(IMPROVEMENT_COLUMN, []) if s.method == method]
@@ -172,7 +172,7 @@ def _extreme_cells_sentence(results: CampaignResults, summaries: Mapping[str, li
     return f" The error of the targets is smallest with {lowest_text} and largest with {highest_text}."
 
 
-def _list_text(texts: Sequence[str]) -> str:
+def _enumeration_text(texts: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(texts[:-1]), *texts[-1:]]))
 
 

@@ -231,7 +231,7 @@ def _finding_blocks(
     The sentence is omitted if the summary `summary` contains it.
     """
     name = finding_title(finding)
-    sentence = finding.sentence or f"{name} {_place_text(finding.where)}"
+    sentence = finding.sentence or f"{name} {_finding_scope_text(finding.where)}"
     separation_sentence = (
         f" To separate it from the alternatives: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     )
@@ -249,7 +249,7 @@ def _finding_blocks(
     evidence, others = finding.evidence, finding.equivalents
     renamed_parameters = [p.model_copy(update={"name": parameter_text(p.name)}) for p in finding.parameters]
     lines = [
-        f"where: {_place_text(finding.where)}",
+        f"where: {_finding_scope_text(finding.where)}",
         "chi2: its fall was not computed, because every compared adjustment contains this effect"
         if evidence.chi2_drop >= MAX_LOG_EVIDENCE_GAIN
         else f"chi2 falls by {number_text(evidence.chi2_drop)} for {count_text(evidence.parameters, 'parameter')}",
@@ -324,7 +324,7 @@ def _finding_place_blocks(
     return [PictureBlock(f"Place of finding {finding_number}", figure, caption)]
 
 
-def _place_text(scope: FindingScope) -> str:
+def _finding_scope_text(scope: FindingScope) -> str:
     """Text of the observables, instruments, stations, targets and covariates on which a finding acts."""
     place_texts = [
         f"{word} {listing(list(names))}"

@@ -36,7 +36,7 @@ class MethodComparison:
     """Method with the smallest mean error over all cells (combinations of factor levels)."""
     cell_texts: tuple[str, ...]
     """Description of each cell."""
-    differences: Mapping[str, Sequence[PairedDifference]]
+    differences_by_method: Mapping[str, Sequence[PairedDifference]]
     """Differences in each cell, by the method that is compared with the best method."""
 
     @classmethod
@@ -66,7 +66,7 @@ class MethodComparison:
 
     def sentence(self) -> str:
         """Sentence on the cells in which the best method has a significantly smaller or larger error than others."""
-        clauses = [_difference_text(method, entries) for method, entries in self.differences.items()]
+        clauses = [_difference_text(method, entries) for method, entries in self.differences_by_method.items()]
         return (
             f"With the same random draws, the {self.statistic_label} with {self.best_method} is {'; '.join(clauses)} "
             "(paired differences that are significant at 95 %)."
@@ -77,7 +77,7 @@ class MethodComparison:
         table_rows = [
             [cell_text, f"{method} minus {self.best_method}", entry.difference, entry.low, entry.high,
              _better_method_text(entry), entry.trials]
-            for method, entries in self.differences.items()
+            for method, entries in self.differences_by_method.items()
             for cell_text, entry in zip(self.cell_texts, entries, strict=True)
         ]  # fmt: skip
         declared = find_column(self.statistic)

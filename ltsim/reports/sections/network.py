@@ -166,7 +166,7 @@ def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
     picture, legend, page = scene_picture_and_page(coloured_workshop)
     legend_text = "; ".join(line.rstrip(".") for line in legend.lines)
     colour_sentence = (
-        f" Lines of sight are coloured by {coloured_workshop.sights.label}." if coloured_workshop.sights else ""
+        f" Lines of sight are coloured by {coloured_workshop.sights.value_label}." if coloured_workshop.sights else ""
     )
     caption = f"{legend_text[:1].upper()}{legend_text[1:]}.{colour_sentence}"
     return SceneBlock("The hall in 3D", webp_data_uri(picture), caption, page)
@@ -259,7 +259,7 @@ def recording_section(folder: Path, *, hall_view: HallView = "3d", omits_residua
         KeyFigure("pointings", str(len(recording))),
         KeyFigure("known lengths", str(len(recording.gauge.distance))),
     ]
-    last_blocks: list[Block] = [*_work_tables(recording), _settings_block(folder)]
+    last_blocks: list[Block] = [*_station_work_tables(recording), _settings_block(folder)]
     try:
         networks = networks_without_and_with_parameters(recording)
     except (NetworkError, ConvergenceError) as problem:
@@ -315,7 +315,7 @@ def _recording_size_sentence(recording: Recording) -> str:
     )
 
 
-def _work_tables(recording: Recording) -> list[TableBlock]:
+def _station_work_tables(recording: Recording) -> list[TableBlock]:
     table_rows = []
     for s, name in enumerate(recording.stations):
         is_at_station = recording.station == s

@@ -176,7 +176,7 @@ def _predicted_sigma_blocks(content: Plan) -> list[Block]:
     )
     estimated_parameters = [p for p in content.parameters if p.prior_sigma and p.sigma > 0]
     text = "Prediction; on the dashed line the recording would add no information."
-    figure = partial(figures.parameters.sigma_figure, estimated_parameters, reference_sigmas)
+    figure = partial(figures.parameters.predicted_sigmas_figure, estimated_parameters, reference_sigmas)
     return (
         [
             picture_if_few_items(

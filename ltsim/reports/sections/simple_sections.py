@@ -246,7 +246,9 @@ def uncertainty_budget_figure(content: Uncertainty) -> Figure:
     sources = dict.fromkeys(part.source for r in listed_results for part in r.budget)
     fractions = [{p.source: p.variance_fraction for p in r.budget} for r in listed_results]
     fractions_by_source = {name: [fraction.get(name, 0.0) for fraction in fractions] for name in sources}
-    return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in listed_results], fractions_by_source)
+    return figures.parameters.variance_budget_figure(
+        [f"{r.task}, {r.name}" for r in listed_results], fractions_by_source
+    )
 
 
 def _hall_rules_sentence(content: NextMeasurement) -> str:
@@ -305,7 +307,7 @@ def history_section(content: History, _: SectionContext) -> Section:
     since, knows_usual_changes = content.change_since_first, len(labels) > MIN_STEPS_TO_CALL_USUAL
     has_changed = bool(content.events) if knows_usual_changes else since.p_value < FAMILY_WISE_LEVEL
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
-    figure = partial(figures.parameters.history_figure, labels, content.determined_parameters)
+    figure = partial(figures.parameters.parameter_history_figure, labels, content.determined_parameters)
     n_estimates = len(labels) * len(content.determined_parameters)
     course = [picture_if_few_items("Course of the parameters", figure, text, n_estimates)] if n_estimates else []
     limitation = (
