@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
-_MODULES = {
+_PUBLIC_NAMES_BY_MODULE = {
     "api": ("read", "write", "convert"),
     "simulation.verbs": ("scenario", "simulate"),
     "calibration.correct": ("correct",),
@@ -63,10 +63,11 @@ _MODULES = {
     "adjustment.fieldcheck.check": ("check",),
 }
 """Names of the public functions and classes of each module."""
-_MODULE_BY_PUBLIC_NAME = {name: module for module, names in _MODULES.items() for name in names}
+_MODULE_BY_PUBLIC_NAME = {name: module for module, names in _PUBLIC_NAMES_BY_MODULE.items() for name in names}
 """Module that defines each public name."""
 
-_PACKAGES = {"effects": "ltsim.physics.effects", "errors": "ltsim.core.errors"}
+_PUBLIC_MODULES = {"effects": "ltsim.physics.effects", "errors": "ltsim.core.errors"}
+"""Paths of the modules that are public as a whole, by public name."""
 
 __all__ = sorted([*_MODULE_BY_PUBLIC_NAME, "effects", "errors"])
 
@@ -74,11 +75,11 @@ __all__ = sorted([*_MODULE_BY_PUBLIC_NAME, "effects", "errors"])
 register_plotting(lambda module: import_module(f"ltsim.reports.{module}"))
 
 
-def _load(name: str) -> Any:
+def _import_public_name(name: str) -> Any:
     if name in _MODULE_BY_PUBLIC_NAME:
         return getattr(import_module(f"ltsim.{_MODULE_BY_PUBLIC_NAME[name]}"), name)
-    if name in _PACKAGES:
-        return import_module(_PACKAGES[name])
+    if name in _PUBLIC_MODULES:
+        return import_module(_PUBLIC_MODULES[name])
     if name == "__version__":
         from importlib.metadata import version
 
@@ -87,7 +88,7 @@ def _load(name: str) -> Any:
 
 
 if not TYPE_CHECKING:  # a type checker would take any name for one of this module
-    __getattr__ = _load
+    __getattr__ = _import_public_name
 
 
 def __dir__() -> list[str]:

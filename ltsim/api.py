@@ -50,22 +50,26 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     16
     """
     place = Path(path)
-    result = _result_file(place) if format is None else None
+    result = _find_result_file(place) if format is None else None
     if result is not None:
         return _read_result(result)
     return read_recording(place, format=format, hints=hints)
 
 
-def _result_file(file_or_folder: Path) -> Path | None:
+def _find_result_file(file_or_folder: Path) -> Path | None:
     """Path of the result file that a path names, or that its folder contains; None for a recording."""
     if file_or_folder.is_file():
         return file_or_folder if file_or_folder.suffix == ".json" and not is_recording(file_or_folder) else None
     if (file_or_folder / OBSERVATIONS_FILE).is_file():
         return None
-    from ltsim.reports.schemas import FILE_MODELS  # which takes a second
+    from ltsim.reports.schemas import MODEL_BY_FILE_NAME  # which takes a second
 
     return next(
-        (file_or_folder / name for name in FILE_MODELS if name.endswith(".json") and (file_or_folder / name).is_file()),
+        (
+            file_or_folder / name
+            for name in MODEL_BY_FILE_NAME
+            if name.endswith(".json") and (file_or_folder / name).is_file()
+        ),
         None,
     )
 
@@ -129,7 +133,7 @@ def write(
 
 
 def _write_result(result_file: ResultFile, path: Path, recording: Recording | None) -> None:
-    """Writing of a result that is not a recording."""
+    """Write a result that is not a recording."""
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import write_calibration
     from ltsim.diagnosis.diagnosis import Diagnosis

@@ -36,7 +36,7 @@ yaw_count = 3
 height_count = 1
 """
 VERBS = [name for name in lt.__all__ if name not in ("effects", "errors")]
-MODULES = sorted({lt._load(name).__module__ for name in VERBS})
+MODULES = sorted({lt._import_public_name(name).__module__ for name in VERBS})
 EXAMPLES = {
     test.name: test
     for module in MODULES
@@ -73,7 +73,7 @@ def test_a_verb_stays_callable_when_the_room_of_its_name_was_imported():
 
 @pytest.mark.parametrize("name", sorted(set(VERBS) - {"injection_curve", "station_alternatives"}))  # minutes each
 def test_every_function_has_an_example(name: str):
-    function = lt._load(name)  # the attribute may be a room of that name, which can be called too
+    function = lt._import_public_name(name)  # the attribute may be a room of that name, which can be called too
     assert f"{function.__module__}.{name}" in EXAMPLES
 
 

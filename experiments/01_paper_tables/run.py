@@ -19,7 +19,7 @@ from ltsim.campaigns.spec import CampaignCell, CampaignFile
 from ltsim.core.arrays import Floats
 from ltsim.core.parallel import run_parallel
 from ltsim.core.units import MICROMETRE
-from ltsim.reports.figures.campaign import PUBLISHED_CRITERIA, TrialDistribution, distributions_figure
+from ltsim.reports.figures.campaign import PUBLISHED_CRITERIA_BY_SCENARIO, TrialDistribution, distributions_figure
 from ltsim.simulation.workshop import measure_nominal_points
 
 DRAWN = {
@@ -28,7 +28,7 @@ DRAWN = {
 }
 """The cells whose distributions are drawn: those whose errors give the table's figures."""
 TABLES = {
-    table: {name.removesuffix("_um"): value for name, value in PUBLISHED_CRITERIA[f"paper-{table}"].items()}
+    table: {name.removesuffix("_um"): value for name, value in PUBLISHED_CRITERIA_BY_SCENARIO[f"paper-{table}"].items()}
     for table in DRAWN
 }
 """Tables 3 and 4 of the paper [um, %]."""

@@ -19,7 +19,7 @@ from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel, misalignment_construction
 from ltsim.recordings.recording import Recording
-from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
+from ltsim.reports.figures.campaign import SweepPoint, sweep_panels_figure
 
 PERCENT = (0.0, 1.0, 2.0)
 SIZE = (100 * MICROMETRE, 500 * MICROMETRE)
@@ -106,6 +106,6 @@ def run(given: Options) -> Made:
     write_table(given.out / "methods.csv", table)
     write_figure(
         given.out / "new_points.svg",
-        factor_panels_figure(rows, statistic_title=NEW_POINTS, x_title="outliers [% of the readings]"),
+        sweep_panels_figure(rows, statistic_title=NEW_POINTS, x_title="outliers [% of the readings]"),
     )
     return Made(campaign.seed, campaign.trials)

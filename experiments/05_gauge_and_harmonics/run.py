@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_pairs
-from ltsim.reports.figures.campaign import NOISE_FLOOR_LABEL, cell_rows_figure, factor_panels_figure, sweep_points
+from ltsim.reports.figures.campaign import NOISE_FLOOR_LABEL, cell_rows_figure, sweep_panels_figure, sweep_points
 
 
 def run(given: Options) -> Made:
@@ -16,6 +16,6 @@ def run(given: Options) -> Made:
     floor = next(row for row in rows if row.line_label == NOISE_FLOOR_LABEL and not row.level)
     rows = [replace(floor, level=row.level) if row.line_label == NOISE_FLOOR_LABEL else row for row in rows]
     axis = "each coefficient of orders 3 and 4 in the truth [µrad]"
-    write_figure(given.out / "harmonics.svg", factor_panels_figure(rows, statistic_title=NEW_POINTS, x_title=axis))
+    write_figure(given.out / "harmonics.svg", sweep_panels_figure(rows, statistic_title=NEW_POINTS, x_title=axis))
     write_pairs(given.out / "paired.csv", orders.paired_differences(ERROR, method=("order 2", "order 4")))
     return Made(orders.manifest.seed, orders.manifest.trials)

@@ -11,7 +11,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.randomness import random_stream
 from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.effects.smr_incidence import INCIDENCE_TABLE_ANGLES
-from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
+from ltsim.reports.figures.campaign import SweepPoint, sweep_panels_figure
 
 
 def table_of(reflector: dict[str, Any]) -> Floats:
@@ -91,5 +91,5 @@ def run(given: Options) -> Made:
         tell(f"{name}: done")
     write_table(given.out / "bench.csv", rows)
     label = "table found less table put in [µm]"
-    write_figure(given.out / "tables.svg", factor_panels_figure(shown, statistic_title=label, x_title="incidence [°]"))
+    write_figure(given.out / "tables.svg", sweep_panels_figure(shown, statistic_title=label, x_title="incidence [°]"))
     return Made(seed, trials)

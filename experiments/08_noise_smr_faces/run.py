@@ -1,7 +1,7 @@
 """Noise, faces and reflectors: what each does to a calibration, judged on held-out points."""
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_pairs
-from ltsim.reports.figures.campaign import factor_panels_figure, sweep_points
+from ltsim.reports.figures.campaign import sweep_panels_figure, sweep_points
 
 AXIS = "true noise over that of the specification"
 
@@ -11,7 +11,7 @@ def run(given: Options) -> Made:
     for faces in (1, 2):
         rows = sweep_points(results, ERROR, "noise_factor", panel="title", faces=faces)
         write_figure(
-            given.out / f"faces-{faces}.svg", factor_panels_figure(rows, statistic_title=NEW_POINTS, x_title=AXIS)
+            given.out / f"faces-{faces}.svg", sweep_panels_figure(rows, statistic_title=NEW_POINTS, x_title=AXIS)
         )
     pairs = (
         results.paired_differences(ERROR, faces=(2, 1)),

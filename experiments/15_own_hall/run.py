@@ -14,7 +14,7 @@ from ltsim.planning.loading import load_plan
 from ltsim.planning.plan_search import make_plan
 from ltsim.planning.reflector_changes import ReflectorChangeEntry
 from ltsim.planning.result import Plan, scenario_of_plan
-from ltsim.reports.figures.marked_floor_plans import reflector_changes_figure
+from ltsim.reports.figures.marked_floor_plans import reflector_changes_floor_plan
 from ltsim.reports.workshop_scene import workshop_from_scenario
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import PlannedTarget
@@ -74,6 +74,6 @@ def run(given: Options) -> Made:
         rows.append({k: v if isinstance(v, str) else round(float(v), 4) for k, v in row.items()} | {"held": bool(held)})
         tell(str(rows[-1]))
     write_table(given.out / "changes.csv", rows)
-    figure = reflector_changes_figure(workshop_from_scenario(scenario), result.reflector_changes, file.floor)
+    figure = reflector_changes_floor_plan(workshop_from_scenario(scenario), result.reflector_changes, file.floor)
     write_figure(given.out / "changes.svg", figure)
     return Made(SEED, trials, {"summary": result.summary, "reasons": result.reasons})

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from experiments.common import ROOT, Made, Options, commit, write_figure
-from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
+from ltsim.reports.figures.campaign import SweepPoint, sweep_panels_figure
 
 from . import entrants, make
 from .__main__ import plan_file, score
@@ -42,9 +42,9 @@ def draw(folder: Path) -> None:
     axis = "strength: noncentrality left by least squares"
     if told:
         write_figure(
-            folder / "told.svg", factor_panels_figure(told, statistic_title="share of recordings [%]", x_title=axis)
+            folder / "told.svg", sweep_panels_figure(told, statistic_title="share of recordings [%]", x_title=axis)
         )
-        figure = factor_panels_figure(errors, statistic_title="targets' error over told", x_title=axis)
+        figure = sweep_panels_figure(errors, statistic_title="targets' error over told", x_title=axis)
         figure.axes[0].set(yscale="log", yticks=(ticks := (1, 2, 5, 10, 20, 50)), yticklabels=ticks)
         write_figure(folder / "targets.svg", figure)
 

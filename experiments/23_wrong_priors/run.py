@@ -1,14 +1,14 @@
 """What calibration makes of new points when the stated prior is wrong by a factor of 0.1 to 1000."""
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_table
-from ltsim.reports.figures.campaign import factor_panels_figure, sweep_points
+from ltsim.reports.figures.campaign import sweep_panels_figure, sweep_points
 
 
 def run(given: Options) -> Made:
     results = campaign("config.toml", given)
     for errors in dict.fromkeys(level["error_factor"] for level in results.levels):
         rows = sweep_points(results, ERROR, "prior_factor", panel="noise_factor", error_factor=errors)
-        figure = factor_panels_figure(rows, statistic_title=NEW_POINTS, x_title="stated prior over the paper's")
+        figure = sweep_panels_figure(rows, statistic_title=NEW_POINTS, x_title="stated prior over the paper's")
         write_figure(given.out / f"errors-{errors:g}.svg", figure)
     # The ratio to the error as read, instrument by instrument.
     ratio = f"{ERROR} / new_point_error_raw_um"

@@ -9,7 +9,7 @@ from experiments.common import Made, Options, Row, campaign, write_figure, write
 from ltsim.campaigns.statistics import NORMAL_QUANTILE_95
 from ltsim.campaigns.summary import SolverComparison
 from ltsim.core.arrays import Floats
-from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
+from ltsim.reports.figures.campaign import SweepPoint, sweep_panels_figure
 
 CONSTRUCTIONS = {
     "source in head": {"construction": "misalignment"},
@@ -38,7 +38,7 @@ def run(given: Options) -> Made:
             rows.append({"instrument": title, "trackers": trackers} | row_of(z, results.solver_comparisons()[0]))
     write_table(given.out / "intervals.csv", rows)
     ends = [(row["instrument"], LINES[row["trackers"]], AXIS, row["inside"], row["low"], row["high"]) for row in rows]
-    figure = factor_panels_figure(
+    figure = sweep_panels_figure(
         [SweepPoint(*own, 0, 0) for own in ends],
         statistic_title="inside 95 % intervals [%]",
         x_title="",

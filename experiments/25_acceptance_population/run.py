@@ -13,7 +13,7 @@ from ltsim.core.randomness import random_stream
 from ltsim.geometry.polar import to_polar
 from ltsim.physics.model.construction import misalignment_construction
 from ltsim.recordings.specification import data_sheet
-from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
+from ltsim.reports.figures.campaign import SweepPoint, sweep_panels_figure
 
 BLOCK = 1000
 
@@ -74,6 +74,6 @@ def run(given: Options) -> Made:
     show_table(given.out / "population.csv", rows)
     axis = "largest point error over its limit, in steps"
     write_figure(
-        given.out / "population.svg", factor_panels_figure(curves, statistic_title="pass every test [%]", x_title=axis)
+        given.out / "population.svg", sweep_panels_figure(curves, statistic_title="pass every test [%]", x_title=axis)
     )
     return Made(config["seed"], trials)

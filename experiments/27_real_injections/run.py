@@ -22,7 +22,7 @@ from experiments.common import RECORDINGS as DATA, Made, Options, Row, show_tabl
 from experiments.intervals import share
 from ltsim.core.errors import LtsimError, ModelError
 from ltsim.core.parallel import run_parallel
-from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
+from ltsim.reports.figures.campaign import SweepPoint, sweep_panels_figure
 
 from . import ideal
 from .injections import background, injection, key, named, new, placed
@@ -134,4 +134,4 @@ def draw_curves(out: Path, table: list[Row]) -> None:
               for r in table if r["network"] == "all" and r["strength"] != "all" and r["measure"] in DRAWN]  # fmt: skip
     axis = "noncentrality after the adjustment"
     title = "share of causes, of findings [%]"
-    write_figure(out / "curves.svg", factor_panels_figure(curves, statistic_title=title, x_title=axis))
+    write_figure(out / "curves.svg", sweep_panels_figure(curves, statistic_title=title, x_title=axis))

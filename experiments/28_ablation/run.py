@@ -21,7 +21,7 @@ from ltsim.diagnosis.null_ensemble import MIN_SIMULATED_RECORDINGS, NullEnsemble
 from ltsim.diagnosis.prior import log_prior_of_each_explanation
 from ltsim.physics.laws.regressors import Regressor, name_without_memory_prefix
 from ltsim.physics.model.construction import declared_construction
-from ltsim.reports.figures.campaign import SweepPoint, factor_panels_figure
+from ltsim.reports.figures.campaign import SweepPoint, sweep_panels_figure
 
 make = import_module("experiments.20_concealed_physics.make")
 WORK, LEVEL = ROOT / "build" / "ablation", 0.05
@@ -98,6 +98,6 @@ def run(given: Options) -> Made:
     lines = [SweepPoint(str(r["strength"]), what, "", *(100 * r[k] for k in ("share", "low", "high", "share", "share")))
              for what in (WHOLE, CHI2, *least.index) for r in table.get_group(what).to_dict("records")]  # fmt: skip
     axis = "strength: noncentrality left by least squares"
-    figure = factor_panels_figure(lines, statistic_title="laws found at 5 % false alarms [%]", x_title=axis)
+    figure = sweep_panels_figure(lines, statistic_title="laws found at 5 % false alarms [%]", x_title=axis)
     write_figure(given.out / "power.svg", figure)
     return Made(cases[0].seed, more=more)

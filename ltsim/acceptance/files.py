@@ -48,7 +48,7 @@ class TestOutcome(Entry):
     """Judgement of a measured error; null for a predicted error."""
 
     @property
-    def guarded_limit_ratio(self) -> float:
+    def lower_bound_to_limit_ratio(self) -> float:
         """Ratio (absolute error minus expanded uncertainty) / limit; an error with a ratio above 1 is rejected."""
         return (abs(self.error_um) - (self.expanded_uncertainty_um or 0.0)) / self.limit_um
 
@@ -59,7 +59,7 @@ class TestOutcome(Entry):
         The key consists of the probability to pass, the judgement, and the ratio of error to limit. The error is
         reduced by its expanded uncertainty if it is rejected, and increased by it otherwise.
         """
-        share = self.guarded_limit_ratio
+        share = self.lower_bound_to_limit_ratio
         if self.judgement != "rejected":
             share += 2 * (self.expanded_uncertainty_um or 0.0) / self.limit_um
         return self.pass_probability or 0.0, JUDGEMENT_ORDER.index(self.judgement or "accepted"), -share
@@ -151,7 +151,7 @@ class AcceptanceFile(ResultFile):
     """Name of the standard, or of the file with the tests."""
     specification: Specification
     """Manufacturer's specification with the limits of the tests."""
-    assumption: str = ""
+    sigma_assumption: str = ""
     """Sentence on the assumption by which limits of the specification were converted to standard deviations."""
     pass_probability: OptionalFloat = None
     """Predicted probability that all tests pass; null for measured errors."""
@@ -215,7 +215,7 @@ def group_summaries(
     )
 
 
-def make_test_outcome(
+def measured_test_outcome(
     test_name: str, test_group: str, error: float, limit: float, expanded_uncertainty: float = float("nan")
 ) -> TestOutcome:
     """Outcome of a measured test, from its name, group, error [m] and limit [m]; the error is judged by ISO 14253-1.

@@ -74,11 +74,11 @@ class NetworkTests:
     unexplained_noise_ratio: float
     """Ratio of the scatter of the readings to their declared noise if no cause of the scatter is identified; otherwise
     1."""
-    n_rejected_after_correction: int = 0
+    n_errors_rejected_after_correction: int = 0
     """Number of errors that are rejected if the readings are corrected by the estimated instrument constants."""
 
     @property
-    def sentences(self) -> tuple[str, ...]:
+    def identified_error_sentences(self) -> tuple[str, ...]:
         """Sentences on the errors identified in the recording, and on their treatment in the tests."""
         cause_groups = (
             (self.uncorrected_causes, "not an error of the tracker, but it remains in the tests, which are invalid"),
@@ -91,7 +91,7 @@ class NetworkTests:
             for c in causes
         ]
         if self.outliers:
-            lines.append(f"Pointings with outliers are not tested: {self._outlier_names}.")
+            lines.append(f"Pointings with outliers are not tested: {self._outlier_pointings_text}.")
         if self.unexplained_noise_ratio > 1.0:
             lines.append(
                 f"The readings scatter {self.unexplained_noise_ratio:.2f} times as much as declared, and the cause "
@@ -101,7 +101,7 @@ class NetworkTests:
         return tuple(lines)
 
     @property
-    def _outlier_names(self) -> str:
+    def _outlier_pointings_text(self) -> str:
         """List of the pointings with outliers: station, target and row; pointings after the third are only counted."""
         names = (f"{t.where.stations[0]} to {t.where.targets[0]} (row {t.rows[0]})" for t in self.outliers)
         return listing(list(dict.fromkeys(names)), 3)
@@ -116,7 +116,7 @@ class NetworkTests:
     @property
     def action_after_rejection(self) -> str:
         """Action after a rejection: adjustment by the maker, or correction by instrument constants if it suffices."""
-        count, total = self.n_rejected_after_correction, len(self.test_outcomes)
+        count, total = self.n_errors_rejected_after_correction, len(self.test_outcomes)
         maker = "Have the maker adjust the tracker"
         if not count:
             correction = "correct all readings by ltsim calibrate and ltsim correct"
@@ -127,7 +127,7 @@ class NetworkTests:
 
     def further_actions(self, *, is_rejected: bool) -> tuple[str, ...]:
         """Actions for errors that leave the tests valid; outliers are to be measured again unless `is_rejected`."""
-        again = [f"Measure again: {self._outlier_names}."] if self.outliers and not is_rejected else []
+        again = [f"Measure again: {self._outlier_pointings_text}."] if self.outliers and not is_rejected else []
         return (*recommendations_for_causes(self.corrected_causes), *again)
 
 
@@ -158,7 +158,7 @@ def evaluate_network(recording: Recording, instrument_specification: Specificati
         )
         n_rejected = sum(entry.judgement == "rejected" for entry in without_constants)
     causes = [test for test in calibration.tests if test.is_fault and test.kind != "outlier"]
-    corrected = tuple(c for c in causes if not may_be_tracker_error(c) and network.is_corrected(c))
+    corrected = tuple(c for c in causes if not may_be_tracker_error(c) and network.is_cause_corrected(c))
     tracker = tuple(c for c in causes if may_be_tracker_error(c))
     other_causes = tuple(c for c in causes if c not in corrected and c not in tracker)
     factor = 1.0 if causes else calibration.uncertainty_factor

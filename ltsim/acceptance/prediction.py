@@ -25,9 +25,11 @@ from ltsim.recordings.recording import noise_sigma
 from ltsim.recordings.setup import Noise
 from ltsim.recordings.specification import Specification
 
-MAX_ROUNDING_FRACTION = 1e-6
+MAX_NEGLIGIBLE_FRACTION_OF_LIMIT = 1e-6
 """Change of a test's error, as a fraction of its limit, that counts as rounding. If an instrument constant with the
 size of its prior standard deviation changes no test's error by more, no test counts as dependent on this constant."""
+MAX_NEGLIGIBLE_FRACTION_OF_PRIOR_SIGMA = 1e-6
+"""Size of an instrument constant, as a fraction of its prior standard deviation, below which it is replaced by zero."""
 MAX_PRIOR_SIGMAS = 3.0
 """Largest size of an instrument constant, in prior standard deviations, in the search for the instrument with the
 largest point errors that passes all tests.
@@ -94,7 +96,7 @@ class AcceptancePlan:
         """Standard deviations (tests, 2) [m] of both components of the test errors due to noise of the readings."""
         first, second = self._test_end_points
         squares = np.zeros((len(first), 2))
-        near, far = (self._point_noise(points) for points in (first, second))
+        near, far = (self._beam_axes_and_noise(points) for points in (first, second))
         way = second - first
         line_lengths = np.linalg.norm(way, axis=1, keepdims=True)
         direction = way / np.where(line_lengths > 0, line_lengths, 1.0)
@@ -103,7 +105,7 @@ class AcceptancePlan:
         squares[~self.is_length] = 2 * near[1][~self.is_length, 1:] ** 2
         return np.sqrt(squares)
 
-    def _point_noise(self, points: Floats) -> tuple[Floats, Floats]:
+    def _beam_axes_and_noise(self, points: Floats) -> tuple[Floats, Floats]:
         """Unit vectors along the beam, left and up at points (tests, 3) [m], and noise of the points along these axes.
 
         The unit vectors have the shape (tests, 3, 3); the noise is given as standard deviations (tests, 3) [m].
@@ -163,7 +165,7 @@ class AcceptancePlan:
         max_errors = per_unit[indices, np.arange(len(indices))]
         prior_sigmas = np.array([p.prior_sigma for p in self.construction.parameters])
         failing_sizes = np.where(
-            max_errors * prior_sigmas > MAX_ROUNDING_FRACTION,
+            max_errors * prior_sigmas > MAX_NEGLIGIBLE_FRACTION_OF_LIMIT,
             1.0 / np.maximum(max_errors, np.finfo(float).tiny),
             np.inf,
         )
@@ -190,7 +192,7 @@ class AcceptancePlan:
         gaps = np.linalg.norm((tried / prior_sigmas @ harm.T).reshape(len(tried), -1, 3), axis=2)
         rms = np.sqrt(np.mean(gaps**2, axis=1))
         best_index = int(rms.argmax())
-        tried[np.abs(tried) < MAX_ROUNDING_FRACTION * prior_sigmas] = 0.0
+        tried[np.abs(tried) < MAX_NEGLIGIBLE_FRACTION_OF_PRIOR_SIGMA * prior_sigmas] = 0.0
         return tried[best_index], float(rms[best_index]), float(gaps[best_index].max())
 
     def _longest_passing_vector(self, unit_direction: Floats, prior_sigmas: Floats) -> Floats:
@@ -302,7 +304,7 @@ def predicted_result(
         error_origin="predicted",
         plan_name=acceptance_settings.plan_name,
         specification=plan.specification,
-        assumption=plan.specification.assumption_sentence,
+        sigma_assumption=plan.specification.assumption_sentence,
         pass_probability=prediction.all_pass_probability,
         sentence=sentence,
         groups=group_summaries(tests, prediction.pass_probability_by_group),

@@ -261,7 +261,7 @@ class AcceptanceSettings(TomlSection):
         return self
 
     @property
-    def limits(self) -> Specification:
+    def specification_or_data_sheet(self) -> Specification:
         """Manufacturer's specification; raises InputError for an unknown data sheet or a missing limit."""
         if self.specification is not None:
             return self.specification

@@ -8,7 +8,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from ltsim.acceptance.files import TestOutcome, make_test_outcome
+from ltsim.acceptance.files import TestOutcome, measured_test_outcome
 from ltsim.adjustment import Adjustment
 from ltsim.adjustment.identification import CauseTest
 from ltsim.adjustment.identification.hypothesis import CauseKind
@@ -22,7 +22,7 @@ from ltsim.recordings.specification import Specification
 
 CENTRING_CAUSE_KIND: CauseKind = "centring"
 """Kind of the cause `centring error`, which is included in the uncertainties and not removed from the readings."""
-RECORDING_CAUSE_KINDS: tuple[CauseKind, ...] = (
+ESTIMATED_NON_TRACKER_CAUSE_KINDS: tuple[CauseKind, ...] = (
     "constant-offset",
     "constant-step",
     "scale-error",
@@ -36,7 +36,7 @@ RECORDING_CAUSE_KINDS: tuple[CauseKind, ...] = (
 motions, air."""
 
 
-def is_recording_error(effect: LinearEffect) -> bool:
+def is_non_tracker_effect(effect: LinearEffect) -> bool:
     """True for an estimated effect that is no error of the tracker: a motion, or a shift of distances or azimuths."""
     if isinstance(effect, ReadingShift):
         return not (effect.is_drift or effect.observable == "elevation")
@@ -67,16 +67,18 @@ class TestedNetwork:
         return [(e, slice(int(a), int(b))) for e, (a, b) in zip(effects, pairwise(ends), strict=True)]
 
     @cached_property
-    def _is_recording_error(self) -> Bools:
-        """Mask (additional parameters,) of the parameters of effects that are errors in the recording."""
-        flags = [np.full(at.stop - at.start, is_recording_error(effect)) for effect, at in self._extra_parameter_slices]
+    def _is_non_tracker_parameter(self) -> Bools:
+        """Mask (additional parameters,) of the parameters of effects that are no errors of the tracker."""
+        flags = [
+            np.full(at.stop - at.start, is_non_tracker_effect(effect)) for effect, at in self._extra_parameter_slices
+        ]
         return np.concatenate([np.zeros(0, dtype=bool), *flags])
 
     @cached_property
-    def _is_nuisance(self) -> Bools:
+    def _is_nuisance_parameter(self) -> Bools:
         """Mask (additional parameters,) of the parameters of nuisance errors, such as centring errors."""
         n_effect_parameters = self.adjustment.problem.model.n_effect_parameters
-        return np.arange(len(self._is_recording_error)) >= n_effect_parameters
+        return np.arange(len(self._is_non_tracker_parameter)) >= n_effect_parameters
 
     @cached_property
     def _extra_design(self) -> Floats:
@@ -84,7 +86,7 @@ class TestedNetwork:
         return self.adjustment.problem.model.extra_design(self.adjustment.sightings)
 
     @cached_property
-    def readings(self) -> Floats:
+    def corrected_front_face_readings(self) -> Floats:
         """Readings (pointings, 3) [m, rad, rad] converted to the front face, without identified recording errors.
 
         They are corrected by the instrument constants if `is_corrected_by_estimated_constants`.
@@ -95,18 +97,18 @@ class TestedNetwork:
             constants = adjustment.state.instrument_parameters[0]
             readings = corrected_readings(adjustment.recording, adjustment.construction, constants)
         for effect, at in self._extra_parameter_slices:
-            if is_recording_error(effect):
+            if is_non_tracker_effect(effect):
                 readings -= effect.reading_change(adjustment.sightings, adjustment.state.extra_parameters[at])
         return to_polar(from_polar(readings))
 
-    def is_corrected(self, cause: CauseTest) -> bool:
+    def is_cause_corrected(self, cause: CauseTest) -> bool:
         """True if an error in the recording is removed from the readings, or included in uncertainties of lengths."""
         place = cause.where
         if cause.kind == CENTRING_CAUSE_KIND:
             return bool(self.adjustment.problem.model.centring_errors)
-        if cause.kind in RECORDING_CAUSE_KINDS:
+        if cause.kind in ESTIMATED_NON_TRACKER_CAUSE_KINDS:
             return any(
-                is_recording_error(e) and (e.stations, e.targets) == (place.stations, place.targets)
+                is_non_tracker_effect(e) and (e.stations, e.targets) == (place.stations, place.targets)
                 for e in self.adjustment.effects
             )
         is_reference = cause.kind in ("reference-value", "reference-scale")
@@ -114,20 +116,20 @@ class TestedNetwork:
             is_reference and bool(self.adjustment.rejected_references)
         )
 
-    def test_outcomes(self, limits: Specification) -> list[TestOutcome]:
+    def test_outcomes(self, specification: Specification) -> list[TestOutcome]:
         """Outcomes of the tests of lengths and two-face differences of all stations, from the pointings in use."""
         is_tested: Bools = np.asarray(self.adjustment.problem.is_used_reading.all(axis=1))
         stations = range(len(self.adjustment.recording.stations))
-        return [entry for s in stations for entry in self.station_outcomes(s, is_tested, limits)]
+        return [entry for s in stations for entry in self.station_outcomes(s, is_tested, specification)]
 
-    def station_outcomes(self, station: int, is_tested: Bools, limits: Specification) -> list[TestOutcome]:
+    def station_outcomes(self, station: int, is_tested: Bools, specification: Specification) -> list[TestOutcome]:
         """Outcomes of the tests of a station, from the pointings in the mask `is_tested` (pointings,)."""
         recording = self.adjustment.recording
         rows_by_face = [
             np.flatnonzero(is_tested & (recording.station == station) & (recording.face == f)) for f in (1, 2)
         ]
         tested_rows = rows_by_face[0] if len(rows_by_face[0]) else rows_by_face[1]
-        test_outcomes = self._length_outcomes(recording.stations[station], tested_rows, limits)
+        test_outcomes = self._length_outcomes(recording.stations[station], tested_rows, specification)
         front, back = map(self._mean_points, rows_by_face)
         targets = sorted(front.keys() & back.keys())
         if not targets:
@@ -137,15 +139,20 @@ class TestedNetwork:
         error = np.linalg.norm(components_across_beam(differences, points), axis=1)
         expanded = 2 * np.sqrt(self._two_face_variance(targets, rows_by_face, points))
         names = [f"{recording.stations[station]}: {recording.targets[t]} two-face" for t in targets]
-        sizes = (error.tolist(), limits.two_face_limits(points).tolist(), expanded.tolist())
-        return test_outcomes + [make_test_outcome(name, "two-face", *v) for name, *v in zip(names, *sizes, strict=True)]
+        sizes = (error.tolist(), specification.two_face_limits(points).tolist(), expanded.tolist())
+        return test_outcomes + [
+            measured_test_outcome(name, "two-face", *v) for name, *v in zip(names, *sizes, strict=True)
+        ]
 
     def _mean_points(self, pointing_rows: Ints) -> dict[int, Floats]:
         """Mean measured point (3,) [m] of each target in the instrument's frame, over the pointings `pointing_rows`."""
-        points, targets = from_polar(self.readings[pointing_rows]), self.adjustment.recording.target[pointing_rows]
+        points, targets = (
+            from_polar(self.corrected_front_face_readings[pointing_rows]),
+            self.adjustment.recording.target[pointing_rows],
+        )
         return {int(t): points[targets == t].mean(axis=0) for t in np.unique(targets)}
 
-    def _length_outcomes(self, station: str, row_indices: Ints, limits: Specification) -> list[TestOutcome]:
+    def _length_outcomes(self, station: str, row_indices: Ints, specification: Specification) -> list[TestOutcome]:
         """Outcomes of the tests of all lengths between targets, from the pointings of one station and face."""
         adjustment = self.adjustment
         names, points = adjustment.recording.targets, adjustment.state.target_points
@@ -159,10 +166,10 @@ class TestedNetwork:
         measured, reference = np.array([mean_points[t] for t in targets]), points[targets]
         lengths, reference_lengths = (_pair_vectors(p, target_pairs) for p in (measured, reference))
         error = np.linalg.norm(lengths, axis=1) - np.linalg.norm(reference_lengths, axis=1)
-        limit = limits.length_limits(*(measured[target_pairs[:, end]] for end in (0, 1)))
+        limit = specification.length_limits(*(measured[target_pairs[:, end]] for end in (0, 1)))
         variance = self._length_variance(targets, row_indices, target_pairs, lengths, reference_lengths)
         return [
-            make_test_outcome(
+            measured_test_outcome(
                 f"{station}: {names[targets[a]]} to {names[targets[b]]}", f"lengths from {station}", *values
             )
             for (a, b), *values in zip(
@@ -184,9 +191,9 @@ class TestedNetwork:
         length_changes = np.einsum(
             "kj,kjq->kq",
             lengths / np.linalg.norm(lengths, axis=1)[:, None],
-            _pair_vectors(self._mean_point_changes(targets, row_indices), point_pairs),
+            _pair_vectors(self._mean_point_derivatives_by_effects(targets, row_indices), point_pairs),
         )
-        is_corrected, is_nuisance = self._is_recording_error, self._is_nuisance
+        is_corrected, is_nuisance = self._is_non_tracker_parameter, self._is_nuisance_parameter
         form = np.zeros((len(point_pairs), size, 3))
         direction = reference_lengths / np.linalg.norm(reference_lengths, axis=1)[:, None]
         every = np.arange(len(point_pairs))
@@ -211,32 +218,35 @@ class TestedNetwork:
         """
         _, across, up = unit_vectors(*to_polar(points).T[1:])
         directions = np.stack([across, up], axis=1)
-        changes = [self._mean_point_changes(targets, rows) for rows in rows_by_face]
+        changes = [self._mean_point_derivatives_by_effects(targets, rows) for rows in rows_by_face]
         extra_design = np.einsum("tci,tiq->tcq", directions, changes[0] - changes[1])
-        corrected = extra_design[:, :, self._is_recording_error]
+        corrected = extra_design[:, :, self._is_non_tracker_parameter]
         nuisance = (
-            extra_design[:, :, self._is_nuisance] * self.adjustment.problem.effect_prior_sigmas[self._is_nuisance]
+            extra_design[:, :, self._is_nuisance_parameter]
+            * self.adjustment.problem.effect_prior_sigmas[self._is_nuisance_parameter]
         )
         factor = self.uncertainty_factor
-        covariance = factor**2 * np.einsum("tci,ij,tdj->tcd", corrected, self._correction_covariance, corrected)
+        covariance = factor**2 * np.einsum(
+            "tci,ij,tdj->tcd", corrected, self._non_tracker_parameter_covariance, corrected
+        )
         covariance += np.einsum("tcq,tdq->tcd", nuisance, nuisance)
         for rows in rows_by_face:
-            root = self._point_derivatives(rows) * self.adjustment.problem.sigma[rows][:, None, :]
+            root = self._point_derivatives_by_readings(rows) * self.adjustment.problem.sigma[rows][:, None, :]
             noise = np.einsum("tn,nij->tij", self._mean_weights(targets, rows) ** 2, root @ np.swapaxes(root, 1, 2))
             covariance += max(factor**2 - 1.0, 0.0) * (directions @ noise @ np.swapaxes(directions, 1, 2))
         return np.asarray(np.linalg.eigvalsh(covariance)[:, -1].clip(min=0.0))
 
     @cached_property
-    def _correction_covariance(self) -> Floats:
-        """Covariance (parameters, parameters) [SI] of the estimated parameters of errors in the recording."""
-        columns = self.adjustment.problem.unknowns.effect_columns[self._is_recording_error]
+    def _non_tracker_parameter_covariance(self) -> Floats:
+        """Covariance (parameters, parameters) [SI] of the estimates of effects that are no errors of the tracker."""
+        columns = self.adjustment.problem.unknowns.effect_columns[self._is_non_tracker_parameter]
         unit = np.zeros((self.adjustment.problem.unknowns.n_columns, len(columns)))
         unit[columns, np.arange(len(columns))] = 1.0
         return np.asarray(self.adjustment.factorised_normals.multiply_by_covariance(unit)[columns])
 
-    def _mean_point_changes(self, targets: list[int], row_indices: Ints) -> Floats:
+    def _mean_point_derivatives_by_effects(self, targets: list[int], row_indices: Ints) -> Floats:
         """Derivative (targets, 3, parameters) of mean points in the instrument's frame by effects and nuisances."""
-        point_changes = self._point_derivatives(row_indices) @ self._extra_design[row_indices]
+        point_changes = self._point_derivatives_by_readings(row_indices) @ self._extra_design[row_indices]
         return np.einsum("tn,niq->tiq", self._mean_weights(targets, row_indices), point_changes)
 
     def _mean_weights(self, targets: list[int], row_indices: Ints) -> Floats:
@@ -244,10 +254,10 @@ class TestedNetwork:
         is_mine = self.adjustment.recording.target[row_indices] == np.array(targets)[:, None]
         return np.asarray(is_mine / is_mine.sum(axis=1, keepdims=True))
 
-    def _point_derivatives(self, row_indices: Ints) -> Floats:
+    def _point_derivatives_by_readings(self, row_indices: Ints) -> Floats:
         """Derivative (pointings, 3, 3) of measured points by the raw readings of the pointings `row_indices`."""
         faces = self.adjustment.recording.face[row_indices]
-        return np.asarray(np.linalg.inv(polar_jacobian(self.readings[row_indices], faces)))
+        return np.asarray(np.linalg.inv(polar_jacobian(self.corrected_front_face_readings[row_indices], faces)))
 
 
 def _pair_vectors(points: Floats, point_pairs: Ints) -> Floats:

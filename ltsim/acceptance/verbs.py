@@ -14,7 +14,7 @@ from ltsim.acceptance.files import (
     TestOutcome,
     group_summaries,
     joint_judgement,
-    make_test_outcome,
+    measured_test_outcome,
 )
 from ltsim.acceptance.network import NetworkTests, evaluate_network
 from ltsim.acceptance.prediction import AcceptancePlan, predicted_result
@@ -42,7 +42,7 @@ MAX_PREDICTED_TESTS = 2_000
 MB."""
 MAX_TEST_DRAWS = 3e8
 """Largest product of the numbers of tests and trials in a prediction; 3e8 take 23 s."""
-MIN_MARGIN_UM = 1e-3
+MIN_MARGIN_DIVISOR_UM = 1e-3
 """Smallest margin [um] between an error and its limit that is used as divisor; a smaller margin is replaced by it."""
 DECISION_RULE_TEXT = (
     "By ISO 14253-1, an error e with the expanded uncertainty U (95 %) is accepted if |e| + U is within its limit, "
@@ -96,7 +96,7 @@ def _require_few_draws(n_tests: int, n_trials: int) -> None:
 
 
 def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) -> AcceptanceFile:
-    limits = acceptance_settings.limits
+    limits = acceptance_settings.specification_or_data_sheet
     if acceptance_settings.recording is not None:
         recording = read(folder / acceptance_settings.recording)
         network_tests = evaluate_network(recording, limits)
@@ -108,7 +108,9 @@ def _predict_or_evaluate(acceptance_settings: AcceptanceSettings, folder: Path) 
     model = construction_of_beam_origin(acceptance_settings.construction)
     if acceptance_settings.measured_errors_file is not None:
         plan = AcceptancePlan(tests, model, limits, limits_si.noise)
-        errors = read_measured_errors(folder / acceptance_settings.measured_errors_file, tests, plan.permissible_errors)
+        errors = read_measured_outcomes(
+            folder / acceptance_settings.measured_errors_file, tests, plan.permissible_errors
+        )
         return evaluated_result(
             errors,
             acceptance_settings,
@@ -142,7 +144,7 @@ def _load_calibration(path: Path) -> Calibration:
 
 
 @as_input_error()
-def read_measured_errors(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -> list[TestOutcome]:
+def read_measured_outcomes(file: Path, tests: Sequence[AcceptanceTest], limits: Floats) -> list[TestOutcome]:
     """Outcomes of tests from a CSV file of measured errors with columns ``test``, ``error_um``, optionally ``U_um``.
 
     `limits` (tests,) [m] are the permissible errors of the planned tests. InputError is raised for an unknown or
@@ -163,7 +165,7 @@ def read_measured_errors(file: Path, tests: Sequence[AcceptanceTest], limits: Fl
         if not np.isfinite(numbers[0]):
             raise InputError(f"{file}: row {line}: error_um is empty, expected micrometres")
         i = place[name]
-        outcome_by_test[name] = make_test_outcome(
+        outcome_by_test[name] = measured_test_outcome(
             name, tests[i].group, numbers[0] * MICROMETRE, float(limits[i]), numbers[1] * MICROMETRE
         )
     if not outcome_by_test:
@@ -191,7 +193,7 @@ def evaluated_result(
     sentence = _judgement_sentence(test_outcomes, len(unmeasured_tests))
     actions = _next_actions(test_outcomes, unmeasured_tests, network_tests)
     if network_tests is not None:
-        sentence = " ".join((*network_tests.sentences, sentence[0].upper() + sentence[1:]))
+        sentence = " ".join((*network_tests.identified_error_sentences, sentence[0].upper() + sentence[1:]))
         judgement_actions = actions if is_valid else ()
         further_actions = network_tests.further_actions(is_rejected=judgement == "rejected")
         actions = (*network_tests.urgent_actions, *judgement_actions, *further_actions)
@@ -199,7 +201,7 @@ def evaluated_result(
         title=acceptance_settings.title,
         error_origin="measured" if recording is None else "network",
         plan_name=acceptance_settings.plan_name if recording is None else "own network",
-        specification=acceptance_settings.limits,
+        specification=acceptance_settings.specification_or_data_sheet,
         judgement=judgement,
         decision_rule=DECISION_RULE_TEXT if recording is None else f"{DECISION_RULE_TEXT} {NETWORK_UNCERTAINTY_TEXT}",
         unmeasured_tests=tuple(unmeasured_tests),
@@ -215,15 +217,15 @@ def evaluated_result(
     )
 
 
-def _worst_outcome(test_outcomes: Sequence[TestOutcome], judgement: Judgement) -> TestOutcome:
-    return max((t for t in test_outcomes if t.judgement == judgement), key=lambda t: t.guarded_limit_ratio)
+def _worst_outcome_with_judgement(test_outcomes: Sequence[TestOutcome], judgement: Judgement) -> TestOutcome:
+    return max((t for t in test_outcomes if t.judgement == judgement), key=lambda t: t.lower_bound_to_limit_ratio)
 
 
 def _judgement_sentence(test_outcomes: Sequence[TestOutcome], n_unmeasured_tests: int) -> str:
     """Sentence with the number of errors of each judgement, and the worst error."""
     numbers, total = Counter(t.judgement for t in test_outcomes), len(test_outcomes)
     judgement = next(j for j in JUDGEMENT_ORDER if numbers[j])
-    worst_entry = _worst_outcome(test_outcomes, judgement)
+    worst_entry = _worst_outcome_with_judgement(test_outcomes, judgement)
     error_text = f"{worst_entry.error_um:.1f} um" + (
         "" if worst_entry.expanded_uncertainty_um is None else f" +- {worst_entry.expanded_uncertainty_um:.1f} um"
     )
@@ -266,7 +268,7 @@ def _next_actions(
 
 def _actions_after_rejection(rejected_outcomes: Sequence[TestOutcome]) -> tuple[str, ...]:
     """Actions after a rejection; a single rejected error is to be measured again, because it may be a blunder."""
-    worst = _worst_outcome(rejected_outcomes, "rejected")
+    worst = _worst_outcome_with_judgement(rejected_outcomes, "rejected")
     excess = f"{abs(worst.error_um) - (worst.expanded_uncertainty_um or 0.0) - worst.limit_um:.1f} um"
     if len(rejected_outcomes) > 1:
         names = listing([t.name for t in rejected_outcomes], 3)
@@ -289,7 +291,7 @@ def _sufficient_uncertainty_text(undecided_outcomes: Sequence[TestOutcome]) -> s
         return abs(test_outcome.limit_um - abs(test_outcome.error_um))
 
     def ratio(test_outcome: TestOutcome) -> float:
-        return (test_outcome.expanded_uncertainty_um or 0.0) / max(margin(test_outcome), MIN_MARGIN_UM)
+        return (test_outcome.expanded_uncertainty_um or 0.0) / max(margin(test_outcome), MIN_MARGIN_DIVISOR_UM)
 
     beyond = [t for t in undecided_outcomes if abs(t.error_um) > t.limit_um]
     entry = min(beyond, key=ratio) if beyond else max(undecided_outcomes, key=ratio)

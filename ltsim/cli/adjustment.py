@@ -312,10 +312,10 @@ def history(
         content = lt.history(source_by_label, **options)
 
     def history_picture() -> dict[str, str]:
-        from ltsim.reports.figures.parameters import history_figure
+        from ltsim.reports.figures.parameters import parameter_history_figure
         from ltsim.reports.style import svg_text
 
-        return {"history.svg": svg_text(history_figure(content.labels, content.determined_parameters))}
+        return {"history.svg": svg_text(parameter_history_figure(content.labels, content.determined_parameters))}
 
     written_history = terminal.write_result(content, history_picture)
     terminal.print_result(written_history)

@@ -40,7 +40,7 @@ MAX_TERMINAL_ROWS = 8
 """Number of rows that a terminal prints of a table that starts folded on a page."""
 MAX_RECOMMENDED_ACTIONS = 3
 """Largest number of next actions at the head of a page and on a terminal."""
-MAX_TERMINAL_WIDTH = 160
+MAX_TERMINAL_TABLE_WIDTH = 160
 """Largest width of a table on a terminal [characters]; a wider one is printed as one line per row."""
 
 
@@ -125,7 +125,7 @@ class PictureBlock:
         return svg_data_uri(drawn if isinstance(drawn, str) else svg_text(drawn))
 
 
-def picture_or_note(
+def picture_if_few_items(
     title: str, draw_figure: Callable[[], Figure | str], caption: str, n_items: int
 ) -> PictureBlock | NoteBlock:
     """Picture of `n_items` points, bars or curves; a note if there are more than `MAX_FIGURE_ITEMS`."""
@@ -230,14 +230,14 @@ class Section:
 class Document:
     """Content of a page: sections, and the title, headline, summary and next actions at the head of the page.
 
-    `header_lines` and `versions` are pairs of name and text.
+    `header_lines` are pairs of name and text, `package_versions` pairs of the name and version of a package.
     """
 
     title: str
     summary: str
     assessment: Assessment
     sections: Sequence[Section] = ()
-    versions: Sequence[tuple[str, str]] = ()
+    package_versions: Sequence[tuple[str, str]] = ()
     header_lines: Sequence[tuple[str, str]] = ()
     headline: str = ""
     next_actions: Sequence[str] = ()
@@ -260,9 +260,9 @@ def _block_text(block: Block) -> str:
 
 
 def _table_text(table: TableBlock) -> str:
-    """Text of a table in columns; one line per row if the table is wider than `MAX_TERMINAL_WIDTH`."""
+    """Text of a table in columns; one line per row if the table is wider than `MAX_TERMINAL_TABLE_WIDTH`."""
     text = align_columns(table.header, table.rows, table.n_text_columns)
-    if max(map(len, text.split("\n"))) <= MAX_TERMINAL_WIDTH:
+    if max(map(len, text.split("\n"))) <= MAX_TERMINAL_TABLE_WIDTH:
         return text
     headings = ["" if i < table.n_text_columns else f"{heading}: " for i, heading in enumerate(table.header)]
     text_rows = (

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ltsim.campaigns.schema import ScenarioSettings
     from ltsim.simulation.scenario import Scenario
 
-QUALITY_MEASURES = {
+QUALITY_MEASURE_BY_GOAL = {
     "instrument": ("instrument: sigma / prior sigma", 1.0),
     "targets": ("targets: weighted point error [um]", 1e6),
     "diagnosis": ("effects: detectable / plausible size", 1.0),
@@ -23,7 +23,7 @@ QUALITY_MEASURES = {
 """Quality measure of each goal of a plan: name with unit, and factor from SI to the displayed unit."""
 
 
-def is_determined(sigma: float | None, prior_sigma: float | None) -> bool:
+def is_determined_by_readings(sigma: float | None, prior_sigma: float | None) -> bool:
     """True if the readings at least halve the prior variance of a parameter (sigma < 0.7 prior), or without prior."""
     return prior_sigma is None or (sigma or 0.0) < 0.7 * prior_sigma
 
@@ -86,7 +86,7 @@ def global_test_verdict(chi2: float, dof: int, p_value: float | None) -> tuple[b
     return agrees, f"the readings {verb} with the model and the declared noise {statistic_text}"
 
 
-def distinct_labels(labels: Sequence[str]) -> tuple[str, ...]:
+def labels_without_common_prefix(labels: Sequence[str]) -> tuple[str, ...]:
     """Labels without the words with which all labels begin; unchanged if a label would then be empty."""
     if len(set(labels)) < 2:
         return tuple(labels)

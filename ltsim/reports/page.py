@@ -77,7 +77,7 @@ class PagePart:
     omits_residuals: bool = False
 
 
-RESULT_FILES = (
+RESULT_FILES_IN_PAGE_ORDER = (
     "diagnosis.json",
     "calibration.json",
     OBSERVATIONS_FILE,
@@ -125,7 +125,7 @@ def document_of_folder(
         summary=first_section.summary,
         assessment=first_section.assessment,
         sections=sections,
-        versions=package_versions(),
+        package_versions=package_versions(),
         header_lines=_header_lines(page_parts, sections, about or ReportHeader()),
         headline=HEADLINES.get((first_section.kind, first_section.assessment), ""),
         next_actions=_recommended_actions(sections),
@@ -167,12 +167,14 @@ def _page_parts(folder: Path, recording: Path | None) -> list[PagePart]:
     subfolders = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural_sort_key(p.name))
     page_parts = [
         PagePart(result_folder, kind, recording or _recording_folder(result_folder, folder))
-        for kind in RESULT_FILES
+        for kind in RESULT_FILES_IN_PAGE_ORDER
         for result_folder in (folder, *subfolders)
         if (result_folder / kind).is_file()
     ]
     if not page_parts:
-        raise RecordError(f"the folder contains no results; expected one of {', '.join(RESULT_FILES)}", file=folder)
+        raise RecordError(
+            f"the folder contains no results; expected one of {', '.join(RESULT_FILES_IN_PAGE_ORDER)}", file=folder
+        )
     digests = [_recording_digest(part) for part in page_parts]
     recording_by_digest = {
         digest: part.recording for digest, part in zip(digests, page_parts, strict=True) if digest and part.recording

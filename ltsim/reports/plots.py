@@ -28,12 +28,12 @@ from ltsim.recordings import Recording
 from ltsim.reports.figures.floor_plan import floor_plan
 from ltsim.reports.figures.parameters import (
     criteria_before_after_figure,
-    history_figure,
-    lines_figure,
-    parameter_figure,
-    values_figure,
+    lines_with_intervals_figure,
+    parameter_estimates_figure,
+    parameter_history_figure,
+    values_with_intervals_figure,
 )
-from ltsim.reports.figures.points import check_figure, displacement_figure, error_to_limit_figure
+from ltsim.reports.figures.points import displacement_figure, error_to_limit_figure, field_check_figure
 from ltsim.reports.figures.residuals import residuals_by_covariate_figure, residuals_by_station_figure
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.diagnosis import finding_figure
@@ -57,7 +57,7 @@ def figure_of(result: Result) -> Figure:
     raise ModelError(f"a {type(result).__name__} has no figure")
 
 
-figure_of.register(Check, check_figure)
+figure_of.register(Check, field_check_figure)
 figure_of.register(Comparison, displacement_figure)
 figure_of.register(AcceptanceFile, error_to_limit_figure)
 figure_of.register(Scenario, lambda result: floor_plan(workshop_from_scenario(result)))
@@ -70,7 +70,7 @@ figure_of.register(Uncertainty, uncertainty_budget_figure)
 @figure_of.register
 def _(result: Calibration) -> Figure:
     if result.instrument_parameter_names:
-        return parameter_figure(result.parameters)
+        return parameter_estimates_figure(result.parameters)
     if result.adjustment is None:
         raise ModelError("a network read from a file has no figure; lt.report writes a page about it")
     return figure_of(result.adjustment)
@@ -98,7 +98,7 @@ def _(result: Diagnosis) -> Figure:
 def _(result: History) -> Figure:
     if not result.determined_parameters:
         raise ModelError("no parameter of these calibrations is determined; there is no figure")
-    return history_figure(result.labels, result.determined_parameters)
+    return parameter_history_figure(result.labels, result.determined_parameters)
 
 
 @figure_of.register
@@ -120,7 +120,9 @@ def _(result: BenchFile) -> Figure:
             for row in result.range_errors
         ],
     }
-    return lines_figure([row.angle_deg for row in result.range_errors], lines, "incidence [deg]", "range error [um]")
+    return lines_with_intervals_figure(
+        [row.angle_deg for row in result.range_errors], lines, "incidence [deg]", "range error [um]"
+    )
 
 
 @figure_of.register
@@ -131,7 +133,7 @@ def _(result: DetectionCurve) -> Figure:
         for name in ("detections", "placed", "named")
     }
     strengths = [row["noncentrality"] for row in result.rows]
-    return lines_figure(strengths, lines, "noncentrality", "share, 95 % interval")
+    return lines_with_intervals_figure(strengths, lines, "noncentrality", "share, 95 % interval")
 
 
 @figure_of.register
@@ -146,7 +148,7 @@ def _(result: Recovery) -> Figure:
     ends = np.percentile(shown, [50, 2.5, 97.5], axis=0).T.tolist()
     rows = {name: (middle, low, high) for name, (middle, low, high) in zip(trials.parameter_names, ends, strict=True)}
     label = f"error / {'declared sigma' if has_sigmas else 'its rms'}: median, middle 95 % of the trials"
-    return values_figure(
+    return values_with_intervals_figure(
         rows, label, reference_values={"95 % if the sigmas are right": (-1.96, 1.96)} if has_sigmas else {}
     )
 
@@ -154,7 +156,7 @@ def _(result: Recovery) -> Figure:
 @figure_of.register
 def _(result: NextMeasurement) -> Figure:
     shares = {p.action: (100 * (1 - p.remaining_sigma_fraction),) * 3 for p in result.proposals[:MAX_DRAWN_PROPOSALS]}
-    return values_figure(shares, "sigmas of the instrument's parameters fall by [%]")
+    return values_with_intervals_figure(shares, "sigmas of the instrument's parameters fall by [%]")
 
 
 @figure_of.register
@@ -165,7 +167,7 @@ def _(result: NewPointErrors) -> Figure:
         "as read": [example.raw_rms / MICROMETRE],
         "by the true parameters": [example.true_parameters_rms / MICROMETRE],
     }
-    return values_figure(rows, "error of a new point [um]", reference_values=ends)
+    return values_with_intervals_figure(rows, "error of a new point [um]", reference_values=ends)
 
 
 @figure_of.register
@@ -180,7 +182,7 @@ def _(result: PairedDifferences) -> Figure:
     }
     first = result.entries[0]
     unit = f" [{first.unit}]" if first.unit else ""
-    return values_figure(
+    return values_with_intervals_figure(
         rows,
         f"{first.first_name} minus {first.second_name}{unit}, 95 % interval",
         reference_values={"no difference": [0.0]},

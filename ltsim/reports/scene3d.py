@@ -188,14 +188,14 @@ def _draw_sights(plotter: pv.Plotter, workshop: WorkshopScene) -> tuple[str, flo
         show_scalar_bar=False,
         name="sights",
     )
-    return sights.label, low, high
+    return sights.value_label, low, high
 
 
 def _draw_shadow_cones(plotter: pv.Plotter, workshop: WorkshopScene, legend_lines: list[str]) -> None:
     """Draw the shadow cone below each station, which its elevation limit hides, and its circle on the floor."""
     z = workshop.floor_height
-    for k, opening in enumerate(workshop.cone_openings):
-        radius = workshop.shadow_radius(opening)
+    for k, opening in enumerate(workshop.shadow_cone_openings):
+        radius = workshop.shadow_radii_on_floor(opening)
         rims = []
         for s, position in enumerate(workshop.station_positions):
             floor_point = np.array([*position[:2], z + 0.004 * (k + 1)])

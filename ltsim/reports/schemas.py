@@ -55,7 +55,7 @@ RESULT_MODELS: tuple[type[ResultFile], ...] = (
 )
 """Models of the result files that commands write."""
 
-FILE_MODELS: dict[str, type[BaseModel]] = {
+MODEL_BY_FILE_NAME: dict[str, type[BaseModel]] = {
     **{model.FILE: model for model in RESULT_MODELS},
     "setup.toml": Setup,
     "scenario.toml": Scenario,
@@ -85,10 +85,10 @@ COMPANION_TABLES: dict[str, tuple[Table, ...]] = {
 
 def json_schemas() -> dict[str, dict[str, Any]]:
     """JSON Schema of every file, by its name."""
-    return {name: model.model_json_schema(by_alias=True) for name, model in FILE_MODELS.items()}
+    return {name: model.model_json_schema(by_alias=True) for name, model in MODEL_BY_FILE_NAME.items()}
 
 
-def companion_tables() -> dict[str, list[dict[str, Any]]]:
+def companion_table_descriptions() -> dict[str, list[dict[str, Any]]]:
     """Companion tables of each file: name, subject, columns with their meaning."""
     return {
         file: [
@@ -107,7 +107,7 @@ def write_schemas(folder: Path) -> None:
     """Write the schema of every file, and the columns of the tables, into a folder."""
     schema_by_file = {f"{name}.schema.json": content for name, content in json_schemas().items()}
     write_texts(folder, {name: json.dumps(content, indent=1) + "\n" for name, content in schema_by_file.items()})
-    write_texts(folder, {"tables.json": json.dumps(companion_tables(), indent=1) + "\n"})
+    write_texts(folder, {"tables.json": json.dumps(companion_table_descriptions(), indent=1) + "\n"})
 
 
 if __name__ == "__main__":

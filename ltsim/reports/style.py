@@ -43,10 +43,10 @@ BAND_COLOUR = "#8A8F9440"
 """Colour of interval bands, transparent for light and dark pages."""
 DIVERGING_COLOUR_MAP = "RdBu_r"
 """Name of matplotlib's colour map for values with a sign."""
-TEXT_COLOUR_ON_PALE = "#23282c"
-"""Colour of text on a pale cell."""
-TEXT_COLOUR_ON_DEEP = "#fefefe"
-"""Colour of text on a cell of a deep colour."""
+TEXT_COLOUR_ON_LIGHT = "#23282c"
+"""Colour of text on a light cell."""
+TEXT_COLOUR_ON_DARK = "#fefefe"
+"""Colour of text on a dark cell."""
 
 FIGURE_WIDTH = 4.9
 """Width of every figure [inch], at which text has nine pixels on a phone."""
@@ -178,7 +178,7 @@ def set_category_rows(ax: Axes, names: Sequence[str], *, font_size: float = 8.0)
     return places
 
 
-def write_at_right(ax: Axes, positions: Floats, texts: Sequence[str]) -> None:
+def write_at_right_of_rows(ax: Axes, positions: Floats, texts: Sequence[str]) -> None:
     """Write a text at the right end of each of n rows, at `positions` (n,) on the y axis."""
     right_axis = ax.secondary_yaxis("right")
     right_axis.set_yticks(positions, [typographic_text(text) for text in texts], fontsize=8)

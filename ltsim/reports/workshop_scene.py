@@ -26,15 +26,15 @@ from ltsim.scene.visibility import InvisibilityReason, Visibility, shadow_cone_o
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import WorkshopLayout, make_obstacles, make_visibility, planned_layout
 
-ALTERNATIVE_CONE_OPENING = 110.0 * DEGREE
+ALTERNATIVE_SHADOW_CONE_OPENING = 110.0 * DEGREE
 """Alternative opening angle [rad] of the shadow cone (Sensors 2021, 21, 7479, section 2.3.2)."""
-MAX_TRACKER_HEIGHT = 3.0
+MAX_LOWEST_HEIGHT_WITH_FLOOR_AT_ZERO = 3.0
 """Largest height [m] of the lowest target or tracker above z = 0 of a plan at which the floor is drawn at z = 0.
 
 If all of them are higher, the floor is drawn at the lowest target. The limit is above the height of a tracker on its
 tripod.
 """
-MIN_WALL_NORMAL_COMPONENT = 0.25
+MIN_WALL_NEST_NORMAL_COMPONENT = 0.25
 """Component of a nest's unit normal perpendicular to a wall, above which the nest can belong to the wall: the normal is
 at most 75 degrees from the perpendicular. The value is a choice for drawing."""
 MAX_WALL_DEPTH_DIFFERENCE = 0.2
@@ -47,13 +47,13 @@ FLOOR_MARGIN = 0.4
 class DrawnSights:
     """Lines of sight to draw: index (n,) of the station, index (n,) of the target, and value (n,) of each of n lines.
 
-    The value determines the colour; `label` is its name with the unit.
+    The value determines the colour; `value_label` is its name with the unit.
     """
 
     station: Ints
     target: Ints
     value: Floats
-    label: str
+    value_label: str
 
 
 @dataclass(frozen=True)
@@ -96,12 +96,16 @@ class WorkshopScene(ValueEquality):
         return np.arctan2(self.station_rotations[:, 1, 0], self.station_rotations[:, 0, 0])
 
     @property
-    def cone_openings(self) -> tuple[float, ...]:
-        """Full angles [rad] of the shadow cones: that of the elevation limit, and `ALTERNATIVE_CONE_OPENING`."""
+    def shadow_cone_openings(self) -> tuple[float, ...]:
+        """Full angles [rad] of the shadow cones: that of the elevation limit, and `ALTERNATIVE_SHADOW_CONE_OPENING`."""
         limit = shadow_cone_opening(self.elevation_min)
-        return (limit,) if abs(limit - ALTERNATIVE_CONE_OPENING) < 1e-9 else (limit, ALTERNATIVE_CONE_OPENING)
+        return (
+            (limit,)
+            if abs(limit - ALTERNATIVE_SHADOW_CONE_OPENING) < 1e-9
+            else (limit, ALTERNATIVE_SHADOW_CONE_OPENING)
+        )
 
-    def shadow_radius(self, opening: float) -> Floats:
+    def shadow_radii_on_floor(self, opening: float) -> Floats:
         """Radius (S,) [m] of the shadow cone of each of S stations on the floor, for the full angle `opening` [rad]."""
         return shadow_radii(self.station_positions, self.floor_height, opening)
 
@@ -181,7 +185,7 @@ def workshop_from_recording(recording: Recording) -> WorkshopScene:
 
 
 def workshop_with_surroundings(scene: WorkshopScene, setup: Setup) -> WorkshopScene:
-    """Network with floor, walls and gauge, in the frame of the floor plan if the set-up has one."""
+    """Scene of a network with floor, walls and gauge, in the frame of the floor plan if the set-up has one."""
     floor_plan = FloorPlan.from_positions(setup, scene.stations, scene.station_positions, scene.station_rotations)
     rotation, has_plan = floor_plan.rotation_to_plan, floor_plan.has_plan
     points, position = (
@@ -190,7 +194,9 @@ def workshop_with_surroundings(scene: WorkshopScene, setup: Setup) -> WorkshopSc
     )
     nest_normals = _normals_of_nests(setup, scene.targets)
     lowest = float(np.concatenate([points, position])[:, 2].min())
-    floor_height = 0.0 if has_plan and -0.05 < lowest < MAX_TRACKER_HEIGHT else float(points[:, 2].min())
+    floor_height = (
+        0.0 if has_plan and -0.05 < lowest < MAX_LOWEST_HEIGHT_WITH_FLOOR_AT_ZERO else float(points[:, 2].min())
+    )
     wall_planes = _find_wall_planes(points, nest_normals) if has_plan else []
     instrument = next(iter(setup.instruments.values()), setup.instrument)
     index_by_name = {name: i for i, name in enumerate(scene.targets)}
@@ -241,7 +247,7 @@ def _find_wall_planes(points: Floats, nest_normals: Floats) -> list[tuple[int, f
         for direction in (1.0, -1.0):
             depths = direction * points[:, axis]
             rearmost = float(depths.min())
-            faces_hall = np.nan_to_num(direction * nest_normals[:, axis]) > MIN_WALL_NORMAL_COMPONENT
+            faces_hall = np.nan_to_num(direction * nest_normals[:, axis]) > MIN_WALL_NEST_NORMAL_COMPONENT
             if np.sum(faces_hall & (depths < rearmost + MAX_WALL_DEPTH_DIFFERENCE)) >= 4:
                 planes.append((axis, direction, direction * (rearmost - 0.05)))
     return planes

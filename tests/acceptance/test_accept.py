@@ -333,8 +333,10 @@ def test_errors_of_the_recording_are_no_errors_of_the_tracker(cause: str):
         evaluate_network(r, LIMITS) for r in (recording, recording.with_readings(recording.readings + change))
     )
     assert clean.corrected_causes == clean.uncorrected_causes == ()
-    assert len(faulty.corrected_causes) == 1 and faulty.sentences[0].startswith(cause)
-    assert faulty.sentences[0].endswith("This is not an error of the tracker, and it is removed before the tests.")
+    assert len(faulty.corrected_causes) == 1 and faulty.identified_error_sentences[0].startswith(cause)
+    assert faulty.identified_error_sentences[0].endswith(
+        "This is not an error of the tracker, and it is removed before the tests."
+    )
     assert not [t.name for t in faulty.test_outcomes if t.judgement == "rejected"]
     lengths = [
         (a, b)
@@ -351,10 +353,10 @@ def test_possible_error_of_the_tracker_remains_in_the_tests():
     readings = recording.readings + np.where((recording.station == 1)[:, None], [0.0, 0.0, 60e-6], 0.0)
     tests = evaluate_network(recording.with_readings(readings), LIMITS)
     assert tests.corrected_causes == () and tests.tracker_causes[0].where.stations == ("S2",)
-    assert "possibly an error of the tracker, and it remains in the tests" in tests.sentences[0]
+    assert "possibly an error of the tracker, and it remains in the tests" in tests.identified_error_sentences[0]
     rejected = [t.name for t in tests.test_outcomes if t.judgement == "rejected"]
     assert {name.partition(":")[0] for name in rejected} == {"S2"}
-    assert 0 < tests.n_rejected_after_correction <= len(rejected)
+    assert 0 < tests.n_errors_rejected_after_correction <= len(rejected)
     assert "Corrections by ltsim calibrate do not suffice" in tests.action_after_rejection
 
 
@@ -421,7 +423,7 @@ def test_outlying_readings_are_neither_adjusted_nor_tested():
     tests = evaluate_network(recording.with_readings(readings), LIMITS)
     assert not [t.name for t in tests.test_outcomes if t.judgement == "rejected"]
     assert not [t.name for t in tests.test_outcomes if t.name == "S4: T10" or "S4: T10 to" in t.name]
-    assert "Pointings with outliers are not tested: S4 to T10 (row" in " ".join(tests.sentences)
+    assert "Pointings with outliers are not tested: S4 to T10 (row" in " ".join(tests.identified_error_sentences)
 
 
 def test_several_instruments_are_refused():

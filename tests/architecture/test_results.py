@@ -21,7 +21,7 @@ from ltsim.core.descriptions import field_descriptions
 from ltsim.core.results import Result
 from ltsim.physics.effects.descriptions import ConstantDescription, EffectDescription, ParameterDescription
 from ltsim.recordings.result_file import ResultFile
-from ltsim.reports.schemas import FILE_MODELS, RESULT_MODELS
+from ltsim.reports.schemas import MODEL_BY_FILE_NAME, RESULT_MODELS
 
 FILE_OF: dict[str, str] = {
     "accept": "accept.json",
@@ -75,7 +75,7 @@ def returned(verb: str) -> Any:
 def test_the_result_of_a_verb_is_the_model_of_its_file(verb: str, file: str) -> None:
     kind = returned(verb)
     assert issubclass(kind, ResultFile) and issubclass(kind, Result)
-    assert FILE_MODELS[file] is kind and file == kind.FILE and kind in RESULT_MODELS
+    assert MODEL_BY_FILE_NAME[file] is kind and file == kind.FILE and kind in RESULT_MODELS
     assert field_descriptions(kind).keys() == kind.model_fields.keys(), (
         f"{kind.__name__} has a field without a description"
     )

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from ltsim.core.descriptions import field_descriptions
 from ltsim.recordings.native import BASIC_COLUMNS, COLUMN_BOUNDS, ENUMERATED_COLUMNS
-from ltsim.reports.schemas import FILE_MODELS
+from ltsim.reports.schemas import MODEL_BY_FILE_NAME
 from tests.conftest import ROOT
 
 sys.path.insert(0, str(ROOT / "docs"))
@@ -34,17 +34,17 @@ def tables(model: type[BaseModel]) -> set[type[BaseModel]]:
     return found
 
 
-@pytest.mark.parametrize("file", FILE_MODELS)
+@pytest.mark.parametrize("file", MODEL_BY_FILE_NAME)
 def test_every_key_says_what_it_means(file: str) -> None:
-    keys = [(t, name) for t in tables(FILE_MODELS[file]) for name in t.model_fields]
+    keys = [(t, name) for t in tables(MODEL_BY_FILE_NAME[file]) for name in t.model_fields]
     assert [f"{table.__name__}.{name}" for table, name in keys if not field_descriptions(table).get(name)] == []
 
 
-@pytest.mark.parametrize("file", FILE_MODELS)
+@pytest.mark.parametrize("file", MODEL_BY_FILE_NAME)
 def test_every_file_has_a_page_of_its_keys(file: str) -> None:
     """The tables that Sphinx shows can be made of any model: the build itself is in the long run."""
-    page = sections(FILE_MODELS[file], json_place, "###", defaults=True)
-    keys = [field.alias or name for name, field in FILE_MODELS[file].model_fields.items()]
+    page = sections(MODEL_BY_FILE_NAME[file], json_place, "###", defaults=True)
+    keys = [field.alias or name for name, field in MODEL_BY_FILE_NAME[file].model_fields.items()]
     assert [key for key in keys if not re.search(rf"`\[*{key}\b", page)] == []
 
 

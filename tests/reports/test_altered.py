@@ -13,7 +13,7 @@ from ltsim.core.errors import LtsimError
 from ltsim.core.limits import MAX_FIGURE_ITEMS, MAX_RESULT_LIST_ENTRIES
 from ltsim.recordings.result_file import read_result
 from ltsim.reports.page import document_of_folder, page_html
-from ltsim.reports.schemas import FILE_MODELS
+from ltsim.reports.schemas import MODEL_BY_FILE_NAME
 from ltsim.reports.sections import SECTION_WRITERS, read_content, result_section
 from tests.reports import samples
 from tests.reports.test_page import Reader, parsed
@@ -151,7 +151,7 @@ def test_there_is_a_sample_of_each_result_that_has_a_section() -> None:
 @pytest.mark.parametrize("name", SECTION_WRITERS)
 def test_altered_results_are_a_section_or_a_sentence(name: str, tmp_path: Path) -> None:
     content = CONTENTS[name] if name in CONTENTS else plan(tmp_path / "plan")
-    read_result(_written(tmp_path / name, content), FILE_MODELS[name])  # type: ignore[type-var]
+    read_result(_written(tmp_path / name, content), MODEL_BY_FILE_NAME[name])  # type: ignore[type-var]
     for number, changed in enumerate(altered(content)):
         try:
             assert sentence(tmp_path / name, changed)

@@ -40,7 +40,7 @@ from ltsim.reports.figures import (
     points as points,
     residuals as misfits,
 )
-from ltsim.reports.formatting import distinct_labels, typographic_text
+from ltsim.reports.formatting import labels_without_common_prefix, typographic_text
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.campaign_coverage import coverage_sentence
 from ltsim.reports.workshop_scene import workshop_from_adjustment, workshop_from_scenario
@@ -87,23 +87,23 @@ def cell_rows_figure() -> Figure:
     return sweeps.cell_rows_figure(rows, x_label="improvement [%]", published_value=40.1)
 
 
-def factor_panels_figure() -> Figure:
+def sweep_panels_figure() -> Figure:
     rows = [
         sweeps.SweepPoint(x, method, f"faces {panel} {MARKUP}", x + m, x + m - 0.2, x + m + 0.2, x + m - 2, x + m + 2)
         for x in (1.0, 2.0, 4.0, 10.0)
         for m, method in enumerate(("network", "distance"))
         for panel in (1, 2)
     ]
-    return sweeps.factor_panels_figure(rows, statistic_title="error [µm]", x_title="noise factor", published_value=3.0)
+    return sweeps.sweep_panels_figure(rows, statistic_title="error [µm]", x_title="noise factor", published_value=3.0)
 
 
-def sigma_figure() -> Figure:
+def predicted_sigmas_figure() -> Figure:
     rows = [PlannedEntry(name=f"parameter-{i}", unit="urad", sigma=1.0 + i, prior_sigma=15.0) for i in range(6)]
     alone = PlannedEntry(name="alone", unit="um", sigma=3.0, prior_sigma=20.0)
-    return estimates.sigma_figure([*rows, alone], {f"parameter-{i}": 2.0 + i for i in range(6)})
+    return estimates.predicted_sigmas_figure([*rows, alone], {f"parameter-{i}": 2.0 + i for i in range(6)})
 
 
-def history_figure() -> Figure:
+def parameter_history_figure() -> Figure:
     labels = ("2021-09", "2021-10", MARKUP)
     values = np.array([1.0, 2.0, 1.5])
     test = ChiSquareEntry(chi2=1.0, dof=2, p_value=0.6)
@@ -115,7 +115,7 @@ def history_figure() -> Figure:
         "constancy_test": test,
     }
     courses = [ParameterHistory(name=f"parameter-{i}", values=tuple(values * (i + 1)), **told) for i in range(3)]
-    return estimates.history_figure(labels, courses)
+    return estimates.parameter_history_figure(labels, courses)
 
 
 def error_to_limit_figure() -> Figure:
@@ -162,13 +162,13 @@ def floor_plan() -> Figure:
     return floors.floor_plan(workshop_from_adjustment(samples.after()))
 
 
-def parameter_figure() -> Figure:
-    return estimates.parameter_figure(parameters(), [0.0] * len(parameters()))
+def parameter_estimates_figure() -> Figure:
+    return estimates.parameter_estimates_figure(parameters(), [0.0] * len(parameters()))
 
 
-def reflector_changes_figure() -> Figure:
+def reflector_changes_floor_plan() -> Figure:
     changes = [ReflectorChangeEntry.model_validate(change) for change in samples.REFLECTOR_CHANGES]
-    return marked_floors.reflector_changes_figure(workshop_from_scenario(load_scenario("paper-workshop")), changes)
+    return marked_floors.reflector_changes_floor_plan(workshop_from_scenario(load_scenario("paper-workshop")), changes)
 
 
 def residuals_by_covariate_figure() -> Figure:
@@ -194,14 +194,14 @@ def trade_off_figure() -> Figure:
     return estimates.trade_off_figure(Plan.model_validate(plan), MARKUP)
 
 
-def budget_figure() -> Figure:
-    return estimates.budget_figure(
+def variance_budget_figure() -> Figure:
+    return estimates.variance_budget_figure(
         ["length", MARKUP], {"readings": [0.7, 0.2], "weather": [0.3, 0.5], MARKUP: [0.0, 0.3]}
     )
 
 
-def check_figure() -> Figure:
-    return points.check_figure(check_of(samples.recording()))
+def field_check_figure() -> Figure:
+    return points.field_check_figure(check_of(samples.recording()))
 
 
 def displacement_figure() -> Figure:
@@ -253,16 +253,16 @@ def injected_and_estimated_figure() -> Figure:
     )
 
 
-def values_figure() -> Figure:
+def values_with_intervals_figure() -> Figure:
     rows = {"add station S6 at (1.17, 1.08, 1.56) m, and measure all targets": (2.0, 1.0, 3.5), MARKUP: (0.5, 0.5, 0.5)}
-    return estimates.values_figure(
+    return estimates.values_with_intervals_figure(
         rows, "error of a new point [um]", reference_values={"as read": [4.0], "limits": [0.0, 3.0]}
     )
 
 
-def lines_figure() -> Figure:
+def lines_with_intervals_figure() -> Figure:
     lines = {"found": [(0.2, 0.0, 0.6), (1.0, 0.6, 1.0)], "named": [(0.0, 0.0, 0.4), (0.8, 0.4, 1.0)]}
-    return estimates.lines_figure([25.0, 400.0], lines, "noncentrality", "share, 95 % interval")
+    return estimates.lines_with_intervals_figure([25.0, 400.0], lines, "noncentrality", "share, 95 % interval")
 
 
 def marked_floor_plan() -> Figure:
@@ -273,11 +273,12 @@ def marked_floor_plan() -> Figure:
 DRAWINGS = {
     f.__name__: f
     for f in (
-        error_to_limit_figure, budget_figure, factor_panels_figure, cell_rows_figure, check_figure,
+        error_to_limit_figure, variance_budget_figure, sweep_panels_figure, cell_rows_figure, field_check_figure,
         correlation_figure, coverage_figure, criteria_before_after_figure, displacement_figure, distributions_figure,
-        response_curve_figure, floor_plan, injected_and_estimated_figure, history_figure, lines_figure,
-        parameter_figure, reflector_changes_figure, residuals_by_covariate_figure, residuals_by_station_figure,
-        sigma_figure, finding_comparison_figure, trade_off_figure, values_figure, marked_floor_plan,
+        response_curve_figure, floor_plan, injected_and_estimated_figure, parameter_history_figure,
+        lines_with_intervals_figure, parameter_estimates_figure, reflector_changes_floor_plan,
+        residuals_by_covariate_figure, residuals_by_station_figure, predicted_sigmas_figure,
+        finding_comparison_figure, trade_off_figure, values_with_intervals_figure, marked_floor_plan,
     )
 }  # fmt: skip
 
@@ -383,10 +384,10 @@ def test_a_plan_lists_where_each_tripod_goes() -> None:
 
 
 def test_labels_lose_what_they_share() -> None:
-    assert distinct_labels(["tracker_20Sep", "tracker_22Sep"]) == ("20Sep", "22Sep")
-    assert distinct_labels(["one", "two"]) == ("one", "two")
-    assert distinct_labels(["same", "same"]) == ("same", "same")
-    assert distinct_labels(["a-b-", "a-b-1"]) == ("a-b-", "a-b-1")
+    assert labels_without_common_prefix(["tracker_20Sep", "tracker_22Sep"]) == ("20Sep", "22Sep")
+    assert labels_without_common_prefix(["one", "two"]) == ("one", "two")
+    assert labels_without_common_prefix(["same", "same"]) == ("same", "same")
+    assert labels_without_common_prefix(["a-b-", "a-b-1"]) == ("a-b-", "a-b-1")
 
 
 def test_drawing_changes_no_global_setting() -> None:
@@ -431,17 +432,17 @@ def test_coverage_is_red_exactly_where_its_caption_says() -> None:
 
 def test_factors_with_words_and_designs_have_axes_that_read() -> None:
     rows = [sweeps.SweepPoint(x, "network", "", 1.0, 0.9, 1.1, 0.5, 1.5) for x in ("no", "yes")]
-    ax = sweeps.factor_panels_figure(rows, statistic_title="error [µm]", x_title="corrected").axes[0]
+    ax = sweeps.sweep_panels_figure(rows, statistic_title="error [µm]", x_title="corrected").axes[0]
     assert [t.get_text() for t in ax.get_xticklabels()] == ["no", "yes"]
     spread = [sweeps.SweepPoint(x, "network", "noise", 1.0, 0.9, 1.1, 0.5, 1.5) for x in np.geomspace(0.1, 3, 20)]
-    ax = sweeps.factor_panels_figure(spread, statistic_title="error [µm]", x_title="", joins_points=False).axes[0]
+    ax = sweeps.sweep_panels_figure(spread, statistic_title="error [µm]", x_title="", joins_points=False).axes[0]
     assert [t.get_text() for t in ax.get_xticklabels()] == ["0.1", "0.2", "0.5", "1", "2"]
     assert ax.get_xlabel() == "noise"
 
 
 def test_panels_above_nothing_have_ticks_and_nothing_is_shaded_where_nothing_spreads() -> None:
     rows = [sweeps.SweepPoint(x, "network", panel, 1.0, 0.9, 1.1, 1.0, 1.0) for x in (1.0, 2.0) for panel in "abc"]
-    figure = sweeps.factor_panels_figure(rows, statistic_title="error [µm]", x_title="noise")
+    figure = sweeps.sweep_panels_figure(rows, statistic_title="error [µm]", x_title="noise")
     figure.draw_without_rendering()
     seen = [any(t.get_visible() and t.get_text() for t in ax.get_xticklabels()) for ax in figure.axes[:3]]
     assert seen == [False, True, True]
@@ -462,14 +463,14 @@ def test_a_legend_of_long_names_of_stations_leaves_room_for_the_axes() -> None:
     made = samples.recording()
     names = {s: f"HALL-7.NORTH.TRIPOD.{s}" for s in made.stations}
     setup = made.setup.model_copy(update={"stations": {names[k]: v for k, v in made.setup.stations.items()}})
-    figure = points.check_figure(check_of(made.replace(stations=tuple(names.values()), setup=setup)))
+    figure = points.field_check_figure(check_of(made.replace(stations=tuple(names.values()), setup=setup)))
     style.svg_text(figure)  # matplotlib warns where a layout leaves no axes
     assert all(ax.get_position().width > 0.7 for ax in figure.axes)
 
 
 @pytest.mark.parametrize("words", [1, 4, 40])
 def test_a_budget_of_long_names_of_sources_leaves_room_for_the_axes(words: int) -> None:
-    figure = estimates.budget_figure(["length"], {f"{'certificate ' * words}{i}": [0.1] for i in range(9)})
+    figure = estimates.variance_budget_figure(["length"], {f"{'certificate ' * words}{i}": [0.1] for i in range(9)})
     style.svg_text(figure)
     assert all(ax.get_position().height > 0.2 for ax in figure.axes)
 

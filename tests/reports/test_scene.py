@@ -39,7 +39,7 @@ def test_everything_stands_in_the_scene(scene: workshop_scene.WorkshopScene) -> 
 def test_cone_ends_on_its_shadow(scene: workshop_scene.WorkshopScene) -> None:
     plotter, _ = scene3d.build_scene(scene)
     bounds = plotter.actors["cone-0"].bounds
-    radius = scene.shadow_radius(scene.cone_openings[0])[0]
+    radius = scene.shadow_radii_on_floor(scene.shadow_cone_openings[0])[0]
     assert bounds[1] - bounds[0] == pytest.approx(2 * radius, rel=1e-3)
     assert bounds[4] == pytest.approx(0.0, abs=0.02)
     assert bounds[5] == pytest.approx(scene.station_positions[0, 2], abs=1e-3)

@@ -17,7 +17,7 @@ from ltsim.recordings import write
 from ltsim.recordings.result_file import read_result, recording_digest
 from ltsim.recordings.setup import Setup
 from ltsim.reports.residuals import Residuals
-from ltsim.reports.schemas import RESULT_MODELS, companion_tables, json_schemas, write_schemas
+from ltsim.reports.schemas import RESULT_MODELS, companion_table_descriptions, json_schemas, write_schemas
 from ltsim.reports.verbs import report
 from tests.reports import samples
 
@@ -52,7 +52,7 @@ def test_schemas_are_written_for_the_documentation(tmp_path: Path) -> None:
     write_schemas(tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {f"{name}.schema.json" for name in json_schemas()} | {"tables.json"}
     listed = json.loads((tmp_path / "tables.json").read_text())
-    assert listed == companion_tables()
+    assert listed == companion_table_descriptions()
     assert all(column["about"] for beside in listed.values() for table in beside for column in table["columns"])
 
 

@@ -39,10 +39,10 @@ def test_walls_stand_behind_nests_that_are_aimed_at_the_stations() -> None:
 
 
 def test_shadow_is_a_cone_under_the_elevation_limit(scene: workshop_scene.WorkshopScene) -> None:
-    narrow, wide = scene.cone_openings
+    narrow, wide = scene.shadow_cone_openings
     assert np.degrees([narrow, wide]) == pytest.approx([70.0, 110.0])
-    assert scene.shadow_radius(narrow)[0] == pytest.approx(1.9 * np.tan(np.radians(35.0)), rel=1e-3)
-    assert scene.shadow_radius(wide)[0] == pytest.approx(1.9 / np.tan(np.radians(35.0)), rel=1e-3)
+    assert scene.shadow_radii_on_floor(narrow)[0] == pytest.approx(1.9 * np.tan(np.radians(35.0)), rel=1e-3)
+    assert scene.shadow_radii_on_floor(wide)[0] == pytest.approx(1.9 / np.tan(np.radians(35.0)), rel=1e-3)
 
 
 def test_incidence_is_measured_on_the_walls(scene: workshop_scene.WorkshopScene) -> None:
@@ -80,7 +80,7 @@ def test_a_plan_whose_zero_lies_far_below_tells_no_floor() -> None:
     )
     assert scene.floor_height == pytest.approx(scene.target_points[:, 2].min())
     assert scene.floor_height > 359.0
-    assert scene.shadow_radius(scene.cone_openings[0]).max() < 10.0
+    assert scene.shadow_radii_on_floor(scene.shadow_cone_openings[0]).max() < 10.0
 
 
 def test_without_a_plan_the_floor_is_at_the_lowest_target() -> None:

@@ -127,7 +127,7 @@ class MovableLayout:
             places[self.search_space.is_visible(places).sum(axis=1) >= MIN_VISIBLE_TARGETS] if len(places) else places
         )
 
-    def survey(self, stations: Sequence[Mapping[str, Any]]) -> PlannedSurvey:
+    def survey_with_stations(self, stations: Sequence[Mapping[str, Any]]) -> PlannedSurvey:
         """Survey with the given stations (mappings with `name`, `position_mm` and `yaw_deg`); raises InputError.
 
         A station that is not in the plan has the lines of sight and the order of targets of a station of the plan; the
@@ -160,7 +160,7 @@ class MovableLayout:
             target_ranks=None if survey.target_ranks is None else survey.target_ranks[template_stations],
         )
 
-    def _search_space_of(self, survey: PlannedSurvey) -> SearchSpace:
+    def _search_space_for_survey(self, survey: PlannedSurvey) -> SearchSpace:
         """Search space of the plan for a survey with any number of stations."""
         min_stations = self.plan_file.stations.min_stations_per_target
         return self.search_space.replace(
@@ -169,9 +169,9 @@ class MovableLayout:
 
     def evaluation_json(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Evaluation of a layout: visible sights, uncertainty of each point, and broken rules."""
-        survey = self.survey(stations)
+        survey = self.survey_with_stations(stations)
         search_space, broken_position_rules = (
-            self._search_space_of(survey),
+            self._search_space_for_survey(survey),
             self.search_space.broken_position_rules(survey),
         )
         if _station_coincides_with_target(survey):
@@ -202,10 +202,10 @@ class MovableLayout:
 
     def verdict_json(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
         """Verdict on rules and tolerances, also after the loss of a station or a sight; None without tolerances."""
-        survey = self.survey(stations)
+        survey = self.survey_with_stations(stations)
         if not self.tolerances or _station_coincides_with_target(survey):
             return None
-        search_space = self._search_space_of(survey)
+        search_space = self._search_space_for_survey(survey)
         survey = survey.replace(is_visible=layout_visibility(search_space, survey).is_visible)
         losses = checks_after_required_losses(survey, self.tolerances, self.construction)
         checks = check_tolerances(survey, self.tolerances, self.construction)
@@ -214,7 +214,7 @@ class MovableLayout:
 
     def scenario_with_stations(self, stations: Sequence[Mapping[str, Any]]) -> Scenario:
         """Scenario with the given stations."""
-        return with_layout(self.scenario, self.survey(stations))
+        return with_layout(self.scenario, self.survey_with_stations(stations))
 
     def scene_page_with_stations(self, stations: Sequence[Mapping[str, Any]], camera: Camera | None = None) -> str:
         """HTML page of the hall in 3D with the given stations, seen from `camera` if it is given."""

@@ -48,7 +48,7 @@ REQUEST_TIMEOUT_S = 10.0
 """Time [s] within which a request must arrive completely; its connection is closed afterwards."""
 INTERRUPT_CHECK_INTERVAL_S = 0.2
 """Longest time [s] that the server waits for a request before it reacts to Ctrl-C."""
-MIN_CAMERA_LENGTH = 1e-6
+MIN_CAMERA_VECTOR_LENGTH = 1e-6
 """Smallest distance [m] of the camera from its focal point, and smallest length of its up direction."""
 RESPONSE_HEADERS = {
     "Cache-Control": "no-store",
@@ -84,7 +84,7 @@ class LayoutRequest(BaseModel):
     @classmethod
     def check_camera(cls, camera: list[list[float]] | None) -> list[list[float]] | None:
         """Unchanged `camera`; raises ValueError if a direction has no length."""
-        if camera is not None and min(math.dist(*camera[:2]), math.hypot(*camera[2])) < MIN_CAMERA_LENGTH:
+        if camera is not None and min(math.dist(*camera[:2]), math.hypot(*camera[2])) < MIN_CAMERA_VECTOR_LENGTH:
             raise ValueError("the camera is at its focal point, or its up direction is zero")
         return camera
 
@@ -225,7 +225,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
             return HttpResponse(HTTPStatus.FORBIDDEN)
         if not self.requests.has_token(self.path):
             return MISSING_PAGE_RESPONSE
-        self.server.keep_connection(self.connection)
+        self.server.exclude_from_replacement(self.connection)
         return None
 
     def _read_body(self) -> bytes | HttpResponse:
@@ -285,23 +285,23 @@ class _LimitedServer(ThreadingHTTPServer):
 
     def process_request(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:
         """Start the thread of a connection."""
-        if self._free_connections.acquire(blocking=False) or self._replaces_oldest():
+        if self._free_connections.acquire(blocking=False) or self._end_oldest_connection():
             self._replaceable[request] = None
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
 
-    def _replaces_oldest(self) -> bool:
+    def _end_oldest_connection(self) -> bool:
         """True if the oldest replaceable connection was ended, whose place the next one takes."""
         oldest = next(iter([*self._replaceable]), None)
         if oldest is None:
             return False
-        self.keep_connection(oldest)
+        self.exclude_from_replacement(oldest)
         with suppress(OSError):  # it has just ended by itself
             oldest.shutdown(socket.SHUT_RDWR)
         return self._free_connections.acquire(timeout=REPLACEMENT_TIMEOUT_S)
 
-    def keep_connection(self, request: Any) -> None:
+    def exclude_from_replacement(self, request: Any) -> None:
         """Exclude a connection from replacement, since it has sent the token or has ended."""
         self._replaceable.pop(request, None)
 
@@ -310,7 +310,7 @@ class _LimitedServer(ThreadingHTTPServer):
         try:
             super().process_request_thread(request, client_address)
         finally:
-            self.keep_connection(request)
+            self.exclude_from_replacement(request)
             self._free_connections.release()
 
     def handle_error(self, request: object, client_address: object) -> None:

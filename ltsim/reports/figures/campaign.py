@@ -27,13 +27,13 @@ MAX_FIGURE_PANELS = 12
 """Largest number of panels of a figure; further panels are drawn in further figures or omitted."""
 MAX_PANEL_LINES = 8
 """Largest number of lines of a panel; further lines are omitted."""
-LABEL_WIDTH_PER_PANEL_ROW = 26
+Y_LABEL_LINE_LENGTH_PER_PANEL_ROW = 26
 """Width [characters] at which the label of the y axis is broken, for each row of panels in the figure."""
 CENTRAL_90_PERCENT_LABEL = "90 % of trials"
 """Label of the band between the 5 % and 95 % quantiles of the trials."""
 NOISE_FLOOR_LABEL = "noise floor"
 """Label of the error of readings that are corrected with the true parameters: only noise remains."""
-PUBLISHED_CRITERIA = MappingProxyType(
+PUBLISHED_CRITERIA_BY_SCENARIO = MappingProxyType(
     {
         "paper-workshop": {
             "coordinate_before_max_um": 149.0, "coordinate_before_mean_um": 46.0, "distance_before_max_um": 60.0,
@@ -63,8 +63,8 @@ class SweepPoint:
     line_label: str
     panel_label: str
     mean: float
-    low: float
-    high: float
+    interval_low: float
+    interval_high: float
     quantile_05: float
     quantile_95: float
 
@@ -92,7 +92,7 @@ def factor_level_text(factor: Factor, level: Any) -> str:
 def sweep_points(
     results: CampaignResults, statistic: str, along: str | Sequence[str], *, panel: str = "", **levels: Any
 ) -> list[SweepPoint]:
-    """Points for `factor_panels_figure` or `cell_rows_figure`: means of a result column, one per cell and method.
+    """Points for `sweep_panels_figure` or `cell_rows_figure`: means of a result column, one per cell and method.
 
     Parameters
     ----------
@@ -147,11 +147,11 @@ def sweep_figure(results: CampaignResults, statistic: str, along: str, *, panel:
     if len({(row.level, row.line_label, row.panel_label) for row in rows}) < len(rows):
         others = [f.name for f in results.factors if f.name not in (along, panel, *levels)]
         raise ModelError(f"several cells have the same place; give panel, or a level of {' or '.join(others)}")
-    return factor_panels_figure(rows, statistic_title=label, x_title=axis)
+    return sweep_panels_figure(rows, statistic_title=label, x_title=axis)
 
 
 @style.with_figure_style
-def factor_panels_figure(
+def sweep_panels_figure(
     plotted_points: Sequence[SweepPoint],
     *,
     statistic_title: str,
@@ -197,7 +197,7 @@ def factor_panels_figure(
     for ax in axes.flat[max(len(panels) - n_columns, 0) : len(panels)]:
         ax.tick_params(labelbottom=True)
     figure.supxlabel(x_title, fontsize=8.5)
-    label_lines = textwrap.fill(statistic_title, LABEL_WIDTH_PER_PANEL_ROW * n_rows)
+    label_lines = textwrap.fill(statistic_title, Y_LABEL_LINE_LENGTH_PER_PANEL_ROW * n_rows)
     if n_rows > 1:
         figure.supylabel(label_lines, fontsize=8.5)
     else:  # beside its panel: that of a figure is centred on panel and legend together
@@ -219,7 +219,7 @@ def _draw_line(ax: Axes, points: Sequence[SweepPoint], positions: Floats, line_n
         return
     order = np.argsort(positions, kind="stable")
     x, mean = positions[order], np.array([points[i].mean for i in order])
-    low, high = (np.array([getattr(points[i], side) for i in order]) for side in ("low", "high"))
+    low, high = (np.array([getattr(points[i], side) for i in order]) for side in ("interval_low", "interval_high"))
     colour = style.COLOUR_CYCLE[line_number % len(style.COLOUR_CYCLE)]
     p05, p95 = (np.array([getattr(points[i], side) for i in order]) for side in ("quantile_05", "quantile_95"))
     has_trials = bool(np.any(p05 < p95))
@@ -285,7 +285,7 @@ def cell_rows_figure(points: Sequence[SweepPoint], *, x_label: str, published_va
         colour = style.COLOUR_CYCLE[m % len(style.COLOUR_CYCLE)]
         ninety, mean = ("90 % of trials", "95 % interval of the mean") if m == 0 else ("", "")
         ax.hlines(y, [r.quantile_05 for r in mine], [r.quantile_95 for r in mine], color=colour, lw=0.9, label=ninety)
-        ax.hlines(y, [r.low for r in mine], [r.high for r in mine], color=colour, lw=3.6, label=mean)
+        ax.hlines(y, [r.interval_low for r in mine], [r.interval_high for r in mine], color=colour, lw=3.6, label=mean)
         ax.plot([r.mean for r in mine], y, style.MARKERS[m % len(style.MARKERS)], ms=4.5, color=colour, label=method)
     if published_value is not None:
         ax.axvline(published_value, color=style.INK_COLOUR, linewidth=1.2, linestyle=(0, (4, 2)), label="published")

@@ -17,7 +17,7 @@ from ltsim.reports.figures.campaign import (
     cell_rows_figure,
     factor_axis_title,
     factor_level_text,
-    factor_panels_figure,
+    sweep_panels_figure,
 )
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def statistic_figures(
     """
     factors = varying_factors(results)
     trials_sentence = f"{results.manifest.trials} trials for each combination of factor levels."
-    panels_figure = partial(factor_panels_figure, statistic_title=label, published_value=published_value)
+    panels_figure = partial(sweep_panels_figure, statistic_title=label, published_value=published_value)
     n_cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
     is_grid = n_cells == len(results.levels) == math.prod(len(set(levels_of_cells(results, f))) for f in factors)
     if factors and results.manifest.settings.get("design"):
@@ -78,7 +78,7 @@ def statistic_figures(
         markers_sentence = "Each marker is the mean of one combination of factor levels; each panel shows one factor."
         yield f"{markers_sentence} {trials_sentence}", figure
     elif factors and is_grid and n_cells > 2:
-        axis, rows = _factor_lines(results, factors, summaries)
+        axis, rows = _axis_title_and_line_points(results, factors, summaries)
         names = list(dict.fromkeys(row.panel_label for row in rows))
         for first in range(0, len(names), MAX_FIGURE_PANELS):
             shown = names[first : first + MAX_FIGURE_PANELS]
@@ -104,7 +104,7 @@ def statistic_figures(
         )
 
 
-def _factor_lines(
+def _axis_title_and_line_points(
     results: CampaignResults, factors: Sequence[Factor], summaries: Sequence[StatisticSummary]
 ) -> tuple[str, list[SweepPoint]]:
     """Title of the x axis, and the points of all lines over the factor on this axis."""

@@ -93,7 +93,7 @@ MAX_VECTOR_MARKERS = 150
 """Number of targets above which their markers are rasterised."""
 MAX_LISTED_STATIONS = 16
 """Largest number of stations whose coordinates are listed below a floor plan."""
-MIN_TARGETS_OF_SHORT_LABEL = 4
+MIN_STACKED_TARGETS_OF_SHORT_LABEL = 4
 """Smallest number of targets above each other whose common label has only the first name and the number of others (`T1
 +3`)."""
 MAX_LABEL_SHARING_DISTANCE = 0.05
@@ -237,7 +237,7 @@ def _axis_limits(workshop: WorkshopScene) -> Floats:
     They enclose the floor and, around each station, the circle on the floor that the tracker cannot see because of its
     lowest elevation.
     """
-    radius = workshop.shadow_radius(workshop.cone_openings[0])[:, None]
+    radius = workshop.shadow_radii_on_floor(workshop.shadow_cone_openings[0])[:, None]
     places = np.concatenate(
         [workshop.floor_corners, workshop.station_positions[:, :2] - radius, workshop.station_positions[:, :2] + radius]
     )
@@ -248,10 +248,10 @@ def _axis_limits(workshop: WorkshopScene) -> Floats:
 
 def _draw_shadow_cones(ax: Axes, workshop: WorkshopScene) -> None:
     """Draw the circles in which the shadow cones (what a tracker cannot see below it) meet the floor."""
-    for k, opening in enumerate(workshop.cone_openings):
+    for k, opening in enumerate(workshop.shadow_cone_openings):
         inner, outer = {"facecolor": "#D55E0022"}, {"facecolor": "none", "linestyle": (0, (3, 2))}
         patch_style: dict[str, Any] = {"edgecolor": style.RED, "linewidth": 0.9, "zorder": 1} | (outer if k else inner)
-        for s, radius in enumerate(workshop.shadow_radius(opening)):
+        for s, radius in enumerate(workshop.shadow_radii_on_floor(opening)):
             legend_label = f"shadow, cone of {opening / DEGREE:.0f}°" if s == 0 else None
             ax.add_patch(Circle(tuple(workshop.station_positions[s, :2]), radius, label=legend_label, **patch_style))
 
@@ -348,7 +348,7 @@ def _target_labels(workshop: WorkshopScene) -> list[MapLabel]:
         offset = (place - floor_centre) / size
         is_sideways = abs(offset[0]) > abs(offset[1])
         direction = (0.0 if offset[0] > 0 else np.pi) if is_sideways else (0.5 if offset[1] > 0 else 1.5) * np.pi
-        text = " ".join(names) if len(names) < MIN_TARGETS_OF_SHORT_LABEL else f"{names[0]} +{len(names) - 1}"
+        text = " ".join(names) if len(names) < MIN_STACKED_TARGETS_OF_SHORT_LABEL else f"{names[0]} +{len(names) - 1}"
         labels.append(MapLabel(text, place, preferred_direction=direction))
     return labels
 

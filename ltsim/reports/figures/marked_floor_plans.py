@@ -15,7 +15,7 @@ from ltsim.reports.figures.floor_plan import MapLabel, floor_plan
 from ltsim.reports.workshop_scene import WorkshopScene
 from ltsim.scene.floor import Floor
 
-MIN_DRAWN_HALF_WIDTH = 0.015
+MIN_MARKED_AREA_HALF_WIDTH = 0.015
 """Smallest half-width with which a marked area of the hall is drawn, as a fraction of the size of the hall."""
 MAX_MARKER_SHARING_DISTANCE = 0.04
 """Distance below which two changes of reflectors share a marker, as a fraction of the size of the hall."""
@@ -37,7 +37,7 @@ def marked_floor_plan(
     ax = figure.axes[0]
     if area and len(area) == 2:
         (x, half_width_x), (y, half_width_y) = area["x"], area["y"]
-        min_half_width = MIN_DRAWN_HALF_WIDTH * workshop.largest_extent
+        min_half_width = MIN_MARKED_AREA_HALF_WIDTH * workshop.largest_extent
         ax.add_patch(
             Ellipse(
                 (x, y),
@@ -68,7 +68,7 @@ def marked_floor_plan(
 
 
 @style.with_figure_style
-def reflector_changes_figure(
+def reflector_changes_floor_plan(
     workshop: WorkshopScene, planned_changes: Sequence[ReflectorChangeEntry], floor: Floor | None = None
 ) -> Figure:
     """Floor plan with numbered changes of reflectors: moves as arrows, reflectors that can be omitted as crosses."""

@@ -14,7 +14,12 @@ from ltsim.core.arrays import Floats
 from ltsim.core.notation import number_text, with_sigma
 from ltsim.core.results import Table
 from ltsim.reports import style
-from ltsim.reports.formatting import QUALITY_MEASURES, distinct_labels, is_determined, typographic_text
+from ltsim.reports.formatting import (
+    QUALITY_MEASURE_BY_GOAL,
+    is_determined_by_readings,
+    labels_without_common_prefix,
+    typographic_text,
+)
 
 if TYPE_CHECKING:
     from ltsim.calibration.history import ParameterHistory
@@ -28,7 +33,9 @@ def parameter_labels(parameters: Sequence[ParameterEntry]) -> list[str]:
 
 
 @style.with_figure_style
-def parameter_figure(parameters: Sequence[ParameterEntry], true_values: Sequence[float | None] = ()) -> Figure:
+def parameter_estimates_figure(
+    parameters: Sequence[ParameterEntry], true_values: Sequence[float | None] = ()
+) -> Figure:
     """Estimates in units of their prior sigma with 95 % intervals; values at the right.
 
     The estimate of a parameter without a prior is divided by its sigma. Hollow markers show parameters that the
@@ -50,7 +57,9 @@ def parameter_figure(parameters: Sequence[ParameterEntry], true_values: Sequence
         linewidth=1.8,
         label="95 % interval",
     )
-    is_well_determined = np.array([is_determined(row.sigma, row.prior_sigma) for row in parameters], dtype=bool)
+    is_well_determined = np.array(
+        [is_determined_by_readings(row.sigma, row.prior_sigma) for row in parameters], dtype=bool
+    )
     for chosen, face_colour, legend_label in (
         (is_well_determined, style.COLOUR_AFTER, "estimate"),
         (~is_well_determined, "white", "hardly determined"),
@@ -65,14 +74,16 @@ def parameter_figure(parameters: Sequence[ParameterEntry], true_values: Sequence
         ax.plot(
             truth, places[indices_with_truth], "|", ms=9, mew=1.8, color=style.INK_COLOUR, zorder=4, label="true value"
         )
-    style.write_at_right(ax, places, [with_sigma(r.value, r.sigma, r.unit) for r in parameters])
+    style.write_at_right_of_rows(ax, places, [with_sigma(r.value, r.sigma, r.unit) for r in parameters])
     ax.set_xlabel("estimate / sigma of the prior")
     style.add_legend(figure, [ax])
     return figure
 
 
 @style.with_figure_style
-def sigma_figure(parameters: Sequence[PlannedParameterEntry], reference_sigmas: Mapping[str, float]) -> Figure:
+def predicted_sigmas_figure(
+    parameters: Sequence[PlannedParameterEntry], reference_sigmas: Mapping[str, float]
+) -> Figure:
     """Predicted sigma of each parameter divided by its prior sigma, on a logarithmic axis; sigmas at the right.
 
     `reference_sigmas` are the predicted sigmas of another layout, by parameter.
@@ -100,7 +111,9 @@ def sigma_figure(parameters: Sequence[PlannedParameterEntry], reference_sigmas: 
     ticks = [t for t in (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0) if t >= 0.8 * low]
     ax.set_xticks(ticks, [f"{100 * t:g} %" for t in ticks])
     ax.minorticks_off()
-    style.write_at_right(ax, places, [f"{number_text(r.sigma, 2)} {style.unit_text(r.unit)}" for r in parameters])
+    style.write_at_right_of_rows(
+        ax, places, [f"{number_text(r.sigma, 2)} {style.unit_text(r.unit)}" for r in parameters]
+    )
     ax.set_xlabel("sigma after measuring / sigma of the prior")
     style.add_legend(figure, [ax])
     return figure
@@ -138,7 +151,7 @@ def correlation_figure(parameters: Sequence[ParameterEntry], covariance: Floats)
     ax.grid(visible=False)
     ax.spines[:].set_visible(False)
     for i, j in zip(*np.nonzero(np.abs(np.nan_to_num(table)) > 0.3), strict=True):
-        colour = style.TEXT_COLOUR_ON_DEEP if abs(matrix[i, j]) > 0.6 else style.TEXT_COLOUR_ON_PALE
+        colour = style.TEXT_COLOUR_ON_DARK if abs(matrix[i, j]) > 0.6 else style.TEXT_COLOUR_ON_LIGHT
         ax.text(j + 0.5, i + 0.5, f"{100 * matrix[i, j]:.0f}", ha="center", va="center", fontsize=5.5, color=colour)
     colour_bar = figure.colorbar(colours, ax=ax, shrink=0.7, pad=0.02)
     colour_bar.set_label("correlation (numbers: %)")
@@ -147,7 +160,7 @@ def correlation_figure(parameters: Sequence[ParameterEntry], covariance: Floats)
 
 
 @style.with_figure_style
-def history_figure(names: Sequence[str], parameter_histories: Sequence[ParameterHistory]) -> Figure:
+def parameter_history_figure(names: Sequence[str], parameter_histories: Sequence[ParameterHistory]) -> Figure:
     """Estimates of each parameter in all calibrations with 95 % intervals, one panel per parameter.
 
     The band is the mean over the calibrations, plus and minus the standard deviation of the true values between them.
@@ -156,7 +169,7 @@ def history_figure(names: Sequence[str], parameter_histories: Sequence[Parameter
     n_panel_rows = max(1, -(-len(parameter_histories) // columns))
     figure = style.new_figure(0.7 + 1.35 * n_panel_rows)
     panels = figure.subplots(n_panel_rows, columns, sharex=True, squeeze=False)
-    labels = [style.shortened_name(name, 24) for name in distinct_labels(names)]
+    labels = [style.shortened_name(name, 24) for name in labels_without_common_prefix(names)]
     positions = np.arange(len(labels))
     for ax, course in zip(panels.ravel(), parameter_histories, strict=False):
         band = (course.mean - course.between_calibration_sigma, course.mean + course.between_calibration_sigma)
@@ -212,7 +225,7 @@ MAX_BUDGET_SOURCES = 7
 
 
 @style.with_figure_style
-def budget_figure(names: Sequence[str], variance_fractions: Mapping[str, Sequence[float]]) -> Figure:
+def variance_budget_figure(names: Sequence[str], variance_fractions: Mapping[str, Sequence[float]]) -> Figure:
     """Fractions of the variance of each result by source of uncertainty, the largest sources first.
 
     Parameters
@@ -246,7 +259,7 @@ ValueWithInterval = tuple[float, float, float]
 
 
 @style.with_figure_style
-def values_figure(
+def values_with_intervals_figure(
     values_by_name: Mapping[str, ValueWithInterval],
     label: str,
     *,
@@ -274,7 +287,7 @@ def values_figure(
 
 
 @style.with_figure_style
-def lines_figure(
+def lines_with_intervals_figure(
     positions: Sequence[float], lines: Mapping[str, Sequence[ValueWithInterval]], x_title: str, y_title: str
 ) -> Figure:
     """Lines through values with intervals at n `positions` on the x axis."""
@@ -308,7 +321,7 @@ def trade_off_figure(plan: Plan, quality_name: str) -> Figure:
 
     A line joins the layouts whose quality no faster layout exceeds.
     """
-    label, factor = QUALITY_MEASURES.get(quality_name, (quality_name, 1.0))
+    label, factor = QUALITY_MEASURE_BY_GOAL.get(quality_name, (quality_name, 1.0))
     points_by_role: dict[str, list[tuple[float, float, str]]] = {"tried": [], "best": [], "reference": [], "chosen": []}
     for option in plan.tradeoff_points:
         layout_text = f"{option.station_count}s {option.faces}f {option.repeats}r"

@@ -59,7 +59,7 @@ JUDGEMENT_MARKERS = (
     ("rejected", "x", 5.0, style.RED, style.RED),
 )
 """Judgement of a test, and the marker for it: form, size [pt], colour of the edge and of the face."""
-GROUP_HALF_WIDTH = 0.32
+MAX_MARKER_OFFSET_IN_GROUP_ROW = 0.32
 """Largest distance of the markers of a group of tests from the row of the group, as a fraction of the row spacing."""
 
 
@@ -79,7 +79,9 @@ def error_to_limit_figure(content: AcceptanceFile) -> Figure:
         group_tests = [t for t in content.tests if t.group == name]
         error_ratios = np.array([t.error_um / t.limit_um for t in group_tests])
         uncertainty_ratios = np.array([(t.expanded_uncertainty_um or 0.0) / t.limit_um for t in group_tests])
-        heights = row + np.linspace(-GROUP_HALF_WIDTH, GROUP_HALF_WIDTH, len(group_tests)) * (len(group_tests) > 1)
+        heights = row + np.linspace(
+            -MAX_MARKER_OFFSET_IN_GROUP_ROW, MAX_MARKER_OFFSET_IN_GROUP_ROW, len(group_tests)
+        ) * (len(group_tests) > 1)
         judgements = np.array(
             [
                 t.judgement or ("accepted" if abs(s) <= 1 else "rejected")
@@ -113,7 +115,7 @@ def error_to_limit_figure(content: AcceptanceFile) -> Figure:
     return figure
 
 
-OBSERVABLE_MARKERS = (
+TWO_FACE_COMPONENT_MARKERS = (
     ("range", style.BLUE, "o"),
     ("across the beam", style.ORANGE, "s"),
     ("elevation", style.GREEN, "^"),
@@ -125,12 +127,12 @@ MAX_LEGEND_STATIONS = 8
 """Largest number of stations in a legend; only the first stations are listed."""
 MAX_LEGEND_NAME_LENGTH = 20
 """Largest length of the name of a station in a legend [characters]."""
-AXES_FRACTION_BELOW_LEGEND = 0.86
+AXES_HEIGHT_FRACTION_BELOW_LEGEND = 0.86
 """Fraction of the height of the axes that remains below a legend inside them."""
 
 
 @style.with_figure_style
-def check_figure(check: Check) -> Figure:
+def field_check_figure(check: Check) -> Figure:
     """Figure of a field check: half two-face differences divided by their limits, and below rms residuals over time."""
     figure = style.new_figure(5.2)
     above, below = figure.subplots(2, 1)
@@ -154,13 +156,13 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
             / setup.two_face_differences.half_difference_limits
         )
         places = n_drawn + np.arange(len(ratios))
-        for column, (component, colour, marker) in enumerate(OBSERVABLE_MARKERS):
+        for column, (component, colour, marker) in enumerate(TWO_FACE_COMPONENT_MARKERS):
             label = component if n_drawn == 0 else None
             ax.plot(places, ratios[:, column], marker, ms=3.2, color=colour, label=label, alpha=0.85)
         rows = setup.rows[setup.two_face_differences.uncorrected_pairs.rows[:, 0]] - 1
         names += [recording.targets[recording.target[row]] for row in rows]
         n_drawn += len(ratios)
-        ax.axvline(n_drawn - 0.5, ymax=AXES_FRACTION_BELOW_LEGEND, color=style.INK_COLOUR, lw=0.4)
+        ax.axvline(n_drawn - 0.5, ymax=AXES_HEIGHT_FRACTION_BELOW_LEGEND, color=style.INK_COLOUR, lw=0.4)
     for limit in (-1.0, 1.0):
         ax.axhline(limit, color=style.RED, lw=1.0)
     style.set_grid(ax)
@@ -172,7 +174,7 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
         return
     ax.set_xlim(-0.8, n_drawn - 0.2)
     low, high = ax.get_ylim()
-    ax.set_ylim(low, low + (high - low) / AXES_FRACTION_BELOW_LEGEND)
+    ax.set_ylim(low, low + (high - low) / AXES_HEIGHT_FRACTION_BELOW_LEGEND)
     shows_names = len(names) <= MAX_NAMED_TARGETS
     ax.set_xticks(
         range(n_drawn) if shows_names else [],

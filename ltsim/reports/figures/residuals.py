@@ -18,7 +18,7 @@ MAX_STATION_PANELS = 30
 """Largest number of stations in the figure of residuals by station; only the first stations are drawn."""
 MAX_VECTOR_DOTS = 40
 """Largest number of dots that a series of a figure draws as vectors; more dots are rasterised."""
-BAND_HALF_WIDTH_SIGMAS = 1.96
+INTERVAL_95_HALF_WIDTH_SIGMAS = 1.96
 """Half-width of a 95 % interval of a normal distribution, in standard deviations."""
 
 
@@ -157,7 +157,7 @@ def response_curve_figure(curve: ResponseCurve, response: str, residuals: Residu
         sign = -SI_PER_UNIT[unit] / SI_PER_UNIT[OBSERVABLE_UNITS[response]]
         unit = OBSERVABLE_UNITS[response]
     order = np.argsort(at, kind="stable")
-    x, y, half_width = factor * at[order], sign * value[order], abs(sign) * BAND_HALF_WIDTH_SIGMAS * sigma[order]
+    x, y, half_width = factor * at[order], sign * value[order], abs(sign) * INTERVAL_95_HALF_WIDTH_SIGMAS * sigma[order]
     ax.fill_between(x, y - half_width, y + half_width, color=style.RED, alpha=0.2, linewidth=0, label="95 % band")
     ax.plot(x, y, color=style.RED, label="estimate")
     ax.axhline(0.0, color=style.INK_COLOUR, linewidth=0.6)

@@ -43,20 +43,26 @@ from ltsim.reports.document_model import (
     TableBlock,
     assessment_of,
     entries_table_blocks,
-    picture_or_note,
+    picture_if_few_items,
     table_blocks,
 )
-from ltsim.reports.formatting import capitalised_sentence, count_text, global_test_verdict, is_determined, listing
+from ltsim.reports.formatting import (
+    capitalised_sentence,
+    count_text,
+    global_test_verdict,
+    is_determined_by_readings,
+    listing,
+)
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.network import (
-    adjustment_pair_if_possible,
+    adjustments_without_and_with_parameters,
     coordinates_tables,
-    determined_tables,
+    determined_combination_tables,
     residual_figures,
     target_tables,
     target_uncertainty_sentence,
     truth_in_folder,
-    undetermined_tables,
+    undetermined_combination_tables,
     workshop_blocks,
 )
 from ltsim.simulation.truth import Truth
@@ -86,12 +92,14 @@ def calibration_section(content: Calibration, context: SectionContext) -> Sectio
         agreement_words = "the noise was estimated from the same readings, so the global test does not apply"
     converged = content.fit.status in CONVERGED_STATUSES
     targets, residuals = (context.companion_file(table.file, content) for table in (TARGETS_TABLE, RESIDUALS_TABLE))
-    adjustments = None if residuals is None or context.omits_residuals else adjustment_pair_if_possible(recording)
+    adjustments = (
+        None if residuals is None or context.omits_residuals else adjustments_without_and_with_parameters(recording)
+    )
     before = Residuals.from_adjustment(adjustments[0]) if adjustments else None
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
     coordinate_table = target_tables(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
     is_accepted = agrees and converged and all(outlier.excluded for outlier in content.outliers)
-    agrees_with_constants = converged and _agrees_with_constants(content)
+    agrees_with_constants = converged and _fits_with_estimated_constants(content)
     agreement_words = _global_tests_text(content) or agreement_words
     parameter_blocks = _parameter_blocks(content, truth_in_folder(context)) if content.parameters else []
     reference_value_tables = _reference_value_blocks(content)
@@ -106,7 +114,7 @@ def calibration_section(content: Calibration, context: SectionContext) -> Sectio
     n_open_blocks = len(blocks) + 1
     if targets is not None and content.stations:
         blocks += workshop_blocks(lambda: calibrated_workshop(content, recording, targets, after), context.hall_view)
-    blocks += determined_tables("Determined in combination", content.determined)
+    blocks += determined_combination_tables("Determined in combination", content.determined)
     blocks += [
         *([] if first_reference_tables else reference_value_tables),
         *parameter_blocks[1:],
@@ -120,7 +128,7 @@ def calibration_section(content: Calibration, context: SectionContext) -> Sectio
             BulletListBlock("Effects estimated with the calibration", [effect.sentence for effect in content.effects])
         )
     note = "Information: part of the prior variance that the recording removes; at 0 % it adds nothing."
-    blocks += undetermined_tables("Not determined by this recording", content.undetermined, note=note)
+    blocks += undetermined_combination_tables("Not determined by this recording", content.undetermined, note=note)
     kind = "Calibration" if content.parameters else "Network adjustment"
     recording_title = (recording.setup.title if recording else "") or (
         content.recording.title if content.recording else ""
@@ -148,7 +156,7 @@ def _summary_sentence(content: Calibration, agreement_text: str, targets: Path |
     if not content.parameters:
         sentence = f"The network of {station_count} was adjusted without instrument parameters: {agreement_text}"
     else:
-        determined = [p for p in content.parameters if is_determined(p.sigma, p.prior_sigma)]
+        determined = [p for p in content.parameters if is_determined_by_readings(p.sigma, p.prior_sigma)]
         sentence = (
             f"The instrument was calibrated from {station_count}: {len(determined)} of "
             f"{count_text(len(content.parameters), 'parameter')} are determined, and {agreement_text}"
@@ -177,12 +185,12 @@ def _summary_sentence(content: Calibration, agreement_text: str, targets: Path |
             if n_rejected
             else ""
         )
-    sentence += f".{_corrections_sentence(content)}{_larger_noise_sentence(content)}"
+    sentence += f".{_misfit_causes_sentence(content)}{_larger_noise_sentence(content)}"
     accuracy = f" {target_uncertainty_sentence(read_targets(targets)[2])}" if targets is not None else ""
     return f"{sentence}{accuracy}".rstrip()
 
 
-def _corrections_sentence(content: Calibration) -> str:
+def _misfit_causes_sentence(content: Calibration) -> str:
     """Sentence on the causes of a misfit in the adjusted model, with a leading blank; empty without such causes."""
     excluded_names = [entry.name for entry in content.reference_values if entry.excluded]
     sentence = corrections_sentence(content.tests, excluded_names)
@@ -201,7 +209,7 @@ def _larger_noise_sentence(content: Calibration) -> str:
     return "".join(f" {test.sentence}" for test in content.tests if test.kind == "noise-level" and test.is_fault)
 
 
-def _agrees_with_constants(content: Calibration) -> bool:
+def _fits_with_estimated_constants(content: Calibration) -> bool:
     """True if the readings scatter no more than declared in a fit that also estimates the instrument's constants."""
     fit = content.fit_with_constants
     if fit is None:
@@ -216,7 +224,7 @@ def _global_tests_text(content: Calibration) -> str:
     if fit is None:
         return ""
     with_them, without = (global_test_verdict(f.chi2, f.dof, f.p_value)[1] for f in (fit, content.fit))
-    if _agrees_with_constants(content):
+    if _fits_with_estimated_constants(content):
         return f"errors of the instrument are still in the coordinates; with its constants estimated, {with_them}"
     return f"{without}, nor with the instrument's constants estimated (chi2 {fit.chi2:.0f} for {fit.dof})"
 
@@ -287,10 +295,10 @@ def _next_actions(content: Calibration, *, is_accepted: bool) -> list[str]:
     if (
         p_value is not None
         and p_value < TWO_SIDED_GLOBAL_TEST_LEVEL / 2
-        and not (content.noise_estimated or _agrees_with_constants(content) or _has_explaining_noise(content))
+        and not (content.noise_estimated or _fits_with_estimated_constants(content) or _has_explaining_noise(content))
     ):
         actions.append("Run ltsim diagnose to locate the disagreement of readings and model.")
-    if content.verdict.is_sigma0_credible and not (content.noise or _agrees_with_constants(content)):
+    if content.verdict.is_sigma0_credible and not (content.noise or _fits_with_estimated_constants(content)):
         actions.append(f"If the noise is not known, estimate it from the data: {option_text('noise_from_data=True')}.")
     measurements = dict.fromkeys(e.measurement for e in content.undetermined if e.measurement)
     actions += [f"To determine the open parameters: {measurement}." for measurement in list(measurements)[:3]]
@@ -314,16 +322,16 @@ def _parameter_blocks(content: Calibration, truth: Truth | None) -> list[Block]:
     ]
     if undetermined:
         note += f" Not determined by the recording, so that the prior remains: {listing(undetermined, 6)}."
-    parameter_figure = partial(figures.parameters.parameter_figure, rows, true_in_display_units)
+    parameter_figure = partial(figures.parameters.parameter_estimates_figure, rows, true_in_display_units)
     blocks: list[Block] = [
-        picture_or_note("Instrument parameters", parameter_figure, text, len(rows)),
+        picture_if_few_items("Instrument parameters", parameter_figure, text, len(rows)),
         *table_blocks("Parameters in numbers", PARAMETERS_TABLE.with_rows(rows), note=note, is_foldable=False),
     ]
     if len(content.parameter_covariance) == len(rows) and len(rows) > 1:
         covariance = np.array(content.parameter_covariance)
         text = "Two parameters near +-100 % can hardly be separated with this network."
         figure = partial(figures.parameters.correlation_figure, rows, covariance)
-        blocks.append(picture_or_note("Correlation of the parameters", figure, text, len(rows)))
+        blocks.append(picture_if_few_items("Correlation of the parameters", figure, text, len(rows)))
     return blocks
 
 

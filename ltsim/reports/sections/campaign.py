@@ -34,7 +34,7 @@ from ltsim.reports.document_model import (
     table_blocks,
 )
 from ltsim.reports.figures.campaign import (
-    PUBLISHED_CRITERIA,
+    PUBLISHED_CRITERIA_BY_SCENARIO,
     TrialDistribution,
     distributions_figure,
     factor_axis_title,
@@ -90,15 +90,15 @@ def campaign_section(folder: Path) -> Section:
     manifest = results.manifest
     summaries = {name: results.distribution(name) for name in results.columns if ":" not in name}
     z_scores, comparisons = results.z_score_summaries(), results.solver_comparisons()
-    published_values = PUBLISHED_CRITERIA.get(str(manifest.settings.get("scenario", "")), {})
+    published_values = PUBLISHED_CRITERIA_BY_SCENARIO.get(str(manifest.settings.get("scenario", "")), {})
     distribution_blocks = _distribution_figures(results, published_values)
     open_blocks = [
-        *_improvement_figures(results, summaries, published_values),
+        *_main_result_figures(results, summaries, published_values),
         *_varying_factors_tables(results),
     ] or distribution_blocks[:1]
     open_blocks += _means_by_level_tables(results, summaries)
     comparison = MethodComparison.from_results(results, summaries)
-    open_blocks[1:1] = _error_tables(results, summaries)
+    open_blocks[1:1] = _errors_before_and_after_tables(results, summaries)
     open_blocks[:0] = comparison.blocks() if comparison else []
     blocks: list[Block] = [*open_blocks, *(b for b in distribution_blocks if b not in open_blocks)]
     blocks += [*coverage_blocks(results, z_scores), *_statistic_tables(results, summaries, comparisons)]
@@ -144,7 +144,7 @@ def _summary_sentence(
     trials_text = f"Over {fewest} trials" if fewest == most else f"Over {fewest} to {most} trials"
     if len(manifest.cells) > 1:
         trials_text += f" for each of {len(manifest.cells)} combinations of factor levels"
-        trials_text += f" ({_list_text([factor_title(f) for f in factors])})" if factors else ""
+        trials_text += f" ({_enumeration_text([factor_title(f) for f in factors])})" if factors else ""
     mean_texts = []
     for method in manifest.methods:
         means = [s for s in summaries.get(IMPROVEMENT_COLUMN, []) if s.method == method]
@@ -172,7 +172,7 @@ def _extreme_cells_sentence(results: CampaignResults, summaries: Mapping[str, li
     return f" The error of the targets is smallest with {lowest_text} and largest with {highest_text}."
 
 
-def _list_text(texts: Sequence[str]) -> str:
+def _enumeration_text(texts: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(texts[:-1]), *texts[-1:]]))
 
 
@@ -230,7 +230,7 @@ def _means_by_level_tables(
     )
 
 
-def _improvement_figures(
+def _main_result_figures(
     results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]], published_values: Mapping[str, float]
 ) -> list[Block]:
     """Figures of the mean of each main result over the factors, with intervals and published values."""
@@ -303,7 +303,9 @@ def _column_label(column: str) -> str:
     return f"{name_words[0]}, {' '.join(reversed(name_words[1:]))}" if len(name_words) > 1 else column
 
 
-def _error_tables(results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]) -> list[Block]:
+def _errors_before_and_after_tables(
+    results: CampaignResults, summaries: Mapping[str, list[StatisticSummary]]
+) -> list[Block]:
     """Tables of errors before and after calibration, and of the error that remains with the true parameters."""
     names = cell_descriptions(results)
     blocks: list[Block] = []

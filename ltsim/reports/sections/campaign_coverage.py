@@ -14,19 +14,19 @@ from ltsim.reports.figures.campaign_factors import cell_descriptions
 
 MAX_COVERAGE_FIGURES = 3
 """Largest number of figures of the coverage of intervals; one per method is drawn up to this number."""
-ERROR_SIZE_FACTOR_KEYS = ("noise_factor", "error_factor", "prior_factor")
+NOISE_ERROR_PRIOR_FACTOR_KEYS = ("noise_factor", "error_factor", "prior_factor")
 """Keys of an instrument with factors of its noise or errors; if one is not 1, these differ from the declared ones."""
 
 
 def coverage_key_figures(manifest: ManifestFile, z_scores: Sequence[ZScoreSummary]) -> list[KeyFigure]:
-    """Coverage of the 95 % intervals, with one key figure for each combination of values of `ERROR_SIZE_FACTOR_KEYS`.
+    """Coverage of the 95 % intervals, one key figure for each combination of values of `NOISE_ERROR_PRIOR_FACTOR_KEYS`.
 
     The coverage is expected to be 95 % only where all of these factors are 1.
     """
     trackers = {entry.cell: s.instrument for entry, s in zip(manifest.cells, manifest.scenarios, strict=False)}
     scores_by_kind: dict[str, list[ZScoreSummary]] = {}
     for summary in z_scores:
-        factors = {name: getattr(trackers.get(summary.cell), name, 1.0) for name in ERROR_SIZE_FACTOR_KEYS}
+        factors = {name: getattr(trackers.get(summary.cell), name, 1.0) for name in NOISE_ERROR_PRIOR_FACTOR_KEYS}
         text = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in factors.items() if value != 1.0)
         scores_by_kind.setdefault(text, []).append(summary)
     facts = []

@@ -43,9 +43,9 @@ from ltsim.reports.document_model import (
 from ltsim.reports.formatting import capitalised_sentence, count_text, listing
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.network import (
-    AdjustmentPair,
-    adjustment_pair_if_possible,
-    determined_tables,
+    AdjustmentsWithoutAndWithParameters,
+    adjustments_without_and_with_parameters,
+    determined_combination_tables,
     residuals_over_covariates,
     scene_block,
     target_tables,
@@ -81,7 +81,7 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
     """
     recording = context.recording
     require_same_recording(content, recording, context.folder or Path())
-    adjustments = adjustment_pair_if_possible(recording)
+    adjustments = adjustments_without_and_with_parameters(recording)
     before, after = _residuals_before_and_after(content, context, adjustments)
     truth = truth_in_folder(context)
     blocks: list[Block] = truth_blocks(content, truth, adjustments) if truth is not None and truth.effects else []
@@ -114,7 +114,7 @@ def diagnosis_section(content: Diagnosis, context: SectionContext) -> Section:
         name = f" of {entry.name}" if entry.name else ""
         title = f"Constants{name}{model_text}"
         blocks += entries_table_blocks(title, entry.parameters, "name=constant", "value+-sigma", "unit")
-        blocks += determined_tables(f"Determined combinations{name}", entry.determined)
+        blocks += determined_combination_tables(f"Determined combinations{name}", entry.determined)
     blocks += _detectable_size_tables(content)
     recording_title = (recording.setup.title if recording else "") or (
         content.recording.title if content.recording else ""
@@ -202,7 +202,7 @@ def _chi2_per_dof_text(fit: Misfit) -> str:
 
 
 def _residuals_before_and_after(
-    content: Diagnosis, context: SectionContext, adjustments: AdjustmentPair | None
+    content: Diagnosis, context: SectionContext, adjustments: AdjustmentsWithoutAndWithParameters | None
 ) -> tuple[Residuals | None, Residuals | None]:
     """Residuals of the model without and of the model with the findings, each None if its file is missing.
 
@@ -223,7 +223,7 @@ def _finding_blocks(
     finding: Finding,
     finding_number: int,
     summary: str,
-    adjustments: AdjustmentPair | None,
+    adjustments: AdjustmentsWithoutAndWithParameters | None,
     residuals: tuple[Residuals | None, Residuals | None],
 ) -> list[Block]:
     """Blocks of a finding: sentence, figure, floor plan, table of estimates, evidence.
@@ -231,7 +231,7 @@ def _finding_blocks(
     The sentence is omitted if the summary `summary` contains it.
     """
     name = finding_title(finding)
-    sentence = finding.sentence or f"{name} {_place_text(finding.where)}"
+    sentence = finding.sentence or f"{name} {_finding_scope_text(finding.where)}"
     separation_sentence = (
         f" To separate it from the alternatives: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     )
@@ -249,7 +249,7 @@ def _finding_blocks(
     evidence, others = finding.evidence, finding.equivalents
     renamed_parameters = [p.model_copy(update={"name": parameter_text(p.name)}) for p in finding.parameters]
     lines = [
-        f"where: {_place_text(finding.where)}",
+        f"where: {_finding_scope_text(finding.where)}",
         "chi2: its fall was not computed, because every compared adjustment contains this effect"
         if evidence.chi2_drop >= MAX_LOG_EVIDENCE_GAIN
         else f"chi2 falls by {number_text(evidence.chi2_drop)} for {count_text(evidence.parameters, 'parameter')}",
@@ -298,7 +298,9 @@ def finding_figure(
     )
 
 
-def _finding_place_blocks(finding: Finding, finding_number: int, adjustments: AdjustmentPair | None) -> list[Block]:
+def _finding_place_blocks(
+    finding: Finding, finding_number: int, adjustments: AdjustmentsWithoutAndWithParameters | None
+) -> list[Block]:
     """List with a floor plan that marks the stations, targets or area of a finding, or its two exchanged targets.
 
     The list is empty if the finding acts everywhere, or at more than `MAX_MARKED_TARGETS` targets.
@@ -322,7 +324,7 @@ def _finding_place_blocks(finding: Finding, finding_number: int, adjustments: Ad
     return [PictureBlock(f"Place of finding {finding_number}", figure, caption)]
 
 
-def _place_text(scope: FindingScope) -> str:
+def _finding_scope_text(scope: FindingScope) -> str:
     """Text of the observables, instruments, stations, targets and covariates on which a finding acts."""
     place_texts = [
         f"{word} {listing(list(names))}"

@@ -36,7 +36,7 @@ class MethodComparison:
     """Method with the smallest mean error over all cells (combinations of factor levels)."""
     cell_texts: tuple[str, ...]
     """Description of each cell."""
-    differences: Mapping[str, Sequence[PairedDifference]]
+    differences_by_method: Mapping[str, Sequence[PairedDifference]]
     """Differences in each cell, by the method that is compared with the best method."""
 
     @classmethod
@@ -60,35 +60,35 @@ class MethodComparison:
         return cls(statistic, best_method, tuple(names[cell] for cell in range(len(results.levels))), differences)
 
     @property
-    def label(self) -> str:
+    def statistic_label(self) -> str:
         """Text for the compared error, such as `error of a new point`."""
         return COMPARED_STATISTICS[self.statistic]
 
     def sentence(self) -> str:
         """Sentence on the cells in which the best method has a significantly smaller or larger error than others."""
-        clauses = [_difference_text(method, entries) for method, entries in self.differences.items()]
+        clauses = [_difference_text(method, entries) for method, entries in self.differences_by_method.items()]
         return (
-            f"With the same random draws, the {self.label} with {self.best_method} is {'; '.join(clauses)} "
+            f"With the same random draws, the {self.statistic_label} with {self.best_method} is {'; '.join(clauses)} "
             "(paired differences that are significant at 95 %)."
         )
 
     def blocks(self) -> list[TableBlock]:
         """List with the table of the differences and the definition of the compared error."""
         table_rows = [
-            [cell_text, f"{method} minus {self.best_method}", entry.difference, entry.low, entry.high, _verdict(entry),
-             entry.trials]
-            for method, entries in self.differences.items()
+            [cell_text, f"{method} minus {self.best_method}", entry.difference, entry.low, entry.high,
+             _better_method_text(entry), entry.trials]
+            for method, entries in self.differences_by_method.items()
             for cell_text, entry in zip(self.cell_texts, entries, strict=True)
         ]  # fmt: skip
         declared = find_column(self.statistic)
         meaning = "" if declared is None else declared.meaning.replace("`", "")
-        label = f"{self.label[0].upper()}{self.label[1:]}"
+        label = f"{self.statistic_label[0].upper()}{self.statistic_label[1:]}"
         note = (
             f"{label}: {meaning}. Each difference is the mean, over trials with the same random draws, of the error "
             "with the first method minus the error with the second method."
         )
         table = METHOD_DIFFERENCES_TABLE.with_rows(table_rows)
-        return table_blocks(f"Which method is better: {self.label}", table, note=note)
+        return table_blocks(f"Which method is better: {self.statistic_label}", table, note=note)
 
 
 def _difference_text(method: str, differences: Sequence[PairedDifference]) -> str:
@@ -115,7 +115,7 @@ def _difference_text(method: str, differences: Sequence[PairedDifference]) -> st
     return ", ".join(texts)
 
 
-def _verdict(difference: PairedDifference) -> str:
+def _better_method_text(difference: PairedDifference) -> str:
     """Text with the method of smaller error if the interval of the difference excludes 0; otherwise `not decided`."""
     better = difference.second_name if difference.low > 0 else difference.first_name if difference.high < 0 else ""
     return f"{better} is better" if better else "not decided"

@@ -38,7 +38,7 @@ from ltsim.reports.document_model import (
     TableBlock,
     assessment_of,
     entries_table_blocks,
-    picture_or_note,
+    picture_if_few_items,
     table_blocks,
 )  # fmt: skip
 from ltsim.reports.formatting import count_text, duration_text, global_test_verdict, natural_sort_key
@@ -60,11 +60,11 @@ STATION_WORK_TABLE = Table(
     ),
 )
 """Table of the work of each station."""
-AdjustmentPair = tuple[Adjustment, Adjustment]
+AdjustmentsWithoutAndWithParameters = tuple[Adjustment, Adjustment]
 """Two adjustments of one recording: without, then with the instrument's parameters."""
 
 
-def network_pair(recording: Recording) -> tuple[IdentifiedNetwork, IdentifiedNetwork]:
+def networks_without_and_with_parameters(recording: Recording) -> tuple[IdentifiedNetwork, IdentifiedNetwork]:
     """Networks without and with the instrument's parameters, with the identified causes of a misfit in their models.
 
     Raises NetworkError, ConvergenceError.
@@ -77,7 +77,7 @@ def network_pair(recording: Recording) -> tuple[IdentifiedNetwork, IdentifiedNet
     return without_parameters, with_parameters
 
 
-def adjustment_pair_if_possible(recording: Recording | None) -> AdjustmentPair | None:
+def adjustments_without_and_with_parameters(recording: Recording | None) -> AdjustmentsWithoutAndWithParameters | None:
     """Adjustments without and with the instrument's parameters; None without a recording that can be adjusted.
 
     The identified causes of a misfit are in the models only if no network can be adjusted without them.
@@ -91,7 +91,7 @@ def adjustment_pair_if_possible(recording: Recording | None) -> AdjustmentPair |
     except NetworkError:
         pass
     try:
-        without_parameters, with_parameters = network_pair(recording)
+        without_parameters, with_parameters = networks_without_and_with_parameters(recording)
     except (NetworkError, ConvergenceError):
         return None
     return without_parameters.adjustment, with_parameters.adjustment
@@ -142,7 +142,7 @@ def workshop_blocks(make_scene: Callable[[], WorkshopScene], hall_view: HallView
         "station hides it"
     )
     caption = "; ".join([text, *workshop.notes]) + "."
-    plan = picture_or_note(
+    plan = picture_if_few_items(
         "Floor plan", lambda: figures.floor_plan.floor_plan(workshop), caption, len(workshop.stations)
     )
     return [scene_block(workshop), plan] if hall_view == "3d" else [plan]
@@ -166,13 +166,13 @@ def scene_block(workshop: WorkshopScene) -> SceneBlock | NoteBlock:
     picture, legend, page = scene_picture_and_page(coloured_workshop)
     legend_text = "; ".join(line.rstrip(".") for line in legend.lines)
     colour_sentence = (
-        f" Lines of sight are coloured by {coloured_workshop.sights.label}." if coloured_workshop.sights else ""
+        f" Lines of sight are coloured by {coloured_workshop.sights.value_label}." if coloured_workshop.sights else ""
     )
     caption = f"{legend_text[:1].upper()}{legend_text[1:]}.{colour_sentence}"
     return SceneBlock("The hall in 3D", webp_data_uri(picture), caption, page)
 
 
-def undetermined_tables(
+def undetermined_combination_tables(
     title: str, undetermined_entries: Sequence[UndeterminedEntry], *, note: str = ""
 ) -> list[TableBlock]:
     """Table of undetermined combinations of parameters, with the measurement that determines each."""
@@ -182,7 +182,7 @@ def undetermined_tables(
     return table_blocks(title, UNDETERMINED_TABLE.with_rows(table_rows), note=note)
 
 
-def determined_tables(title: str, determined_entries: Sequence[DeterminedEntry]) -> list[TableBlock]:
+def determined_combination_tables(title: str, determined_entries: Sequence[DeterminedEntry]) -> list[TableBlock]:
     """Table of combinations of parameters that are determined far better than the single parameters."""
     note = "The combination is determined far better than its single parameters."
     return entries_table_blocks(
@@ -259,9 +259,9 @@ def recording_section(folder: Path, *, hall_view: HallView = "3d", omits_residua
         KeyFigure("pointings", str(len(recording))),
         KeyFigure("known lengths", str(len(recording.gauge.distance))),
     ]
-    last_blocks: list[Block] = [*_work_tables(recording), _settings_block(folder)]
+    last_blocks: list[Block] = [*_station_work_tables(recording), _settings_block(folder)]
     try:
-        networks = network_pair(recording)
+        networks = networks_without_and_with_parameters(recording)
     except (NetworkError, ConvergenceError) as problem:
         answer = f"{_recording_size_sentence(recording)} The network could not be adjusted: {problem}."
         return Section(title, "Recording", answer, "bad", facts, last_blocks)
@@ -315,7 +315,7 @@ def _recording_size_sentence(recording: Recording) -> str:
     )
 
 
-def _work_tables(recording: Recording) -> list[TableBlock]:
+def _station_work_tables(recording: Recording) -> list[TableBlock]:
     table_rows = []
     for s, name in enumerate(recording.stations):
         is_at_station = recording.station == s

@@ -19,11 +19,11 @@ from ltsim.reports.document_model import (
     Section,
     SectionContext,
     assessment_of,
-    picture_or_note,
+    picture_if_few_items,
     table_blocks,
 )
-from ltsim.reports.formatting import QUALITY_MEASURES, duration_text, tracker_preset_names_text
-from ltsim.reports.sections.network import scene_block, undetermined_tables
+from ltsim.reports.formatting import QUALITY_MEASURE_BY_GOAL, duration_text, tracker_preset_names_text
+from ltsim.reports.sections.network import scene_block, undetermined_combination_tables
 from ltsim.simulation.scenario import Scenario, load_scenario
 
 
@@ -46,10 +46,10 @@ def plan_section(content: Plan, context: SectionContext) -> Section:
     if content.reasons:
         blocks.append(BulletListBlock("Reasons for this plan", content.reasons))
     blocks += _tolerance_tables(content) + _reflector_changes_blocks(content) + change_pictures
-    blocks += _trade_off_picture(content) + _parameter_picture(content)
+    blocks += _trade_off_blocks(content) + _predicted_sigma_blocks(content)
     blocks += table_blocks("Expected disagreement of the stations", content.table("expected"))
-    blocks += undetermined_tables("Not determined by this layout", content.undetermined)
-    blocks += _effect_tables(content)
+    blocks += undetermined_combination_tables("Not determined by this layout", content.undetermined)
+    blocks += _detectability_blocks(content)
     note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
     points = content.table("reflectors").with_columns("target x_mm y_mm z_mm U_x_um U_y_um U_z_um visible_from")
     blocks += table_blocks("Points", points, note=note)
@@ -112,7 +112,7 @@ def _key_figures(content: Plan) -> list[KeyFigure]:
 def _quality_measures(layout: PlannedLayoutEntry) -> dict[str, float]:
     """Qualities of a layout in display units, by label: rms sigma of all points, then the measures of the goal."""
     measures = {name: value for name, value in layout.qualities.items() if value is not None}
-    labels = {name: QUALITY_MEASURES.get(name, (name, 1.0)) for name in measures}
+    labels = {name: QUALITY_MEASURE_BY_GOAL.get(name, (name, 1.0)) for name in measures}
     rms = {} if layout.rms_sigma_um is None else {"all points: rms sigma [um]": layout.rms_sigma_um}
     return rms | {label: factor * measures[name] for name, (label, factor) in labels.items()}
 
@@ -136,7 +136,7 @@ def _layout_pictures(content: Plan, scenario: Scenario | None, *, has_3d_view: b
     n_areas = 0 if floor_areas is None else len(floor_areas.areas + floor_areas.keep_outs + floor_areas.doors)
     floor = figures.floor_plan
     pictures: list[Block] = [
-        picture_or_note(
+        picture_if_few_items(
             "Floor plan",
             lambda: floor.floor_plan(workshop, reference=reference_positions, floor=floor_areas),
             text,
@@ -146,13 +146,15 @@ def _layout_pictures(content: Plan, scenario: Scenario | None, *, has_3d_view: b
     pictures += [scene_block(workshop)] if has_3d_view else []
     text = "The numbers refer to the table; an arrow starts at the present position of a reflector."
     changes = partial(
-        figures.marked_floor_plans.reflector_changes_figure, workshop, content.reflector_changes, floor_areas
+        figures.marked_floor_plans.reflector_changes_floor_plan, workshop, content.reflector_changes, floor_areas
     )
     n_changes = len(content.reflector_changes)
-    return pictures, [picture_or_note("Positions of these reflectors", changes, text, n_changes)] if n_changes else []
+    return pictures, [
+        picture_if_few_items("Positions of these reflectors", changes, text, n_changes)
+    ] if n_changes else []
 
 
-def _trade_off_picture(content: Plan) -> list[Block]:
+def _trade_off_blocks(content: Plan) -> list[Block]:
     """Figures of quality over duration, and table of the alternative layouts that the search compared."""
     text = "Each dot is the best layout for one combination of the numbers of stations, faces and rounds."
     blocks: list[Block] = [
@@ -167,22 +169,26 @@ def _trade_off_picture(content: Plan) -> list[Block]:
     return [*blocks, *table_blocks("Alternatives: stations, faces and rounds", shown_columns, note=note)]
 
 
-def _parameter_picture(content: Plan) -> list[Block]:
+def _predicted_sigma_blocks(content: Plan) -> list[Block]:
     """List with the figure of the predicted sigmas of the instrument's parameters; empty without parameters."""
     reference_sigmas = (
         {p.name: p.sigma for p in content.reference_layout.parameters} if content.reference_layout else {}
     )
     estimated_parameters = [p for p in content.parameters if p.prior_sigma and p.sigma > 0]
     text = "Prediction; on the dashed line the recording would add no information."
-    figure = partial(figures.parameters.sigma_figure, estimated_parameters, reference_sigmas)
+    figure = partial(figures.parameters.predicted_sigmas_figure, estimated_parameters, reference_sigmas)
     return (
-        [picture_or_note("Predicted sigma of the instrument's parameters", figure, text, len(estimated_parameters))]
+        [
+            picture_if_few_items(
+                "Predicted sigma of the instrument's parameters", figure, text, len(estimated_parameters)
+            )
+        ]
         if estimated_parameters
         else []
     )
 
 
-def _effect_tables(content: Plan) -> list[Block]:
+def _detectability_blocks(content: Plan) -> list[Block]:
     """Blocks on effects: smallest detectable sizes, pairs that are hard to separate, undetectable effects."""
     note = "Size that is detected in 80 % of the recordings of this layout: most and least favourable location."
     blocks: list[Block] = [*table_blocks("Smallest detectable effects", content.table("effects"), note=note)]

@@ -33,14 +33,14 @@ from ltsim.reports.document_model import (
     SectionContext,
     assessment_of,
     entries_table_blocks,
-    picture_or_note,
+    picture_if_few_items,
     table_blocks,
 )
 from ltsim.reports.formatting import (
     capitalised_sentence,
     count_text,
-    distinct_labels,
     duration_text,
+    labels_without_common_prefix,
     listing,
     natural_sort_key,
 )
@@ -124,7 +124,7 @@ def comparison_section(content: Comparison, _: SectionContext) -> Section:
     ]
     answer = " ".join(map(capitalised_sentence, (content.sentence, *content.notes)))
     figure = partial(figures.points.displacement_figure, content)
-    picture = picture_or_note("Displacements", figure, caption, len(points))
+    picture = picture_if_few_items("Displacements", figure, caption, len(points))
     action = f"Inspect and re-measure these points before you use them as references: {listing(moved_targets)}."
     if content.has_common_rigid_motion:
         action = f"If the lists are in different frames, compare them with {option_text('free=True')}."
@@ -146,11 +146,11 @@ def acceptance_section(content: AcceptanceFile, _: SectionContext) -> Section:
     )
     caption = "Error of each test divided by its limit, with its expanded uncertainty; the limit is at +-1. "
     caption += "Crosses are beyond it" + ("." if predicted else ", open circles are undecided.")
-    note = f"Assumed: {content.assumption}." if content.assumption else ""
+    note = f"Assumed: {content.sigma_assumption}." if content.sigma_assumption else ""
     hardest_tests = sorted(content.tests, key=lambda t: t.hardest_first_key)[:MAX_LISTED_TESTS]
     last_column = "pass_probability" if predicted else "judgement"
     blocks: list[Block] = [
-        picture_or_note(
+        picture_if_few_items(
             "Errors over limits", lambda: figures.points.error_to_limit_figure(content), caption, len(content.groups)
         ),
         *table_blocks("Groups", content.table("groups"), note=note),
@@ -209,7 +209,9 @@ def uncertainty_section(content: Uncertainty, _: SectionContext) -> Section:
     blocks: list[Block] = [*table_blocks("Results", results, note=UNCERTAINTY_NOTE, is_foldable=False)]
     blocks += table_blocks("Conformity (JCGM 106)", content.table("conformity"))
     caption = "Contributions to the variance of each result; improve the source with the widest bar."
-    blocks.append(picture_or_note("Budget", lambda: uncertainty_budget_figure(content), caption, len(content.results)))
+    blocks.append(
+        picture_if_few_items("Budget", lambda: uncertainty_budget_figure(content), caption, len(content.results))
+    )
     blocks += table_blocks("Undetectable errors", content.table("hidden"), note=UNDETECTABLE_NOTE)
     warnings: list[Block] = [BulletListBlock("Warnings", content.warnings)] if content.warnings else []
     blocks = [*warnings, *blocks] if content.has_faults else [*blocks, *warnings]
@@ -244,10 +246,12 @@ def uncertainty_budget_figure(content: Uncertainty) -> Figure:
     sources = dict.fromkeys(part.source for r in listed_results for part in r.budget)
     fractions = [{p.source: p.variance_fraction for p in r.budget} for r in listed_results]
     fractions_by_source = {name: [fraction.get(name, 0.0) for fraction in fractions] for name in sources}
-    return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in listed_results], fractions_by_source)
+    return figures.parameters.variance_budget_figure(
+        [f"{r.task}, {r.name}" for r in listed_results], fractions_by_source
+    )
 
 
-def _site_sentence(content: NextMeasurement) -> str:
+def _hall_rules_sentence(content: NextMeasurement) -> str:
     """Sentence on the plan of the hall whose rules the proposed stations meet; a warning if no plan was given."""
     has_station = any(proposal.kind == "station" for proposal in content.proposals)
     if content.site:
@@ -281,7 +285,7 @@ def next_measurement_section(content: NextMeasurement, _: SectionContext) -> Sec
     proposals = PROPOSALS_TABLE.with_rows(in_words).with_columns(
         "action minutes remaining_sigma_fraction most_improved_parameter most_improved_sigma_fraction"
     )
-    note = f"{note} {_site_sentence(content)}".rstrip()
+    note = f"{note} {_hall_rules_sentence(content)}".rstrip()
     blocks: list[Block] = [*table_blocks("Further measurements, the best first", proposals, note=note)]
     if content.compared_effects:
         effect = effect_title(content.compared_effects[0])
@@ -303,9 +307,9 @@ def history_section(content: History, _: SectionContext) -> Section:
     since, knows_usual_changes = content.change_since_first, len(labels) > MIN_STEPS_TO_ESTIMATE_USUAL_CHANGES
     has_changed = bool(content.events) if knows_usual_changes else since.p_value < FAMILY_WISE_LEVEL
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
-    figure = partial(figures.parameters.history_figure, labels, content.determined_parameters)
+    figure = partial(figures.parameters.parameter_history_figure, labels, content.determined_parameters)
     n_estimates = len(labels) * len(content.determined_parameters)
-    course = [picture_or_note("Course of the parameters", figure, text, n_estimates)] if n_estimates else []
+    course = [picture_if_few_items("Course of the parameters", figure, text, n_estimates)] if n_estimates else []
     limitation = (
         "no event can be detected" if len(labels) <= MIN_STEPS_FOR_TEST else "only a gross event can be detected"
     )
@@ -338,7 +342,7 @@ def history_section(content: History, _: SectionContext) -> Section:
 
 def _with_short_labels(content: History) -> History:
     """History whose calibrations have shortened, but still distinct labels."""
-    short = dict(zip(content.labels, distinct_labels(content.labels), strict=True))
+    short = dict(zip(content.labels, labels_without_common_prefix(content.labels), strict=True))
 
     def with_short_label(entry: NamedEntryT) -> NamedEntryT:
         ends = {"from_": short.get(entry.from_, entry.from_), "to": short.get(entry.to, entry.to)}

@@ -21,7 +21,7 @@ from ltsim.reports import figures
 from ltsim.reports.document_model import Block, PictureBlock, table_blocks
 from ltsim.reports.formatting import listing, typographic_text
 from ltsim.reports.residuals import OBSERVABLE_UNITS
-from ltsim.reports.sections.network import AdjustmentPair
+from ltsim.reports.sections.network import AdjustmentsWithoutAndWithParameters
 from ltsim.simulation.truth import AppliedEffect, Truth
 
 INJECTED_TABLE = Table(
@@ -39,7 +39,9 @@ def effect_place_text(effect: Any) -> str:
     return listing([*effect.stations, *effect.targets]) or "everywhere"
 
 
-def truth_blocks(content: Diagnosis, truth: Truth, adjustments: AdjustmentPair | None) -> list[Block]:
+def truth_blocks(
+    content: Diagnosis, truth: Truth, adjustments: AdjustmentsWithoutAndWithParameters | None
+) -> list[Block]:
     """Figure and table that compare the injected effects of a simulated recording with the findings of a diagnosis."""
     applied_by_name = {applied.effect.name: applied for applied in truth.applied_effects}
     effects_of_findings = [applied_by_name.get(f.effect) for f in content.findings]
@@ -89,7 +91,7 @@ def _injected_and_finding_rows(injected: AppliedEffect | None, finding: Finding 
 
 
 def _injected_and_estimated_curves(
-    content: Diagnosis, applied_effect: AppliedEffect, adjustments: AdjustmentPair | None
+    content: Diagnosis, applied_effect: AppliedEffect, adjustments: AdjustmentsWithoutAndWithParameters | None
 ) -> list[Block]:
     """List with a figure of the injected and the estimated changes of readings; empty if the effect was not found."""
     finding = next((f for f in content.findings if f.effect == applied_effect.effect.name), None)

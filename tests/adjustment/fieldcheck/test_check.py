@@ -29,7 +29,7 @@ from ltsim.physics.effects.motions import exact_change_by_station_motion
 from ltsim.physics.model.construction import misalignment_construction, steering_mirror_construction
 from ltsim.recordings import Hints, Recording, read, write
 from ltsim.recordings.setup import Instrument, Station
-from ltsim.reports.figures.points import check_figure
+from ltsim.reports.figures.points import field_check_figure
 from ltsim.reports.style import svg_text
 from tests.families import family
 from tests.networks import drawn, network
@@ -448,8 +448,8 @@ def test_every_page_of_the_figure() -> None:
         repeat=np.repeat([1, 2], 28),
         time=np.arange(56.0),
     )
-    assert "no target was measured on both faces" not in svg_text(check_figure(check(visits(3, stations=2))))
-    assert svg_text(check_figure(check(twice)))
+    assert "no target was measured on both faces" not in svg_text(field_check_figure(check(visits(3, stations=2))))
+    assert svg_text(field_check_figure(check(twice)))
 
 
 @pytest.mark.long

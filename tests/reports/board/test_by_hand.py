@@ -41,7 +41,7 @@ def test_the_board_says_what_the_planner_says(hall: Path) -> None:
     stations = board.hall_json()["stations"]
     stations[1]["position_mm"][0] += 500.0
     found = board.evaluation_json(stations)
-    survey = board.survey(stations)
+    survey = board.survey_with_stations(stations)
     survey = survey.replace(is_visible=layout_visibility(board.search_space, survey).is_visible)
     assert survey.station_positions[1, 0] == pytest.approx(
         board.search_space.survey.station_positions[1, 0] + 0.5, abs=1e-4
@@ -56,7 +56,7 @@ def test_the_board_says_what_the_planner_says(hall: Path) -> None:
 def test_the_verdict_says_when_a_station_less_is_too_few(hall: Path) -> None:
     board = MovableLayout.from_plan(hall)
     stations = board.hall_json()["stations"]
-    survey = board.survey(stations)
+    survey = board.survey_with_stations(stations)
     survey = survey.replace(is_visible=layout_visibility(board.search_space, survey).is_visible)
     lost = [check_tolerances(survey.without_station(s), board.tolerances, board.construction) for s in range(3)]
     said = board.verdict_json(stations)
