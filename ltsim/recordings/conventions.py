@@ -45,7 +45,7 @@ HINTED_ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
 VERTICAL_KINDS: tuple[VerticalKind, ...] = ("zenith", "elevation")
 MIN_SECOND_TO_BEST_RATIO = 10.0
 """Ratio of the misfit of the second-best convention to that of the best one from which on the data decide."""
-MAX_RELATIVE_MIRROR_MISFIT = 1e-3
+MAX_MIRROR_MISFIT_TO_NETWORK_SIZE = 1e-3
 """Median distance of mirrored points from reference points, divided by the network's size, below which they fit."""
 MAX_ROWS_IN_A_NOTE = 3
 """Largest number of rows that a note lists, and of sentences on mirror images that are reported."""
@@ -224,7 +224,7 @@ def length_unit_from_size(distance: Floats, hints: Hints) -> tuple[LengthUnit, l
     return length_unit, [f"distances are interpreted as {length_unit} (the longest is {longest:.6g})"]
 
 
-SENSE_UNKNOWN_NOTE = (
+AZIMUTH_SENSE_UNKNOWN_NOTE = (
     "this file does not show whether azimuths run clockwise, because its mirror image fits as well; give "
     "--hint azimuth=clockwise or --hint azimuth=counter-clockwise, or the coordinates of some targets with "
     "--hint points=FILE"
@@ -384,7 +384,7 @@ def _mirrored_station_pairs(local_points: Floats, recording: Recording) -> list[
         here, there = clouds[s].common_points(clouds[other])
         misfit, mirror = _rigid_misfits(here, there)
         extent = float(np.ptp(there, axis=0).max())
-        if misfit > MIN_SECOND_TO_BEST_RATIO * mirror and mirror < MAX_RELATIVE_MIRROR_MISFIT * extent:
+        if misfit > MIN_SECOND_TO_BEST_RATIO * mirror and mirror < MAX_MIRROR_MISFIT_TO_NETWORK_SIZE * extent:
             pairs.append((other, s))
     return pairs
 

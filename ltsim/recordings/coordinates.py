@@ -24,7 +24,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import require_small_joint_covariance
 from ltsim.core.results import escape_formula, unescape_formula
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
-from ltsim.recordings.files import SourceLocation, quoted_text, read_head
+from ltsim.recordings.files import SourceLocation, read_head, safe_excerpt
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
     COORDINATE_ROLES,
@@ -49,7 +49,7 @@ MAX_COORDINATE_IN_METRES = 500.0
 """Largest coordinate of a list without unit, as a number, below which it is in metres, otherwise in millimetres."""
 MIN_NATIONAL_GRID_COORDINATE = 1e6
 """Largest coordinate of a list without unit, as a number, from which the list is in a national grid, in metres."""
-GEODETIC_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
+NATIONAL_GRID_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
 """Column titles, in lower case, of coordinates in national grids, which are in metres if the list gives no unit."""
 HEADERLESS_FIELD_COUNTS = (4, 7, 8, 16, 17)
 """Numbers of fields in lines without header: name, x, y, z; with 3 or 4 sigmas; with these and a covariance."""
@@ -187,7 +187,7 @@ class _PointRowReader:
                 row_indices.append(index)
                 numbers.extend(values)
             elif not np.array_equal(before := numbers[n * place : n * place + n], values, equal_nan=True):
-                what = f"the point {quoted_text(name)} was listed before with other coordinates"
+                what = f"the point {safe_excerpt(name)} was listed before with other coordinates"
                 if refuses_contradictions:
                     raise SourceLocation(self.sheet.file, row.line).error(what)
                 notes.append(f"{what} in {self.sheet.file.name}; the first coordinates are used")
@@ -217,7 +217,9 @@ class _PointRowReader:
             text = row.cell(column.position)
             number = cells.parse_value(text, self.sheet.thousands_separator)
             if text and (number is None or abs(number) >= 10**11):
-                raise where.error(f"found '{quoted_text(text)}', expected a number", quoted_text(column.title or role))
+                raise where.error(
+                    f"found '{safe_excerpt(text)}', expected a number", safe_excerpt(column.title or role)
+                )
             coordinates.append(np.nan if number is None else float(number))
         return where.name(unescape_formula(row.cell(self.name.position)), "point"), coordinates
 
@@ -227,7 +229,7 @@ class _PointRowReader:
         largest = np.nanmax(np.abs(table[:, [role in COORDINATE_ROLES for role in self.numbers]]), initial=0.0)
         declared_unit = next((c.unit for c in axes if c.unit in SI_PER_UNIT and c.unit), "")
         is_grid = largest >= MIN_NATIONAL_GRID_COORDINATE or any(
-            title_words_and_unit(c.title)[0] in GEODETIC_TITLES for c in axes
+            title_words_and_unit(c.title)[0] in NATIONAL_GRID_TITLES for c in axes
         )
         unit = declared_unit or ("m" if is_grid or largest < MAX_COORDINATE_IN_METRES else "mm")
         notes = [] if declared_unit else [f"coordinates are interpreted as {unit} (the largest is {largest:.6g})"]
@@ -294,11 +296,11 @@ def read_coordinates(path: Path) -> EpochCoordinates:
     epoch = _coordinates_from_gama(path) if is_xml else _coordinates_from_list(path)
     if len(set(epoch.names)) < len(epoch.names):
         twice = next(name for name in epoch.names if epoch.names.count(name) > 1)
-        raise RecordError(f"contains the point '{quoted_text(twice)}' twice", file=path)
+        raise RecordError(f"contains the point '{safe_excerpt(twice)}' twice", file=path)
     sigma = np.sqrt(np.maximum(np.diag(epoch.covariance), 0.0))
     if not sigma.all():
         position = divmod(int(np.argmin(sigma)), len(epoch.axes))
-        what = f"{quoted_text(epoch.names[position[0]])}.{epoch.axes[position[1]]}"
+        what = f"{safe_excerpt(epoch.names[position[0]])}.{epoch.axes[position[1]]}"
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
     if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_EIGENVALUE_PER_ROW * len(sigma):
         raise RecordError("has a covariance matrix that is not positive definite; correct its entries", file=path)
@@ -386,7 +388,7 @@ def _read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floa
     names = list(map(unescape_formula, first.fields[1:]))
     missing = [name for name in coordinate_names if name not in names]
     if missing or [unescape_formula(row.fields[0]) for row in body] != names:
-        what = f"the coordinate {quoted_text(missing[0])}" if missing else "rows in the order of its columns"
+        what = f"the coordinate {safe_excerpt(missing[0])}" if missing else "rows in the order of its columns"
         raise RecordError(f"lacks {what}", file=path)
     if any(len(row.fields) != len(first.fields) for row in body):
         raise RecordError("has rows whose length differs from the header", file=path)

@@ -38,7 +38,7 @@ def test_a_station_in_another_unit_is_mended_to_the_last_micrometre(slip: str) -
     np.testing.assert_allclose(mended.readings, recording.readings, rtol=0, atol=1e-12)
     assert (finding.effect_name, finding.stations) == ("wrong-unit", (recording.stations[2],))
     assert finding.rows.tolist() == rows.tolist()
-    assert finding.sentence == f"Station {recording.stations[2]} was recorded with {SLIPS[slip].cause}."
+    assert finding.sentence == f"Station {recording.stations[2]} was recorded with {SLIPS[slip].description}."
 
 
 def test_stations_of_one_shape_are_left_as_they_are() -> None:

@@ -28,7 +28,7 @@ from ltsim.core.limits import MAX_LGC_LINES
 from ltsim.core.notation import listing
 from ltsim.core.units import EARTH_RADIUS, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import SourceLocation, quoted_text, read_lines, single_line_title
+from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt, single_line_title
 from ltsim.recordings.formats.cern_declarations import (
     FIXED_AXES_BY_KEYWORD,
     FIXED_SIGMA_M,
@@ -180,7 +180,7 @@ def _begin_block(keyword: str, line_words: LineWords, file: _LgcContent) -> None
 def _begin_setup(line_words: LineWords, file: _LgcContent) -> None:
     instrument = "".join(line_words.tokens[1:2])
     if instrument not in file.instruments:
-        given = quoted_text(instrument) or "nothing"
+        given = safe_excerpt(instrument) or "nothing"
         raise line_words.location.error(f"*TSTN names {given}, expected an instrument declared as *POLAR")
     point = line_words.location.name(line_words.tokens[0], "station")
     if point not in file.points:
@@ -247,9 +247,9 @@ def _add_observation(keyword: str, line_words: LineWords, file: _LgcContent) -> 
     )
     if kind_of_target not in sigmas_by_target:
         raise where.error(
-            f"the target {quoted_text(kind_of_target)} is not declared with instrument {setup.instrument}"
+            f"the target {safe_excerpt(kind_of_target)} is not declared with instrument {setup.instrument}"
         )
-    height = options.number("TH", sigmas_by_target[kind_of_target].height)
+    height = options.number("TH", sigmas_by_target[kind_of_target].target_height)
     for kind, value in zip(kinds, line_words.numbers(1, *kinds, limit=1e6), strict=True):
         reading, sigma = (
             _reading_in_si(kind, value, setup, where),
@@ -297,7 +297,7 @@ def _make_recording(file: _LgcContent) -> Recording:
         instruments={name: polar.instrument(name) for name, polar in file.instruments.items()},
         stations={
             name: Station(
-                **plane.setup_keys(file.points[s.point], levelled=s.levelled),
+                **plane.station_settings(file.points[s.point], levelled=s.levelled),
                 instrument=s.instrument,
                 instrument_height_mm=instrument_heights.get(name, 0.0),
                 over=s.point if s.point in occupied_marks else None,
@@ -306,7 +306,7 @@ def _make_recording(file: _LgcContent) -> Recording:
         },
         targets={
             name: Target(
-                **plane.coordinate_keys(file.points[name]),
+                **plane.target_settings(file.points[name]),
                 datum=name in file.orientation_points,
                 height_mm=target_heights.get(name, 0.0),
             )
@@ -351,7 +351,7 @@ class _TangentPlane:
         drop = float(np.sum((point[:2] - self.centre) ** 2)) / (2 * EARTH_RADIUS) if self.is_curved else 0.0
         return round(x * 1e3, 6), round(y * 1e3, 6), round((height - drop) * 1e3, 6)
 
-    def setup_keys(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
+    def station_settings(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
         """Keys and values in `setup.toml` of the set-up over a point: position, levelling, plumb line."""
         keys: dict[str, Any] = (
             {} if point.is_placeholder else {"position_mm": self.plane_coordinates(point.declared_point)}
@@ -363,7 +363,7 @@ class _TangentPlane:
             keys["vertical"] = (x, y, 1.0)
         return keys
 
-    def coordinate_keys(self, point: DeclaredPoint) -> dict[str, Any]:
+    def target_settings(self, point: DeclaredPoint) -> dict[str, Any]:
         """Keys and values in `setup.toml` of a target: coordinates known along some axes, approximate along others."""
         axes = point.known_axes
         if axes is None:
@@ -384,9 +384,9 @@ def _notes(file: _LgcContent) -> Iterator[str]:
             f"observes coordinates in a system whose third axis is no height (*{file.curved_reference_keyword})"
         )
         reason = axes_reason if keyword == "OBSXYZ" else "is not supported"
-        yield f"*{quoted_text(keyword)} {reason}: {count} lines are skipped"
+        yield f"*{safe_excerpt(keyword)} {reason}: {count} lines are skipped"
     if file.points_in_frames:
-        frames = listing([*map(quoted_text, file.frames)])
+        frames = listing([*map(safe_excerpt, file.frames)])
         sentence = f"*OBSXYZ observes {len(file.points_in_frames)} points in a separate frame ({frames})"
         if all(name in file.points and file.points[name].is_fixed for name in file.points_in_frames):
             yield f"{sentence}: they are not used, because all of them are fixed"
@@ -396,4 +396,4 @@ def _notes(file: _LgcContent) -> Iterator[str]:
         sphere = "heights refer to a curved surface, for which ltsim uses a sphere: plumb lines differ between stations"
         yield f"*{file.curved_reference_keyword}: {sphere}"
     for name in file.orientation_points:
-        yield f"the approximate coordinates of {quoted_text(name)} orient the frame (*PDOR)"
+        yield f"the approximate coordinates of {safe_excerpt(name)} orient the frame (*PDOR)"

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MILLIMETRE
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.pointings import SingleObservation, name_with_number
 from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Vector
 from ltsim.recordings.xml import MATRIX_SIZE_MESSAGE, XmlNode, band_matrix_entries, band_matrix_size
@@ -23,7 +23,7 @@ FIXED_SIGMA_MM = 1e-4
 class GamaPoint:
     """Point that the file declares: coordinates, role along each axis, precision."""
 
-    values: dict[str, float] = field(default_factory=dict)
+    coordinates_by_axis: dict[str, float] = field(default_factory=dict)
     """Coordinates [m] by axis."""
     fixed_axes: str = ""
     """Axes along which the point is fixed or has observed coordinates."""
@@ -39,12 +39,12 @@ class GamaPoint:
     @property
     def complete_coordinates(self) -> Vector | None:
         """Coordinates x, y, z [mm] of the point; None if any of them is missing."""
-        return self.coordinates_or_zeros if len(self.values) == 3 else None
+        return self.coordinates_or_zeros if len(self.coordinates_by_axis) == 3 else None
 
     @property
     def coordinates_or_zeros(self) -> Vector:
         """Coordinates x, y, z [mm] of the point; 0 for each that is missing."""
-        x, y, z = (round(self.values.get(axis, 0.0) / MILLIMETRE, 9) for axis in "xyz")
+        x, y, z = (round(self.coordinates_by_axis.get(axis, 0.0) / MILLIMETRE, 9) for axis in "xyz")
         return x, y, z
 
 
@@ -88,7 +88,7 @@ class GamaNetwork:
         return name
 
 
-def drop_undetermined_heights(network: GamaNetwork) -> None:
+def drop_height_dependent_observations(network: GamaNetwork) -> None:
     """Removal, in place, of observations that need the height of a point that is adjusted in plan only.
 
     As in Gama, the heights of such points are then held fixed.
@@ -114,7 +114,7 @@ def drop_undetermined_heights(network: GamaNetwork) -> None:
         for difference in differences
     ]
     for name in plan_points:
-        network.points[name].values.setdefault("z", 0.0)
+        network.points[name].coordinates_by_axis.setdefault("z", 0.0)
         network.points[name].fixed_axes += "z"
     network.notes.append(
         f'{len(plan_points)} points are adjusted in plan only (adj="xy"): they have no heights, and '
@@ -196,7 +196,7 @@ def read_differences(section: XmlNode, y_sign: float, apriori_sigma: float) -> t
     row, column, numbers = covariance_entries(section)
     wrong_child = next((child for child in children if child.tag != tag), None)
     if wrong_child is not None:
-        raise wrong_child.location.error(f"<{quoted_text(wrong_child.tag)}> is in <{section.tag}>, expected <{tag}>")
+        raise wrong_child.location.error(f"<{safe_excerpt(wrong_child.tag)}> is in <{section.tag}>, expected <{tag}>")
     if len(numbers) and row[-1] + 1 != size * len(children):
         raise section.location.error("the size of <cov-mat> does not match its observations")
     covariances = np.zeros((len(children), size, size))

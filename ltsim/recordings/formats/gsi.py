@@ -19,7 +19,7 @@ import numpy as np
 from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import SourceLocation, quoted_text, read_lines
+from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt
 from ltsim.recordings.formats.field_book import FieldBook
 from ltsim.recordings.pointings import NOT_MEASURED
 from ltsim.recordings.recording import Recording
@@ -53,7 +53,7 @@ class _GsiBlock:
             if _PPM_PATTERN.fullmatch(text):
                 continue
             if match is None or (len(match[4]) == 16) != is_wide:
-                raise location.error(f"'{quoted_text(text)}' is not a word of GSI-{16 if is_wide else 8}")
+                raise location.error(f"'{safe_excerpt(text)}' is not a word of GSI-{16 if is_wide else 8}")
             words[match[1]] = (match[2], match[3] + match[4])
         return cls(words, location)
 
@@ -69,7 +69,7 @@ class _GsiBlock:
         if re.fullmatch(r"[+-]-+", digits):
             return NOT_MEASURED
         if re.fullmatch(r"[+-]\d+", digits, re.ASCII) is None:
-            raise self.location.error(f"found '{quoted_text(self.words[key][1])}', expected digits")
+            raise self.location.error(f"found '{safe_excerpt(self.words[key][1])}', expected digits")
         return float(digits)
 
     def length(self, key: str, default: float = 0.0) -> float:
@@ -79,7 +79,7 @@ class _GsiBlock:
         unit = self.words[key][0][-1]
         if unit not in GSI_LENGTH_FACTORS:
             raise self.location.error(
-                f"found the unit code '{quoted_text(unit)}' of a length, expected 0, 1, 6, 7 or 8"
+                f"found the unit code '{safe_excerpt(unit)}' of a length, expected 0, 1, 6, 7 or 8"
             )
         return self._number(key) * GSI_LENGTH_FACTORS[unit]
 
@@ -96,7 +96,7 @@ class _GsiBlock:
             minutes, seconds = divmod(rest, 1e3)
             return float(np.sign(value) * (degrees + minutes / 60 + seconds / 36_000) * DEGREE)
         if unit not in GSI_ANGLE_FACTORS and not np.isnan(value):
-            raise self.location.error(f"found the unit code '{quoted_text(unit)}' of an angle, expected 2, 3, 4 or 5")
+            raise self.location.error(f"found the unit code '{safe_excerpt(unit)}' of an angle, expected 2, 3, 4 or 5")
         return value * GSI_ANGLE_FACTORS.get(unit, NOT_MEASURED)
 
 

@@ -106,8 +106,8 @@ def python_number_text(text: str) -> str:
     comma, point = text.rfind(","), text.rfind(".")
     if comma < 0:
         return text
-    group_separator = "." if comma > point else ","
-    return text.replace(group_separator, "").replace(",", ".") if point >= 0 else text.replace(",", ".", 1)
+    thousands_separator = "." if comma > point else ","
+    return text.replace(thousands_separator, "").replace(",", ".") if point >= 0 else text.replace(",", ".", 1)
 
 
 _GROUPED_PATTERN_BY_MARK = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:\{mark}\d{{3}})+", re.ASCII) for mark in ".,"}
@@ -119,7 +119,7 @@ _COMMA_AND_POINT_PATTERN_BY_MARK = {
 """Pattern of a number with comma and point, by the mark that separates its groups of three digits."""
 
 
-def thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object) -> str:
+def detect_thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object) -> str:
     """Thousands separator of the cells of a sheet, point or comma; '' if there is none.
 
     ``7.000,5`` in one cell shows that ``7.000`` in another cell is 7000. Raises RecordError, which names `file`, if
@@ -181,17 +181,17 @@ def is_sexagesimal(text: str) -> bool:
     return not is_number(python_number_text(text)) and _parse_sexagesimal(text) is not None
 
 
-def parse_number(text: str, group_separator: str = "") -> Decimal | None:
+def parse_number(text: str, thousands_separator: str = "") -> Decimal | None:
     """Exact value of a cell with a plain number; None for any other cell.
 
-    `group_separator` is the thousands separator of the sheet, '' for none.
+    `thousands_separator` is the thousands separator of the sheet, '' for none.
     """
     text = text.strip()
     if len(text) > MAX_VALUE_LENGTH:
         return None
     digits = python_number_text(
-        text.replace(group_separator, "")
-        if group_separator and _GROUPED_PATTERN_BY_MARK[group_separator].fullmatch(text)
+        text.replace(thousands_separator, "")
+        if thousands_separator and _GROUPED_PATTERN_BY_MARK[thousands_separator].fullmatch(text)
         else text
     )
     return Decimal(digits) if is_number(digits) else None
@@ -210,21 +210,21 @@ def plain_numbers(texts: Sequence[str]) -> Floats | None:
         return None
 
 
-def parse_value(text: str, group_separator: str = "") -> Decimal | None:
+def parse_value(text: str, thousands_separator: str = "") -> Decimal | None:
     """Exact value of a cell with a number, or with an angle with minutes and seconds [deg]; None for any other cell.
 
-    `group_separator` is the thousands separator of the sheet, '' for none.
+    `thousands_separator` is the thousands separator of the sheet, '' for none.
     """
-    plain_number = parse_number(text, group_separator)
+    plain_number = parse_number(text, thousands_separator)
     return _parse_sexagesimal(text) if plain_number is None else plain_number
 
 
-def parse_quantity(text: str, group_separator: str = "") -> Decimal | None:
+def parse_quantity(text: str, thousands_separator: str = "") -> Decimal | None:
     """Exact value of a cell with a number, or an angle with minutes and seconds [deg]; None for a date or a time.
 
-    `group_separator` is the thousands separator of the sheet, '' for none.
+    `thousands_separator` is the thousands separator of the sheet, '' for none.
     """
-    return None if not is_number(text) and is_date_or_time(text) else parse_value(text, group_separator)
+    return None if not is_number(text) and is_date_or_time(text) else parse_value(text, thousands_separator)
 
 
 def parse_packed_degrees(text: str) -> Decimal | None:
@@ -296,12 +296,12 @@ def _convert_all(convert: Callable[[str], ValueType | None], texts: Sequence[str
 
 def is_date_or_time(text: str) -> bool:
     """True if a cell is a time of day, a date or both."""
-    return has_clock(text) or any(
+    return has_time_of_day(text) or any(
         _parse_date_and_time(_without_apostrophe(text), letters, None) is not None for letters in _DATE_ORDERS
     )
 
 
-def has_clock(text: str) -> bool:
+def has_time_of_day(text: str) -> bool:
     """True if a cell is a time of day, with or without a date."""
     plain_text = _without_apostrophe(text)
     return (

@@ -9,7 +9,7 @@ from functools import partial
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_TABLE_HEADERS
 from ltsim.recordings.conventions import Hints
-from ltsim.recordings.files import SourceLocation, is_number, quoted_text
+from ltsim.recordings.files import SourceLocation, is_number, safe_excerpt
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.blocks import StationContext
 from ltsim.recordings.tables.column_assignments import mapped_columns, parse_assignments
@@ -55,7 +55,7 @@ def read_pointing_table(
     has_polar = any(header and not has_named_coordinates(header) for header in headers)
     for sheet, start, header in zip(sheets, header_indices, headers, strict=True):
         if has_polar and header and has_named_coordinates(header):
-            name = quoted_text(sheet.station or sheet.file.name)
+            name = safe_excerpt(sheet.station or sheet.file.name)
             joined_table.notes.append(
                 f"the coordinates in '{name}' are not used (to use them, give --frame or --control)"
             )
@@ -138,7 +138,7 @@ class _SheetReader:
         """
         sheet_rows = self.sheet.rows
         for row in sheet_rows[: max(header_row, 0)]:
-            self._process_other_line(row)
+            self._process_line_without_pointing(row)
         if header_row < 0:
             numbered = SheetRow(0, tuple(str(i + 1) for i in range(len(sheet_rows[header_row + 1].fields))))
             self._start_header(parse_header(numbered, self.hints, self.sheet.file) or [], None)
@@ -182,7 +182,7 @@ class _SheetReader:
             if again is not None:
                 self._start_header(again, row.line)
             elif row.is_comment or not measured:
-                self._process_other_line(row)
+                self._process_line_without_pointing(row)
             elif i < last_index or not self.sheet.has_incomplete_end:
                 self._add_pointing(row)
             elif not self.hints.incomplete_tail:  # otherwise it may not be whole yet
@@ -216,7 +216,7 @@ class _SheetReader:
         needed = [*self.reading_positions, *(c.position for c in self.columns if c.role == "target")]
         return any(place >= len(fields) or not fields[place] for place in needed)
 
-    def _process_other_line(self, row: SheetRow) -> None:
+    def _process_line_without_pointing(self, row: SheetRow) -> None:
         """Update of station and heights by a line that is no pointing; a line without either is noted as not used."""
         n_heights = len(self.block.height_columns)
         if self.block.read_line(row):
@@ -273,8 +273,8 @@ def _duplicate_role_warnings(columns: Sequence[TableColumn]) -> list[str]:
     title_by_role = {c.role: c.title for c in columns if c.role}
     unused_columns = [(c.title, title_role(title_words_and_unit(c.title)[0])) for c in columns if not c.role]
     return [
-        f"column '{quoted_text(title)}' is read as an additional column, because the {role} is in "
-        f"'{quoted_text(title_by_role[role])}'"
+        f"column '{safe_excerpt(title)}' is read as an additional column, because the {role} is in "
+        f"'{safe_excerpt(title_by_role[role])}'"
         for title, role in unused_columns
         if role in title_by_role
     ]

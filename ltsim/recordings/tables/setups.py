@@ -15,7 +15,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.notation import listing
 from ltsim.core.units import EARTH_RADIUS
 from ltsim.recordings.circle_orientations import circle_orientations, circle_rotation_note
-from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, quoted_text
+from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, safe_excerpt
 from ltsim.recordings.pointings import name_with_number
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Setup, Station
@@ -189,7 +189,9 @@ def split_occupations(
     for station, *_ in distinct:
         names.append(name_with_number(station, counts[station]))
         counts[station] += 1
-    table.marks = {name: table.marks.get(key[0], key[0]) for key, name in zip(distinct, names, strict=True)}
+    table.mark_by_setup = {
+        name: table.mark_by_setup.get(key[0], key[0]) for key, name in zip(distinct, names, strict=True)
+    }
     pointings.station = [names[i] for i in code.tolist()]
     notes = []
     if len(occupations) > len(marks):
@@ -215,7 +217,7 @@ def _occupation_numbers(table: PointingTable) -> list[str]:
         return printed.texts(column.title)
     if table.column(("date",)) is None:
         return _occupation_numbers_by_height(table)
-    days = {moment: "" if cells.has_clock(moment) else moment for moment in {*printed.date_and_time}}
+    days = {moment: "" if cells.has_time_of_day(moment) else moment for moment in {*printed.date_and_time}}
     return [days[moment] for moment in printed.date_and_time]
 
 
@@ -228,7 +230,7 @@ def _occupation_numbers_by_height(table: PointingTable) -> list[str]:
     column = table.column(("instrument_height_mm",))
     setup_numbers = [""] * len(table.pointings)
     rows_by_mark: dict[str, list[int]] = {}
-    for row, mark in enumerate(table.mark if column is not None else ()):
+    for row, mark in enumerate(table.mark_names if column is not None else ()):
         rows_by_mark.setdefault(mark, []).append(row)
     heights = table.pointings.texts(column.title) if column is not None else []
     for rows in rows_by_mark.values():
@@ -281,7 +283,7 @@ def with_setups_over_marks(
     heights = table.column(("instrument_height_mm",)) is not None
     targets = {*table.pointings.target}
     names = dict.fromkeys(table.pointings.station)
-    marks = {name: table.marks.get(name, name) for name in names}
+    marks = {name: table.mark_by_setup.get(name, name) for name in names}
     over_mark = Counter(marks.values())
     if heights or (levelled and _reciprocal_lines_agree(table, readings)):
         shared = {mark for mark in marks.values() if mark in targets or over_mark[mark] > 1}
@@ -333,7 +335,7 @@ def _reciprocal_lines_agree(table: PointingTable, readings: Floats) -> bool:
 
 def _marks_and_targets(table: PointingTable) -> Iterator[tuple[str, str]]:
     """Names of the survey mark under the station, and of the target, for each pointing."""
-    return zip(table.mark, table.pointings.target, strict=True)
+    return zip(table.mark_names, table.pointings.target, strict=True)
 
 
 def occupation_columns(table: PointingTable) -> dict[str, list[str]]:
@@ -343,7 +345,7 @@ def occupation_columns(table: PointingTable) -> dict[str, list[str]]:
     """
     pointings = table.pointings
     days = pointings.date_and_time if table.column(("time",)) is None else [""] * len(pointings)
-    setups = [f"{mark} {day}".strip() for mark, day in zip(table.mark, days, strict=True)]
+    setups = [f"{mark} {day}".strip() for mark, day in zip(table.mark_names, days, strict=True)]
     targets = [f"to {target} {day}".strip() for target, day in zip(pointings.target, days, strict=True)]
     return dict(zip(OCCUPATION_COLUMNS, (setups, targets), strict=True))
 
@@ -376,7 +378,7 @@ def unapplied_heights_notes(table: PointingTable, readings: Floats, height: Floa
         closure_without, closure_with = statistic(closures, axis=0)
         if not closure_without < MAX_MISCLOSURE_RATIO_WITHOUT_TO_WITH_HEIGHTS * closure_with:
             return []
-    names = " and ".join(f"'{quoted_text(c.title)}'" for c in table.columns if c.role in HEIGHT_ROLES)
+    names = " and ".join(f"'{safe_excerpt(c.title)}'" for c in table.columns if c.role in HEIGHT_ROLES)
     return [
         f"heights in {names} are not applied: {len(closures)} lines measured in both directions close within "
         f"{1e3 * closures[:, 0].max():.3g} mm without them, {1e3 * closures[:, 1].max():.4g} mm with them. "
