@@ -25,7 +25,7 @@ from ltsim.physics.effects.motions import exact_change_by_displacement
 from ltsim.physics.effects.wrong_unit import WrongUnit
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import OBSERVABLES, Recording
-from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS, shared_target_counts
+from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_AND_CONVENTION_ERRORS, shared_target_counts
 
 MAX_COMPARED_STATIONS = 30
 """Largest number of stations with which a station is compared (those that share most targets with it), because each
@@ -187,7 +187,7 @@ def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[B
     These pointings agree with their target after a correction of the unit or face.
     """
     recording = adjustment.recording
-    kinds = (WrongUnit.name, UNIT_ERRORS), (FaceConfusion.name, FACE_ERRORS)
+    kinds = (WrongUnit.name, UNIT_AND_CONVENTION_ERRORS), (FaceConfusion.name, FACE_ERRORS)
     for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
         readings = slip.without_error(recording.readings)
         at = np.flatnonzero(is_gross & np.isfinite(readings).all(axis=1))

@@ -88,8 +88,8 @@ class PointList:
     @property
     def coordinates_by_name(self) -> dict[str, Floats]:
         """Coordinates x, y, z (3,) [m] by name of the point; points with a missing coordinate are left out."""
-        is_whole = np.asarray(np.isfinite(self.points).all(axis=1))
-        return {name: p for name, p, whole in zip(self.names, self.points, is_whole.tolist(), strict=True) if whole}
+        is_complete = np.asarray(np.isfinite(self.points).all(axis=1))
+        return {self.names[i]: self.points[i] for i in np.flatnonzero(is_complete).tolist()}
 
 
 def read_points(path: str | Path, *, refuses_contradictions: bool = True) -> PointList:
@@ -341,25 +341,25 @@ def _parse_number(cell: XmlNode) -> float:
 
 def _coordinates_from_list(path: Path) -> EpochCoordinates:
     """Coordinates from a list, along the axes it contains; covariance from `NAME.covariance.csv` or its columns."""
-    listed = read_points(path)
-    measured = np.isfinite(listed.points)
+    point_list = read_points(path)
+    measured = np.isfinite(point_list.points)
     axes = "".join(
         axis for axis, any_ in zip(AXIS_NAMES, np.asarray(measured.any(axis=0)).tolist(), strict=True) if any_
     )
     indices = [AXIS_NAMES.index(axis) for axis in axes]
     if not measured[:, indices].all():
         row, axis = np.argwhere(~measured[:, indices])[0]
-        raise SourceLocation(path, listed.line_numbers[row], axes[axis]).error("found '', expected a number")
-    require_small_joint_covariance(len(axes) * len(listed.names), path)
-    points = np.where(measured, listed.points, 0.0)
+        raise SourceLocation(path, point_list.line_numbers[row], axes[axis]).error("found '', expected a number")
+    require_small_joint_covariance(len(axes) * len(point_list.names), path)
+    points = np.where(measured, point_list.points, 0.0)
     companion = path.with_suffix(".covariance.csv")
     if companion.is_file():
         covariance = (
-            _read_covariance_matrix(companion, [f"{name}.{axis}" for name in listed.names for axis in axes])
+            _read_covariance_matrix(companion, [f"{name}.{axis}" for name in point_list.names for axis in axes])
             * MILLIMETRE**2
         )
-        return EpochCoordinates(path.stem, listed.names, axes, points, covariance, listed.notes)
-    blocks = listed.covariance[:, indices][:, :, indices]
+        return EpochCoordinates(path.stem, point_list.names, axes, points, covariance, point_list.notes)
+    blocks = point_list.covariance[:, indices][:, :, indices]
     if not np.isfinite(blocks).all():
         message = f"the coordinates have no standard deviations; add {companion.name} or a column sigma_{axes[0]}_mm"
         raise RecordError(message, file=path)
@@ -367,7 +367,7 @@ def _coordinates_from_list(path: Path) -> EpochCoordinates:
     blocks_of_pairs[range(len(blocks)), :, range(len(blocks))] = blocks
     covariance = blocks_of_pairs.reshape(blocks[:, :, 0].size, -1)
     note = f"{path.name} has no covariance between points ({companion.name}): they are treated as independent"
-    return EpochCoordinates(path.stem, listed.names, axes, points, covariance, (*listed.notes, note))
+    return EpochCoordinates(path.stem, point_list.names, axes, points, covariance, (*point_list.notes, note))
 
 
 def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:

@@ -160,9 +160,9 @@ class SourceLocation:
         """
         text = text.strip().replace(",", ".", 1) if allows_decimal_comma else text.strip()
         if not is_number(text):
-            wanted = "expected a finite number" if is_not_finite(text) else "expected a number"
+            expectation = "expected a finite number" if is_not_finite(text) else "expected a number"
             hint = ", with a point instead of a comma" if is_number(text.replace(",", ".", 1)) else ""
-            raise self.error(f"found '{safe_excerpt(text)}', {wanted}{hint}", column)
+            raise self.error(f"found '{safe_excerpt(text)}', {expectation}{hint}", column)
         value = float(text)
         if not abs(value) <= limit:
             raise self.error(f"found {safe_excerpt(text)}, expected a number of at most {limit:g} in magnitude", column)

@@ -296,21 +296,21 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
         if over and over not in targets and over not in setup.targets and marks[over] == 1:
             notes.append(
                 f"stations.{name}.over names '{safe_excerpt(over)}', which no pointing and no other set-up names: "
-                f"it has no effect{_similar_names(over, recording.targets, len(notes))}"
+                f"it has no effect{_similar_names_phrase(over, recording.targets, len(notes))}"
             )
     for name in setup.stations:
         if name not in stations:
-            similar = _similar_names(name, recording.stations, len(notes))
+            similar = _similar_names_phrase(name, recording.stations, len(notes))
             notes.append(f"no pointing is from station {name}: the table stations.{name} has no effect{similar}")
     joined = {name for entry in setup.differences for name in (entry.from_, entry.to)}
     for name, target in setup.targets.items():
         if target.known_mm and name not in targets and name not in marks and name not in joined:
-            similar = _similar_names(name, recording.targets, len(notes))
+            similar = _similar_names_phrase(name, recording.targets, len(notes))
             notes.append(f"targets.{name} has known coordinates, but was never measured{similar}")
         elif target.datum and name not in targets and name not in marks:
             notes.append(
                 f"targets.{name} is left out of the datum, because it was never "
-                f"measured{_similar_names(name, recording.targets, len(notes))}"
+                f"measured{_similar_names_phrase(name, recording.targets, len(notes))}"
             )
     for place, entry in {"instrument": setup.instrument, **setup.instruments}.items():
         if keys := keys_deviating_from_data_sheet(entry):
@@ -322,7 +322,7 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _similar_names(name: str, names: Sequence[str], n_notes: int) -> str:
+def _similar_names_phrase(name: str, names: Sequence[str], n_notes: int) -> str:
     """End of a note, with `names` similar to an unknown `name`; empty if too many names would be compared.
 
     `n_notes` is the number of earlier notes; `MAX_COMPARED_NAMES` limits the comparisons of all notes.

@@ -66,12 +66,12 @@ def target_occupations(recording: Recording, centring: CentringUncertainty) -> I
     else:
         keys = recording.labels.get(centring.occupation, keys)
     is_affected = np.ones(len(recording), dtype=bool)
-    for chosen, names, index in (
+    for declared_names, names, index in (
         (centring.stations, recording.stations, recording.station),
         (centring.targets, recording.targets, recording.target),
     ):
-        if chosen:
-            is_affected &= np.isin(np.array(names)[index], chosen)
+        if declared_names:
+            is_affected &= np.isin(np.array(names)[index], declared_names)
     index_by_key: dict[object, int] = {}
     occupation = np.full(len(recording), -1, dtype=np.int64)
     for row in np.flatnonzero(is_affected).tolist():

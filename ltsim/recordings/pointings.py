@@ -98,7 +98,7 @@ def readings_of(pointings: Sequence[Pointing]) -> Floats:
     return np.fromiter(values, dtype=np.float64, count=3 * len(pointings)).reshape(-1, 3)
 
 
-def recording_of_pointings(
+def recording_from_pointings(
     pointings: Sequence[Pointing], setup: Setup, *, notes: Sequence[str] = (), file: object = None
 ) -> Recording:
     """Recording of pointings in the order of the file; repeated pointings are numbered.

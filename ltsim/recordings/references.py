@@ -179,9 +179,9 @@ def check_reference_difference_ends(recording: Recording, file: object) -> None:
             if index_by_mark.get(name, unmeasured_index) == unmeasured_index and not _is_exact_mark(
                 recording.target_setup(name), difference
             ):
-                wanted = f"known along {difference.known_axes}, at least ten times better than this difference"
+                criterion = f"known along {difference.known_axes}, at least ten times better than this difference"
                 message = (
-                    f"'{safe_excerpt(name)}' was never measured, expected a measured mark, or one that is {wanted}"
+                    f"'{safe_excerpt(name)}' was never measured, expected a measured mark, or one that is {criterion}"
                 )
                 raise SourceLocation(file, column=f"difference {difference.label}").error(message)
 

@@ -45,9 +45,9 @@ def excess_radii_from_smr_names(
             )
     radii = {reflectors[name].radius_mm: name for name in reversed(names_used)}
     if reference_mm is None and len(radii) > 1:
-        listed = " and ".join(f"{safe_excerpt(name)} of {radius:g}" for radius, name in sorted(radii.items()))
+        radii_text = " and ".join(f"{safe_excerpt(name)} of {radius:g}" for radius, name in sorted(radii.items()))
         raise RecordError(
-            f"the SMRs have different radii ({listed} mm); set reference_radius_mm at the head of the file, the "
+            f"the SMRs have different radii ({radii_text} mm); set reference_radius_mm at the head of the file, the "
             "radius of the SMR at whose centre the coordinates lie, or 0 for the seat of the nest",
             file=file,
         )

@@ -240,12 +240,12 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
             raise RecordError(f"contains the number {safe_excerpt(text)}, expected {permitted}", file=file)
         return value
 
-    decimal, whole = (partial(checked_number, number_type=number_type) for number_type in (float, int))
+    parse_decimal, parse_integer = (partial(checked_number, number_type=number_type) for number_type in (float, int))
     text = read_text(file)
     if text.count(",") + text.count("[") + text.count("{") > MAX_JSON_VALUES:
         raise RecordError(f"holds more than {MAX_JSON_VALUES} values, the limit for reading", file=file)
     try:
-        content = json.loads(text, parse_float=decimal, parse_constant=decimal, parse_int=whole)
+        content = json.loads(text, parse_float=parse_decimal, parse_constant=parse_decimal, parse_int=parse_integer)
     except (json.JSONDecodeError, RecursionError):
         raise RecordError(f"is not JSON; expected a {kind}", file=file) from None
     if not isinstance(content, dict):

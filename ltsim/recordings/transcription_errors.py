@@ -64,7 +64,7 @@ def _length_unit_error(name: str, unit: str, unit_in_mm: float) -> ColumnConvers
 GON_PER_DEGREE, RADIAN_PER_DEGREE = (SI_PER_UNIT["deg"] / SI_PER_UNIT[unit] for unit in ("gon", "rad"))
 """Factors from degrees to gon and to radians."""
 
-UNIT_ERRORS = (
+UNIT_AND_CONVENTION_ERRORS = (
     _length_unit_error("inch", "inches", 25.4),
     _length_unit_error("metre", "metres", 1e3),
     _length_unit_error("micrometre", "micrometres", 1e-3),
@@ -233,7 +233,7 @@ def require_degrees_and_millimetres(
         raise SourceLocation(file, column="distance_mm").error(message)
     face_sums = _two_face_sums(elevation, station, target, face)
     median = float(np.median(face_sums)) if len(face_sums) else float("nan")
-    for unit_error in UNIT_ERRORS:
+    for unit_error in UNIT_AND_CONVENTION_ERRORS:
         expected = _face_sum_with_error(unit_error)
         if expected is not None and abs(median - expected) < 0.005 * expected:
             message = (
@@ -272,7 +272,7 @@ def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> ColumnC
     """
     if not length_disagreement(from_polar(readings), station, target) > MIN_WRONG_LENGTH_DISAGREEMENT:
         return None
-    angle_errors = [error for error in UNIT_ERRORS if 0 not in error.changed_columns]
+    angle_errors = [error for error in UNIT_AND_CONVENTION_ERRORS if 0 not in error.changed_columns]
     disagreements = [
         length_disagreement(from_polar(error.without_error(readings)), station, target) for error in angle_errors
     ]

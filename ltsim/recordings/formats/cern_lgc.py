@@ -44,7 +44,7 @@ from ltsim.recordings.pointings import (
     SingleObservation,
     merge_observations,
     name_with_number,
-    recording_of_pointings,
+    recording_from_pointings,
     separate_constant_heights,
 )
 from ltsim.recordings.recording import Recording
@@ -313,7 +313,7 @@ def _make_recording(file: _LgcContent) -> Recording:
             for name in dict.fromkeys([*targets, *occupied_marks])
         },
     )
-    return recording_of_pointings(
+    return recording_from_pointings(
         pointings, setup, notes=list(dict.fromkeys([*file.notes, *_notes(file)])), file=file.path
     )
 

@@ -20,7 +20,7 @@ from ltsim.recordings.pointings import (
     index_names,
     name_with_number,
     readings_of,
-    recording_of_pointings,
+    recording_from_pointings,
     separate_constant_heights,
 )
 from ltsim.recordings.recording import DISTANCE_KIND_COLUMN, HEIGHT_COLUMNS, Recording
@@ -151,7 +151,7 @@ class FieldBook:
         )
         spelled = spelling_notes({name: mark for name, mark in respelled_marks.items() if mark in marks})
         all_notes = [noise, *orientation_notes, *spelled, *notes]
-        return with_earth_curvature(recording_of_pointings(pointings, setup, notes=all_notes, file=self.path))
+        return with_earth_curvature(recording_from_pointings(pointings, setup, notes=all_notes, file=self.path))
 
     def _separate_orientations(self) -> list[str]:
         """Replacement, in place, of each set-up during which the circle was rotated by one set-up per orientation.

@@ -35,7 +35,7 @@ from ltsim.recordings.pointings import (
     NOT_MEASURED,
     SingleObservation,
     merge_observations,
-    recording_of_pointings,
+    recording_from_pointings,
     separate_constant_heights,
 )
 from ltsim.recordings.recording import Recording
@@ -274,10 +274,10 @@ def _read_angle(child: XmlNode, block: XmlNode, sigma_and_errors: SigmaAndShared
     station = network.station(_standpoint(child, block), with_directions=True)
     value, second = _parse_angle(child)
     sigma, shared = _si_sigma_and_shared_errors(sigma_and_errors, network.angle_sign * second, child, network)
-    for name, turned, errors in (("bs", 0.0, {}), ("fs", network.angle_sign * value, shared)):
+    for name, reading, errors in (("bs", 0.0, {}), ("fs", network.angle_sign * value, shared)):
         target = child.name(name, "point")
         direction = SingleObservation(
-            "azimuth", station, target, turned, sigma / np.sqrt(2), line=child.line, shared_error_changes=errors
+            "azimuth", station, target, reading, sigma / np.sqrt(2), line=child.line, shared_error_changes=errors
         )
         network.observations.append(direction)
 
@@ -361,7 +361,7 @@ def _make_recording(network: GamaNetwork) -> Recording:
         targets={n: _target(network.points.get(n, GamaPoint()), target_heights.get(n, 0.0)) for n in names},
         differences=tuple(with_distinct_names(network.differences)),
     )
-    recording = recording_of_pointings(pointings, setup, notes=list(dict.fromkeys(network.notes)), file=network.file)
+    recording = recording_from_pointings(pointings, setup, notes=list(dict.fromkeys(network.notes)), file=network.file)
     check_reference_difference_ends(recording, network.file)
     return recording
 

@@ -216,8 +216,8 @@ def _sigma_of_difference(child: XmlNode, apriori_sigma: float) -> float:
     """
     attributes = [name for name in ("stdev", "dist") if name in child and child.tag == "dh"]
     if not attributes:
-        wanted = "stdev, dist or a <cov-mat>" if child.tag == "dh" else "a <cov-mat>"
-        raise child.location.error(f"no standard deviation is given for <{child.tag}>, expected one ({wanted})")
+        expected_text = "stdev, dist or a <cov-mat>" if child.tag == "dh" else "a <cov-mat>"
+        raise child.location.error(f"no standard deviation is given for <{child.tag}>, expected one ({expected_text})")
     value = max(child.number(attributes[0]), 0.0)
     return value if attributes[0] == "stdev" else apriori_sigma * float(np.sqrt(value))
 
@@ -242,9 +242,9 @@ def _reference_difference(child: XmlNode, y_sign: float, covariance: Floats) -> 
     try:
         return ReferenceDifference.model_validate({**end_names, "known_mm": vector, **precision})
     except ValidationError:
-        wanted = "values below 1e8 m, and a positive definite covariance matrix"
+        expected_text = "values below 1e8 m, and a positive definite covariance matrix"
         raise child.location.error(
-            f"the value of <{child.tag}> is too large, or its covariance is wrong, expected {wanted}"
+            f"the value of <{child.tag}> is too large, or its covariance is wrong, expected {expected_text}"
         ) from None
 
 

@@ -18,7 +18,7 @@ from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import to_polar
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import safe_excerpt, single_line_title
-from ltsim.recordings.pointings import NOT_MEASURED, Pointing, has_all_sigma_columns, recording_of_pointings
+from ltsim.recordings.pointings import NOT_MEASURED, Pointing, has_all_sigma_columns, recording_from_pointings
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Setup
 from ltsim.recordings.specification import NO_NOISE_NOTE
@@ -62,7 +62,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     pointings = [replace(p, time=p.time - first_time) for p in pointings]
     count_notes = [f"{count} {what}" for what, count in notes.items()]
     setup = Setup(title=single_line_title(root.get("name", path.stem)))
-    recording = recording_of_pointings(pointings, setup, notes=count_notes, file=path)
+    recording = recording_from_pointings(pointings, setup, notes=count_notes, file=path)
     return recording if has_all_sigma_columns(recording) else recording.replace(notes=(NO_NOISE_NOTE, *recording.notes))
 
 

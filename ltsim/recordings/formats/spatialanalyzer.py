@@ -250,16 +250,18 @@ def _prefix_ambiguous_points(
     pointings; `poses` are those of the stations by name.
     """
     sightings: dict[str, dict[str, list[tuple[str, Floats]]]] = {}
-    printed = table.pointings
+    pointings = table.pointings
     for station, target, group_name, point in zip(
-        printed.station, printed.target, group_names, from_polar(readings), strict=True
+        pointings.station, pointings.target, group_names, from_polar(readings), strict=True
     ):
         pose = poses[station]
         position = point if pose is None else pose[0] @ point + pose[1]
         sightings.setdefault(target, {}).setdefault(group_name, []).append((station, position))
     names = {name: _new_names_by_group(name, groups) for name, groups in sightings.items()}
     ambiguous_names = sorted(name for name, of in names.items() if any(new != name for new in of.values()))
-    printed.target = [names[target][group_name] for target, group_name in zip(printed.target, group_names, strict=True)]
+    pointings.target = [
+        names[target][group_name] for target, group_name in zip(pointings.target, group_names, strict=True)
+    ]
     if not ambiguous_names:
         return []
     examples = ", ".join(ambiguous_names[:4])

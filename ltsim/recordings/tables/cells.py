@@ -157,9 +157,9 @@ def split_unit_symbol(text: str) -> tuple[str, str] | None:
         return None
     centesimal_match = _CENTESIMAL_PATTERN.fullmatch(text)
     if centesimal_match is not None:
-        sign, whole, minutes, seconds = centesimal_match.groups()
+        sign, gons, minutes, seconds = centesimal_match.groups()
         parts = Decimal(minutes) * 100 + Decimal(seconds.replace(",", "."))
-        return f"{sign}{Decimal(whole) + parts / 10_000}", "gon"
+        return f"{sign}{Decimal(gons) + parts / 10_000}", "gon"
     marked_match = _NUMBER_WITH_UNIT_PATTERN.fullmatch(text)
     return None if marked_match is None else (marked_match[1], UNIT_BY_SYMBOL[marked_match[2].casefold()])
 

@@ -15,9 +15,9 @@ from ltsim.recordings.tables.header import (
     reading_kind,
     split_title_and_unit,
 )
-from ltsim.recordings.tables.title_words import TITLE_WORDS
+from ltsim.recordings.tables.title_words import TITLES_BY_ROLE
 
-MAPPABLE_ROLES = tuple(dict.fromkeys((*TITLE_WORDS, *SIGMA_ROLES.values())))
+MAPPABLE_ROLES = tuple(dict.fromkeys((*TITLES_BY_ROLE, *SIGMA_ROLES.values())))
 """Roles that the option ``--columns`` accepts."""
 
 

@@ -12,11 +12,11 @@ from ltsim.recordings.files import SourceLocation, safe_excerpt
 from ltsim.recordings.tables.title_words import (
     COMMON_SIGMA_ROLE,
     EAST_ASIAN_LETTERS,
-    FOREIGN_TITLE_WORDS,
+    FOREIGN_TITLES_BY_LANGUAGE,
     NUMBER_TITLE_ENDINGS,
     STATION_TITLE_FIRST_WORDS,
     STATION_TITLE_LAST_WORDS,
-    TITLE_WORDS,
+    TITLES_BY_ROLE,
 )
 
 HORIZONTAL_ROLES = ("horizontal", "azimuth")
@@ -43,7 +43,7 @@ ROLE_BY_TITLE = {
     **{instrument + place: "station" for instrument in STATION_TITLE_FIRST_WORDS for place in STATION_TITLE_LAST_WORDS},
     **{
         word: role
-        for words in (TITLE_WORDS, *FOREIGN_TITLE_WORDS.values())
+        for words in (TITLES_BY_ROLE, *FOREIGN_TITLES_BY_LANGUAGE.values())
         for role, text in words.items()
         for word in text.split()
     },

@@ -76,10 +76,10 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
 
     With `positional`, lines of names and three numbers are also read without a header. Raises RecordError.
     """
-    printed = read_pointing_table(read_sheets(path), hints, path, positional=positional)
-    table = with_placeholder_target_name(with_unpacked_angles(with_time_column(printed), hints), hints, path)
-    table.pointings.target, renamed = common_target_names(table.pointings)
-    table.notes += renamed
+    pointing_table = read_pointing_table(read_sheets(path), hints, path, positional=positional)
+    table = with_placeholder_target_name(with_unpacked_angles(with_time_column(pointing_table), hints), hints, path)
+    table.pointings.target, name_notes = common_target_names(table.pointings)
+    table.notes += name_notes
     table.mark_by_setup = marks_with_other_spelling(table.pointings.station, table.pointings.target)
     setup = _read_setup(path, hints)
     poses = rough_poses(setup or Setup(), tuple(dict.fromkeys(table.pointings.station)))
@@ -109,7 +109,7 @@ def assemble_recording(
 
     `interpretation` has the units and conventions; `setup` is the prior knowledge that is completed from the table.
     """
-    printed, missing_values = table.pointings, np.full(len(table.pointings), NOT_MEASURED)
+    pointings, missing_values = table.pointings, np.full(len(table.pointings), NOT_MEASURED)
     sigmas = sigmas_from_coordinates(table, readings, interpretation.length_unit)
     covariates, labels, column_notes = _additional_columns(table, interpretation)
     azimuth_sigma = covariates.get(SIGMA_COLUMNS[1], missing_values) * ARCSECOND
@@ -124,19 +124,19 @@ def assemble_recording(
         setup = setup.model_copy(update={"started": start_moment})
     covariates, height_notes = covariates_with_instrument_heights(table, covariates)
     height = np.stack([covariates.get(name, missing_values) for name in HEIGHT_COLUMNS], axis=1) * MILLIMETRE
-    unapplied = unapplied_heights_notes(table, readings, height)
-    if unapplied:
+    unapplied_notes = unapplied_heights_notes(table, readings, height)
+    if unapplied_notes:
         height_notes = []
         covariates = {name: column for name, column in covariates.items() if name not in HEIGHT_COLUMNS}
         sigma_mm = setup.height_above_mark_sigma_mm or HEAD_HEIGHT_SIGMA_MM
         setup = setup.model_copy(update={"height_above_mark_sigma_mm": sigma_mm, "curved": True})
         labels = _merged_labels(occupation_columns(table), labels)
     if time_notes and table.column(("date",)) is not None:  # a text where it is no clock
-        labels["date"] = printed.date_and_time
-    if "flat" in printed.digit_texts_by_role:
-        slope = printed.digit_texts_of_roles(("distance",))
+        labels["date"] = pointings.date_and_time
+    if "flat" in pointings.digit_texts_by_role:
+        slope = pointings.digit_texts_of_roles(("distance",))
         labels[DISTANCE_KIND_COLUMN] = np.where(
-            (printed.digit_texts_by_role["flat"] != b"") & (slope == b""), "horizontal", ""
+            (pointings.digit_texts_by_role["flat"] != b"") & (slope == b""), "horizontal", ""
         ).tolist()
     note_groups = [
         table.notes,
@@ -147,18 +147,18 @@ def assemble_recording(
         time_notes,
         column_notes,
         height_notes,
-        unapplied,
+        unapplied_notes,
         _unread_lines_notes(table),
     ]
     columns = PointingColumns(
-        printed.station,
-        printed.target,
+        pointings.station,
+        pointings.target,
         np.array(faces, dtype=np.int64),
         readings,
         np.array(times),
         covariates | sigmas,
         labels,
-        printed.sources,
+        pointings.sources,
     )
     return with_earth_curvature(
         recording_from_columns(columns, setup, notes=[n for notes in note_groups for n in notes], file=file)

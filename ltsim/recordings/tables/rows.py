@@ -33,7 +33,7 @@ from ltsim.recordings.tables.pointing_table import (
 )
 from ltsim.recordings.tables.row_batches import RowBatch, RowBatchReader, pad_cells
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
-from ltsim.recordings.tables.title_words import SUMMARY_WORDS
+from ltsim.recordings.tables.title_words import SUMMARY_ROW_FIRST_WORDS
 
 POSITIONAL_ROLES = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of the columns of a table without header whose lines have names and three numbers."""
@@ -102,8 +102,8 @@ def find_header(sheet: TableSheet, hints: Hints) -> int | None:
     If `hints.columns` assigns numbered columns of a table without header, it is the index of the first row minus 1.
     """
     if hints.columns is not None and sheet.rows:
-        asked = parse_assignments(hints.columns, sheet.file)
-        if all(title.isdigit() for *_, title, _ in asked):
+        assignments = parse_assignments(hints.columns, sheet.file)
+        if all(title.isdigit() for *_, title, _ in assignments):
             first = next((i for i, row in enumerate(sheet.rows) if not row.is_comment), 0)
             return first if not sheet.rows[first].n_numeric_fields else first - 1
     return next((i for i, row in enumerate(sheet.rows) if parse_header(row, hints, sheet.file) is not None), None)
@@ -211,7 +211,7 @@ class _SheetReader:
     def _is_summary(self, fields: Sequence[str]) -> bool:
         """True for a row that begins with a word for a sum or mean, and has no target or not every reading."""
         first_text = next(filter(None, fields), "")
-        if first_text.rstrip(" :=").casefold() not in SUMMARY_WORDS.split():
+        if first_text.rstrip(" :=").casefold() not in SUMMARY_ROW_FIRST_WORDS.split():
             return False
         needed = [*self.reading_positions, *(c.position for c in self.columns if c.role == "target")]
         return any(place >= len(fields) or not fields[place] for place in needed)

@@ -212,13 +212,13 @@ def split_occupations(
 
 def _occupation_numbers(table: PointingTable) -> list[str]:
     """Text, for each pointing, that distinguishes its occupation from other occupations of the same survey mark."""
-    printed, column = table.pointings, table.column(("instrument_setup",))
+    pointings, column = table.pointings, table.column(("instrument_setup",))
     if column is not None:
-        return printed.texts(column.title)
+        return pointings.texts(column.title)
     if table.column(("date",)) is None:
         return _occupation_numbers_by_height(table)
-    days = {moment: "" if cells.has_time_of_day(moment) else moment for moment in {*printed.date_and_time}}
-    return [days[moment] for moment in printed.date_and_time]
+    days = {moment: "" if cells.has_time_of_day(moment) else moment for moment in {*pointings.date_and_time}}
+    return [days[moment] for moment in pointings.date_and_time]
 
 
 def _occupation_numbers_by_height(table: PointingTable) -> list[str]:

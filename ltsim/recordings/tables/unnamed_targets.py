@@ -47,9 +47,9 @@ def with_placeholder_target_name(table: PointingTable, hints: Hints, file: objec
         raise UnnamedTargetsError(message, file=file)
     titles = [] if hints.station is not None else _possible_name_titles(table)
     if titles:
-        listed = listing([f"'{title}'" for title in titles], MAX_COINCIDENT_NAMES_IN_NOTE)
+        titles_text = listing([f"'{title}'" for title in titles], MAX_COINCIDENT_NAMES_IN_NOTE)
         message = (
-            f'names no points, and {listed} may contain names; give --columns "target={titles[-1]}", or --hint '
+            f'names no points, and {titles_text} may contain names; give --columns "target={titles[-1]}", or --hint '
             "station=NAME if one target moved and one set-up measured it"
         )
         raise UnnamedTargetsError(message, file=file)
