@@ -124,7 +124,7 @@ def recognises(file_beginning: str) -> bool:
     if header is not None:
         return not data_rows or data_rows[0].n_numeric_fields > 1
     sample = [_drop_trailing_field(row) for row in data_rows[: max(1, min(6, len(data_rows)) - 1)]]
-    return bool(sample) and all(len(r) in HEADERLESS_FIELD_COUNTS and all(map(cells.is_value, r[1:])) for r in sample)
+    return bool(sample) and all(len(r) in HEADERLESS_FIELD_COUNTS and all(map(cells.is_numeric, r[1:])) for r in sample)
 
 
 def _drop_trailing_field(row: SheetRow) -> Sequence[str]:
@@ -135,7 +135,7 @@ def _drop_trailing_field(row: SheetRow) -> Sequence[str]:
 def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | None:
     """Number of rows before the first point (0), and columns of a list without header; None for other content."""
     first_row = next((row for row in sheet.rows if not row.is_comment), None)
-    if first_row is None or not all(map(cells.is_value, _drop_trailing_field(first_row)[1:])):
+    if first_row is None or not all(map(cells.is_numeric, _drop_trailing_field(first_row)[1:])):
         return None
     width = len(_drop_trailing_field(first_row))
     if width not in HEADERLESS_FIELD_COUNTS:
@@ -215,7 +215,7 @@ class _PointRowReader:
         coordinates = []
         for role, column in self.numbers.items():
             text = row.cell(column.position)
-            number = cells.parse_value(text, self.sheet.thousands_separator)
+            number = cells.parse_number_or_angle(text, self.sheet.thousands_separator)
             if text and (number is None or abs(number) >= 10**11):
                 raise where.error(
                     f"found '{safe_excerpt(text)}', expected a number", safe_excerpt(column.title or role)

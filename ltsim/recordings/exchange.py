@@ -23,7 +23,7 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import Setup
 from ltsim.recordings.tables import reader as tables
-from ltsim.recordings.tables.cells import has_time_of_day, is_value
+from ltsim.recordings.tables.cells import has_time_of_day, is_numeric
 from ltsim.recordings.tables.station_names import UnnamedStationsError
 from ltsim.recordings.tables.unnamed_targets import UnnamedTargetsError
 
@@ -95,7 +95,7 @@ def _refuse_point_list(path: Path, hints: Hints) -> Recording:
             except RecordError:
                 pass  # it is no table of several set-ups
     names = "one name" if n_points == 1 else f"{n_points} names"
-    if all(has_time_of_day(name) or (is_value(name) and not name.isdigit()) for name in point_list.names):
+    if all(has_time_of_day(name) or (is_numeric(name) and not name.isdigit()) for name in point_list.names):
         message = (
             f"this is a table of {n_points + n_repeated} positions without point names, as of a target that moves "
         )

@@ -61,7 +61,7 @@ class GamaNetwork:
     default_sigmas: dict[str, str] = field(default_factory=dict)
     """Text of the default standard deviation in the file, by kind of observation."""
     points: dict[str, GamaPoint] = field(default_factory=dict)
-    n_direction_sets: Counter[str] = field(default_factory=Counter)
+    n_direction_sets_by_point: Counter[str] = field(default_factory=Counter)
     """Number of sets of directions at each point."""
     point_of_station: dict[str, str] = field(default_factory=dict)
     north_direction_deg: float = 0.0
@@ -82,8 +82,8 @@ class GamaNetwork:
 
         `with_directions` is True if the observations are a set of directions.
         """
-        self.n_direction_sets[point] += with_directions
-        name = name_with_number(point, max(self.n_direction_sets[point] - 1, 0))
+        self.n_direction_sets_by_point[point] += with_directions
+        name = name_with_number(point, max(self.n_direction_sets_by_point[point] - 1, 0))
         self.point_of_station[name] = point
         return name
 

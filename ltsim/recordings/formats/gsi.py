@@ -112,18 +112,20 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     Raises RecordError for a word that is malformed, or measurements before a station is named (``hints.station`` names
     one).
     """
-    file = FieldBook(path)
+    field_book = FieldBook(path)
     if hints.station is not None:
-        file.add_setup(hints.station, 0.0, None, SourceLocation(path))
+        field_book.add_setup(hints.station, 0.0, None, SourceLocation(path))
     lines = read_lines(path)
     survey = _GsiFileProperties.from_blocks(_blocks(lines, path))
     setup_code = survey.setup_code(path, is_line_broken=not lines[-1].strip())
     for block in _blocks(lines, path):
-        _process_block(block, file, setup_code)
+        _process_block(block, field_book, setup_code)
     notes = (
-        [f"{file.n_skipped} blocks are neither a station nor a measurement and are not used"] if file.n_skipped else []
+        [f"{field_book.n_skipped} blocks are neither a station nor a measurement and are not used"]
+        if field_book.n_skipped
+        else []
     )
-    return file.make_recording("a GSI file", *notes)
+    return field_book.make_recording("a GSI file", *notes)
 
 
 def _blocks(lines: Sequence[str], path: Path) -> Iterator[_GsiBlock]:
@@ -201,21 +203,21 @@ def _is_station(block: _GsiBlock) -> bool:
     return block.has_words("84", "85", "11") and not block.has_words("21")
 
 
-def _process_block(block: _GsiBlock, file: FieldBook, setup_code: str | None) -> None:
+def _process_block(block: _GsiBlock, field_book: FieldBook, setup_code: str | None) -> None:
     if block.has_words("41", "42") and block.name("41") == setup_code:
-        file.add_setup(block.name("42"), block.length("43"), None, block.location)
+        field_book.add_setup(block.name("42"), block.length("43"), None, block.location)
     elif _is_station(block):
         x, y, z = (block.length(key) / MILLIMETRE for key in ("84", "85", "86"))
-        file.add_setup(block.name("11"), block.length("88"), (x, y, z), block.location)
+        field_book.add_setup(block.name("11"), block.length("88"), (x, y, z), block.location)
     elif block.has_words("11") and any(block.has_words(key) for key in ("21", "22", "31", "32")):
-        _add_pointing(block, file)
+        _add_pointing(block, field_book)
     else:
-        file.n_skipped += 1
+        field_book.n_skipped += 1
 
 
-def _add_pointing(block: _GsiBlock, file: FieldBook) -> None:
+def _add_pointing(block: _GsiBlock, field_book: FieldBook) -> None:
     is_horizontal = not block.has_words("31")
-    file.add_pointing(
+    field_book.add_pointing(
         block.name("11"),
         block.location,
         distance=block.length("32" if is_horizontal else "31", NOT_MEASURED),

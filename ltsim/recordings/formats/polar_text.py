@@ -20,7 +20,7 @@ from ltsim.recordings.conventions import NO_HINTS, AngleUnit, AzimuthSense, Hint
 from ltsim.recordings.files import read_lines, safe_excerpt, write_text
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.tables import reader as tables
-from ltsim.recordings.tables.cells import is_value
+from ltsim.recordings.tables.cells import is_numeric
 from ltsim.recordings.tables.sheets import head_rows
 
 CONVENTION_WORDS = {
@@ -41,7 +41,7 @@ def recognises(path: Path, file_beginning: str) -> bool:
     data_rows = [row.fields for row in head_rows(file_beginning) if not row.is_comment]
     sample = data_rows[: max(1, min(6, len(data_rows) - 1))]
     field_counts = (4, 5) if _POLAR_COMMENT_PATTERN.search(file_beginning) else (5,)
-    return bool(sample) and all(len(f) in field_counts and all(map(is_value, f[-3:])) for f in sample)
+    return bool(sample) and all(len(f) in field_counts and all(map(is_numeric, f[-3:])) for f in sample)
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:

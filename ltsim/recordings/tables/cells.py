@@ -140,7 +140,7 @@ def detect_thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object
     return next(iter(cell_by_separator), "")
 
 
-def is_value(text: str) -> bool:
+def is_numeric(text: str) -> bool:
     """True if a cell is a number or an angle in degrees, minutes and seconds."""
     return len(text) <= MAX_VALUE_LENGTH and (
         is_number(text)
@@ -210,7 +210,7 @@ def plain_numbers(texts: Sequence[str]) -> Floats | None:
         return None
 
 
-def parse_value(text: str, thousands_separator: str = "") -> Decimal | None:
+def parse_number_or_angle(text: str, thousands_separator: str = "") -> Decimal | None:
     """Exact value of a cell with a number, or with an angle with minutes and seconds [deg]; None for any other cell.
 
     `thousands_separator` is the thousands separator of the sheet, '' for none.
@@ -219,12 +219,12 @@ def parse_value(text: str, thousands_separator: str = "") -> Decimal | None:
     return _parse_sexagesimal(text) if plain_number is None else plain_number
 
 
-def parse_quantity(text: str, thousands_separator: str = "") -> Decimal | None:
+def parse_number_or_angle_unless_time(text: str, thousands_separator: str = "") -> Decimal | None:
     """Exact value of a cell with a number, or an angle with minutes and seconds [deg]; None for a date or a time.
 
     `thousands_separator` is the thousands separator of the sheet, '' for none.
     """
-    return None if not is_number(text) and is_date_or_time(text) else parse_value(text, thousands_separator)
+    return None if not is_number(text) and is_date_or_time(text) else parse_number_or_angle(text, thousands_separator)
 
 
 def parse_packed_degrees(text: str) -> Decimal | None:

@@ -87,7 +87,7 @@ def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str
         i for i, column in enumerate(columns) if any(column) and all(cells.has_time_of_day(t) for t in column if t)
     ]
     columns_without_time = [i for i in range(len(columns)) if i not in time_columns and any(columns[i])]
-    text_columns = [i for i in columns_without_time if not all(map(cells.is_value, columns[i]))]
+    text_columns = [i for i in columns_without_time if not all(map(cells.is_numeric, columns[i]))]
     face_columns = [
         i
         for i in columns_without_time
@@ -96,7 +96,7 @@ def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str
     number_columns = [
         i
         for i in columns_without_time
-        if i not in (*text_columns, *face_columns) and all(map(cells.is_value, columns[i]))
+        if i not in (*text_columns, *face_columns) and all(map(cells.is_numeric, columns[i]))
     ]
     if not text_columns:  # points that have number_columns for name_columns come first
         text_columns = [i for i in number_columns[:2] if all(cell.isdigit() for cell in columns[i])][
@@ -237,7 +237,7 @@ def _joined_titles(positions: Sequence[int], titles: Sequence[str]) -> str:
 
 @lru_cache(maxsize=1024)
 def _column_numbers(column: tuple[str, ...]) -> list[Decimal]:
-    return [number for cell in column if (number := cells.parse_value(cell)) is not None]
+    return [number for cell in column if (number := cells.parse_number_or_angle(cell)) is not None]
 
 
 def _largest_magnitude(column: tuple[str, ...]) -> Decimal:

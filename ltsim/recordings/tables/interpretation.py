@@ -237,7 +237,7 @@ def _length_convention(
         return "m", ["distances are interpreted as m (horizontal distances are written in metres)"]
     column = next((c for c in table.columns if c.role in HEIGHT_ROLES and not c.unit), None)
     height_texts = table.pointings.additional_cells.get(column.title, []) if column is not None else []
-    heights = [abs(float(height)) for height in map(cells.parse_value, height_texts) if height]
+    heights = [abs(float(height)) for height in map(cells.parse_number_or_angle, height_texts) if height]
     if (
         column is not None
         and heights
@@ -350,7 +350,7 @@ def sigmas_from_coordinates(table: PointingTable, readings: Floats, length: str)
         return {}
     pointings = table.pointings
     columns_of_numbers = [
-        map(cells.parse_value, pointings.texts(title), pointings.thousands_separator) for title, _ in titles
+        map(cells.parse_number_or_angle, pointings.texts(title), pointings.thousands_separator) for title, _ in titles
     ]
     pointings.additional_cells = {
         title: column for title, column in pointings.additional_cells.items() if title not in dict(titles)

@@ -42,7 +42,7 @@ from ltsim.recordings.tables.setups import (
     with_setups_over_marks,
 )
 from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, ZIP_SIGNATURE, head_rows, is_table_folder, read_sheets
-from ltsim.recordings.tables.station_names import ambiguous_target_name_notes, require_station_names
+from ltsim.recordings.tables.station_names import ambiguous_target_name_notes, require_single_unnamed_setup
 from ltsim.recordings.tables.unnamed_targets import name_targets_by_position, with_placeholder_target_name
 
 SETUP_FILE = "setup.toml"
@@ -85,7 +85,7 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     poses = rough_poses(setup or Setup(), tuple(dict.fromkeys(table.pointings.station)))
     interpretation, readings = interpret_readings(table, poses, hints, path)
     table = name_targets_by_position(table, readings)
-    require_station_names(table, readings, path)
+    require_single_unnamed_setup(table, readings, path)
     table.notes += ambiguous_target_name_notes(table, readings)
     if setup is not None:
         recording = assemble_recording(table, interpretation, readings, setup, hints, path)
@@ -266,7 +266,7 @@ def _covariate_values(
         column_numbers = np.full(len(texts), NOT_MEASURED)
         for i, (text, thousands_separator) in enumerate(zip(bare_texts, pointings.thousands_separator, strict=True)):
             if text and text not in cells.MISSING_VALUE_TEXTS:
-                number = cells.parse_quantity(text, thousands_separator)
+                number = cells.parse_number_or_angle_unless_time(text, thousands_separator)
                 if number is None and column.role in HEIGHT_COLUMNS:
                     message = f"found '{safe_excerpt(texts[i])}', expected a height, with the same unit in all cells"
                     raise pointings.source_location(i).error(message, safe_excerpt(column.title))

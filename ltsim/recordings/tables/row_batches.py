@@ -157,7 +157,9 @@ class RowBatchReader:
         """Text of the digits of the number in one cell; raises RecordError."""
         packed = column.unit == "dms"
         exact_value = (
-            cells.parse_packed_degrees(text) if packed else cells.parse_value(text, self.sheet.thousands_separator)
+            cells.parse_packed_degrees(text)
+            if packed
+            else cells.parse_number_or_angle(text, self.sheet.thousands_separator)
         )
         location = self._source_location(line)
         if packed and exact_value is None:

@@ -85,7 +85,7 @@ def parse_header(row: SheetRow, hints: Hints, file: object = None) -> list[Table
     """Columns whose titles are the cells of `row`; None if the row is not a header."""
     if hints.columns is not None:
         return mapped_columns(row.fields, hints.columns, file) if any(row.fields) else None
-    if count_recognised_titles(row.fields) < MIN_HEADER_TITLES or any(map(cells.is_value, row.fields)):
+    if count_recognised_titles(row.fields) < MIN_HEADER_TITLES or any(map(cells.is_numeric, row.fields)):
         return None
     columns = header_columns(row.fields)
     return columns if is_header(columns, allows_unnamed=hints.station is not None) else None
@@ -204,7 +204,7 @@ class _SheetReader:
         if self._is_summary(fields):
             return False
         for place in self.reading_positions:
-            if place < len(fields) and (is_number(fields[place]) or cells.is_value(fields[place])):
+            if place < len(fields) and (is_number(fields[place]) or cells.is_numeric(fields[place])):
                 return True
         return False
 

@@ -167,7 +167,7 @@ def split_occupations(
     """
     pointings = table.pointings
     occupations: Sequence[OccupationKey]
-    occupations, occupation_index = indices_by_value(zip(pointings.station, _occupation_numbers(table), strict=True))
+    occupations, occupation_index = indices_by_value(zip(pointings.station, _occupation_labels(table), strict=True))
     distinct, code = occupations, occupation_index
     is_rotated, orientations = False, None
     if table.column(("round",)) is not None:
@@ -210,18 +210,18 @@ def split_occupations(
     return {n for key, n in zip(distinct, names, strict=True) if rounds[key[:2]] > 1} if is_split else set(), notes
 
 
-def _occupation_numbers(table: PointingTable) -> list[str]:
+def _occupation_labels(table: PointingTable) -> list[str]:
     """Text, for each pointing, that distinguishes its occupation from other occupations of the same survey mark."""
     pointings, column = table.pointings, table.column(("instrument_setup",))
     if column is not None:
         return pointings.texts(column.title)
     if table.column(("date",)) is None:
-        return _occupation_numbers_by_height(table)
+        return _occupation_labels_by_height(table)
     days = {moment: "" if cells.has_time_of_day(moment) else moment for moment in {*pointings.date_and_time}}
     return [days[moment] for moment in pointings.date_and_time]
 
 
-def _occupation_numbers_by_height(table: PointingTable) -> list[str]:
+def _occupation_labels_by_height(table: PointingTable) -> list[str]:
     """Number, as text, of the occupation of each pointing, from the height of the instrument.
 
     The height is constant within an occupation. If a height applies to few rows of a survey mark, or recurs, it may be

@@ -26,7 +26,7 @@ from ltsim.core.limits import (
     MAX_WORKBOOK_SHEETS,
 )
 from ltsim.recordings.files import SourceLocation, is_number, read_bytes, read_lines, safe_excerpt
-from ltsim.recordings.tables.cells import detect_thousands_separator, is_value
+from ltsim.recordings.tables.cells import detect_thousands_separator, is_numeric
 from ltsim.recordings.tables.workbook_archive import checked_archive
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
@@ -55,7 +55,7 @@ class SheetRow(NamedTuple):
     @property
     def n_numeric_fields(self) -> int:
         """Number of fields that contain a number or an angle."""
-        return sum(map(is_value, self.fields))
+        return sum(map(is_numeric, self.fields))
 
     def cell(self, position: int) -> str:
         """Text of the field at `position`, from 0; '' if the row is shorter."""
@@ -243,7 +243,7 @@ def _detect_separator(lines: Sequence[str]) -> str:
 def _max_numeric_field_count(lines: Sequence[str], separator: str, min_columns: int) -> int:
     """Largest count of numeric fields in lines of one width, among lines with at least `min_columns` fields."""
     wide_rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= min_columns]
-    is_number_cell = is_number if separator == "," else is_value
+    is_number_cell = is_number if separator == "," else is_numeric
     counts: Counter[int] = Counter()
     for fields in wide_rows:
         counts[len(fields)] += sum(map(is_number_cell, fields))

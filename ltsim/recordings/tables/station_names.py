@@ -26,7 +26,7 @@ class UnnamedStationsError(RecordError):
     """Error for a table with a column, of unknown title, that has the names of its set-ups."""
 
 
-def require_station_names(table: PointingTable, readings: Floats, file: object) -> None:
+def require_single_unnamed_setup(table: PointingTable, readings: Floats, file: object) -> None:
     """Check that a table without station names is from one set-up: ranges and elevations of each target agree.
 
     `readings` (n, 3) are ranges, azimuths and elevations of n pointings [m, rad, rad]. If several set-ups measured

@@ -11,7 +11,7 @@ from ltsim.core.notation import listing
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import safe_excerpt
-from ltsim.recordings.tables.cells import is_value
+from ltsim.recordings.tables.cells import is_numeric
 from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, indices_by_value
 
 MAX_SAME_POSITION_DISTANCE_TO_RANGE = 3e-4
@@ -63,7 +63,7 @@ def _possible_name_titles(table: PointingTable) -> list[str]:
     titles = []
     for column in table.columns:
         distinct = {*table.pointings.texts(column.title)} if column.is_additional and not column.role else set()
-        are_names = all(text.isdigit() or not is_value(text) for text in distinct)
+        are_names = all(text.isdigit() or not is_numeric(text) for text in distinct)
         if are_names and not column.unit and "" not in distinct and 1 < len(distinct) < len(table.pointings):
             titles.append(safe_excerpt(column.title))
     return titles
