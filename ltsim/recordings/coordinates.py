@@ -40,7 +40,7 @@ from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 
 AXIS_NAMES = "xyz"
-TARGETS_FILE = "targets.csv"
+RESULT_TARGETS_FILE = "targets.csv"
 MAX_COVARIANCE_ASYMMETRY = 1e-6
 """Largest difference of entries ij and ji, relative to the largest variance, at which a covariance is accepted."""
 MIN_EIGENVALUE_PER_ROW = -1e-9
@@ -275,7 +275,7 @@ class EpochCoordinates:
 
 def _targets_path(path: Path) -> Path:
     """Path of the list of targets if `path` is a folder of results; otherwise `path` itself."""
-    return path / TARGETS_FILE if (path / TARGETS_FILE).is_file() and not (path / "observations.csv").exists() else path
+    return file if (file := path / RESULT_TARGETS_FILE).is_file() and not (path / "observations.csv").exists() else path
 
 
 def is_coordinate_file(path: Path) -> bool:

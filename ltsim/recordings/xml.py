@@ -100,7 +100,7 @@ def check_tag_attributes(content: bytes, file: Path) -> None:
         )
 
 
-def check_xml_part(content: bytes, file: Path) -> None:
+def check_workbook_xml(content: bytes, file: Path) -> None:
     """Check of an XML part of a workbook before a library parses it: entities, elements, depth, attributes, encoding.
 
     Raises RecordError, or ParseError if the text is not well formed.
@@ -202,7 +202,7 @@ class XmlNode:
         return self.location.name(self.required_attribute(name), kind)
 
 
-def band_matrix_size(node: XmlNode, n_rows: float, band: float) -> int:
+def band_matrix_value_count(node: XmlNode, n_rows: float, band: float) -> int:
     """Number of values in a symmetric band matrix of GNU Gama: diagonal and `band` diagonals above it, `n_rows` rows.
 
     Raises RecordError, which names `node`, if a size is not possible or the number of values exceeds the limit.
@@ -225,7 +225,7 @@ def band_matrix_entries(
     `band_values` are row by row: the diagonal and the `band` next values, as in files of GNU Gama. Raises RecordError,
     which names `node`, if their number does not match.
     """
-    if len(band_values) != band_matrix_size(node, n_rows, band):
+    if len(band_values) != band_matrix_value_count(node, n_rows, band):
         raise node.location.error(MATRIX_SIZE_MESSAGE)
     row_indices = np.arange(int(n_rows))
     last_columns = np.minimum(row_indices + int(band), int(n_rows) - 1)

@@ -88,7 +88,7 @@ class _LgcContent:
     curved_reference_keyword: str = ""
     points: dict[str, DeclaredPoint] = field(default_factory=dict)
     frames: list[str] = field(default_factory=list)
-    points_in_frames: list[str] = field(default_factory=list)
+    points_observed_in_frames: list[str] = field(default_factory=list)
     observed_points: list[tuple[str, Floats, Floats]] = field(default_factory=list)
     orientation_points: dict[str, None] = field(default_factory=dict)
     """Names of the points that orient the frame (*PDOR), in the order of the file."""
@@ -133,7 +133,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
             if not in_frame:
                 _begin_block(keyword, LineWords(words.tokens[1:], words.location), lgc)
         elif in_frame and keyword == "OBSXYZ":
-            lgc.points_in_frames.append(first)
+            lgc.points_observed_in_frames.append(first)
         elif in_frame or not _process_line(keyword, words, lgc):
             lgc.n_skipped_by_keyword[keyword] = lgc.n_skipped_by_keyword.get(keyword, 0) + 1
         if keyword == "END":
@@ -383,10 +383,10 @@ def _notes(lgc: _LgcContent) -> Iterator[str]:
         )
         reason = axes_reason if keyword == "OBSXYZ" else "is not supported"
         yield f"*{safe_excerpt(keyword)} {reason}: {count} lines are skipped"
-    if lgc.points_in_frames:
+    if lgc.points_observed_in_frames:
         frames = listing([*map(safe_excerpt, lgc.frames)])
-        sentence = f"*OBSXYZ observes {len(lgc.points_in_frames)} points in a separate frame ({frames})"
-        if all(name in lgc.points and lgc.points[name].is_fixed for name in lgc.points_in_frames):
+        sentence = f"*OBSXYZ observes {len(lgc.points_observed_in_frames)} points in a separate frame ({frames})"
+        if all(name in lgc.points and lgc.points[name].is_fixed for name in lgc.points_observed_in_frames):
             yield f"{sentence}: they are not used, because all of them are fixed"
         else:
             yield f"{sentence}: they are skipped, because ltsim does not adjust the pose of this frame"

@@ -25,11 +25,11 @@ from ltsim.recordings.formats.gama_network import (
     GamaNetwork,
     GamaPoint,
     covariance_entries,
+    differences_with_distinct_names,
     drop_height_dependent_observations,
     read_differences,
     split_correlations,
     split_reference_lengths,
-    with_distinct_names,
 )
 from ltsim.recordings.pointings import (
     NOT_MEASURED,
@@ -358,15 +358,15 @@ def _make_recording(network: GamaNetwork) -> Recording:
         instrument=Instrument(noise=_noise(network), corrected=True),
         gauge=LengthGauge(distance=tuple(gauge)) if gauge else None,
         stations=stations,
-        targets={n: _target(network.points.get(n, GamaPoint()), target_heights.get(n, 0.0)) for n in names},
-        differences=tuple(with_distinct_names(network.differences)),
+        targets={n: _make_target(network.points.get(n, GamaPoint()), target_heights.get(n, 0.0)) for n in names},
+        differences=tuple(differences_with_distinct_names(network.differences)),
     )
     recording = recording_from_pointings(pointings, setup, notes=list(dict.fromkeys(network.notes)), file=network.file)
     check_reference_difference_ends(recording, network.file)
     return recording
 
 
-def _target(point: GamaPoint, height: float) -> Target:
+def _make_target(point: GamaPoint, height: float) -> Target:
     reference_keys = {
         "known_axes": point.fixed_axes,
         "known_sigma_mm": point.sigma,

@@ -13,7 +13,7 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.pointings import SingleObservation, name_with_number
 from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Vector
-from ltsim.recordings.xml import MATRIX_SIZE_MESSAGE, XmlNode, band_matrix_entries, band_matrix_size
+from ltsim.recordings.xml import MATRIX_SIZE_MESSAGE, XmlNode, band_matrix_entries, band_matrix_value_count
 
 FIXED_SIGMA_MM = 1e-4
 """Standard deviation [mm] that is used for a coordinate declared as fixed."""
@@ -148,7 +148,7 @@ def split_reference_lengths(network: GamaNetwork) -> tuple[list[GaugeDistance], 
     return gauge, other_observations
 
 
-def with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[ReferenceDifference]:
+def differences_with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[ReferenceDifference]:
     """Reference differences with distinct names: those of the same two points (a line levelled twice) are numbered."""
     counts: Counter[str] = Counter()
     for difference in differences:
@@ -178,7 +178,7 @@ def covariance_entries(node: XmlNode) -> tuple[Ints, Ints, Floats]:
     if matrix is None:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
     n_rows, band = matrix.number("dim"), matrix.number("band")
-    size = band_matrix_size(matrix, n_rows, band)
+    size = band_matrix_value_count(matrix, n_rows, band)
     words = (matrix.element.text or "").split(maxsplit=size)
     if len(words) != size:
         raise matrix.location.error(MATRIX_SIZE_MESSAGE)

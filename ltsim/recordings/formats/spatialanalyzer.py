@@ -128,7 +128,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     )
 
 
-def _read_cells(path: Path) -> Iterator[SheetRow]:
+def _read_sheet_rows(path: Path) -> Iterator[SheetRow]:
     """Rows of the file that are not empty, each with the number of its last line; raises RecordError."""
     lines = read_lines(path)
     heading = next((line for line in lines if _HEADING_PATTERN.match(line)), None)
@@ -154,7 +154,7 @@ def _read_setup_sections(path: Path) -> list[_SetupSection]:
     blocks: dict[tuple[str, str], _SetupSection] = {}
     block_of_row: _SetupSection | None = None
     section, n_observations = "", 0
-    for row in _read_cells(path):
+    for row in _read_sheet_rows(path):
         where, first = SourceLocation(path, row.line), row.fields[0].split("\n")[0]
         if first in ("Transform", "Observations"):
             section, heading = first, _parse_heading(row.fields[0], where)

@@ -63,9 +63,9 @@ _PACKED_DEGREES_PATTERN = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
 """Pattern of degrees whose decimals are minutes and seconds."""
 _NUMBER_CHARACTERS_PATTERN = re.compile(r"[0-9.+eE-]*")
 """Pattern of texts with only the characters of decimal numbers."""
-_CLOCK_PATTERN = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
+_TIME_OF_DAY_PATTERN = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
 """Pattern of a time of day with colons, of 24 or 12 hours: ``8:00:20.5``, ``8:00 pm``."""
-_SPELLED_CLOCK_PATTERN = re.compile(
+_SPELLED_TIME_OF_DAY_PATTERN = re.compile(
     r"(\d{1,2})\s*h\s*(\d{1,2})(?:\s*m(?:in)?\s*(\d{1,2})(?:[.,](\d{1,9}))?\s*s?)?()", re.I
 )
 """Pattern of a time of day with letters: ``8h00m20.5s``, ``8h00``."""
@@ -270,7 +270,7 @@ def parse_times(texts: Sequence[str], date_order: str | None = None) -> tuple[li
     text is no date or time, and (None, "?") if the order is ambiguous.
     """
     texts = [_without_apostrophe(text) for text in texts]
-    clocks = _convert_all(_parse_clock, texts)
+    clocks = _convert_all(_parse_time_of_day, texts)
     if clocks is not None:
         return _seconds_since_first([datetime.min + clock for clock in _unwrap_midnight(clocks)], has_date=False)
     orders = _DATE_ORDERS_12_HOURS if texts and texts[0][-2:].casefold() in ("am", "pm") else _DATE_ORDERS
@@ -307,7 +307,7 @@ def has_time_of_day(text: str) -> bool:
     return (
         ":" in plain_text or "h" in plain_text.lower() or _COMPACT_STAMP_PATTERN.fullmatch(plain_text) is not None
     ) and (
-        _parse_clock(plain_text) is not None
+        _parse_time_of_day(plain_text) is not None
         or any(_parse_date_and_time(plain_text, letters, None) is not None for letters in _DATE_ORDERS)
     )
 
@@ -335,8 +335,8 @@ def _unwrap_midnight(clocks: list[timedelta]) -> list[timedelta]:
     return unwrapped
 
 
-def _parse_clock(text: str) -> timedelta | None:
-    match = _CLOCK_PATTERN.fullmatch(text.strip()) or _SPELLED_CLOCK_PATTERN.fullmatch(text.strip())
+def _parse_time_of_day(text: str) -> timedelta | None:
+    match = _TIME_OF_DAY_PATTERN.fullmatch(text.strip()) or _SPELLED_TIME_OF_DAY_PATTERN.fullmatch(text.strip())
     if match is None:
         return None
     hours, minutes, seconds = (int(part or 0) for part in match.groups()[:3])
@@ -372,7 +372,7 @@ def _parse_date_and_time(text: str, letters: str, date_order: str | None) -> dat
     """
     day, _, clock_text = re.sub(r"(?<=\d)T(?=\d)", " ", _with_numeric_month(text.strip())).partition(" ")
     clock_text = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", clock_text.strip())
-    match, clock_time = _DATE_PATTERN.fullmatch(day), _parse_clock(clock_text) if clock_text else timedelta(0)
+    match, clock_time = _DATE_PATTERN.fullmatch(day), _parse_time_of_day(clock_text) if clock_text else timedelta(0)
     if match is None or clock_time is None or (len(match[1]) == 4) != (letters == "ymd"):
         return None
     is_excluded = letters == "mdy" if match[2] == "." else letters != "ymd" and date_order not in (None, letters)

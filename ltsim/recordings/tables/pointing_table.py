@@ -127,7 +127,7 @@ class UnconvertedPointings:
 
         Raises RecordError for an invalid name, with its line.
         """
-        names, indices = indices_by_value(self.station if kind == "station" else self.target)
+        names, indices = distinct_with_indices(self.station if kind == "station" else self.target)
         _, first = np.unique(indices, return_index=True)
         for name, row in zip(names, first.tolist(), strict=True):
             self.source_location(row).name(name, kind, kind)
@@ -193,7 +193,7 @@ def _concatenate(columns: Iterable[list[ValueType]]) -> list[ValueType]:
     return list(chain.from_iterable(columns))
 
 
-def indices_by_value(values: Iterable[ValueType]) -> tuple[list[ValueType], Ints]:
+def distinct_with_indices(values: Iterable[ValueType]) -> tuple[list[ValueType], Ints]:
     """Distinct values in order of their first occurrence, and index (n,) into these for each of n values."""
     index_by_value: dict[ValueType, int] = {}
     indices = [index_by_value.setdefault(value, len(index_by_value)) for value in values]

@@ -21,7 +21,7 @@ from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Setup, Station
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import HEIGHT_ROLES
-from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, indices_by_value
+from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, distinct_with_indices
 
 SPELLING_DIFFERENCES_TEXT = "case, blanks or leading zeros"
 """Differences of spelling in spite of which two names stand for one point, as text for notes."""
@@ -69,7 +69,7 @@ def common_target_names(pointings: UnconvertedPointings) -> tuple[list[str], lis
     If the names of all targets contain the name of their set-up, it is removed, provided that set-ups then have common
     targets. Names that differ only in case, blanks or leading zeros become one name if no set-up has both.
     """
-    sightings, row = indices_by_value(zip(pointings.station, pointings.target, strict=True))
+    sightings, row = distinct_with_indices(zip(pointings.station, pointings.target, strict=True))
     stations, targets = (list(names) for names in zip(*sightings, strict=True))
     notes = []
     plain_names = [_without_station_name(station, target) for station, target in sightings]
@@ -167,19 +167,23 @@ def split_occupations(
     """
     pointings = table.pointings
     occupations: Sequence[OccupationKey]
-    occupations, occupation_index = indices_by_value(zip(pointings.station, _occupation_labels(table), strict=True))
+    occupations, occupation_index = distinct_with_indices(
+        zip(pointings.station, _occupation_labels(table), strict=True)
+    )
     distinct, code = occupations, occupation_index
     is_rotated, orientations = False, None
     if table.column(("round",)) is not None:
-        by_round, round_index = indices_by_value(zip(occupation_index.tolist(), pointings.round_label, strict=True))
+        by_round, round_index = distinct_with_indices(
+            zip(occupation_index.tolist(), pointings.round_label, strict=True)
+        )
         is_rotated = _has_rotated_circle(table, occupation_index, round_index, readings[:, 1], sigma)
         if is_rotated:
             distinct, code = [(*occupations[i], name) for i, name in by_round], round_index
     elif has_circle:
-        _, sight = indices_by_value(zip(occupation_index.tolist(), pointings.target, pointings.face, strict=True))
+        _, sight = distinct_with_indices(zip(occupation_index.tolist(), pointings.target, pointings.face, strict=True))
         orientations = circle_orientations(occupation_index, sight, readings)
         if orientations is not None:
-            by_number, code = indices_by_value(zip(occupation_index.tolist(), orientations.tolist(), strict=True))
+            by_number, code = distinct_with_indices(zip(occupation_index.tolist(), orientations.tolist(), strict=True))
             distinct = [(*occupations[i], str(number)) for i, number in by_number]
     marks = {station for station, *_ in distinct}
     if len(distinct) == len(marks):

@@ -12,7 +12,7 @@ from ltsim.geometry.polar import from_polar
 from ltsim.recordings.conventions import Hints
 from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.tables.cells import is_numeric
-from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, indices_by_value
+from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, distinct_with_indices
 
 MAX_SAME_POSITION_DISTANCE_TO_RANGE = 3e-4
 """Largest distance between two measured points that count as the same position, divided by the largest range: 1 mm at 3
@@ -105,8 +105,8 @@ def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats)
     tolerance = min(
         MAX_COINCIDENT_DISTANCE_M, MAX_SAME_POSITION_DISTANCE_TO_RANGE * float(np.nanmax(readings[:, 0], initial=0.0))
     )
-    targets, target = indices_by_value(pointings.target)
-    sights = np.column_stack([indices_by_value(pointings.station)[1], target])
+    targets, target = distinct_with_indices(pointings.target)
+    sights = np.column_stack([distinct_with_indices(pointings.station)[1], target])
     complete = np.isfinite(points).all(axis=1)
     if not complete.any() or not tolerance:
         return []
