@@ -8,7 +8,7 @@ from typing import Any
 from ltsim.core.arguments import check_bounds
 from ltsim.core.errors import ModelError, RecordError
 from ltsim.recordings import Hints, Recording, read as read_recording, write as write_recording
-from ltsim.recordings.exchange import RecordingSource, is_recording
+from ltsim.recordings.exchange import RecordingSource, is_supported_recording
 from ltsim.recordings.native import OBSERVATIONS_FILE
 from ltsim.recordings.result_file import ResultFile, read_json, read_result, write_result
 
@@ -59,7 +59,9 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
 def _find_result_file(file_or_folder: Path) -> Path | None:
     """Path of the result file that a path names, or that its folder contains; None for a recording."""
     if file_or_folder.is_file():
-        return file_or_folder if file_or_folder.suffix == ".json" and not is_recording(file_or_folder) else None
+        return (
+            file_or_folder if file_or_folder.suffix == ".json" and not is_supported_recording(file_or_folder) else None
+        )
     if (file_or_folder / OBSERVATIONS_FILE).is_file():
         return None
     from ltsim.reports.schemas import MODEL_BY_FILE_NAME  # which takes a second

@@ -14,11 +14,11 @@ from pydantic import Field, model_validator
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, ModelError, as_input_error
 from ltsim.geometry.polar import from_polar
-from ltsim.recordings.files import parse_comma_number, quoted_text
+from ltsim.recordings.files import parse_comma_number, safe_excerpt
 from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.recordings.setup import Positive, TomlSection
 from ltsim.recordings.specification import Specification, completed_specification_values, data_sheet
-from ltsim.recordings.tables.sheets import table_rows
+from ltsim.recordings.tables.sheets import read_small_table
 
 TestKind = Literal["length", "two-face"]
 """Kind of an acceptance test: `length`, or `two-face` (one target measured in both faces)."""
@@ -149,7 +149,7 @@ def read_table_rows(
     file: Path, required_columns: Sequence[str], optional_columns: Sequence[str] = ()
 ) -> list[tuple[int, dict[str, str]]]:
     """Line number, and cells by column name, of each row in a user's CSV table; raises RecordError or InputError."""
-    header, rows = table_rows(file)
+    header, rows = read_small_table(file)
     missing = [name for name in required_columns if name not in header]
     if missing:
         raise InputError(
@@ -161,7 +161,7 @@ def read_table_rows(
 def _test_from_row(row: dict[str, str], line_number: int, file: Path) -> AcceptanceTest:
     kind = row["kind"]
     if kind not in ("length", "two-face"):
-        raise InputError(f"{file}: row {line_number}: kind is '{quoted_text(kind)}', expected length or two-face")
+        raise InputError(f"{file}: row {line_number}: kind is '{safe_excerpt(kind)}', expected length or two-face")
     first_point = _point_from_row(row, "1", line_number, file)
     second = _point_from_row(row, "2", line_number, file) if kind == "length" else first_point
     if kind == "length" and first_point == second:

@@ -33,7 +33,7 @@ from ltsim.core.notation import listing
 from ltsim.core.units import MICROMETRE
 from ltsim.physics.model.construction import construction_of_beam_origin
 from ltsim.recordings import read
-from ltsim.recordings.files import parse_comma_number, quoted_text
+from ltsim.recordings.files import parse_comma_number, safe_excerpt
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
 
@@ -157,7 +157,7 @@ def read_measured_outcomes(file: Path, tests: Sequence[AcceptanceTest], limits: 
         if name not in place:
             raise InputError(f"{file}: row {line}: {unknown_name_error('test', name, place)}")
         if name in outcome_by_test:
-            raise InputError(f"{file}: row {line}: test '{quoted_text(name)}' has two rows; keep its largest error")
+            raise InputError(f"{file}: row {line}: test '{safe_excerpt(name)}' has two rows; keep its largest error")
         numbers = [
             parse_comma_number(row[name], file=file, row=line, column=name) if row.get(name) else float("nan")
             for name in ("error_um", "U_um")

@@ -23,7 +23,7 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import MIN_RIGID_POINTS, align_robustly
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.coordinates import read_points
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import MIN_SIGMA, Axes, Target
 
@@ -117,7 +117,7 @@ def with_axes_from_three_targets(
     axis_names = (origin_target, x_axis_target, xy_plane_target)
     for name in axis_names:
         if name not in recording.targets:
-            raise RecordError(f"the axes name the target '{quoted_text(name)}', which was never measured")
+            raise RecordError(f"the axes name the target '{safe_excerpt(name)}', which was never measured")
     _require_free_frame(recording)
     a, b, c = adjust(recording).state.target_points[[recording.targets.index(name) for name in axis_names]]
     along, across = b - a, c - a
@@ -153,7 +153,7 @@ def with_control_points(recording: Recording, path: Path) -> Recording:
         spread = np.where(np.outer(is_given, is_given), covariance, np.eye(3)) / MILLIMETRE**2
         if not (np.isfinite(spread).all() and np.sqrt(np.diag(spread)).min() >= MIN_SIGMA):
             message = (
-                f"has no standard deviation of {quoted_text(name)}; add a column sigma_mm, or sigma_x_mm and so on"
+                f"has no standard deviation of {safe_excerpt(name)}; add a column sigma_mm, or sigma_x_mm and so on"
             )
             raise RecordError(f"{message}; use --frame for coordinates that only define the axes", file=path, row=line)
         update = {

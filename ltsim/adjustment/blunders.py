@@ -25,7 +25,7 @@ from ltsim.physics.effects.motions import exact_change_by_displacement
 from ltsim.physics.effects.wrong_unit import WrongUnit
 from ltsim.physics.model.measurement import plumb_directions
 from ltsim.recordings.recording import OBSERVABLES, Recording
-from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS, shared_target_counts
+from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_AND_CONVENTION_ERRORS, shared_target_counts
 
 MAX_COMPARED_STATIONS = 30
 """Largest number of stations with which a station is compared (those that share most targets with it), because each
@@ -187,7 +187,7 @@ def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[B
     These pointings agree with their target after a correction of the unit or face.
     """
     recording = adjustment.recording
-    kinds = (WrongUnit.name, UNIT_ERRORS), (FaceConfusion.name, FACE_ERRORS)
+    kinds = (WrongUnit.name, UNIT_AND_CONVENTION_ERRORS), (FaceConfusion.name, FACE_ERRORS)
     for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
         readings = slip.without_error(recording.readings)
         at = np.flatnonzero(is_gross & np.isfinite(readings).all(axis=1))
@@ -197,7 +197,7 @@ def _unit_and_face_errors(adjustment: Adjustment, is_gross: Bools) -> Iterator[B
             targets = tuple(sorted({recording.targets[t] for t in recording.target[at]}))
             size = float(_target_distances(adjustment, recording.readings[at], at).max())
             where = f"{', '.join(stations)} to {', '.join(targets[:6])}"
-            sentence = f"{len(at)} pointings at station {where} contain {slip.cause}."
+            sentence = f"{len(at)} pointings at station {where} contain {slip.description}."
             observables = tuple(OBSERVABLES[c] for c in slip.changed_columns)
             finding = IdentifiedBlunder(effect, at, stations, targets, observables, size, sentence)
             yield finding, readings[at], recording.target[at]
@@ -229,7 +229,7 @@ def correct_units(recording: Recording) -> tuple[Recording, list[IdentifiedBlund
             if _cloud_misfits(corrected, [s])[s] < MIN_CLOUD_MISFIT:
                 moved = from_polar(readings[rows]) - from_polar(recording.readings[rows])
                 size = float(np.nanmax(np.linalg.norm(moved, axis=1)))
-                sentence = f"Station {name} was recorded with {effect.transcription_error.cause}."
+                sentence = f"Station {name} was recorded with {effect.transcription_error.description}."
                 findings.append(IdentifiedBlunder(effect.name, rows, (name,), (), effect.observables, size, sentence))
                 recording = corrected
                 break

@@ -17,7 +17,7 @@ from ltsim.core.errors import ModelError, RecordError, unknown_name_error
 from ltsim.core.results import Table
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT, permitted_units_text
 from ltsim.physics.model.construction import GeometricErrorModel, construction_for_parameters
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.recording import OBSERVABLES
 
 
@@ -179,14 +179,14 @@ def _parameter_vector_indices(
         if (row.instrument, row.name) not in index_by_instrument_and_name:
             kind = f"parameter of construction {construction}"
             raise RecordError(
-                f"parameters: {unknown_name_error(kind, quoted_text(row.name), names)}", file=file, row=number
+                f"parameters: {unknown_name_error(kind, safe_excerpt(row.name), names)}", file=file, row=number
             )
         if row.unit not in SI_PER_UNIT:
             expected = f"expected one of {permitted_units_text()}"
-            raise RecordError(f"parameters: unknown unit '{quoted_text(row.unit)}'; {expected}", file=file, row=number)
+            raise RecordError(f"parameters: unknown unit '{safe_excerpt(row.unit)}'; {expected}", file=file, row=number)
         flat_indices.append(index_by_instrument_and_name[row.instrument, row.name])
         if flat_indices[-1] in flat_indices[:-1]:
-            problem = f"parameters: '{quoted_text(row.name)}' occurs twice; expected one entry per parameter"
+            problem = f"parameters: '{safe_excerpt(row.name)}' occurs twice; expected one entry per parameter"
             raise RecordError(problem, file=file, row=number)
     return flat_indices
 

@@ -12,7 +12,7 @@ from ltsim.core.errors import RecordError, unknown_name_error
 from ltsim.core.notation import listing
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.recordings.files import quoted_text, read_text
+from ltsim.recordings.files import read_text, safe_excerpt
 from ltsim.recordings.result_file import read_result, write_result
 
 CalibrationSource = Calibration | str | Path
@@ -82,10 +82,10 @@ def _check_reflector_parameters(calibration: Calibration, file: Path) -> None:
     for entry in calibration.reflectors:
         for row in entry.parameters:
             if row.name not in unit_by_name:
-                unknown = unknown_name_error("parameter of smr-incidence", quoted_text(row.name), tuple(unit_by_name))
+                unknown = unknown_name_error("parameter of smr-incidence", safe_excerpt(row.name), tuple(unit_by_name))
                 raise RecordError(f"reflectors: {unknown}", file=file)
             if row.unit != unit_by_name[row.name] or isinstance(row.value, str):
-                problem = f"{quoted_text(row.name)} is '{quoted_text(str(row.value))} {quoted_text(row.unit)}'"
+                problem = f"{safe_excerpt(row.name)} is '{safe_excerpt(str(row.value))} {safe_excerpt(row.unit)}'"
                 raise RecordError(f"reflectors: {problem}; expected a number in {unit_by_name[row.name]}", file=file)
 
 

@@ -26,7 +26,7 @@ from ltsim.core.notation import number_text
 from ltsim.core.probability import TWO_SIDED_GLOBAL_TEST_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
 from ltsim.physics.effects.air import air_uncertainty_text
-from ltsim.recordings.pointings import declares_noise
+from ltsim.recordings.pointings import has_all_sigma_columns
 from ltsim.recordings.specification import noise_origin
 from ltsim.recordings.summary import recording_noise_text
 
@@ -159,7 +159,7 @@ def _noise_text(adjustment: Adjustment) -> str:
             for row in rows
         ]
         return f"{', '.join(texts)}; estimated from the readings"
-    if declares_noise(recording):
+    if has_all_sigma_columns(recording):
         return "declared for each reading"
     sheets = {recording.setup.instrument_named(name).sheet for name in recording.instruments} - {None}
     origin = f"of the data sheet {', '.join(sorted(map(str, sheets)))}" if sheets else source_text

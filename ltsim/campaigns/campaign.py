@@ -42,7 +42,7 @@ from ltsim.core.arguments import check_bounds, check_choice
 from ltsim.core.errors import InputError, WorkerError, as_input_error, option_text
 from ltsim.core.parallel import run_parallel
 from ltsim.core.storage import check_writable, read_whole_file
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.settings import to_toml
 from ltsim.simulation.simulator import ineffective_effect_notes
 
@@ -251,7 +251,7 @@ def _environment_change_notes(store: CampaignFolder) -> list[str]:
     then, today = manifest.versions, _package_versions()
     for name in VERSIONED_PACKAGES:
         if then.get(name) != today[name]:
-            before = quoted_text(str(then.get(name)))
+            before = safe_excerpt(str(then.get(name)))
             raise InputError(
                 f"{store.folder}: the campaign was started with {name} {before}; rows may differ with {today[name]}; "
                 f"continue with the same version, or start again with another {option_text('out')}"

@@ -64,14 +64,14 @@ class ChainProgram(NamedTuple):
         motions = [
             m
             for m in construction.kinematic_chain
-            if m.nominal_amount is not None or parameters_by_error_key.get(m.error_key)
+            if m.nominal_amount_function is not None or parameters_by_error_key.get(m.error_key)
         ]
         feeds = [parameters_by_error_key.get(m.error_key, []) for m in motions]
         slope = _basis_derivatives(construction, readings)
         return cls(
             is_rotation=np.array([isinstance(m, RotationStep) for m in motions], dtype=np.int64),
             axis_indices=np.array([m.axis for m in motions], dtype=np.int64),
-            reading_signs=np.array([m.sign for m in motions]),
+            reading_signs=np.array([m.amount_factor for m in motions]),
             reading_indices=np.array([_reading_index(m) for m in motions], dtype=np.int64),
             nominal_amounts=np.array([_nominal_amount(m, readings) for m in motions]),
             parameter_offsets=np.concatenate([[0], np.cumsum([len(f) for f in feeds])]).astype(np.int64),
@@ -102,17 +102,19 @@ class ChainProgram(NamedTuple):
 
 def _reading_index(motion: ElementaryMotion) -> int:
     """Index of the reading that determines the amount of a motion: 0 range, 1 azimuth, 2 elevation, -1 none."""
-    if motion.nominal_amount is None:
+    if motion.nominal_amount_function is None:
         return -1
     probe = np.vstack([np.zeros(3), np.eye(3)])
-    probed_amounts = np.asarray(motion.nominal_amount(probe))
+    probed_amounts = np.asarray(motion.nominal_amount_function(probe))
     return next((c for c in range(3) if probed_amounts[c + 1] != probed_amounts[0]), -1)
 
 
 def _nominal_amount(motion: ElementaryMotion, readings: Floats) -> Floats:
     """Amount of a motion, (pointings, 2): length [m] and 0 of a translation, or cosine and sine of a rotation."""
     nominal_amounts = (
-        np.zeros(len(readings)) if motion.nominal_amount is None else motion.sign * motion.nominal_amount(readings)
+        np.zeros(len(readings))
+        if motion.nominal_amount_function is None
+        else motion.amount_factor * motion.nominal_amount_function(readings)
     )
     if isinstance(motion, RotationStep):
         return np.stack([np.cos(nominal_amounts), np.sin(nominal_amounts)], axis=1)

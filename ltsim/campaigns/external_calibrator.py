@@ -23,7 +23,7 @@ from ltsim.core.errors import CalibratorError, InputError, RecordError, option_t
 from ltsim.core.parallel import PYTHON_SAFE_PATH_VARIABLE
 from ltsim.core.units import SI_PER_UNIT, permitted_units_text
 from ltsim.recordings import Recording, write as write_recording
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.result_file import read_json
 from ltsim.recordings.setup import Finite
 
@@ -59,11 +59,13 @@ def split_command(command: str) -> list[str]:
     for place in (RECORDING_PLACEHOLDER, OUTPUT_PLACEHOLDER):
         if place not in command:
             expected = f"'CMD {RECORDING_PLACEHOLDER} {OUTPUT_PLACEHOLDER}'"
-            raise InputError(f"{option_text('calibrator')} '{quoted_text(command)}' lacks {place}: expected {expected}")
+            raise InputError(
+                f"{option_text('calibrator')} '{safe_excerpt(command)}' lacks {place}: expected {expected}"
+            )
     try:
         return shlex.split(command)
     except ValueError as problem:
-        raise InputError(f"{option_text('calibrator')} '{quoted_text(command)}': {problem}") from None
+        raise InputError(f"{option_text('calibrator')} '{safe_excerpt(command)}': {problem}") from None
 
 
 def run_external_calibrator(
@@ -97,15 +99,15 @@ def run_external_calibrator(
                 filled, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False, env=environment
             )
         except OSError as problem:
-            message = f"{option_text('calibrator')}: {quoted_text(words[0])} cannot be started ({problem.strerror})"
+            message = f"{option_text('calibrator')}: {safe_excerpt(words[0])} cannot be started ({problem.strerror})"
             raise InputError(message) from None
         what = (
-            f"'{quoted_text(calibrator, MAX_QUOTED_LINE_LENGTH)}' ended with status {done.returncode} for {trial_text}"
+            f"'{safe_excerpt(calibrator, MAX_QUOTED_LINE_LENGTH)}' ended with status {done.returncode} for {trial_text}"
         )
         lines = done.stderr.decode("utf-8", "replace").split("\n")
         last = next((line.strip() for line in reversed(lines) if line.strip()), "")
         detail = (
-            f"its last line was: {quoted_text(last, MAX_QUOTED_LINE_LENGTH)}" if last else "standard error is empty"
+            f"its last line was: {safe_excerpt(last, MAX_QUOTED_LINE_LENGTH)}" if last else "standard error is empty"
         )
         if done.returncode:
             raise CalibratorError(f"{what}; {detail}")
@@ -138,12 +140,12 @@ def _validated_estimates(raw_estimates: object) -> dict[str, ParameterEstimate]:
         first = problem.errors()[0]
         name, *index = first["loc"] or ("the result",)
         fields = [ParameterEstimate._fields[at] for at in index if isinstance(at, int)]
-        given, reason = quoted_text(repr(first["input"])), first["msg"].lower().replace("input", "it")
+        given, reason = safe_excerpt(repr(first["input"])), first["msg"].lower().replace("input", "it")
         where = " of ".join([*fields, str(name)])
         raise RecordError(f"{where} is {given}, {reason}; expected value, sigma and unit by name") from None
     lost = next((entry.unit for entry in estimates.values() if entry.unit not in SI_PER_UNIT), None)
     if lost is not None:
-        raise RecordError(f"'{quoted_text(lost)}' is not a unit, expected one of {permitted_units_text()}")
+        raise RecordError(f"'{safe_excerpt(lost)}' is not a unit, expected one of {permitted_units_text()}")
     if not estimates:
         raise RecordError("it contains no parameter, expected at least one")
     return estimates

@@ -18,7 +18,7 @@ from ltsim.core.errors import CalibratorError, InputError
 from ltsim.core.units import SI_PER_UNIT, are_convertible_units
 from ltsim.physics.effects.effect import effect_parameter_names
 from ltsim.physics.effects.smr_incidence import SmrIncidence
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.simulation.truth import Truth
 
 MIN_NOISE_VARIANCE_FRACTION = 1e-4
@@ -307,7 +307,7 @@ def score_estimates(
     unknown = next((name for name in estimates if name not in true), None)
     if unknown is not None:
         raise CalibratorError(
-            f"the calibrator gives '{quoted_text(unknown)}', but the parameters of the simulated instrument "
+            f"the calibrator gives '{safe_excerpt(unknown)}', but the parameters of the simulated instrument "
             f"({truth.construction}) are {', '.join(true)}"
         )
     names = tuple(name for name in true if name in estimates)

@@ -34,7 +34,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import InputError, ModelError, option_text, unknown_name_error
 from ltsim.core.limits import BYTES_PER_MIB, MAX_DATABASE_MEMORY_BYTES, MAX_FILE_BYTES
 from ltsim.core.results import ColumnValues, Table
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.result_file import Entry
 
 NORMAL_QUANTILE_95 = 1.959963984540054
@@ -352,6 +352,6 @@ def memory_limit(shards: Sequence[Path]) -> str:
 
 
 def _damaged_folder_error(folder: Path, problem: Exception) -> InputError:
-    reason = quoted_text(str(problem).split("\n")[0], 200)
+    reason = safe_excerpt(str(problem).split("\n")[0], 200)
     repair = f"Run the campaign again with {option_text('resume=True')} to repair the folder"
     return InputError(f"{folder}: a file of rows (shard) cannot be read: {reason}. {repair}")

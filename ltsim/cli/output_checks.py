@@ -119,7 +119,7 @@ def _is_replaceable(
         result = read_result(folder, model)
         is_of_this_command = bool(result.files or result.recording) and is_of_same_command(result)
         return is_of_this_command and all(
-            result.is_ltsim_file(folder, name) for name in existing_names if name != model.FILE
+            result.is_unchanged_companion(folder, name) for name in existing_names if name != model.FILE
         )
     except RecordError:
         return False

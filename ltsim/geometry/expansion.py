@@ -27,7 +27,7 @@ class ThermalExpansion:
     """Change of the length ratio if the temperature of the body is in error by one standard deviation."""
 
     @classmethod
-    def from_temperature(
+    def from_temperature_difference(
         cls,
         coefficient_per_k: float,
         temperature_difference: float,

@@ -25,29 +25,29 @@ elementary motion, (n,)."""
 
 @dataclass(frozen=True)
 class RotationStep:
-    """Rotation by the angle ``sign * (nominal_amount(raw_readings) + errors[error_key])`` [rad] about an axis."""
+    """Rotation about an axis by `amount_factor` times the sum of a nominal angle [rad] and an error [rad]."""
 
     axis: int
     """Coordinate axis of the rotation: 0 x, 1 y, 2 z."""
     error_key: str = ""
     """Key of the rotation's error in the mapping `errors`; empty for a rotation without error."""
-    nominal_amount: NominalAmountFunction | None = None
+    nominal_amount_function: NominalAmountFunction | None = None
     """Nominal angle [rad] as a function of the raw readings; None for a nominal angle of zero."""
-    sign: float = 1.0
+    amount_factor: float = 1.0
     """Factor of nominal angle plus error: +1, -1, or a ratio such as `MIRROR_ROTATION_RATIO`."""
 
 
 @dataclass(frozen=True)
 class TranslationStep:
-    """Translation by the length ``sign * (nominal_amount(raw_readings) + errors[error_key])`` [m] along an axis."""
+    """Translation along an axis by `amount_factor` times the sum of a nominal length [m] and an error [m]."""
 
     axis: int
     """Coordinate axis of the translation: 0 x, 1 y, 2 z."""
     error_key: str = ""
     """Key of the translation's error in the mapping `errors`; empty for a translation without error."""
-    nominal_amount: NominalAmountFunction | None = None
+    nominal_amount_function: NominalAmountFunction | None = None
     """Nominal length [m] as a function of the raw readings; None for a nominal length of zero."""
-    sign: float = 1.0
+    amount_factor: float = 1.0
     """Factor of nominal length plus error, +1 or -1."""
 
 
@@ -90,14 +90,18 @@ def _motion_amount(
 
     The result is an array (n,) or one number; None for a motion with neither a nominal amount nor an error.
     """
-    motion_amount = None if elementary_motion.nominal_amount is None else elementary_motion.nominal_amount(raw_readings)
+    motion_amount = (
+        None
+        if elementary_motion.nominal_amount_function is None
+        else elementary_motion.nominal_amount_function(raw_readings)
+    )
     error = errors.get(elementary_motion.error_key)
     if error is not None:
         motion_amount = error if motion_amount is None else motion_amount + error
-    return None if motion_amount is None else elementary_motion.sign * motion_amount
+    return None if motion_amount is None else elementary_motion.amount_factor * motion_amount
 
 
-def _rotate(axis: int, angle: Floats, *vectors: Floats) -> None:
+def _rotate_in_place(axis: int, angle: Floats, *vectors: Floats) -> None:
     """Rotation in place of arrays of vectors (..., n, 3) about a coordinate axis, by n angles (n,)."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     c, s = np.cos(angle), np.sin(angle)
@@ -146,7 +150,7 @@ def points_and_error_derivatives(
             if amount is not None:
                 p[:, motion.axis] += amount
         elif amount is not None:
-            _rotate(motion.axis, amount, p, derivative_buffer[:count])
+            _rotate_in_place(motion.axis, amount, p, derivative_buffer[:count])
         if motion.error_key not in error_keys:
             continue
         if motion.error_key not in derivatives:
@@ -154,11 +158,11 @@ def points_and_error_derivatives(
             count += 1
         derivative = derivatives[motion.error_key]
         if isinstance(motion, TranslationStep):
-            derivative[:, motion.axis] += motion.sign
+            derivative[:, motion.axis] += motion.amount_factor
         else:
             i, j = (motion.axis + 1) % 3, (motion.axis + 2) % 3
-            derivative[:, i] -= motion.sign * p[:, j]
-            derivative[:, j] += motion.sign * p[:, i]
+            derivative[:, i] -= motion.amount_factor * p[:, j]
+            derivative[:, j] += motion.amount_factor * p[:, i]
     return p, derivatives
 
 
@@ -172,7 +176,7 @@ MISALIGNMENT_CHAIN: KinematicChain = (
     RotationStep(2, "azimuth", NominalAmountFromReading(1)),
     TranslationStep(0, "transit-offset"),
     RotationStep(0, "transit-tilt"),
-    RotationStep(1, "elevation", NominalAmountFromReading(2), sign=-1.0),
+    RotationStep(1, "elevation", NominalAmountFromReading(2), amount_factor=-1.0),
     TranslationStep(1, "beam-lateral"),
     TranslationStep(2, "beam-vertical"),
     RotationStep(2, "beam-tilt"),
@@ -194,8 +198,8 @@ Signs: every error is a correction (true value minus reading), added to the raw 
 face-2 readings are used unchanged; the signs of the two faces follow from the geometry.
 """
 
-MIRROR_ZENITH_ROTATION = -0.5 * math.pi
-"""Rotation [rad] of the mirror's normal between the zenith and the horizontal, added to the elevation."""
+ELEVATION_TO_ZENITH_OFFSET = -0.5 * math.pi
+"""Offset [rad] that is added to an elevation; the sum is minus the zenith angle."""
 MIRROR_ROTATION_RATIO = -0.5
 """Ratio of the mirror's rotation to the elevation: one half, because the reflected beam turns twice as far as the
 mirror. It is negative because elevation is counted upwards and a positive turn about y is downwards."""
@@ -205,23 +209,27 @@ STEERING_MIRROR_CHAIN: KinematicChain = (
     RotationStep(2, "azimuth", NominalAmountFromReading(1)),
     TranslationStep(0, "transit-offset"),
     RotationStep(0, "transit-tilt"),
-    RotationStep(1, "elevation", NominalAmountFromReading(2, MIRROR_ZENITH_ROTATION), sign=MIRROR_ROTATION_RATIO),
+    RotationStep(
+        1, "elevation", NominalAmountFromReading(2, ELEVATION_TO_ZENITH_OFFSET), amount_factor=MIRROR_ROTATION_RATIO
+    ),
     TranslationStep(0, "mirror-offset"),
     RotationStep(2, "mirror-tilt"),
     # Its image: T^-1 reflected.
     RotationStep(2, "mirror-tilt"),
     TranslationStep(0, "mirror-offset"),
-    RotationStep(1, "elevation", NominalAmountFromReading(2, MIRROR_ZENITH_ROTATION), sign=MIRROR_ROTATION_RATIO),
-    RotationStep(0, "transit-tilt", sign=-1.0),
+    RotationStep(
+        1, "elevation", NominalAmountFromReading(2, ELEVATION_TO_ZENITH_OFFSET), amount_factor=MIRROR_ROTATION_RATIO
+    ),
+    RotationStep(0, "transit-tilt", amount_factor=-1.0),
     TranslationStep(0, "transit-offset"),
-    TranslationStep(0, "cover-forward", sign=-1.0),
+    TranslationStep(0, "cover-forward", amount_factor=-1.0),
     TranslationStep(1, "cover-left"),
     RotationStep(2, "azimuth", NominalAmountFromReading(1)),
     # The beam in the base, reflected.
-    TranslationStep(0, "beam-x", sign=-1.0),
+    TranslationStep(0, "beam-x", amount_factor=-1.0),
     TranslationStep(1, "beam-y"),
     RotationStep(0, "beam-tilt-x"),
-    RotationStep(1, "beam-tilt-y", sign=-1.0),
+    RotationStep(1, "beam-tilt-y", amount_factor=-1.0),
     TranslationStep(2, "range", NominalAmountFromReading(0)),
 )
 """Model of a tracker with a beam-steering mirror: fixed source, mirror that turns at half the rate of the beam.
@@ -259,15 +267,17 @@ def joint_error_motions(joint_name: str) -> tuple[ElementaryMotion, ...]:
 
 
 DH_CHAIN: KinematicChain = (
-    RotationStep(2, nominal_amount=ConstantNominalAmount(-QUARTER_TURN)),
-    RotationStep(2, nominal_amount=NominalAmountFromReading(1, -QUARTER_TURN)),  # A1 of Table 1: theta - 90, alpha -90
-    RotationStep(0, nominal_amount=ConstantNominalAmount(-QUARTER_TURN)),
+    RotationStep(2, nominal_amount_function=ConstantNominalAmount(-QUARTER_TURN)),
+    RotationStep(
+        2, nominal_amount_function=NominalAmountFromReading(1, -QUARTER_TURN)
+    ),  # A1 of Table 1: theta - 90, alpha -90
+    RotationStep(0, nominal_amount_function=ConstantNominalAmount(-QUARTER_TURN)),
     *joint_error_motions("J1"),
-    RotationStep(2, nominal_amount=NominalAmountFromReading(2, -QUARTER_TURN)),  # A2: phi - 90, alpha +90
-    RotationStep(0, nominal_amount=ConstantNominalAmount(QUARTER_TURN)),
+    RotationStep(2, nominal_amount_function=NominalAmountFromReading(2, -QUARTER_TURN)),  # A2: phi - 90, alpha +90
+    RotationStep(0, nominal_amount_function=ConstantNominalAmount(QUARTER_TURN)),
     *joint_error_motions("J2"),
-    TranslationStep(2, nominal_amount=NominalAmountFromReading(0)),  # A3: d, theta -90
-    RotationStep(2, nominal_amount=ConstantNominalAmount(-QUARTER_TURN)),
+    TranslationStep(2, nominal_amount_function=NominalAmountFromReading(0)),  # A3: d, theta -90
+    RotationStep(2, nominal_amount_function=ConstantNominalAmount(-QUARTER_TURN)),
     *joint_error_motions("T"),
 )
 """The paper's Denavit-Hartenberg chain (Sensors 2021, 21, 7479, eq. 1 to 8) with all its error functions.

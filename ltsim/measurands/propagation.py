@@ -41,7 +41,7 @@ def thermal_expansion_of_part(declared_expansion: PartExpansion | None) -> Therm
     if declared_expansion is None:
         return ThermalExpansion()
     kelvin = declared_expansion.measured_c - declared_expansion.reference_c
-    return ThermalExpansion.from_temperature(
+    return ThermalExpansion.from_temperature_difference(
         declared_expansion.expansion_per_k,
         kelvin,
         declared_expansion.sigma_expansion_per_k,

@@ -19,7 +19,7 @@ from ltsim.planning.search_space import MIN_VISIBLE_TARGETS
 from ltsim.planning.spec import WALLS_NAME, PlanFile, PlanPoint
 from ltsim.planning.station_placement import StationPlacement
 from ltsim.recordings.coordinates import PointList, read_points as read_coordinates
-from ltsim.recordings.files import parse_comma_number, quoted_text
+from ltsim.recordings.files import parse_comma_number, safe_excerpt
 from ltsim.recordings.settings import read_toml, validate_settings
 from ltsim.scene.floor import areas_and_keep_outs, grid_over_area, grid_step, is_allowed_position
 from ltsim.scene.visibility import compute_visibility
@@ -61,7 +61,7 @@ def plan_text(name: str) -> str:
     path = BUILTIN_FOLDER / f"{name}.toml"
     if not path.is_file():
         near = _similar_names(name, plan_names())
-        raise InputError(f"{quoted_text(name)}: there is no built-in plan of this name; did you mean {near}?")
+        raise InputError(f"{safe_excerpt(name)}: there is no built-in plan of this name; did you mean {near}?")
     return path.read_text(encoding="utf-8")
 
 
@@ -74,7 +74,7 @@ def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
         if name in builtin_names():
             return PlanFile(scenario=name), load_scenario(name)
         near = _similar_names(name, plan_names())
-        raise InputError(f"{quoted_text(name)}: there is no such file, and no built-in plan; did you mean {near}?")
+        raise InputError(f"{safe_excerpt(name)}: there is no such file, and no built-in plan; did you mean {near}?")
     with as_input_error():
         data = read_toml(path, "plan")
         if data.get("format") == SCENARIO_FORMAT:
@@ -151,14 +151,14 @@ def _check_names(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
             if name not in names:
                 near = _similar_names(name, names)
                 raise InputError(
-                    f"{file}: {key} names '{quoted_text(name)}', which does not exist; did you mean {near}?"
+                    f"{file}: {key} names '{safe_excerpt(name)}', which does not exist; did you mean {near}?"
                 )
     new_names = [p.name for p in plan_file.reflectors.places] + [s.name for s in plan_file.reflectors.surfaces]
     targets = frozenset(scenario.target_names)
     for name, count in Counter(new_names).items():
         if count > 1 or name in targets:
             fault = "the name of a target" if name in targets else "given twice"
-            raise InputError(f"{file}: reflectors: the name '{quoted_text(name)}' is {fault}")
+            raise InputError(f"{file}: reflectors: the name '{safe_excerpt(name)}' is {fault}")
 
 
 def _check_dependent_keys(plan_file: PlanFile, scenario: Scenario, file: object) -> None:
@@ -192,7 +192,7 @@ def read_points(path: Path) -> tuple[PlanPoint, ...]:
         for name in table.additional_columns:
             if name not in columns:
                 wanted = f"expected name, x, y, z and, optional, {', '.join(columns)}"
-                raise RecordError(f"has the unknown column '{quoted_text(name)}'; {wanted}", file=path)
+                raise RecordError(f"has the unknown column '{safe_excerpt(name)}'; {wanted}", file=path)
         _require_few_points(len(table.names), path)
         return tuple(_point_from_table(table, i, path) for i in range(len(table.names)))
 
@@ -230,7 +230,7 @@ def _point_from_table(table: PointList, row: int, path: Path) -> PlanPoint:
         first = problem.errors()[0]
         wanted = first["msg"].removeprefix("Value error, ")
         raise RecordError(
-            f"found {quoted_text(str(first['input']))}: {wanted}", column=str(first["loc"][0]), **location
+            f"found {safe_excerpt(str(first['input']))}: {wanted}", column=str(first["loc"][0]), **location
         ) from None
 
 

@@ -32,8 +32,8 @@ class CentringUncertainty(TomlSection):
     def restricted_to(self, stations: Sequence[str], targets: Sequence[str]) -> CentringUncertainty | None:
         """Centring errors of the given stations and targets (names) only; None if these errors act on none of them."""
         names_by_key = {
-            key: tuple(name for name in chosen if name in names)
-            for key, chosen, names in self._declared_names(stations, targets)
+            key: tuple(name for name in declared_names if name in names)
+            for key, declared_names, names in self._declared_names(stations, targets)
         }
         return self.model_copy(update=names_by_key) if all(names_by_key.values()) else None
 
@@ -45,8 +45,8 @@ class CentringUncertainty(TomlSection):
         The items are (key, name, permitted names). `stations` and `targets` are the names in the recording, which are
         the permitted ones.
         """
-        for key, chosen, names in self._declared_names(stations, targets):
-            yield from ((key, name, names) for name in chosen if name not in names)
+        for key, declared_names, names in self._declared_names(stations, targets):
+            yield from ((key, name, names) for name in declared_names if name not in names)
 
     def _declared_names(
         self, stations: Sequence[str], targets: Sequence[str]
@@ -56,7 +56,10 @@ class CentringUncertainty(TomlSection):
         `stations` and `targets` are the names in the recording, which are the permitted ones.
         """
         yield from (
-            (key, chosen, names)
-            for key, chosen, names in (("stations", self.stations, stations), ("targets", self.targets, targets))
-            if chosen
+            (key, declared_names, names)
+            for key, declared_names, names in (
+                ("stations", self.stations, stations),
+                ("targets", self.targets, targets),
+            )
+            if declared_names
         )

@@ -75,7 +75,7 @@ def _orientations_of_occupation(first_row_of_same_target: list[int], rotations_f
             n_repeated += 1
             if not _is_equal_direction(circle_rotation, rotations[-1]):
                 if abs(
-                    _wrap_to_half_circle(circle_rotation - rotations[-1])
+                    _wrap_scalar_angle(circle_rotation - rotations[-1])
                 ) > MIN_CIRCLE_RESET_ROTATION and _is_confirmed(
                     row, first_row_of_same_target, rotations_from_first, circle_rotation, rotations, orientations
                 ):
@@ -113,9 +113,9 @@ def _is_confirmed(
 
 
 def _is_equal_direction(angle: float, other_angle: float) -> bool:
-    return abs(_wrap_to_half_circle(angle - other_angle)) < MAX_DIRECTION_DIFFERENCE
+    return abs(_wrap_scalar_angle(angle - other_angle)) < MAX_DIRECTION_DIFFERENCE
 
 
-def _wrap_to_half_circle(angle: float) -> float:
+def _wrap_scalar_angle(angle: float) -> float:
     """Angle [rad] plus the multiple of a full circle with which it lies between -pi and pi."""
     return math.remainder(angle, math.tau)

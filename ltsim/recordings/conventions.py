@@ -45,9 +45,9 @@ HINTED_ANGLE_UNITS: tuple[AngleUnit, ...] = ("deg", "gon", "rad")
 VERTICAL_KINDS: tuple[VerticalKind, ...] = ("zenith", "elevation")
 MIN_SECOND_TO_BEST_RATIO = 10.0
 """Ratio of the misfit of the second-best convention to that of the best one from which on the data decide."""
-MAX_RELATIVE_MIRROR_MISFIT = 1e-3
+MAX_MIRROR_MISFIT_TO_NETWORK_SIZE = 1e-3
 """Median distance of mirrored points from reference points, divided by the network's size, below which they fit."""
-MAX_ROWS_IN_A_NOTE = 3
+MAX_ROWS_IN_NOTE = 3
 """Largest number of rows that a note lists, and of sentences on mirror images that are reported."""
 MIN_TARGET_INTERVAL_S = 0.1
 """Shortest plausible median time [s] between consecutive targets; a shorter one raises a question about the clock."""
@@ -224,7 +224,7 @@ def length_unit_from_size(distance: Floats, hints: Hints) -> tuple[LengthUnit, l
     return length_unit, [f"distances are interpreted as {length_unit} (the longest is {longest:.6g})"]
 
 
-SENSE_UNKNOWN_NOTE = (
+AZIMUTH_SENSE_UNKNOWN_NOTE = (
     "this file does not show whether azimuths run clockwise, because its mirror image fits as well; give "
     "--hint azimuth=clockwise or --hint azimuth=counter-clockwise, or the coordinates of some targets with "
     "--hint points=FILE"
@@ -240,16 +240,16 @@ def azimuth_sense_from_points(
     `targets` are the names to which the indices `polar.target` refer. Raises RecordError if the coordinates do not
     decide.
     """
-    listed = read_points(file, refuses_contradictions=False)
+    point_list = read_points(file, refuses_contradictions=False)
     index_of = {name: i for i, name in enumerate(targets)}
-    points = {index_of[n]: p for n, p in zip(listed.names, listed.points, strict=True) if n in index_of}
+    points = {index_of[n]: p for n, p in zip(point_list.names, point_list.points, strict=True) if n in index_of}
     azimuth = _azimuth_sense_by_alignment(local_points, polar, points)
     if azimuth is None:
         message = f"the coordinates of {len(points)} targets do not decide whether azimuths run clockwise; give "
         raise RecordError(message + "--hint azimuth=clockwise or --hint azimuth=counter-clockwise", file=file)
     return azimuth, [
         f"azimuths are interpreted as {azimuth} (the targets then fit the coordinates in {file.name})",
-        *listed.notes,
+        *point_list.notes,
     ]
 
 
@@ -343,7 +343,7 @@ def vertical_pointings_notes(recording: Recording) -> tuple[str, ...]:
     vertical_rows = np.flatnonzero(recording.is_along_standing_axis & recording.is_measured[:, 1:].any(axis=1))
     if not len(vertical_rows):
         return ()
-    listed_rows = listing([recording.row_text(int(row) + 1) for row in vertical_rows], MAX_ROWS_IN_A_NOTE)
+    listed_rows = listing([recording.row_text(int(row) + 1) for row in vertical_rows], MAX_ROWS_IN_NOTE)
     return (
         f"{listed_rows}: along the vertical axis of the tracker the azimuth is undefined, so the angles are not used; "
         "to locate this target from there, tilt or move the tracker",
@@ -372,7 +372,7 @@ def mirror_image_sentences(recording: Recording) -> tuple[str, ...]:
             f"the targets of {recording.stations[first]} and {recording.stations[other]} fit each other only as mirror "
             "images: the azimuths of one of these stations run clockwise"
         )
-    return tuple(notes[:MAX_ROWS_IN_A_NOTE])
+    return tuple(notes[:MAX_ROWS_IN_NOTE])
 
 
 def _mirrored_station_pairs(local_points: Floats, recording: Recording) -> list[tuple[int, int]]:
@@ -384,7 +384,7 @@ def _mirrored_station_pairs(local_points: Floats, recording: Recording) -> list[
         here, there = clouds[s].common_points(clouds[other])
         misfit, mirror = _rigid_misfits(here, there)
         extent = float(np.ptp(there, axis=0).max())
-        if misfit > MIN_SECOND_TO_BEST_RATIO * mirror and mirror < MAX_RELATIVE_MIRROR_MISFIT * extent:
+        if misfit > MIN_SECOND_TO_BEST_RATIO * mirror and mirror < MAX_MIRROR_MISFIT_TO_NETWORK_SIZE * extent:
             pairs.append((other, s))
     return pairs
 

@@ -24,7 +24,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import require_small_joint_covariance
 from ltsim.core.results import escape_formula, unescape_formula
 from ltsim.core.units import MILLIMETRE, SI_PER_UNIT
-from ltsim.recordings.files import SourceLocation, quoted_text, read_head
+from ltsim.recordings.files import SourceLocation, read_head, safe_excerpt
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
     COORDINATE_ROLES,
@@ -40,7 +40,7 @@ from ltsim.recordings.tables.title_words import COMMON_SIGMA_ROLE
 from ltsim.recordings.xml import XmlNode, band_matrix_entries, parse_xml
 
 AXIS_NAMES = "xyz"
-TARGETS_FILE = "targets.csv"
+RESULT_TARGETS_FILE = "targets.csv"
 MAX_COVARIANCE_ASYMMETRY = 1e-6
 """Largest difference of entries ij and ji, relative to the largest variance, at which a covariance is accepted."""
 MIN_EIGENVALUE_PER_ROW = -1e-9
@@ -49,7 +49,7 @@ MAX_COORDINATE_IN_METRES = 500.0
 """Largest coordinate of a list without unit, as a number, below which it is in metres, otherwise in millimetres."""
 MIN_NATIONAL_GRID_COORDINATE = 1e6
 """Largest coordinate of a list without unit, as a number, from which the list is in a national grid, in metres."""
-GEODETIC_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
+NATIONAL_GRID_TITLES = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
 """Column titles, in lower case, of coordinates in national grids, which are in metres if the list gives no unit."""
 HEADERLESS_FIELD_COUNTS = (4, 7, 8, 16, 17)
 """Numbers of fields in lines without header: name, x, y, z; with 3 or 4 sigmas; with these and a covariance."""
@@ -88,8 +88,8 @@ class PointList:
     @property
     def coordinates_by_name(self) -> dict[str, Floats]:
         """Coordinates x, y, z (3,) [m] by name of the point; points with a missing coordinate are left out."""
-        is_whole = np.asarray(np.isfinite(self.points).all(axis=1))
-        return {name: p for name, p, whole in zip(self.names, self.points, is_whole.tolist(), strict=True) if whole}
+        is_complete = np.asarray(np.isfinite(self.points).all(axis=1))
+        return {self.names[i]: self.points[i] for i in np.flatnonzero(is_complete).tolist()}
 
 
 def read_points(path: str | Path, *, refuses_contradictions: bool = True) -> PointList:
@@ -124,7 +124,7 @@ def recognises(file_beginning: str) -> bool:
     if header is not None:
         return not data_rows or data_rows[0].n_numeric_fields > 1
     sample = [_drop_trailing_field(row) for row in data_rows[: max(1, min(6, len(data_rows)) - 1)]]
-    return bool(sample) and all(len(r) in HEADERLESS_FIELD_COUNTS and all(map(cells.is_value, r[1:])) for r in sample)
+    return bool(sample) and all(len(r) in HEADERLESS_FIELD_COUNTS and all(map(cells.is_numeric, r[1:])) for r in sample)
 
 
 def _drop_trailing_field(row: SheetRow) -> Sequence[str]:
@@ -135,7 +135,7 @@ def _drop_trailing_field(row: SheetRow) -> Sequence[str]:
 def _headerless_columns(sheet: TableSheet) -> tuple[int, list[TableColumn]] | None:
     """Number of rows before the first point (0), and columns of a list without header; None for other content."""
     first_row = next((row for row in sheet.rows if not row.is_comment), None)
-    if first_row is None or not all(map(cells.is_value, _drop_trailing_field(first_row)[1:])):
+    if first_row is None or not all(map(cells.is_numeric, _drop_trailing_field(first_row)[1:])):
         return None
     width = len(_drop_trailing_field(first_row))
     if width not in HEADERLESS_FIELD_COUNTS:
@@ -187,7 +187,7 @@ class _PointRowReader:
                 row_indices.append(index)
                 numbers.extend(values)
             elif not np.array_equal(before := numbers[n * place : n * place + n], values, equal_nan=True):
-                what = f"the point {quoted_text(name)} was listed before with other coordinates"
+                what = f"the point {safe_excerpt(name)} was listed before with other coordinates"
                 if refuses_contradictions:
                     raise SourceLocation(self.sheet.file, row.line).error(what)
                 notes.append(f"{what} in {self.sheet.file.name}; the first coordinates are used")
@@ -215,9 +215,11 @@ class _PointRowReader:
         coordinates = []
         for role, column in self.numbers.items():
             text = row.cell(column.position)
-            number = cells.parse_value(text, self.sheet.thousands_separator)
+            number = cells.parse_number_or_angle(text, self.sheet.thousands_separator)
             if text and (number is None or abs(number) >= 10**11):
-                raise where.error(f"found '{quoted_text(text)}', expected a number", quoted_text(column.title or role))
+                raise where.error(
+                    f"found '{safe_excerpt(text)}', expected a number", safe_excerpt(column.title or role)
+                )
             coordinates.append(np.nan if number is None else float(number))
         return where.name(unescape_formula(row.cell(self.name.position)), "point"), coordinates
 
@@ -227,7 +229,7 @@ class _PointRowReader:
         largest = np.nanmax(np.abs(table[:, [role in COORDINATE_ROLES for role in self.numbers]]), initial=0.0)
         declared_unit = next((c.unit for c in axes if c.unit in SI_PER_UNIT and c.unit), "")
         is_grid = largest >= MIN_NATIONAL_GRID_COORDINATE or any(
-            title_words_and_unit(c.title)[0] in GEODETIC_TITLES for c in axes
+            title_words_and_unit(c.title)[0] in NATIONAL_GRID_TITLES for c in axes
         )
         unit = declared_unit or ("m" if is_grid or largest < MAX_COORDINATE_IN_METRES else "mm")
         notes = [] if declared_unit else [f"coordinates are interpreted as {unit} (the largest is {largest:.6g})"]
@@ -273,7 +275,7 @@ class EpochCoordinates:
 
 def _targets_path(path: Path) -> Path:
     """Path of the list of targets if `path` is a folder of results; otherwise `path` itself."""
-    return path / TARGETS_FILE if (path / TARGETS_FILE).is_file() and not (path / "observations.csv").exists() else path
+    return file if (file := path / RESULT_TARGETS_FILE).is_file() and not (path / "observations.csv").exists() else path
 
 
 def is_coordinate_file(path: Path) -> bool:
@@ -294,11 +296,11 @@ def read_coordinates(path: Path) -> EpochCoordinates:
     epoch = _coordinates_from_gama(path) if is_xml else _coordinates_from_list(path)
     if len(set(epoch.names)) < len(epoch.names):
         twice = next(name for name in epoch.names if epoch.names.count(name) > 1)
-        raise RecordError(f"contains the point '{quoted_text(twice)}' twice", file=path)
+        raise RecordError(f"contains the point '{safe_excerpt(twice)}' twice", file=path)
     sigma = np.sqrt(np.maximum(np.diag(epoch.covariance), 0.0))
     if not sigma.all():
         position = divmod(int(np.argmin(sigma)), len(epoch.axes))
-        what = f"{quoted_text(epoch.names[position[0]])}.{epoch.axes[position[1]]}"
+        what = f"{safe_excerpt(epoch.names[position[0]])}.{epoch.axes[position[1]]}"
         raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
     if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < MIN_EIGENVALUE_PER_ROW * len(sigma):
         raise RecordError("has a covariance matrix that is not positive definite; correct its entries", file=path)
@@ -339,25 +341,25 @@ def _parse_number(cell: XmlNode) -> float:
 
 def _coordinates_from_list(path: Path) -> EpochCoordinates:
     """Coordinates from a list, along the axes it contains; covariance from `NAME.covariance.csv` or its columns."""
-    listed = read_points(path)
-    measured = np.isfinite(listed.points)
+    point_list = read_points(path)
+    measured = np.isfinite(point_list.points)
     axes = "".join(
         axis for axis, any_ in zip(AXIS_NAMES, np.asarray(measured.any(axis=0)).tolist(), strict=True) if any_
     )
     indices = [AXIS_NAMES.index(axis) for axis in axes]
     if not measured[:, indices].all():
         row, axis = np.argwhere(~measured[:, indices])[0]
-        raise SourceLocation(path, listed.line_numbers[row], axes[axis]).error("found '', expected a number")
-    require_small_joint_covariance(len(axes) * len(listed.names), path)
-    points = np.where(measured, listed.points, 0.0)
+        raise SourceLocation(path, point_list.line_numbers[row], axes[axis]).error("found '', expected a number")
+    require_small_joint_covariance(len(axes) * len(point_list.names), path)
+    points = np.where(measured, point_list.points, 0.0)
     companion = path.with_suffix(".covariance.csv")
     if companion.is_file():
         covariance = (
-            _read_covariance_matrix(companion, [f"{name}.{axis}" for name in listed.names for axis in axes])
+            _read_covariance_matrix(companion, [f"{name}.{axis}" for name in point_list.names for axis in axes])
             * MILLIMETRE**2
         )
-        return EpochCoordinates(path.stem, listed.names, axes, points, covariance, listed.notes)
-    blocks = listed.covariance[:, indices][:, :, indices]
+        return EpochCoordinates(path.stem, point_list.names, axes, points, covariance, point_list.notes)
+    blocks = point_list.covariance[:, indices][:, :, indices]
     if not np.isfinite(blocks).all():
         message = f"the coordinates have no standard deviations; add {companion.name} or a column sigma_{axes[0]}_mm"
         raise RecordError(message, file=path)
@@ -365,7 +367,7 @@ def _coordinates_from_list(path: Path) -> EpochCoordinates:
     blocks_of_pairs[range(len(blocks)), :, range(len(blocks))] = blocks
     covariance = blocks_of_pairs.reshape(blocks[:, :, 0].size, -1)
     note = f"{path.name} has no covariance between points ({companion.name}): they are treated as independent"
-    return EpochCoordinates(path.stem, listed.names, axes, points, covariance, (*listed.notes, note))
+    return EpochCoordinates(path.stem, point_list.names, axes, points, covariance, (*point_list.notes, note))
 
 
 def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
@@ -386,7 +388,7 @@ def _read_covariance_matrix(path: Path, coordinate_names: Sequence[str]) -> Floa
     names = list(map(unescape_formula, first.fields[1:]))
     missing = [name for name in coordinate_names if name not in names]
     if missing or [unescape_formula(row.fields[0]) for row in body] != names:
-        what = f"the coordinate {quoted_text(missing[0])}" if missing else "rows in the order of its columns"
+        what = f"the coordinate {safe_excerpt(missing[0])}" if missing else "rows in the order of its columns"
         raise RecordError(f"lacks {what}", file=path)
     if any(len(row.fields) != len(first.fields) for row in body):
         raise RecordError("has rows whose length differs from the header", file=path)

@@ -23,8 +23,8 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.settings import validation_sentence
 from ltsim.recordings.setup import Setup
 from ltsim.recordings.tables import reader as tables
-from ltsim.recordings.tables.cells import has_clock, is_value
-from ltsim.recordings.tables.station_names import UnnamedStationsError
+from ltsim.recordings.tables.cells import has_time_of_day, is_numeric
+from ltsim.recordings.tables.station_names import UnrecognisedStationColumnError
 from ltsim.recordings.tables.unnamed_targets import UnnamedTargetsError
 
 RecordingSource = Recording | str | Path
@@ -42,10 +42,10 @@ TRIAL_STATION_NAME = "S1"
 MAX_REPEATED_POINT_DISTANCE_M = 1e-3
 """Distance [m] between rows with the same name below which they count as repeated measurements of one point, not as
 contradictory coordinates."""
-NATIVE_FORMAT = "folder with observations.csv and setup.toml"
-POLAR_TEXT_FORMAT = "plain text: station, target, azimuth, zenith or elevation, distance"
-POINT_LIST_FORMAT = "names and coordinates, which are not a recording"
-TABLE_FORMAT = "delimited text with a header, a folder with one file per station, or a workbook"
+NATIVE_FORMAT_DESCRIPTION = "folder with observations.csv and setup.toml"
+POLAR_TEXT_FORMAT_DESCRIPTION = "plain text: station, target, azimuth, zenith or elevation, distance"
+POINT_LIST_FORMAT_DESCRIPTION = "names and coordinates, which are not a recording"
+TABLE_FORMAT_DESCRIPTION = "delimited text with a header, a folder with one file per station, or a workbook"
 
 
 WriteFunction = Callable[[Recording, Path], None]
@@ -90,12 +90,12 @@ def _refuse_point_list(path: Path, hints: Hints) -> Recording:
         for station in (None, TRIAL_STATION_NAME):
             try:
                 tables.read(path, replace(hints, station=station))
-            except (UnnamedStationsError, UnnamedTargetsError):
+            except (UnrecognisedStationColumnError, UnnamedTargetsError):
                 raise
             except RecordError:
                 pass  # it is no table of several set-ups
     names = "one name" if n_points == 1 else f"{n_points} names"
-    if all(has_clock(name) or (is_value(name) and not name.isdigit()) for name in point_list.names):
+    if all(has_time_of_day(name) or (is_numeric(name) and not name.isdigit()) for name in point_list.names):
         message = (
             f"this is a table of {n_points + n_repeated} positions without point names, as of a target that moves "
         )
@@ -114,7 +114,14 @@ def _refuse_point_list(path: Path, hints: Hints) -> Recording:
 
 
 FORMATS: tuple[FileFormat, ...] = (
-    FileFormat("native", NATIVE_FORMAT, ("", ".csv"), native.recognises, native.read_recording, native.write_recording),
+    FileFormat(
+        "native",
+        NATIVE_FORMAT_DESCRIPTION,
+        ("", ".csv"),
+        native.recognises,
+        native.read_recording,
+        native.write_recording,
+    ),
     _make_format(
         spatialanalyzer, "spatialanalyzer", "SpatialAnalyzer instrument report (CompositeReport)", ".csv", ".txt"
     ),
@@ -123,9 +130,13 @@ FORMATS: tuple[FileFormat, ...] = (
     _make_format(openindy, "openindy", "OpenIndy project", ".xml"),
     _make_format(gsi, "gsi", "Leica GSI-8 and GSI-16", ".gsi", has_signature=True),
     _make_format(sdr, "sdr", "Sokkia SDR20 and SDR33", ".sdr", has_signature=True),
-    _make_format(polar_text, "polar-text", POLAR_TEXT_FORMAT, ".txt", ".dat", ".asc", write=polar_text.write),
-    FileFormat("point-list", POINT_LIST_FORMAT, (".txt", ".xyz", ".csv"), _is_list_of_points, _refuse_point_list),
-    _make_format(tables, "table", TABLE_FORMAT, ".csv", ".tsv", ".txt", ".xlsx"),
+    _make_format(
+        polar_text, "polar-text", POLAR_TEXT_FORMAT_DESCRIPTION, ".txt", ".dat", ".asc", write=polar_text.write
+    ),
+    FileFormat(
+        "point-list", POINT_LIST_FORMAT_DESCRIPTION, (".txt", ".xyz", ".csv"), _is_list_of_points, _refuse_point_list
+    ),
+    _make_format(tables, "table", TABLE_FORMAT_DESCRIPTION, ".csv", ".tsv", ".txt", ".xlsx"),
 )
 """Supported formats, in the order in which they are tested on a file."""
 
@@ -167,7 +178,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     )
 
 
-def is_recording(path: Path) -> bool:
+def is_supported_recording(path: Path) -> bool:
     """True if a file or folder is in one of the supported formats."""
     try:
         recognise_format(path)

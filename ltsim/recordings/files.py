@@ -133,7 +133,7 @@ def is_not_finite(text: str) -> bool:
     return len(text) <= 10 and _NOT_FINITE_PATTERN.fullmatch(text) is not None
 
 
-def quoted_text(text: str, max_length: int = 40) -> str:
+def safe_excerpt(text: str, max_length: int = 40) -> str:
     """Form of `text` for a one-line message: unprintable characters replaced, cut after `max_length` characters."""
     printable_text = "".join(c if c.isprintable() else "?" for c in text[: max_length + 1])
     return printable_text if len(printable_text) <= max_length else printable_text[:max_length] + "..."
@@ -160,12 +160,12 @@ class SourceLocation:
         """
         text = text.strip().replace(",", ".", 1) if allows_decimal_comma else text.strip()
         if not is_number(text):
-            wanted = "expected a finite number" if is_not_finite(text) else "expected a number"
+            expectation = "expected a finite number" if is_not_finite(text) else "expected a number"
             hint = ", with a point instead of a comma" if is_number(text.replace(",", ".", 1)) else ""
-            raise self.error(f"found '{quoted_text(text)}', {wanted}{hint}", column)
+            raise self.error(f"found '{safe_excerpt(text)}', {expectation}{hint}", column)
         value = float(text)
         if not abs(value) <= limit:
-            raise self.error(f"found {quoted_text(text)}, expected a number of at most {limit:g} in magnitude", column)
+            raise self.error(f"found {safe_excerpt(text)}, expected a number of at most {limit:g} in magnitude", column)
         return value
 
     def name(self, name: str, kind: str, column: str | None = None) -> str:
@@ -174,7 +174,7 @@ class SourceLocation:
         Names are used in tables, pages and paths; therefore control characters, markup and path separators are refused.
         """
         if not name or name != name.strip():
-            what = "is empty" if not name.strip() else f"'{quoted_text(name)}' begins or ends with a space"
+            what = "is empty" if not name.strip() else f"'{safe_excerpt(name)}' begins or ends with a space"
             raise self.error(f"the name of a {kind} {what}", column)
         reason = ""
         if len(name) > MAX_RECORDING_NAME_LENGTH:
@@ -186,7 +186,7 @@ class SourceLocation:
         elif name in (".", ".."):
             reason = "is the name of a folder"
         if reason:
-            raise self.error(f"the name of a {kind}, '{quoted_text(name)}', {reason}", column)
+            raise self.error(f"the name of a {kind}, '{safe_excerpt(name)}', {reason}", column)
         return name
 
     def text(self, text: str, column: str | None = None) -> str:
@@ -198,7 +198,7 @@ class SourceLocation:
                 if has_markup
                 else f"is longer than {MAX_TEXT_LENGTH} characters"
             )
-            raise self.error(f"the text '{quoted_text(text)}' {reason}", column)
+            raise self.error(f"the text '{safe_excerpt(text)}' {reason}", column)
         return text
 
 

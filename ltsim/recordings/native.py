@@ -22,8 +22,8 @@ from ltsim.recordings.files import (
     SourceLocation,
     is_not_finite,
     is_number,
-    quoted_text,
     read_lines,
+    safe_excerpt,
     write_texts,
 )
 from ltsim.recordings.occupations import check_centring
@@ -36,7 +36,7 @@ from ltsim.recordings.recording import (
     SIGMA_COLUMNS,
     Recording,
 )
-from ltsim.recordings.references import ReferenceLengths, check_differences
+from ltsim.recordings.references import ReferenceLengths, check_reference_difference_ends
 from ltsim.recordings.reflectors import excess_radii, smr_names
 from ltsim.recordings.settings import read_setup, setup_to_toml, validate_setup
 from ltsim.recordings.setup import Setup
@@ -105,7 +105,7 @@ def _read_table(path: Path, *, incomplete_tail: bool) -> TextTable:
         )
     rows, texts = list[list[str]](), dict[str, str]()
     try:
-        for fields in csv.reader(_pop_lines(lines), strict=True):
+        for fields in csv.reader(_yield_and_free_lines(lines), strict=True):
             cells = [texts.get(cell, cell) for cell in map(str.strip, fields)]
             if len(texts) < MAX_INTERNED_TEXTS:
                 texts.update(zip(cells, cells, strict=True))
@@ -124,7 +124,7 @@ def _read_table(path: Path, *, incomplete_tail: bool) -> TextTable:
     return rows[0], list(zip(*rows[1:], strict=True))
 
 
-def _pop_lines(lines: list[str]) -> Iterator[str]:
+def _yield_and_free_lines(lines: list[str]) -> Iterator[str]:
     """Lines in order; each line is removed from the list before it is yielded, which frees its memory."""
     lines.reverse()
     while lines:
@@ -171,7 +171,7 @@ def parse(table: TextTable, setup: Setup, folder: Path, *, incomplete_tail: bool
     )
     if not incomplete_tail:
         _require_valid_gauge(recording, folder / SETUP_FILE)
-        check_differences(recording, folder / SETUP_FILE)
+        check_reference_difference_ends(recording, folder / SETUP_FILE)
         check_centring(recording, folder / SETUP_FILE)
     _require_declared_smrs(recording, folder)
     return recording.replace(notes=_unused_settings_notes(recording))
@@ -199,7 +199,7 @@ def _check_header(header: Sequence[str], file: Path) -> None:
     for name in REQUIRED_COLUMNS:
         if name not in header:
             near = difflib.get_close_matches(name, header, n=1, cutoff=0.6)
-            hint = f" ('{quoted_text(near[0])}' looks like it)" if near else ""
+            hint = f" ('{safe_excerpt(near[0])}' looks like it)" if near else ""
             raise location.error(f"the required column {name} is missing{hint}")
 
 
@@ -210,7 +210,7 @@ def _integer_column(column: list[str], location: SourceLocation, bounds: tuple[i
         if not (text.isascii() and text.isdigit() and len(text) < 8 and low <= int(text) <= high):
             expected = f"{low} or {high}" if high == low + 1 else f"a whole number from {low}"
             raise replace(location, row=column.index(text) + 1).error(
-                f"found '{quoted_text(text)}', expected {expected}"
+                f"found '{safe_excerpt(text)}', expected {expected}"
             )
         number_by_text[text] = int(text)
     return np.array([number_by_text[text] for text in column], dtype=np.int64)
@@ -231,7 +231,7 @@ def _float_column(column: list[str], location: SourceLocation, *, is_optional: b
         numbers[i] = cell.number(column[i], limit=1e15)
         if not low <= numbers[i] <= high:
             hint = " (it looks like gon)" if location.column == "elevation_deg" and 270 < numbers[i] < 400 else ""
-            raise cell.error(f"found {quoted_text(column[i])}, expected a value from {low:g} to {high:g}{hint}")
+            raise cell.error(f"found {safe_excerpt(column[i])}, expected a value from {low:g} to {high:g}{hint}")
     return numbers
 
 
@@ -254,7 +254,7 @@ def _additional_columns(
             where.text(text)
             if name in ENUMERATED_COLUMNS and text not in ENUMERATED_COLUMNS[name]:
                 raise where.error(
-                    f"found '{quoted_text(text)}', expected {' or '.join(filter(None, ENUMERATED_COLUMNS[name]))}"
+                    f"found '{safe_excerpt(text)}', expected {' or '.join(filter(None, ENUMERATED_COLUMNS[name]))}"
                 )
         labels[name] = tuple(column)
     return covariates, labels
@@ -268,7 +268,7 @@ def _require_valid_gauge(recording: Recording, file: Path) -> None:
                 near = difflib.get_close_matches(name, recording.targets, n=3, cutoff=0.3)
                 hint = f"; measured were e.g. {', '.join(near)}" if near else ""
                 where = SourceLocation(file, column=f"gauge.distance {i + 1}")
-                raise where.error(f"the target '{quoted_text(name)}' was never measured{hint}")
+                raise where.error(f"the target '{safe_excerpt(name)}' was never measured{hint}")
     ReferenceLengths.from_recording(recording, file)
 
 
@@ -295,22 +295,22 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
         over = recording.station_setup(name).over
         if over and over not in targets and over not in setup.targets and marks[over] == 1:
             notes.append(
-                f"stations.{name}.over names '{quoted_text(over)}', which no pointing and no other set-up names: "
-                f"it has no effect{_similar_names(over, recording.targets, len(notes))}"
+                f"stations.{name}.over names '{safe_excerpt(over)}', which no pointing and no other set-up names: "
+                f"it has no effect{_similar_names_phrase(over, recording.targets, len(notes))}"
             )
     for name in setup.stations:
         if name not in stations:
-            similar = _similar_names(name, recording.stations, len(notes))
+            similar = _similar_names_phrase(name, recording.stations, len(notes))
             notes.append(f"no pointing is from station {name}: the table stations.{name} has no effect{similar}")
     joined = {name for entry in setup.differences for name in (entry.from_, entry.to)}
     for name, target in setup.targets.items():
         if target.known_mm and name not in targets and name not in marks and name not in joined:
-            similar = _similar_names(name, recording.targets, len(notes))
+            similar = _similar_names_phrase(name, recording.targets, len(notes))
             notes.append(f"targets.{name} has known coordinates, but was never measured{similar}")
         elif target.datum and name not in targets and name not in marks:
             notes.append(
                 f"targets.{name} is left out of the datum, because it was never "
-                f"measured{_similar_names(name, recording.targets, len(notes))}"
+                f"measured{_similar_names_phrase(name, recording.targets, len(notes))}"
             )
     for place, entry in {"instrument": setup.instrument, **setup.instruments}.items():
         if keys := keys_deviating_from_data_sheet(entry):
@@ -322,7 +322,7 @@ def _unused_settings_notes(recording: Recording) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _similar_names(name: str, names: Sequence[str], n_notes: int) -> str:
+def _similar_names_phrase(name: str, names: Sequence[str], n_notes: int) -> str:
     """End of a note, with `names` similar to an unknown `name`; empty if too many names would be compared.
 
     `n_notes` is the number of earlier notes; `MAX_COMPARED_NAMES` limits the comparisons of all notes.

@@ -9,7 +9,7 @@ import numpy as np
 
 from ltsim.core.arrays import Ints
 from ltsim.recordings.centring_errors import CentringUncertainty
-from ltsim.recordings.files import SourceLocation, quoted_text
+from ltsim.recordings.files import SourceLocation, safe_excerpt
 from ltsim.recordings.recording import OCCUPATION_COLUMNS, Recording
 
 DAY_COLUMN = "date"
@@ -41,7 +41,7 @@ def check_centring(recording: Recording, file: object) -> None:
         location = SourceLocation(file, column=f"centring {i + 1}")
         for key, name, names in entry.unknown_names(recording.stations, recording.targets):
             near = ", ".join(difflib.get_close_matches(name, names, n=3, cutoff=0.3) or names[:MAX_LISTED_NAMES])
-            raise location.error(f"{key} names '{quoted_text(name)}', which was never measured; did you mean {near}?")
+            raise location.error(f"{key} names '{safe_excerpt(name)}', which was never measured; did you mean {near}?")
         has_days = bool(days_of_pointings(recording))
         if entry.occupation == "day" and not has_days:
             message = f"occupation = \"day\" needs a column '{DAY_COLUMN}' or times of several days"
@@ -66,12 +66,12 @@ def target_occupations(recording: Recording, centring: CentringUncertainty) -> I
     else:
         keys = recording.labels.get(centring.occupation, keys)
     is_affected = np.ones(len(recording), dtype=bool)
-    for chosen, names, index in (
+    for declared_names, names, index in (
         (centring.stations, recording.stations, recording.station),
         (centring.targets, recording.targets, recording.target),
     ):
-        if chosen:
-            is_affected &= np.isin(np.array(names)[index], chosen)
+        if declared_names:
+            is_affected &= np.isin(np.array(names)[index], declared_names)
     index_by_key: dict[object, int] = {}
     occupation = np.full(len(recording), -1, dtype=np.int64)
     for row in np.flatnonzero(is_affected).tolist():

@@ -84,7 +84,7 @@ def index_names(names: Iterable[str], kind: str, file: object) -> tuple[tuple[st
     return tuple(index_by_name), np.array(index, dtype=np.int64)
 
 
-def declares_noise(recording: Recording) -> bool:
+def has_all_sigma_columns(recording: Recording) -> bool:
     """True if the recording has columns with the standard deviation of every reading."""
     sigmas = np.full((len(recording), len(SIGMA_COLUMNS)), NOT_MEASURED)
     for k, name in enumerate(SIGMA_COLUMNS):
@@ -98,7 +98,7 @@ def readings_of(pointings: Sequence[Pointing]) -> Floats:
     return np.fromiter(values, dtype=np.float64, count=3 * len(pointings)).reshape(-1, 3)
 
 
-def recording_of_pointings(
+def recording_from_pointings(
     pointings: Sequence[Pointing], setup: Setup, *, notes: Sequence[str] = (), file: object = None
 ) -> Recording:
     """Recording of pointings in the order of the file; repeated pointings are numbered.

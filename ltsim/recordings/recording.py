@@ -44,7 +44,7 @@ REFLECTOR_COLUMN = "reflector"
 _DEFAULT_STATION, _DEFAULT_TARGET = Station(), Target()
 MAX_TIME_S = 2e18
 """Largest permitted time of a pointing [s]. Unix time in nanoseconds that is read as seconds (1.8e18) is smaller."""
-MIN_COS_ELEVATION = 1e-6
+MIN_COS_ELEVATION_DIVISOR = 1e-6
 """Smallest cosine of the elevation by which noise across the beam is divided, to avoid a division by zero."""
 MIN_COS_ELEVATION_FOR_ANGLES = 1e-4
 """Cosine of the elevation below which a network does not use the angles of a pointing (21 arcsec from the vertical
@@ -67,7 +67,7 @@ def noise_sigma(noise_declarations: Sequence[Noise], instrument: Ints, range_: F
     noise_values = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise_declarations]
     units = np.array([MILLIMETRE, PPM, ARCSECOND, ARCSECOND])
     constant, per_metre, azimuth_sigma, elevation_sigma = (np.array(noise_values) * units)[instrument].T
-    cos_elevation = np.maximum(np.abs(np.cos(elevation)), MIN_COS_ELEVATION)
+    cos_elevation = np.maximum(np.abs(np.cos(elevation)), MIN_COS_ELEVATION_DIVISOR)
     return np.stack([constant + per_metre * range_, azimuth_sigma / cos_elevation, elevation_sigma], axis=1)
 
 

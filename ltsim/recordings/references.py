@@ -11,7 +11,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.units import MILLIMETRE, PPM
 from ltsim.geometry.expansion import ThermalExpansion
-from ltsim.recordings.files import SourceLocation, quoted_text
+from ltsim.recordings.files import SourceLocation, safe_excerpt
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Target, symmetric_matrix
 
@@ -107,7 +107,7 @@ def _expansion_factor_and_changes(
             f"one of {', '.join(materials)}" if materials else f"a table [gauge.materials.{gauge_distance.material}]"
         )
         raise RecordError(
-            f"the material '{quoted_text(gauge_distance.material)}' is not declared, expected {expected}", **location
+            f"the material '{safe_excerpt(gauge_distance.material)}' is not declared, expected {expected}", **location
         )
     material = gauge if gauge_distance.material is None else materials[gauge_distance.material]
     declared = gauge.measured_at_c if gauge_distance.measured_at_c is None else gauge_distance.measured_at_c
@@ -119,7 +119,7 @@ def _expansion_factor_and_changes(
     )
     length_name = "" if gauge_distance.measured_at_c is None else f"{gauge_distance.from_}-{gauge_distance.to}"
     thermometer = f"temperature of {declared if isinstance(declared, str) else length_name or 'the gauge'}"
-    expansion = ThermalExpansion.from_temperature(
+    expansion = ThermalExpansion.from_temperature_difference(
         material.expansion_per_k, temperature_c - gauge.calibrated_at_c, material.sigma_expansion_per_k, sigma
     )
     material_name = gauge_distance.material or "the gauge"
@@ -138,7 +138,7 @@ def _mean_of_column(recording: Recording, name: str, gauge: GaugeDistance, locat
     """
     if name not in recording.covariates:
         columns = ", ".join(recording.covariates) or "none"
-        message = f"measured_at_c names '{quoted_text(name)}', which is not a column of numbers; there are {columns}"
+        message = f"measured_at_c names '{safe_excerpt(name)}', which is not a column of numbers; there are {columns}"
         raise RecordError(message, **location)
     end_targets = [recording.targets.index(target) for target in (gauge.from_, gauge.to)]
     column_values = recording.covariates[name][np.isin(recording.target, end_targets)]
@@ -168,7 +168,7 @@ def mark_indices(recording: Recording) -> dict[str, int]:
     return index_by_mark | {name: i for i, name in enumerate(recording.targets)}
 
 
-def check_differences(recording: Recording, file: object) -> None:
+def check_reference_difference_ends(recording: Recording, file: object) -> None:
     """Check that each end of a reference difference was measured, or is known ten times better than the difference.
 
     Raises RecordError, which names `file`.
@@ -179,8 +179,10 @@ def check_differences(recording: Recording, file: object) -> None:
             if index_by_mark.get(name, unmeasured_index) == unmeasured_index and not _is_exact_mark(
                 recording.target_setup(name), difference
             ):
-                wanted = f"known along {difference.known_axes}, at least ten times better than this difference"
-                message = f"'{quoted_text(name)}' was never measured, expected a measured mark, or one that is {wanted}"
+                criterion = f"known along {difference.known_axes}, at least ten times better than this difference"
+                message = (
+                    f"'{safe_excerpt(name)}' was never measured, expected a measured mark, or one that is {criterion}"
+                )
                 raise SourceLocation(file, column=f"difference {difference.label}").error(message)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.core.units import MILLIMETRE
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.recording import REFLECTOR_COLUMN, Recording
 from ltsim.recordings.setup import Reflector
 
@@ -19,7 +19,7 @@ def smr_names(recording: Recording) -> tuple[str, ...]:
     return tuple(name or default_names[target] for name, target in zip(row_names, recording.target, strict=True))
 
 
-def excess_radii_of_names(
+def excess_radii_from_smr_names(
     names: Sequence[str],
     targets: Sequence[str],
     targets_without_normal: Collection[str],
@@ -41,13 +41,13 @@ def excess_radii_of_names(
         if name not in reflectors:
             names_of_tables = ", ".join(reflectors)
             raise RecordError(
-                f"there is no table [reflectors.{quoted_text(name)}]; reflectors: {names_of_tables}", file=file
+                f"there is no table [reflectors.{safe_excerpt(name)}]; reflectors: {names_of_tables}", file=file
             )
     radii = {reflectors[name].radius_mm: name for name in reversed(names_used)}
     if reference_mm is None and len(radii) > 1:
-        listed = " and ".join(f"{quoted_text(name)} of {radius:g}" for radius, name in sorted(radii.items()))
+        radii_text = " and ".join(f"{safe_excerpt(name)} of {radius:g}" for radius, name in sorted(radii.items()))
         raise RecordError(
-            f"the SMRs have different radii ({listed} mm); set reference_radius_mm at the head of the file, the "
+            f"the SMRs have different radii ({radii_text} mm); set reference_radius_mm at the head of the file, the "
             "radius of the SMR at whose centre the coordinates lie, or 0 for the seat of the nest",
             file=file,
         )
@@ -56,7 +56,7 @@ def excess_radii_of_names(
     for name, target in zip(names, targets, strict=True):
         if excess_mm[name] and target in targets_without_normal:
             raise RecordError(
-                f"targets.{target}.nest_normal is missing: its SMR {quoted_text(name)} has a radius of "
+                f"targets.{target}.nest_normal is missing: its SMR {safe_excerpt(name)} has a radius of "
                 f"{reflectors[name].radius_mm:g} mm, the reference {reference:g} mm, and the difference lies along the "
                 "nest's normal",
                 file=file,
@@ -75,7 +75,7 @@ def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | 
         return None
     targets = [recording.targets[t] for t in recording.target]
     targets_without_normal = [name for name in recording.targets if recording.target_setup(name).nest_normal is None]
-    excess = excess_radii_of_names(
+    excess = excess_radii_from_smr_names(
         smr_names(recording), targets, targets_without_normal, setup.reflectors, setup.reference_radius_mm, file
     )
     return excess if np.any(excess) else None

@@ -33,7 +33,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_JSON_VALUES, MAX_RESULT_LIST_ENTRIES
 from ltsim.core.results import MAX_RESULT_MAGNITUDE, Result
 from ltsim.recordings.coordinates import EpochCoordinates
-from ltsim.recordings.files import quoted_text, read_bytes, read_text, write_texts
+from ltsim.recordings.files import read_bytes, read_text, safe_excerpt, write_texts
 from ltsim.recordings.recording import Recording
 
 DIGEST_ROUNDING_STEP = 1e-6
@@ -168,7 +168,7 @@ class ResultFile(Entry, Result):
         json.dump(self.content(), stream, indent=1, allow_nan=False)  # `dumps` would hold each part as an object
         return stream.getvalue() + "\n"
 
-    def is_ltsim_file(self, folder: Path, name: str) -> bool:
+    def is_unchanged_companion(self, folder: Path, name: str) -> bool:
         """True if the file `name` in `folder` has the digest in `files`: it was written together with this result.
 
         Raises RecordError if the file cannot be read.
@@ -213,18 +213,18 @@ def read_result(path: Path, model: type[ResultFileType]) -> ResultFileType:
     version = content.get("format")
     expected = model.model_fields["format"].default
     if version != expected:
-        raise RecordError(f"format is '{quoted_text(str(version))}', expected '{expected}'", file=file)
+        raise RecordError(f"format is '{safe_excerpt(str(version))}', expected '{expected}'", file=file)
     for key, value in content.items():
         if isinstance(value, list) and len(value) > MAX_RESULT_LIST_ENTRIES:
-            name = quoted_text(key, 100)
+            name = safe_excerpt(key, 100)
             raise RecordError(f"{name} has {len(value)} entries, expected at most {MAX_RESULT_LIST_ENTRIES}", file=file)
     try:
         return model.model_validate(content)
     except ValidationError as problem:
         error = problem.errors()[0]
         key = "".join(f"{part}." for part in error["loc"])[:-1]
-        wrong = quoted_text(error["msg"].removeprefix("Value error, "), 120)
-        raise RecordError(f"{quoted_text(key, 100)}: {wrong}" if key else wrong, file=file) from None
+        wrong = safe_excerpt(error["msg"].removeprefix("Value error, "), 120)
+        raise RecordError(f"{safe_excerpt(key, 100)}: {wrong}" if key else wrong, file=file) from None
 
 
 def read_json(file: Path, kind: str) -> dict[str, Any]:
@@ -237,15 +237,15 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
         value = number_type(text) if len(text) <= 400 else math.inf
         if not abs(value) <= MAX_RESULT_MAGNITUDE:
             permitted = f"a finite number of at most {MAX_RESULT_MAGNITUDE:g} in magnitude"
-            raise RecordError(f"contains the number {quoted_text(text)}, expected {permitted}", file=file)
+            raise RecordError(f"contains the number {safe_excerpt(text)}, expected {permitted}", file=file)
         return value
 
-    decimal, whole = (partial(checked_number, number_type=number_type) for number_type in (float, int))
+    parse_decimal, parse_integer = (partial(checked_number, number_type=number_type) for number_type in (float, int))
     text = read_text(file)
     if text.count(",") + text.count("[") + text.count("{") > MAX_JSON_VALUES:
         raise RecordError(f"holds more than {MAX_JSON_VALUES} values, the limit for reading", file=file)
     try:
-        content = json.loads(text, parse_float=decimal, parse_constant=decimal, parse_int=whole)
+        content = json.loads(text, parse_float=parse_decimal, parse_constant=parse_decimal, parse_int=parse_integer)
     except (json.JSONDecodeError, RecursionError):
         raise RecordError(f"is not JSON; expected a {kind}", file=file) from None
     if not isinstance(content, dict):
@@ -261,7 +261,7 @@ def companion_path(folder: Path, name: str, result: ResultFile) -> Path | None:
     file = folder / name
     if not file.is_file():
         return None
-    if result.files and not result.is_ltsim_file(folder, name):
+    if result.files and not result.is_unchanged_companion(folder, name):
         raise RecordError(
             f"does not belong to {result.FILE} in the same folder, or was changed; run the command again",
             file=file,
@@ -277,7 +277,7 @@ def require_same_recording(result: ResultFile, recording: Recording | None, fold
     source = result.recording
     if recording is None or source is None or source.digest == recording_digest(recording):
         return
-    title = f"'{quoted_text(source.title)}', " if source.title else ""
+    title = f"'{safe_excerpt(source.title)}', " if source.title else ""
     raise RecordError(
         f"is the result of another recording ({title}{source.pointings} pointings) than the one given "
         f"({len(recording)} pointings)",

@@ -20,7 +20,7 @@ from ltsim.core.limits import (
     MAX_TOML_VALUES,
     MAX_TOML_WORD_CHARACTERS,
 )
-from ltsim.recordings.files import SourceLocation, quoted_text, read_text, with_unix_line_ends
+from ltsim.recordings.files import SourceLocation, read_text, safe_excerpt, with_unix_line_ends
 from ltsim.recordings.setup import Instrument, Setup
 
 SettingsType = TypeVar("SettingsType", bound=BaseModel)
@@ -33,7 +33,7 @@ _TOML_TOKEN_PATTERN = re.compile(
 """Pattern of strings, comments, structural characters and too long words of TOML, from which keys, values and depth are
 counted. A string that is not closed, which is no TOML, is one token, so that no character is looked at twice.
 """
-_COMPLETE_LINE_ENDS = ("\n", '"', "'", "]", "}", "true", "false")
+_COMPLETE_TOML_ENDS = ("\n", '"', "'", "]", "}", "true", "false")
 """Ends of the last line of a complete TOML file."""
 
 
@@ -45,7 +45,7 @@ def read_setup(path: Path) -> Setup:
 def read_toml(path: Path, kind: str) -> dict[str, Any]:
     """Tables of a TOML file; `kind` is the expected content, for errors. Raises RecordError."""
     text = with_unix_line_ends(read_text(path, max_bytes=MAX_TOML_BYTES))
-    if not text.endswith(_COMPLETE_LINE_ENDS) and not text.splitlines()[-1].lstrip().startswith("#"):
+    if not text.endswith(_COMPLETE_TOML_ENDS) and not text.splitlines()[-1].lstrip().startswith("#"):
         message = "has no line break after its last value and may be incomplete; add the line break if it is complete"
         raise RecordError(message, file=path)
     check_toml_limits(text, path)
@@ -179,7 +179,7 @@ def load_settings(path: Path, model: type[SettingsType], kind: str) -> SettingsT
 
 
 def _single_line(problem: Exception) -> str:
-    return quoted_text(" ".join(str(problem).split()), 160)
+    return safe_excerpt(" ".join(str(problem).split()), 160)
 
 
 def _check_names(setup: Setup, file: object) -> None:
@@ -201,22 +201,22 @@ def _check_names(setup: Setup, file: object) -> None:
             names_of_tables = ", ".join(_similar_names(instrument_name, setup.instruments)) or "none is declared"
             where = SourceLocation(file, column=f"stations.{name}.instrument")
             raise where.error(
-                f"there is no table [instruments.{quoted_text(instrument_name)}]; instruments: {names_of_tables}"
+                f"there is no table [instruments.{safe_excerpt(instrument_name)}]; instruments: {names_of_tables}"
             )
     for i, length in enumerate(setup.gauge.distance if setup.gauge else ()):
         if length.from_ == length.to:
             where = SourceLocation(file, column=f"gauge.distance {i + 1}")
-            raise where.error(f"a length from '{quoted_text(length.to)}' to itself, expected two different targets")
+            raise where.error(f"a length from '{safe_excerpt(length.to)}' to itself, expected two different targets")
     labels = [difference.label for difference in setup.differences]
     for i, difference in enumerate(setup.differences):
         where = SourceLocation(file, column=f"differences {i + 1}")
         if difference.from_ == difference.to:
             raise where.error(
-                f"a difference from '{quoted_text(difference.to)}' to itself, expected two different marks"
+                f"a difference from '{safe_excerpt(difference.to)}' to itself, expected two different marks"
             )
         if difference.label in labels[:i]:
             raise where.error(
-                f"another difference is named '{quoted_text(difference.label)}', too; set a different name (key name)"
+                f"another difference is named '{safe_excerpt(difference.label)}', too; set a different name (key name)"
             )
 
 
@@ -231,7 +231,7 @@ def validation_sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
     verbatim_index = len(error["loc"]) - 1 if error["type"] == "extra_forbidden" else -1
     path_parts = [part for i, part in enumerate(error["loc"]) if i == verbatim_index or "[" not in str(part)]
     key = ".".join(str(p + 1) if isinstance(p, int) else p for p in path_parts)
-    value = quoted_text(json.dumps(error["input"], default=str), 60)
+    value = safe_excerpt(json.dumps(error["input"], default=str), 60)
     if error["type"] == "extra_forbidden":
         keys = _permitted_keys(root, path_parts[:-1])
         inside = {
@@ -241,17 +241,17 @@ def validation_sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
         near = (
             close_to(keys) or [inside[name] for name in close_to(inside)] or _similar_names(str(path_parts[-1]), keys)
         )
-        return f"unknown key {quoted_text(key, 100)}; did you mean {', '.join(near)}?"
+        return f"unknown key {safe_excerpt(key, 100)}; did you mean {', '.join(near)}?"
     if error["type"] == "missing":
-        return f"the key {quoted_text(key, 100)} is missing"
+        return f"the key {safe_excerpt(key, 100)} is missing"
     message = error["msg"][0].lower() + error["msg"][1:]
-    expected = quoted_text(_reworded_message(message), 120)
+    expected = safe_excerpt(_reworded_message(message), 120)
     if choices := re.findall("'([^']*)'", message) if error["type"] == "literal_error" else []:
         near = difflib.get_close_matches(str(error["input"]), choices, n=1, cutoff=0.5)
         expected = f"it should be {', '.join(choices)}" + (
             f"; did you mean {near[0]}?" if near and len(choices) > 1 else ""
         )
-    return f"{quoted_text(key, 100)} is {value}, but {expected}" if key else expected
+    return f"{safe_excerpt(key, 100)} is {value}, but {expected}" if key else expected
 
 
 def _permitted_keys(root: type[BaseModel], path: Iterable[object]) -> list[str]:

@@ -48,7 +48,7 @@ def _pointings_text(recording: Recording) -> str:
 
 
 def _faces_text(recording: Recording) -> str:
-    sights = {face: {*_sights_on_face(recording, face)} for face in (1, 2)}
+    sights = {face: {*_station_target_pairs_on_face(recording, face)} for face in (1, 2)}
     n_sights, n_two_face_sights = len(sights[1] | sights[2]), len(sights[1] & sights[2])
     if not n_two_face_sights:
         return f"face {1 if sights[1] else 2} only"
@@ -57,7 +57,7 @@ def _faces_text(recording: Recording) -> str:
     )
 
 
-def _sights_on_face(recording: Recording, face: int) -> list[tuple[int, int]]:
+def _station_target_pairs_on_face(recording: Recording, face: int) -> list[tuple[int, int]]:
     is_on_face = recording.face == face
     return list(zip(recording.station[is_on_face].tolist(), recording.target[is_on_face].tolist(), strict=True))
 

@@ -28,31 +28,31 @@ class ColumnConversion:
     """Content of the columns with the error, as text such as "metres"."""
     right_content: str
     """Content of the columns without the error, as text such as "millimetres"."""
-    reading_conversions: tuple[tuple[int, float, float], ...]
+    column_factors_and_offsets: tuple[tuple[int, float, float], ...]
     """Column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad] of each changed reading, which becomes factor
     * correct reading + offset."""
 
     @property
     def changed_columns(self) -> tuple[int, ...]:
         """Indices of the columns that the error changes: 0 range, 1 azimuth, 2 elevation."""
-        return tuple(column for column, _, _ in self.reading_conversions)
+        return tuple(column for column, _, _ in self.column_factors_and_offsets)
 
     @property
-    def cause(self) -> str:
+    def description(self) -> str:
         """Text for the error, such as "metres for millimetres"."""
         return f"{self.wrong_content} for {self.right_content}"
 
     def with_error(self, readings: Floats) -> Floats:
         """Readings (n, 3) [m, rad, rad] of n pointings with the error, from readings without it."""
         changed_readings = readings.copy()
-        for column, factor, offset in self.reading_conversions:
+        for column, factor, offset in self.column_factors_and_offsets:
             changed_readings[:, column] = factor * readings[:, column] + offset
         return changed_readings
 
     def without_error(self, readings: Floats) -> Floats:
         """Readings (n, 3) [m, rad, rad] of n pointings without the error, from readings with it."""
         corrected = readings.copy()
-        for column, factor, offset in self.reading_conversions:
+        for column, factor, offset in self.column_factors_and_offsets:
             corrected[:, column] = (readings[:, column] - offset) / factor
         return corrected
 
@@ -64,7 +64,7 @@ def _length_unit_error(name: str, unit: str, unit_in_mm: float) -> ColumnConvers
 GON_PER_DEGREE, RADIAN_PER_DEGREE = (SI_PER_UNIT["deg"] / SI_PER_UNIT[unit] for unit in ("gon", "rad"))
 """Factors from degrees to gon and to radians."""
 
-UNIT_ERRORS = (
+UNIT_AND_CONVENTION_ERRORS = (
     _length_unit_error("inch", "inches", 25.4),
     _length_unit_error("metre", "metres", 1e3),
     _length_unit_error("micrometre", "micrometres", 1e-3),
@@ -233,7 +233,7 @@ def require_degrees_and_millimetres(
         raise SourceLocation(file, column="distance_mm").error(message)
     face_sums = _two_face_sums(elevation, station, target, face)
     median = float(np.median(face_sums)) if len(face_sums) else float("nan")
-    for unit_error in UNIT_ERRORS:
+    for unit_error in UNIT_AND_CONVENTION_ERRORS:
         expected = _face_sum_with_error(unit_error)
         if expected is not None and abs(median - expected) < 0.005 * expected:
             message = (
@@ -257,7 +257,7 @@ def _face_sum_with_error(error: ColumnConversion) -> float | None:
 
     None if the error leaves vertical angles unchanged.
     """
-    for column, factor, offset in error.reading_conversions:
+    for column, factor, offset in error.column_factors_and_offsets:
         if column == 2:
             total = factor * 180.0 + 2.0 * offset / DEGREE
             return total if abs(total) > 1e-9 else abs(factor) * 360.0
@@ -272,7 +272,7 @@ def error_from_lengths(readings: Floats, station: Ints, target: Ints) -> ColumnC
     """
     if not length_disagreement(from_polar(readings), station, target) > MIN_WRONG_LENGTH_DISAGREEMENT:
         return None
-    angle_errors = [error for error in UNIT_ERRORS if 0 not in error.changed_columns]
+    angle_errors = [error for error in UNIT_AND_CONVENTION_ERRORS if 0 not in error.changed_columns]
     disagreements = [
         length_disagreement(from_polar(error.without_error(readings)), station, target) for error in angle_errors
     ]

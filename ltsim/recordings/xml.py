@@ -24,7 +24,7 @@ from ltsim.core.limits import (
     MAX_XML_DEPTH,
     MAX_XML_TAGS,
 )
-from ltsim.recordings.files import SourceLocation, quoted_text, read_bytes
+from ltsim.recordings.files import SourceLocation, read_bytes, safe_excerpt
 
 _LONG_TAG_PATTERN = re.compile(rb"<[^<]{4096,}+")
 """Pattern of a tag with more than 4096 characters; a shorter one cannot contain too many attributes."""
@@ -100,7 +100,7 @@ def check_tag_attributes(content: bytes, file: Path) -> None:
         )
 
 
-def check_xml_part(content: bytes, file: Path) -> None:
+def check_workbook_xml(content: bytes, file: Path) -> None:
     """Check of an XML part of a workbook before a library parses it: entities, elements, depth, attributes, encoding.
 
     Raises RecordError, or ParseError if the text is not well formed.
@@ -132,7 +132,7 @@ def parse_xml(path: Path) -> XmlNode:
         raise RecordError("declares entities, which are not read", file=path) from None
     except ParseError as problem:
         line = getattr(problem, "position", (0, 0))[0]
-        raise RecordError(f"is not well-formed XML ({quoted_text(str(problem), 80)})", file=path, row=line) from None
+        raise RecordError(f"is not well-formed XML ({safe_excerpt(str(problem), 80)})", file=path, row=line) from None
     except (ValueError, LookupError, RecursionError):
         raise RecordError("is not XML in a supported encoding", file=path) from None
     if not isinstance(root, Element):
@@ -185,7 +185,7 @@ class XmlNode:
     def required_attribute(self, name: str) -> str:
         """Value of a required attribute; raises RecordError if the attribute is missing."""
         if name not in self:
-            raise self.location.error(f"<{quoted_text(self.tag)}> lacks the attribute {name}")
+            raise self.location.error(f"<{safe_excerpt(self.tag)}> lacks the attribute {name}")
         return self.get(name)
 
     def number(self, name: str, default: float | None = None, limit: float = 1e12) -> float:
@@ -195,14 +195,14 @@ class XmlNode:
         """
         if default is not None and name not in self:
             return default
-        return self.location.number(self.required_attribute(name), f"<{quoted_text(self.tag)}> {name}", limit=limit)
+        return self.location.number(self.required_attribute(name), f"<{safe_excerpt(self.tag)}> {name}", limit=limit)
 
     def name(self, name: str, kind: str) -> str:
         """Value of a required attribute as the name of a station, target or point (`kind`); raises RecordError."""
         return self.location.name(self.required_attribute(name), kind)
 
 
-def band_matrix_size(node: XmlNode, n_rows: float, band: float) -> int:
+def band_matrix_value_count(node: XmlNode, n_rows: float, band: float) -> int:
     """Number of values in a symmetric band matrix of GNU Gama: diagonal and `band` diagonals above it, `n_rows` rows.
 
     Raises RecordError, which names `node`, if a size is not possible or the number of values exceeds the limit.
@@ -225,7 +225,7 @@ def band_matrix_entries(
     `band_values` are row by row: the diagonal and the `band` next values, as in files of GNU Gama. Raises RecordError,
     which names `node`, if their number does not match.
     """
-    if len(band_values) != band_matrix_size(node, n_rows, band):
+    if len(band_values) != band_matrix_value_count(node, n_rows, band):
         raise node.location.error(MATRIX_SIZE_MESSAGE)
     row_indices = np.arange(int(n_rows))
     last_columns = np.minimum(row_indices + int(band), int(n_rows) - 1)

@@ -15,7 +15,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.results import Table
 from ltsim.core.units import DEGREE, SI_PER_UNIT
-from ltsim.recordings.files import quoted_text, read_text
+from ltsim.recordings.files import read_text, safe_excerpt
 from ltsim.recordings.recording import OBSERVABLES
 
 NameArray = NDArray[np.str_]
@@ -89,7 +89,7 @@ class Residuals:
         for column, allowed in (("observable", OBSERVABLES), ("unit", SI_PER_UNIT)):
             wrong_row = next((i for i, name in enumerate(table.column(column)) if name not in allowed), None)
             if wrong_row is not None:
-                message = f"'{quoted_text(table.column(column)[wrong_row])}' is not one of {', '.join(allowed)}"
+                message = f"'{safe_excerpt(table.column(column)[wrong_row])}' is not one of {', '.join(allowed)}"
                 raise RecordError(message, file=file, row=wrong_row + 1, column=column)
         names, units = table.column("observable"), table.column("unit")
         unit_factors = np.array(

@@ -17,7 +17,7 @@ from ltsim.core.errors import InputError, is_installed
 from ltsim.core.limits import BYTES_PER_MIB, MAX_CAD_BYTES
 from ltsim.core.storage import read_whole_file
 from ltsim.core.units import SI_PER_UNIT
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.scene.cad_process import EXACT_SURFACE_SUFFIXES, FACET_SUFFIXES, read_triangles
 
 GLTF_SUFFIXES = (".glb", ".gltf")
@@ -155,7 +155,7 @@ def _triangles_in_file_units(path: Path, metres_per_unit: float) -> Floats:
     if suffix == ".gltf" and (others := re.findall(rb'"uri"\s*:\s*"(?!data:)([^"]*)"', read_whole_file(path))):
         raise InputError(
             f"{path}: stores its surfaces in other files "
-            f"({quoted_text(others[0].decode(errors='replace'))}); export it as "
+            f"({safe_excerpt(others[0].decode(errors='replace'))}); export it as "
             ".glb, or as .gltf with embedded data"
         )
     triangles = read_triangles(path)

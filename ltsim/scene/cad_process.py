@@ -27,7 +27,7 @@ from ltsim.core.limits import (
     MAX_OBSTACLE_TRIANGLES,
 )
 from ltsim.core.storage import open_for_reading, read_whole_file
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 
 EXACT_SURFACE_SUFFIXES = (".step", ".stp", ".iges", ".igs")
 """Suffixes of CAD files with exact surfaces."""
@@ -81,7 +81,7 @@ def _require_few_triangles(path: Path, n_triangles: int) -> None:
 
 
 def _incomplete_file_error(path: Path, reason: str) -> InputError:
-    return InputError(f"{path}: is not a complete {path.suffix[1:]} file ({quoted_text(reason)}); export it again")
+    return InputError(f"{path}: is not a complete {path.suffix[1:]} file ({safe_excerpt(reason)}); export it again")
 
 
 def _read_in_process(path: Path, file_size: int) -> Floats:

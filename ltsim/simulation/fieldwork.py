@@ -15,7 +15,7 @@ from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rigid import matrix_from_rotation_vector, rotation_about_z
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import GeometricErrorModel
-from ltsim.recordings.reflectors import excess_radii_of_names
+from ltsim.recordings.reflectors import excess_radii_from_smr_names
 from ltsim.scene.sightings import Sightings
 from ltsim.scene.visibility import Visibility
 from ltsim.simulation.physics import make_scenario_construction, scenario_effects
@@ -258,7 +258,7 @@ def true_smr_offsets(scenario: Scenario, sightings: Sightings, seed: int, *strea
         name for name, has_normal in zip(sightings.target_names, aimed, strict=True) if not has_normal
     ]
     with as_input_error():
-        lengths = excess_radii_of_names(
+        lengths = excess_radii_from_smr_names(
             names, targets, targets_without_normal, reflectors, scenario.reference_radius_mm
         )
     for name in dict.fromkeys(names):

@@ -5,7 +5,7 @@ from typing import Any, Literal
 from ltsim.core.errors import InputError, LtsimError
 from ltsim.core.units import parse_in_unit, unit_of_key
 from ltsim.physics.effects import find_effect
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.settings import schemas_at
 from ltsim.simulation.physics import make_scenario_construction
 from ltsim.simulation.scenario import Scenario
@@ -61,7 +61,7 @@ def convert_value(scenario: Scenario, dotted_key: str, value: Any, error_locatio
     converted_number = parse_in_unit(value, unit) if unit else None
     if unit and converted_number is None:
         raise InputError(
-            f"{error_location}: {dotted_key} is '{quoted_text(value)}', expected a number in {unit}, "
+            f"{error_location}: {dotted_key} is '{safe_excerpt(value)}', expected a number in {unit}, "
             f"or a number with a unit of the same kind"
         )
     return value if converted_number is None else converted_number

@@ -16,7 +16,7 @@ from ltsim.physics.effects.dead_path import AIR_TEMPERATURE_COLUMN
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import SizedEffect, make_effect
 from ltsim.recordings.air import AirUncertainty
-from ltsim.recordings.files import SourceLocation, quoted_text
+from ltsim.recordings.files import SourceLocation, safe_excerpt
 from ltsim.recordings.settings import merge_defaults, read_toml, to_toml, validate_settings, with_completed_instruments
 from ltsim.recordings.setup import Material, NonNegative, Reflector, TomlSection
 from ltsim.recordings.specification import data_sheet_names, noise_and_prior_tables
@@ -185,11 +185,11 @@ def _set_key(table: dict[str, Any], key: str, value: Any, error_location: str) -
         else:
             subtable = subtable.setdefault(name, {}) if isinstance(subtable, dict) else None
         if not isinstance(subtable, (dict, list)):
-            through = f"{quoted_text(key)} goes through {quoted_text(name)}"
+            through = f"{safe_excerpt(key)} goes through {safe_excerpt(name)}"
             raise InputError(f"{error_location}: {through}, which is not a table of the scenario")
     if not isinstance(subtable, dict):
         wanted = f"{'.'.join(parents)}.NUMBER.KEY, where the first entry of the list has the number 1"
-        raise InputError(f"{error_location}: {quoted_text(key)} is not a key of a list entry; expected {wanted}")
+        raise InputError(f"{error_location}: {safe_excerpt(key)} is not a key of a list entry; expected {wanted}")
     if value == REMOVAL_VALUE:
         subtable.pop(last, None)
     else:
@@ -309,7 +309,7 @@ def unknown_name_sentences(key: str, name: str, names: Collection[str], list_tex
     """Sentence if `name`, the value of `key`, is not in `names`; `list_text_if_empty` replaces an empty list."""
     if name not in names:
         listed = ", ".join([*names][:MAX_NAMES_IN_ERROR]) + (" ..." if len(names) > MAX_NAMES_IN_ERROR else "")
-        yield f"{key} names '{quoted_text(name)}', which is not one of {listed or list_text_if_empty}"
+        yield f"{key} names '{safe_excerpt(name)}', which is not one of {listed or list_text_if_empty}"
 
 
 def _name_errors(scenario: Scenario, file: Path) -> Iterator[str]:
@@ -320,7 +320,7 @@ def _name_errors(scenario: Scenario, file: Path) -> Iterator[str]:
         yield f"targets has {len(names)} reflectors including the gauge, expected at least {MIN_TARGETS}"
     for name, count in Counter(names).items():
         if count > 1:
-            yield f"gauge.targets names '{quoted_text(name)}' twice, or it is also a table of [targets]"
+            yield f"gauge.targets names '{safe_excerpt(name)}' twice, or it is also a table of [targets]"
     for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:
             with as_input_error():
@@ -332,11 +332,11 @@ def _instrument_errors(scenario: Scenario) -> Iterator[str]:
     used = {name: station.instrument for name, station in scenario.stations.items() if station.instrument is not None}
     for station, name in used.items():
         if not scenario.instruments:
-            yield f"stations.{station}.instrument names '{quoted_text(name)}', which is not declared"
+            yield f"stations.{station}.instrument names '{safe_excerpt(name)}', which is not declared"
         yield from unknown_name_sentences(f"stations.{station}.instrument", name, scenario.instruments)
     for name in scenario.instruments:
         if name not in used.values():
-            yield f"instruments.{quoted_text(name)} is used at no station; name it as the instrument of a station"
+            yield f"instruments.{safe_excerpt(name)} is used at no station; name it as the instrument of a station"
     if "" not in scenario.trackers_in_use and scenario.instrument != ScenarioInstrument():
         yield "instrument is used at no station: every station names another instrument"
     designs = {name: (i.construction, i.harmonics, i.degree) for name, i in scenario.trackers_in_use.items()}
@@ -368,12 +368,12 @@ def _length_errors(scenario: Scenario) -> Iterator[str]:
         for key, name in (("from", length.from_), ("to", length.to)):
             yield from unknown_name_sentences(f"lengths.{i}.{key}", name, scenario.targets)
         if length.from_ == length.to:
-            yield f"lengths.{i} goes from '{quoted_text(length.to)}' to itself, expected two different targets"
+            yield f"lengths.{i} goes from '{safe_excerpt(length.to)}' to itself, expected two different targets"
         if length.material is not None:
             none_hint = "none, and a table [materials.NAME] defines one"
             yield from unknown_name_sentences(f"lengths.{i}.material", length.material, scenario.materials, none_hint)
         if isinstance(length.measured_at_c, str) and length.measured_at_c != AIR_TEMPERATURE_COLUMN:
-            given = quoted_text(length.measured_at_c)
+            given = safe_excerpt(length.measured_at_c)
             yield f"lengths.{i}.measured_at_c is '{given}', expected a number or '{AIR_TEMPERATURE_COLUMN}'"
 
 

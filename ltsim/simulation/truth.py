@@ -18,7 +18,7 @@ from ltsim.core.units import MILLIMETRE, SI_PER_UNIT, permitted_units_text
 from ltsim.geometry.rigid import quaternion_from_matrix
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import constants_in_display_units, make_effect
-from ltsim.recordings.files import quoted_text, write_text
+from ltsim.recordings.files import safe_excerpt, write_text
 from ltsim.recordings.result_file import Entry, Finite, Quaternion, ResultFile, Vector, read_result
 
 TRUE_INSTRUMENT_ERRORS_TABLE = Table(
@@ -68,7 +68,7 @@ class TruthArrays(ValueEquality):
 def _checked_unit(unit: str) -> str:
     """Unit unchanged, after a check that it is known; raises ValueError."""
     if unit not in SI_PER_UNIT:
-        raise ValueError(f"'{quoted_text(unit)}' is not a unit, expected one of {permitted_units_text()}")
+        raise ValueError(f"'{safe_excerpt(unit)}' is not a unit, expected one of {permitted_units_text()}")
     return unit
 
 

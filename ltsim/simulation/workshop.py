@@ -121,7 +121,9 @@ def points_from_distances(n_points: int, first_points: Ints, second_points: Ints
 def expansion_factor(gauge: ScenarioGauge, workshop_temperature_c: float) -> float:
     """Ratio of the gauge's lengths at the hall's temperature to its lengths at the calibration temperature."""
     measured = workshop_temperature_c if gauge.measured_at_c is None else gauge.measured_at_c
-    return ThermalExpansion.from_temperature(gauge.expansion_per_k, measured - gauge.calibrated_at_c).length_ratio
+    return ThermalExpansion.from_temperature_difference(
+        gauge.expansion_per_k, measured - gauge.calibrated_at_c
+    ).length_ratio
 
 
 def gauge_rotation(gauge: ScenarioGauge) -> Floats:

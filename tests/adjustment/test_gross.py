@@ -10,10 +10,10 @@ from ltsim.adjustment.blunders import correct_faces, correct_units
 from ltsim.adjustment.identification import cause_tests, identify_causes
 from ltsim.adjustment.quality import adjustment_warnings
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.transcription_errors import UNIT_ERRORS, ColumnConversion
+from ltsim.recordings.transcription_errors import UNIT_AND_CONVENTION_ERRORS, ColumnConversion
 from tests.networks import network
 
-SLIPS = {slip.name: slip for slip in UNIT_ERRORS}
+SLIPS = {slip.name: slip for slip in UNIT_AND_CONVENTION_ERRORS}
 
 
 def written(recording: Recording, rows: np.ndarray, slip: ColumnConversion) -> Recording:
@@ -38,7 +38,7 @@ def test_a_station_in_another_unit_is_mended_to_the_last_micrometre(slip: str) -
     np.testing.assert_allclose(mended.readings, recording.readings, rtol=0, atol=1e-12)
     assert (finding.effect_name, finding.stations) == ("wrong-unit", (recording.stations[2],))
     assert finding.rows.tolist() == rows.tolist()
-    assert finding.sentence == f"Station {recording.stations[2]} was recorded with {SLIPS[slip].cause}."
+    assert finding.sentence == f"Station {recording.stations[2]} was recorded with {SLIPS[slip].description}."
 
 
 def test_stations_of_one_shape_are_left_as_they_are() -> None:

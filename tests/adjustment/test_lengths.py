@@ -188,7 +188,7 @@ def test_what_cannot_be_is_said_in_a_sentence() -> None:
 
 
 def test_expansion_by_hand() -> None:
-    grown = ThermalExpansion.from_temperature(11.5e-6, -5.0, 1e-6, 0.1)
+    grown = ThermalExpansion.from_temperature_difference(11.5e-6, -5.0, 1e-6, 0.1)
     assert grown.length_ratio == pytest.approx(1 - 57.5e-6)
     assert (grown.ratio_change_per_coefficient_sigma, grown.ratio_change_per_temperature_sigma) == pytest.approx(
         (-5e-6, 1.15e-6)

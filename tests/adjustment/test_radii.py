@@ -26,7 +26,7 @@ from ltsim.recordings.native import read_recording, write_recording
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import excess_radii
 from ltsim.recordings.setup import Target
-from ltsim.recordings.transcription_errors import UNIT_ERRORS
+from ltsim.recordings.transcription_errors import UNIT_AND_CONVENTION_ERRORS
 from ltsim.simulation.scenario import Scenario, change_scenario, load_scenario, scenario_to_toml, validate_scenario
 from ltsim.simulation.truth import Truth
 
@@ -235,7 +235,9 @@ def test_a_pointing_in_gon_to_a_small_ball_is_mended() -> None:
     recording, truth = lt.simulate(scenario(), seed=3)
     row = recording.labels["reflector"].index("small")
     readings = recording.readings.copy()
-    readings[[row]] = next(slip for slip in UNIT_ERRORS if slip.name == "gon").with_error(readings[[row]])
+    readings[[row]] = next(slip for slip in UNIT_AND_CONVENTION_ERRORS if slip.name == "gon").with_error(
+        readings[[row]]
+    )
     selection = identify_causes(controlled(recording.with_readings(readings), truth))
     assert selection is not None
     (choice,) = selection.selected_hypotheses

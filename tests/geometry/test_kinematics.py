@@ -130,7 +130,9 @@ def test_derivatives_by_every_error(name: str, seed: int) -> None:
 
 def test_an_error_used_twice_adds_up() -> None:
     chain: tuple[ElementaryMotion, ...] = (RotationStep(2, "twice"), *MISALIGNMENT_CHAIN, RotationStep(2, "nothing"))
-    doubled = tuple(RotationStep(2, "twice", m.nominal_amount) if m.error_key == "azimuth" else m for m in chain)
+    doubled = tuple(
+        RotationStep(2, "twice", m.nominal_amount_function) if m.error_key == "azimuth" else m for m in chain
+    )
     raw = readings(3)
     _, by_key = points_and_error_derivatives(doubled, raw, {}, {"twice"})
     _, once = points_and_error_derivatives(MISALIGNMENT_CHAIN, raw, {}, {"azimuth"})

@@ -31,7 +31,7 @@ from ltsim.recordings.coordinates import read_coordinates, read_points
 from ltsim.recordings.files import read_lines, with_unix_line_ends
 from ltsim.recordings.result_file import read_json
 from ltsim.recordings.settings import _TOML_TOKEN_PATTERN, check_toml_limits, read_setup, read_toml
-from ltsim.recordings.tables.sheets import table_rows
+from ltsim.recordings.tables.sheets import read_small_table
 from ltsim.recordings.xml import parse_xml
 from tests.cli.slips import PLAN
 from tests.recordings.samples import workshop
@@ -209,7 +209,7 @@ def test_columns_of_one_title_are_told_apart_and_refused_where_a_title_is_a_key(
     assert np.isfinite(found.covariates["Zenith[deg] (2)"][6:]).all()
     (tmp_path / "table").write_text("name,value,value\na,1,2\n")
     with pytest.raises(RecordError, match="column value: this column appears twice"):
-        table_rows(tmp_path / "table")
+        read_small_table(tmp_path / "table")
 
 
 def test_times_that_are_not_finite_are_refused_where_a_recording_is_built() -> None:

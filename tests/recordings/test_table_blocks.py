@@ -10,7 +10,7 @@ import pytest
 
 from ltsim.core.errors import RecordError
 from ltsim.recordings import Hints, Recording, read
-from ltsim.recordings.tables.title_words import FOREIGN_TITLE_WORDS, TITLE_WORDS
+from ltsim.recordings.tables.title_words import FOREIGN_TITLES_BY_LANGUAGE, TITLES_BY_ROLE
 
 HEADER = "Point;Hz [gon];V [gon];SD [m];TH"
 ROWS = ["P1;10.1234;98.5;12.3456;1.5", "P2;120.1234;99.5;13.3456;1.6", "P3;220.1234;101.5;10.3456;1.7"]
@@ -92,12 +92,12 @@ def test_titles_in_several_languages(tmp_path: Path, header: str) -> None:
 
 def test_each_word_has_one_role() -> None:
     roles: dict[str, set[str]] = {}
-    for words in (TITLE_WORDS, *FOREIGN_TITLE_WORDS.values()):
+    for words in (TITLES_BY_ROLE, *FOREIGN_TITLES_BY_LANGUAGE.values()):
         for role, text in words.items():
             for word in text.split():
                 roles.setdefault(word, set()).add(role)
     assert not [word for word, both in roles.items() if len(both) > 1]
-    twice = Counter(word for text in TITLE_WORDS.values() for word in text.split())
+    twice = Counter(word for text in TITLES_BY_ROLE.values() for word in text.split())
     assert max(twice.values()) == 1
 
 

@@ -332,7 +332,7 @@ def test_columns_by_number_of_a_table_without_a_header(tmp_path: Path) -> None:
     [("1.234,5", "1234.5"), ("1,234.5", "1234.5"), ("-7,25", "-7.25"), ("12.5°", "12.5"), ("-0°30'00\"", "-0.5")],
 )
 def test_numbers_of_every_locale(text: str, value: str) -> None:
-    assert str(cells.parse_value(text)).rstrip("0") == value.rstrip("0")
+    assert str(cells.parse_number_or_angle(text)).rstrip("0") == value.rstrip("0")
 
 
 @pytest.mark.parametrize(

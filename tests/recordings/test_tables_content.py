@@ -94,7 +94,7 @@ def test_a_pace_that_no_instrument_has_is_questioned(tmp_path: Path) -> None:
     ],
 )
 def test_degrees_with_any_usual_marks(text: str, degrees: float) -> None:
-    found = cells.parse_value(text)
+    found = cells.parse_number_or_angle(text)
     assert found is not None and float(found) == pytest.approx(degrees, abs=1e-12)
     assert cells.is_sexagesimal(text)
 
@@ -123,7 +123,7 @@ def test_no_angle_has_sixty_minutes(text: str) -> None:
 def test_a_unit_beside_each_number_is_the_unit_of_its_column(text: str, number: float, unit: str) -> None:
     bare, found = cells.split_common_unit([text, "", text])
     assert found == unit and bare[1] == ""
-    value = cells.parse_value(bare[0])
+    value = cells.parse_number_or_angle(bare[0])
     assert value is not None and float(value) == pytest.approx(number, abs=1e-12)
     assert cells.split_common_unit([text, "7.5"]) == ([text, "7.5"], "")
 

@@ -11,17 +11,22 @@ from ltsim.core.errors import ModelError, RecordError
 from ltsim.physics.effects.wrong_unit import WrongUnit
 from ltsim.recordings.native import write_recording
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS, ColumnConversion, error_from_lengths
+from ltsim.recordings.transcription_errors import (
+    FACE_ERRORS,
+    UNIT_AND_CONVENTION_ERRORS,
+    ColumnConversion,
+    error_from_lengths,
+)
 from tests.networks import network
 
-ANGULAR = [slip for slip in UNIT_ERRORS if 0 not in slip.changed_columns and slip.name != "clockwise"]
+ANGULAR = [slip for slip in UNIT_AND_CONVENTION_ERRORS if 0 not in slip.changed_columns and slip.name != "clockwise"]
 
 
 def slipped(recording: Recording, slip: ColumnConversion) -> Recording:
     return recording.with_readings(slip.with_error(recording.readings))
 
 
-@pytest.mark.parametrize("slip", [*UNIT_ERRORS, *FACE_ERRORS], ids=lambda slip: slip.name)
+@pytest.mark.parametrize("slip", [*UNIT_AND_CONVENTION_ERRORS, *FACE_ERRORS], ids=lambda slip: slip.name)
 def test_what_is_mended_is_what_was_read(slip: ColumnConversion) -> None:
     readings = np.random.default_rng(3).uniform(0.1, 3.0, (9, 3))
     written = slip.with_error(readings)
@@ -31,7 +36,9 @@ def test_what_is_mended_is_what_was_read(slip: ColumnConversion) -> None:
 
 
 def test_the_effect_knows_every_slip_and_no_other() -> None:
-    assert [effect.mistake for effect in WrongUnit.blunders_at_station("S1")] == [slip.name for slip in UNIT_ERRORS]
+    assert [effect.mistake for effect in WrongUnit.blunders_at_station("S1")] == [
+        slip.name for slip in UNIT_AND_CONVENTION_ERRORS
+    ]
     with pytest.raises(ModelError, match=r"did you mean .*metre"):
         WrongUnit(("S1",), mistake="metres")
 
@@ -48,6 +55,6 @@ def test_lengths_tell_which_slip_a_network_on_one_face_holds(slip: ColumnConvers
 
 def test_a_network_in_gon_on_one_face_is_refused_with_what_would_fit(tmp_path: Path) -> None:
     recording, _ = network(seed=2)
-    gon = next(slip for slip in UNIT_ERRORS if slip.name == "gon")
+    gon = next(slip for slip in UNIT_AND_CONVENTION_ERRORS if slip.name == "gon")
     with pytest.raises(RecordError, match="agree if the column holds gon; expected degrees"):
         write_recording(slipped(recording, gon), tmp_path)  # what could not be read back is not written

@@ -40,7 +40,8 @@ def flipped(error_key: str) -> GeometricErrorModel:
     """The misalignment construction with the sign of one motion's error turned round."""
     construction = misalignment_construction()
     chain = tuple(
-        dataclasses.replace(m, sign=-m.sign) if m.error_key == error_key else m for m in construction.kinematic_chain
+        dataclasses.replace(m, amount_factor=-m.amount_factor) if m.error_key == error_key else m
+        for m in construction.kinematic_chain
     )
     assert chain != construction.kinematic_chain
     return dataclasses.replace(construction, kinematic_chain=chain)

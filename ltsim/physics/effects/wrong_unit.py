@@ -7,10 +7,10 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import unknown_name_error
 from ltsim.physics.effects.effect import Blunder, LightPathStage, Parameter
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.recordings.transcription_errors import UNIT_ERRORS, ColumnConversion
+from ltsim.recordings.transcription_errors import UNIT_AND_CONVENTION_ERRORS, ColumnConversion
 from ltsim.scene.sightings import Sightings
 
-UNIT_ERRORS_BY_NAME = {slip.name: slip for slip in UNIT_ERRORS}
+UNIT_ERRORS_BY_NAME = {slip.name: slip for slip in UNIT_AND_CONVENTION_ERRORS}
 """Transcription errors of units and conventions, by name."""
 
 

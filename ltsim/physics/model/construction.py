@@ -82,7 +82,7 @@ class GeometricErrorModel:
     def _chain_with_reading_errors(self) -> tuple[kinematics.KinematicChain, tuple[str, ...]]:
         """Kinematic chain with an error in each motion that depends on a reading, and keys of the three errors."""
         zero_reading, chain, error_keys = np.zeros((1, 3)), list(self.kinematic_chain), []
-        functions = [m.nominal_amount for m in self.kinematic_chain]
+        functions = [m.nominal_amount_function for m in self.kinematic_chain]
         for column in range(3):
             unit_reading = np.eye(3)[[column]]
             place = [f is not None and f(unit_reading)[0] != f(zero_reading)[0] for f in functions].index(True)

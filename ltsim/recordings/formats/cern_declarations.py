@@ -15,7 +15,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import ARCSECOND, MILLIMETRE, PPM, SI_PER_UNIT
-from ltsim.recordings.files import SourceLocation, quoted_text
+from ltsim.recordings.files import SourceLocation, safe_excerpt
 from ltsim.recordings.setup import Axes, Instrument, Noise
 
 CENTESIMAL_SECOND = SI_PER_UNIT["cc"]
@@ -26,7 +26,7 @@ FIXED_AXES_BY_KEYWORD: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", 
 """Axes along which a point is fixed, by the keyword (such as ``*CALA``) of the section in which it is declared."""
 SIGMA_OPTIONS = ("SX", "SY", "SZ")
 """Options of a point that are followed by the standard deviation along x, y, z."""
-ROTATION_KEYWORDS = ("BEAR", "SLOPE", "ROLL", "HDEFL")
+SIGMA_ROTATION_OPTIONS = ("BEAR", "SLOPE", "ROLL", "HDEFL")
 """Options of a point that rotate the axes of its standard deviations; a file with one is refused."""
 OPTIONS_WITH_VALUE = (
     "OBSE",
@@ -178,7 +178,7 @@ def _name_and_point(line_words: LineWords, message: str) -> tuple[str, Floats]:
 
 
 def _read_precision(point: DeclaredPoint, sigma_words: list[str], location: SourceLocation) -> None:
-    rotation_word = next((word for word in sigma_words if word in ROTATION_KEYWORDS), None)
+    rotation_word = next((word for word in sigma_words if word in SIGMA_ROTATION_OPTIONS), None)
     if rotation_word is not None:
         raise location.error(
             f"standard deviations in axes rotated by {rotation_word} are not read; give APRICOV instead"
@@ -219,7 +219,7 @@ class TargetSigmas:
     elevation: float
     distance: float
     ppm: float
-    height: float
+    target_height: float
 
     def sigma_of(self, kind: str, options: LineOptions, value: float) -> float:
         """Standard deviation [m, rad] of an observation, from the options of its line or else from this declaration.
@@ -256,7 +256,7 @@ class PolarInstrument:
         azimuth, elevation, distance, ppm = line_words.numbers(1, "sigma", "sigma", "sigma", "sigma")
         self.targets[name] = TargetSigmas(azimuth, elevation, distance, ppm, height)
         return (
-            f"the distance correction of {correction:g} m of target {quoted_text(name)} is not applied"
+            f"the distance correction of {correction:g} m of target {safe_excerpt(name)} is not applied"
             if correction
             else ""
         )

@@ -28,7 +28,7 @@ from ltsim.core.limits import MAX_LGC_LINES
 from ltsim.core.notation import listing
 from ltsim.core.units import EARTH_RADIUS, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import SourceLocation, quoted_text, read_lines, single_line_title
+from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt, single_line_title
 from ltsim.recordings.formats.cern_declarations import (
     FIXED_AXES_BY_KEYWORD,
     FIXED_SIGMA_M,
@@ -44,7 +44,7 @@ from ltsim.recordings.pointings import (
     SingleObservation,
     merge_observations,
     name_with_number,
-    recording_of_pointings,
+    recording_from_pointings,
     separate_constant_heights,
 )
 from ltsim.recordings.recording import Recording
@@ -88,7 +88,7 @@ class _LgcContent:
     curved_reference_keyword: str = ""
     points: dict[str, DeclaredPoint] = field(default_factory=dict)
     frames: list[str] = field(default_factory=list)
-    points_in_frames: list[str] = field(default_factory=list)
+    points_observed_in_frames: list[str] = field(default_factory=list)
     observed_points: list[tuple[str, Floats, Floats]] = field(default_factory=list)
     orientation_points: dict[str, None] = field(default_factory=dict)
     """Names of the points that orient the frame (*PDOR), in the order of the file."""
@@ -121,51 +121,51 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
     Raises RecordError for a malformed line, an instrument or target that is not declared, or a file without ``*END``.
     """
-    file = _LgcContent(path)
+    lgc = _LgcContent(path)
     keyword, in_frame = "", False
-    for words in _lines(file):
+    for words in _lines(lgc):
         first = words.tokens[0]
         if first.startswith("*"):
             keyword = first[1:].upper()
             in_frame = (in_frame or keyword == "FRAME") and keyword != "ENDFRAME"
             if keyword == "FRAME":
-                file.frames.append(" ".join(words.tokens[1:2]))
+                lgc.frames.append(" ".join(words.tokens[1:2]))
             if not in_frame:
-                _begin_block(keyword, LineWords(words.tokens[1:], words.location), file)
+                _begin_block(keyword, LineWords(words.tokens[1:], words.location), lgc)
         elif in_frame and keyword == "OBSXYZ":
-            file.points_in_frames.append(first)
-        elif in_frame or not _process_line(keyword, words, file):
-            file.n_skipped_by_keyword[keyword] = file.n_skipped_by_keyword.get(keyword, 0) + 1
+            lgc.points_observed_in_frames.append(first)
+        elif in_frame or not _process_line(keyword, words, lgc):
+            lgc.n_skipped_by_keyword[keyword] = lgc.n_skipped_by_keyword.get(keyword, 0) + 1
         if keyword == "END":
             break
     if keyword != "END" or in_frame:
         missing = "*ENDFRAME" if in_frame else "*END"
         raise RecordError(f"the file ends without {missing} and is incomplete", file=path)
-    return _make_recording(file)
+    return _make_recording(lgc)
 
 
-def _lines(file: _LgcContent) -> Iterator[LineWords]:
+def _lines(lgc: _LgcContent) -> Iterator[LineWords]:
     """Words of each line that is not empty, without comments after % and $."""
-    for i, line in enumerate(read_lines(file.path, replaces_undecodable=True, max_lines=MAX_LGC_LINES)):
+    for i, line in enumerate(read_lines(lgc.path, replaces_undecodable=True, max_lines=MAX_LGC_LINES)):
         text = line.partition("%")[0].partition("$")[0]
         if line.lstrip().startswith("%"):
-            file.n_switched_off_lines += len(line.split()) > 2 and re.search(r"\d\.\d{3}", line[:150]) is not None
+            lgc.n_switched_off_lines += len(line.split()) > 2 and re.search(r"\d\.\d{3}", line[:150]) is not None
         elif text.strip():
-            yield LineWords(text.split(), SourceLocation(file.path, i + 1))
+            yield LineWords(text.split(), SourceLocation(lgc.path, i + 1))
 
 
-def _begin_block(keyword: str, line_words: LineWords, file: _LgcContent) -> None:
+def _begin_block(keyword: str, line_words: LineWords, lgc: _LgcContent) -> None:
     if keyword in CURVED_REFERENCE_KEYWORDS:
-        file.curved_reference_keyword = keyword
+        lgc.curved_reference_keyword = keyword
     elif keyword == "POLAR":
         name, default, _ = line_words.first_words(3, "*POLAR needs an instrument, its default target and a height")
-        file.instruments[line_words.location.name(name, "instrument")] = PolarInstrument(
+        lgc.instruments[line_words.location.name(name, "instrument")] = PolarInstrument(
             default, line_words.numbers(2, "height")[0]
         )
     elif keyword == "TSTN":
-        _begin_setup(line_words, file)
+        _begin_setup(line_words, lgc)
     elif keyword == "V0":
-        _begin_direction_set(line_words, file)
+        _begin_direction_set(line_words, lgc)
     elif keyword not in (
         *KEYWORDS_WITHOUT_OBSERVATIONS,
         *FIXED_AXES_BY_KEYWORD,
@@ -174,91 +174,89 @@ def _begin_block(keyword: str, line_words: LineWords, file: _LgcContent) -> None
         "FRAME",
         "ENDFRAME",
     ):
-        file.n_skipped_by_keyword.setdefault(keyword, 0)
+        lgc.n_skipped_by_keyword.setdefault(keyword, 0)
 
 
-def _begin_setup(line_words: LineWords, file: _LgcContent) -> None:
+def _begin_setup(line_words: LineWords, lgc: _LgcContent) -> None:
     instrument = "".join(line_words.tokens[1:2])
-    if instrument not in file.instruments:
-        given = quoted_text(instrument) or "nothing"
+    if instrument not in lgc.instruments:
+        given = safe_excerpt(instrument) or "nothing"
         raise line_words.location.error(f"*TSTN names {given}, expected an instrument declared as *POLAR")
     point = line_words.location.name(line_words.tokens[0], "station")
-    if point not in file.points:
+    if point not in lgc.points:
         raise line_words.location.error(f"the set-up is on {point}, which no block of points declares")
-    options, polar = line_words.options(2), file.instruments[instrument]
+    options, polar = line_words.options(2), lgc.instruments[instrument]
     height = options.number("IH", polar.height if "IHFIX" in options.values else 0.0)
     default = options.values.get("TRGT", polar.default_target)
-    file.add_setup(_SetUp(point, instrument, height, "ROT3D" not in options.values, default))
+    lgc.add_setup(_SetUp(point, instrument, height, "ROT3D" not in options.values, default))
 
 
-def _begin_direction_set(line_words: LineWords, file: _LgcContent) -> None:
+def _begin_direction_set(line_words: LineWords, lgc: _LgcContent) -> None:
     """Start of a set of directions (``*V0``), all with the same orientation of the circle.
 
     The first set after ``*TSTN`` belongs to the set-up that this line declares; each further set adds another set-up
     over the same point.
     """
-    if not file.setups:
+    if not lgc.setups:
         raise line_words.location.error("*V0 has no set-up (*TSTN) before it")
-    options, name = line_words.options(0), file.station
-    setup = file.setups[name]
+    options, name = line_words.options(0), lgc.station
+    setup = lgc.setups[name]
     default = options.values.get("TRGT", setup.default_target)
     setup = replace(setup, direction_constant=options.number("ACST", 0.0) * GON, default_target=default)
-    if file.observations and file.observations[-1].station == name:
-        file.add_setup(setup)
+    if lgc.observations and lgc.observations[-1].station == name:
+        lgc.add_setup(setup)
     else:
-        file.setups[name] = setup
+        lgc.setups[name] = setup
 
 
-def _process_line(keyword: str, line_words: LineWords, file: _LgcContent) -> bool:
-    """Addition of the content of a line to `file`; False if the section of the line (`keyword`) is not supported."""
+def _process_line(keyword: str, line_words: LineWords, lgc: _LgcContent) -> bool:
+    """Addition of the content of a line to `lgc`; False if the section of the line (`keyword`) is not supported."""
     if keyword in ("TITR", ""):
-        file.title_words += line_words.tokens
+        lgc.title_words += line_words.tokens
     elif keyword in FIXED_AXES_BY_KEYWORD:
         name, point = parse_point(keyword, line_words)
-        if name in file.points:
+        if name in lgc.points:
             raise line_words.location.error(f"the point {name} is declared twice")
-        file.points[name] = point
-    elif keyword == "OBSXYZ" and not file.curved_reference_keyword:
-        file.observed_points.append(parse_observed_point(line_words))
+        lgc.points[name] = point
+    elif keyword == "OBSXYZ" and not lgc.curved_reference_keyword:
+        lgc.observed_points.append(parse_observed_point(line_words))
     elif keyword == "PDOR":
-        file.orientation_points[line_words.tokens[0]] = None
+        lgc.orientation_points[line_words.tokens[0]] = None
     elif keyword == "POLAR":
-        file.notes += filter(None, [file.instruments[next(reversed(file.instruments))].add_target(line_words)])
+        lgc.notes += filter(None, [lgc.instruments[next(reversed(lgc.instruments))].add_target(line_words)])
     elif keyword in OBSERVATION_KEYWORDS:
-        _add_observation(keyword, line_words, file)
+        _add_observation(keyword, line_words, lgc)
     else:
         return keyword in KEYWORDS_WITHOUT_OBSERVATIONS
     return True
 
 
-def _add_observation(keyword: str, line_words: LineWords, file: _LgcContent) -> None:
+def _add_observation(keyword: str, line_words: LineWords, lgc: _LgcContent) -> None:
     kinds, where = OBSERVATION_KEYWORDS[keyword], line_words.location
-    if not file.setups:
+    if not lgc.setups:
         raise where.error(f"*{keyword} has no set-up (*TSTN) before it")
     line_words.first_words(1 + len(kinds), f"*{keyword} needs a point and {len(kinds)} values")
-    setup = file.setups[file.station]
+    setup = lgc.setups[lgc.station]
     target = where.name(line_words.tokens[0], "target")
-    if target not in file.points:
+    if target not in lgc.points:
         raise where.error(f"the point {target} is in no block of points")
     options = line_words.options(1 + len(kinds))
     kind_of_target, sigmas_by_target = (
         options.values.get("TRGT", setup.default_target),
-        file.instruments[setup.instrument].targets,
+        lgc.instruments[setup.instrument].targets,
     )
     if kind_of_target not in sigmas_by_target:
         raise where.error(
-            f"the target {quoted_text(kind_of_target)} is not declared with instrument {setup.instrument}"
+            f"the target {safe_excerpt(kind_of_target)} is not declared with instrument {setup.instrument}"
         )
-    height = options.number("TH", sigmas_by_target[kind_of_target].height)
+    height = options.number("TH", sigmas_by_target[kind_of_target].target_height)
     for kind, value in zip(kinds, line_words.numbers(1, *kinds, limit=1e6), strict=True):
         reading, sigma = (
             _reading_in_si(kind, value, setup, where),
             sigmas_by_target[kind_of_target].sigma_of(kind, options, value),
         )
         heights = setup.height, NOT_MEASURED if kind == "azimuth" else height, keyword == "DHOR"
-        file.observations.append(
-            SingleObservation(kind, file.station, target, reading, sigma, *heights, where.row or 0)
-        )
+        lgc.observations.append(SingleObservation(kind, lgc.station, target, reading, sigma, *heights, where.row or 0))
 
 
 def _reading_in_si(kind: ObservationKind, value: float, setup: _SetUp, location: SourceLocation) -> float:
@@ -279,54 +277,54 @@ def _reading_in_si(kind: ObservationKind, value: float, setup: _SetUp, location:
     return value
 
 
-def _make_recording(file: _LgcContent) -> Recording:
+def _make_recording(lgc: _LgcContent) -> Recording:
     pointings, instrument_heights, target_heights = separate_constant_heights(
-        merge_observations(file.observations, file.path.name)
+        merge_observations(lgc.observations, lgc.path.name)
     )
     if not pointings:
-        raise RecordError("contains no polar observations", file=file.path)
+        raise RecordError("contains no polar observations", file=lgc.path)
     targets = dict.fromkeys(p.target for p in pointings)
-    _add_observed_coordinates(file)
-    occupied_marks = [s.point for s in file.setups.values() if file.points[s.point].known_axes or s.point in targets]
+    _add_observed_coordinates(lgc)
+    occupied_marks = [s.point for s in lgc.setups.values() if lgc.points[s.point].known_axes or s.point in targets]
     plane = _TangentPlane.from_points(
-        [file.points[name] for name in {*targets, *(s.point for s in file.setups.values())}],
-        file.curved_reference_keyword,
+        [lgc.points[name] for name in {*targets, *(s.point for s in lgc.setups.values())}],
+        lgc.curved_reference_keyword,
     )
     setup = Setup(
-        title=single_line_title(" ".join(file.title_words)),
-        instruments={name: polar.instrument(name) for name, polar in file.instruments.items()},
+        title=single_line_title(" ".join(lgc.title_words)),
+        instruments={name: polar.instrument(name) for name, polar in lgc.instruments.items()},
         stations={
             name: Station(
-                **plane.setup_keys(file.points[s.point], levelled=s.levelled),
+                **plane.station_settings(lgc.points[s.point], levelled=s.levelled),
                 instrument=s.instrument,
                 instrument_height_mm=instrument_heights.get(name, 0.0),
                 over=s.point if s.point in occupied_marks else None,
             )
-            for name, s in file.setups.items()
+            for name, s in lgc.setups.items()
         },
         targets={
             name: Target(
-                **plane.coordinate_keys(file.points[name]),
-                datum=name in file.orientation_points,
+                **plane.target_settings(lgc.points[name]),
+                datum=name in lgc.orientation_points,
                 height_mm=target_heights.get(name, 0.0),
             )
             for name in dict.fromkeys([*targets, *occupied_marks])
         },
     )
-    return recording_of_pointings(
-        pointings, setup, notes=list(dict.fromkeys([*file.notes, *_notes(file)])), file=file.path
+    return recording_from_pointings(
+        pointings, setup, notes=list(dict.fromkeys([*lgc.notes, *_notes(lgc)])), file=lgc.path
     )
 
 
-def _add_observed_coordinates(file: _LgcContent) -> None:
+def _add_observed_coordinates(lgc: _LgcContent) -> None:
     """Addition of the observations of ``*OBSXYZ`` to the points that are not fixed; raises RecordError."""
-    for name, point, covariance in file.observed_points:
-        if name not in file.points:
-            raise RecordError(f"*OBSXYZ observes {name}, which is in no block of points", file=file.path)
-        if file.points[name].is_fixed:
-            file.notes.append(f"the coordinates of {name} in *OBSXYZ are not used, because the point is fixed")
+    for name, point, covariance in lgc.observed_points:
+        if name not in lgc.points:
+            raise RecordError(f"*OBSXYZ observes {name}, which is in no block of points", file=lgc.path)
+        if lgc.points[name].is_fixed:
+            lgc.notes.append(f"the coordinates of {name} in *OBSXYZ are not used, because the point is fixed")
         else:
-            file.points[name].add_observation(point, covariance)
+            lgc.points[name].add_observation(point, covariance)
 
 
 @dataclass(frozen=True)
@@ -351,7 +349,7 @@ class _TangentPlane:
         drop = float(np.sum((point[:2] - self.centre) ** 2)) / (2 * EARTH_RADIUS) if self.is_curved else 0.0
         return round(x * 1e3, 6), round(y * 1e3, 6), round((height - drop) * 1e3, 6)
 
-    def setup_keys(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
+    def station_settings(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
         """Keys and values in `setup.toml` of the set-up over a point: position, levelling, plumb line."""
         keys: dict[str, Any] = (
             {} if point.is_placeholder else {"position_mm": self.plane_coordinates(point.declared_point)}
@@ -363,7 +361,7 @@ class _TangentPlane:
             keys["vertical"] = (x, y, 1.0)
         return keys
 
-    def coordinate_keys(self, point: DeclaredPoint) -> dict[str, Any]:
+    def target_settings(self, point: DeclaredPoint) -> dict[str, Any]:
         """Keys and values in `setup.toml` of a target: coordinates known along some axes, approximate along others."""
         axes = point.known_axes
         if axes is None:
@@ -376,24 +374,24 @@ class _TangentPlane:
         return keys if axes == "xyz" else keys | {"approximate_mm": self.plane_coordinates(point.declared_point)}
 
 
-def _notes(file: _LgcContent) -> Iterator[str]:
-    if file.n_switched_off_lines:
-        yield f"{file.n_switched_off_lines} lines are switched off with % and are not used"
-    for keyword, count in file.n_skipped_by_keyword.items():
+def _notes(lgc: _LgcContent) -> Iterator[str]:
+    if lgc.n_switched_off_lines:
+        yield f"{lgc.n_switched_off_lines} lines are switched off with % and are not used"
+    for keyword, count in lgc.n_skipped_by_keyword.items():
         axes_reason = (
-            f"observes coordinates in a system whose third axis is no height (*{file.curved_reference_keyword})"
+            f"observes coordinates in a system whose third axis is no height (*{lgc.curved_reference_keyword})"
         )
         reason = axes_reason if keyword == "OBSXYZ" else "is not supported"
-        yield f"*{quoted_text(keyword)} {reason}: {count} lines are skipped"
-    if file.points_in_frames:
-        frames = listing([*map(quoted_text, file.frames)])
-        sentence = f"*OBSXYZ observes {len(file.points_in_frames)} points in a separate frame ({frames})"
-        if all(name in file.points and file.points[name].is_fixed for name in file.points_in_frames):
+        yield f"*{safe_excerpt(keyword)} {reason}: {count} lines are skipped"
+    if lgc.points_observed_in_frames:
+        frames = listing([*map(safe_excerpt, lgc.frames)])
+        sentence = f"*OBSXYZ observes {len(lgc.points_observed_in_frames)} points in a separate frame ({frames})"
+        if all(name in lgc.points and lgc.points[name].is_fixed for name in lgc.points_observed_in_frames):
             yield f"{sentence}: they are not used, because all of them are fixed"
         else:
             yield f"{sentence}: they are skipped, because ltsim does not adjust the pose of this frame"
-    if file.curved_reference_keyword:
+    if lgc.curved_reference_keyword:
         sphere = "heights refer to a curved surface, for which ltsim uses a sphere: plumb lines differ between stations"
-        yield f"*{file.curved_reference_keyword}: {sphere}"
-    for name in file.orientation_points:
-        yield f"the approximate coordinates of {quoted_text(name)} orient the frame (*PDOR)"
+        yield f"*{lgc.curved_reference_keyword}: {sphere}"
+    for name in lgc.orientation_points:
+        yield f"the approximate coordinates of {safe_excerpt(name)} orient the frame (*PDOR)"

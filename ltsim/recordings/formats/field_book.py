@@ -20,7 +20,7 @@ from ltsim.recordings.pointings import (
     index_names,
     name_with_number,
     readings_of,
-    recording_of_pointings,
+    recording_from_pointings,
     separate_constant_heights,
 )
 from ltsim.recordings.recording import DISTANCE_KIND_COLUMN, HEIGHT_COLUMNS, Recording
@@ -43,7 +43,7 @@ class FieldBook:
     pointings: list[Pointing] = field(default_factory=list)
     n_skipped: int = 0
     """Number of records that are not used."""
-    _shared: dict[object, Any] = field(default_factory=dict)
+    _interned: dict[object, Any] = field(default_factory=dict)
     """Equal names and columns of pointings, each held once: they take half of the memory of a pointing."""
 
     def add_setup(self, name: str, height: float, coordinates_mm: Vector | None, location: SourceLocation) -> None:
@@ -92,22 +92,24 @@ class FieldBook:
         self.pointings.append(
             Pointing(
                 self.station,
-                self._shared.setdefault(target, location.name(target, "target")),
+                self._interned.setdefault(target, location.name(target, "target")),
                 2 if elevation > np.pi / 2 + 1e-9 else 1,
                 distance,
                 float(np.mod(-horizontal, 2 * np.pi)),
                 elevation,
-                covariates=self._shared_column(HEIGHT_COLUMNS[1], height / MILLIMETRE if np.isfinite(height) else None),
-                labels=self._shared_column(
+                covariates=self._interned_column(
+                    HEIGHT_COLUMNS[1], height / MILLIMETRE if np.isfinite(height) else None
+                ),
+                labels=self._interned_column(
                     DISTANCE_KIND_COLUMN, "horizontal" if is_horizontal and np.isfinite(distance) else None
                 ),
                 source=f"{self.path.name}, line {location.row}",
             )
         )
 
-    def _shared_column(self, name: str, value: object) -> dict[str, Any]:
+    def _interned_column(self, name: str, value: object) -> dict[str, Any]:
         """Value of an additional column of a pointing, by the name of the column; empty if the value is None."""
-        column: dict[str, Any] = self._shared.setdefault((name, value), {} if value is None else {name: value})
+        column: dict[str, Any] = self._interned.setdefault((name, value), {} if value is None else {name: value})
         return column
 
     def make_recording(self, kind: str, *notes: str) -> Recording:
@@ -149,7 +151,7 @@ class FieldBook:
         )
         spelled = spelling_notes({name: mark for name, mark in respelled_marks.items() if mark in marks})
         all_notes = [noise, *orientation_notes, *spelled, *notes]
-        return with_earth_curvature(recording_of_pointings(pointings, setup, notes=all_notes, file=self.path))
+        return with_earth_curvature(recording_from_pointings(pointings, setup, notes=all_notes, file=self.path))
 
     def _separate_orientations(self) -> list[str]:
         """Replacement, in place, of each set-up during which the circle was rotated by one set-up per orientation.

@@ -20,26 +20,26 @@ from ltsim.core.notation import listing
 from ltsim.core.units import ARCSECOND, DEGREE, GON, MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, SourceLocation, quoted_text, single_line_title
+from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, SourceLocation, safe_excerpt, single_line_title
 from ltsim.recordings.formats.gama_network import (
     GamaNetwork,
     GamaPoint,
     covariance_entries,
-    drop_undetermined_heights,
+    differences_with_distinct_names,
+    drop_height_dependent_observations,
     read_differences,
     split_correlations,
     split_reference_lengths,
-    with_distinct_names,
 )
 from ltsim.recordings.pointings import (
     NOT_MEASURED,
     SingleObservation,
     merge_observations,
-    recording_of_pointings,
+    recording_from_pointings,
     separate_constant_heights,
 )
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.references import check_differences
+from ltsim.recordings.references import check_reference_difference_ends
 from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Instrument, LengthGauge, Noise, Setup, Station, Target
 from ltsim.recordings.xml import XmlNode, parse_xml
 
@@ -59,9 +59,9 @@ POINT_NAME_ATTRIBUTES = ("id", "from", "to", "bs", "fs")
 SigmaAndSharedErrors = tuple[float, dict[str, float]]
 """Standard deviation of the independent error of an observation (NaN for the default of the file), and change of the
 observation by one standard deviation of each shared error, by name of the error [mm, cc]."""
-CORRELATIONS_NOTE = "correlations between observed coordinates of different points are not used"
+IGNORED_POINT_CORRELATIONS_NOTE = "correlations between observed coordinates of different points are not used"
 """Note to the user on correlations in ``<coordinates>``."""
-OMITTED_CORRELATIONS_NOTE = "correlations between height differences, or between vectors, are not used"
+IGNORED_DIFFERENCE_CORRELATIONS_NOTE = "correlations between height differences, or between vectors, are not used"
 """Note to the user on correlations in ``<height-differences>`` and ``<vectors>``."""
 _SEXAGESIMAL_ANGLE_PATTERN = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
 """Pattern of an angle as degrees-minutes-seconds."""
@@ -81,7 +81,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """
     root = parse_xml(path)
     if root.tag not in ("gama-local", "gama-xml"):
-        raise RecordError(f"the root is <{quoted_text(root.tag)}>, expected <gama-local>", file=path)
+        raise RecordError(f"the root is <{safe_excerpt(root.tag)}>, expected <gama-local>", file=path)
     network = GamaNetwork(path)
     _replace_slashes(root, network)
     for node in root.descendants("network", "description", "parameters"):
@@ -122,7 +122,7 @@ def _read_axes(node: XmlNode, network: GamaNetwork) -> None:
     axes, angles = node.get("axes-xy", "ne"), node.get("angles", "left-handed")
     if axes not in (*MIRRORED_AXES, *UNMIRRORED_AXES) or angles not in ("left-handed", "right-handed"):
         message = (
-            f"axes-xy='{quoted_text(axes)}', angles='{quoted_text(angles)}' is not a coordinate system of gama-local"
+            f"axes-xy='{safe_excerpt(axes)}', angles='{safe_excerpt(angles)}' is not a coordinate system of gama-local"
         )
         raise node.location.error(message)
     network.y_sign = -1.0 if axes in MIRRORED_AXES else 1.0
@@ -136,7 +136,7 @@ def _read_parameters(node: XmlNode, network: GamaNetwork) -> None:
     """Addition of the element ``<parameters>`` to `network`: its a-priori sigma, and notes on unused parameters."""
     network.apriori_sigma = node.number("sigma-apr", network.apriori_sigma)
     if "sigma-apr" in node:
-        apriori_sigma = quoted_text(node.get("sigma-apr"))
+        apriori_sigma = safe_excerpt(node.get("sigma-apr"))
         network.notes.append(
             f"sigma-apr is {apriori_sigma}: the sigma0 that Gama reports is {apriori_sigma} times that of ltsim"
         )
@@ -154,7 +154,7 @@ def _read_element(node: XmlNode, network: GamaNetwork) -> None:
     elif node.tag in ("height-differences", "vectors"):
         differences, correlated = read_differences(node, network.y_sign, network.apriori_sigma)
         network.differences += differences
-        network.notes += [OMITTED_CORRELATIONS_NOTE] * correlated
+        network.notes += [IGNORED_DIFFERENCE_CORRELATIONS_NOTE] * correlated
     else:
         network.n_skipped_by_element[node.tag] += 1
 
@@ -167,12 +167,12 @@ def _read_point(node: XmlNode, network: GamaNetwork) -> GamaPoint:
     name = node.name("id", "point")
     point = network.points.setdefault(name, GamaPoint())
     sign = {"x": 1.0, "y": network.y_sign, "z": 1.0}
-    point.values.update({axis: sign[axis] * node.number(axis) for axis in "xyz" if axis in node})
+    point.coordinates_by_axis.update({axis: sign[axis] * node.number(axis) for axis in "xyz" if axis in node})
     fixed, adjusted = node.get("fix"), node.get("adj")
     for word in (fixed, adjusted):
         if word.lower() not in ("", "xyz", "xy", "z"):
-            raise node.location.error(f"point {name}: '{quoted_text(word)}' is not one of xyz, xy, z")
-    if any(axis not in point.values for axis in fixed.lower()):
+            raise node.location.error(f"point {name}: '{safe_excerpt(word)}' is not one of xyz, xy, z")
+    if any(axis not in point.coordinates_by_axis for axis in fixed.lower()):
         raise node.location.error(f"point {name} is fixed, but lacks coordinates")
     point.fixed_axes = "".join(sorted({*point.fixed_axes, *fixed.lower()}))
     point.datum_axes = _named_axes(point.datum_axes + "".join(filter(str.isupper, adjusted)))
@@ -201,7 +201,7 @@ def _read_coordinates(node: XmlNode, network: GamaNetwork) -> None:
         if np.count_nonzero(i == j) < len(axes) or not np.all(variances > 0):
             raise child.location.error("an observed coordinate has no positive variance, expected one for each")
         if np.any(numbers[of_point][~is_in_block]):
-            network.notes.append(CORRELATIONS_NOTE)
+            network.notes.append(IGNORED_POINT_CORRELATIONS_NOTE)
         point.fixed_axes = "".join("xyz"[axis] for axis in axes)
         point.sigma = float(np.sqrt(np.mean(variances)))
         if np.any(np.triu(covariance, 1)) or max(variances) > 1.0001 * min(variances):
@@ -222,12 +222,12 @@ def _read_observation_block(block: XmlNode, network: GamaNetwork) -> None:
         {f"{network.n_shared_errors + k}": errors[k] for k in np.flatnonzero(errors)} for errors in shared_effects
     ]
     network.n_shared_errors += shared_effects.shape[1]
-    circles = {(_start_point(child, block), child.tag) for child in children if child.tag in ("direction", "azimuth")}
+    circles = {(_standpoint(child, block), child.tag) for child in children if child.tag in ("direction", "azimuth")}
     names = {circle: network.station(circle[0], with_directions=True) for circle in sorted(circles, reverse=True)}
     network.oriented_setups |= {name for (_, kind), name in names.items() if kind == "azimuth"}
     for child, sigma, errors in zip(children, sigmas, shared, strict=True):
         if child.tag in STDEV_ATTRIBUTE_PREFIXES:
-            point = _start_point(child, block)
+            point = _standpoint(child, block)
             station = names.get((point, child.tag)) or names.get((point, "direction")) or network.station(point)
             network.observations.append(_parse_observation(child, block, station, (sigma, errors), network))
         elif child.tag == "angle":
@@ -236,7 +236,7 @@ def _read_observation_block(block: XmlNode, network: GamaNetwork) -> None:
             network.n_skipped_by_element[child.tag] += 1
 
 
-def _start_point(child: XmlNode, block: XmlNode) -> str:
+def _standpoint(child: XmlNode, block: XmlNode) -> str:
     """Name of the point from which the observation `child` of the element `block` was made; raises RecordError."""
     return (child if "from" in child else block).name("from", "point")
 
@@ -250,12 +250,12 @@ def _parse_observation(
         value = child.number("val")
         if not 0 < value < 1e6:
             raise child.location.error(f"found {value:g}, expected a distance above 0", f"<{child.tag}> val")
-        sigma, shared = _scale_sigma(sigma_and_errors, MILLIMETRE, child, network, value)
+        sigma, shared = _si_sigma_and_shared_errors(sigma_and_errors, MILLIMETRE, child, network, value)
         flat = child.tag == "distance"
         return SingleObservation("distance", station, target, value, sigma, *heights, flat, child.line, shared)
     value, second = _parse_angle(child)
     sense = network.angle_sign if child.tag in ("direction", "azimuth") else -1.0
-    sigma, shared = _scale_sigma(sigma_and_errors, sense * second, child, network)
+    sigma, shared = _si_sigma_and_shared_errors(sigma_and_errors, sense * second, child, network)
     if child.tag in ("direction", "azimuth"):
         return SingleObservation(
             "azimuth", station, target, sense * value, sigma, line=child.line, shared_error_changes=shared
@@ -271,18 +271,18 @@ def _parse_observation(
 
 def _read_angle(child: XmlNode, block: XmlNode, sigma_and_errors: SigmaAndSharedErrors, network: GamaNetwork) -> None:
     """Addition of an angle as two directions of a separate set-up, each with its sigma over the square root of 2."""
-    station = network.station(_start_point(child, block), with_directions=True)
+    station = network.station(_standpoint(child, block), with_directions=True)
     value, second = _parse_angle(child)
-    sigma, shared = _scale_sigma(sigma_and_errors, network.angle_sign * second, child, network)
-    for name, turned, errors in (("bs", 0.0, {}), ("fs", network.angle_sign * value, shared)):
+    sigma, shared = _si_sigma_and_shared_errors(sigma_and_errors, network.angle_sign * second, child, network)
+    for name, reading, errors in (("bs", 0.0, {}), ("fs", network.angle_sign * value, shared)):
         target = child.name(name, "point")
         direction = SingleObservation(
-            "azimuth", station, target, turned, sigma / np.sqrt(2), line=child.line, shared_error_changes=errors
+            "azimuth", station, target, reading, sigma / np.sqrt(2), line=child.line, shared_error_changes=errors
         )
         network.observations.append(direction)
 
 
-def _scale_sigma(
+def _si_sigma_and_shared_errors(
     sigma_and_errors: SigmaAndSharedErrors, unit: float, child: XmlNode, network: GamaNetwork, distance: float = 0.0
 ) -> tuple[float, dict[str, float]]:
     """Standard deviation [m, rad] of the independent error of an observation, and changes [m, rad] by shared errors.
@@ -313,7 +313,7 @@ def _sigma_of_observation(child: XmlNode, network: GamaNetwork, distance: float 
     words = child.get("stdev", network.default_sigmas.get(kind, "")).split()
     if not 0 < len(words) < 4:
         message = (
-            f"no standard deviation is given for <{quoted_text(child.tag)}>, expected one (stdev, or {kind}-stdev)"
+            f"no standard deviation is given for <{safe_excerpt(child.tag)}>, expected one (stdev, or {kind}-stdev)"
         )
         raise child.location.error(message)
     coefficients = [child.location.number(word, "stdev", limit=1e9) for word in words]
@@ -321,18 +321,18 @@ def _sigma_of_observation(child: XmlNode, network: GamaNetwork, distance: float 
     sigma = a + (b * (distance / 1000) ** c if b else 0.0)
     if not 0 < sigma < 1e9:
         message = f"found a standard deviation of {sigma:g}, expected one above 0"
-        raise child.location.error(message, f"<{quoted_text(child.tag)}>")
+        raise child.location.error(message, f"<{safe_excerpt(child.tag)}>")
     return sigma
 
 
 def _make_recording(network: GamaNetwork) -> Recording:
-    drop_undetermined_heights(network)
+    drop_height_dependent_observations(network)
     gauge, observed = split_reference_lengths(network)
     pointings, instrument_heights, target_heights = separate_constant_heights(
         merge_observations(observed, network.file.name)
     )
     reason = "are not read, because a recording cannot contain them"
-    skipped = [f"{n} elements <{quoted_text(tag)}> {reason}" for tag, n in network.n_skipped_by_element.items()]
+    skipped = [f"{n} elements <{safe_excerpt(tag)}> {reason}" for tag, n in network.n_skipped_by_element.items()]
     if not pointings and network.differences:
         message = "contains height differences or vectors without pointings, expected readings of instruments too"
         raise RecordError(f"{message}; gama-local adjusts such a network", file=network.file)
@@ -358,15 +358,15 @@ def _make_recording(network: GamaNetwork) -> Recording:
         instrument=Instrument(noise=_noise(network), corrected=True),
         gauge=LengthGauge(distance=tuple(gauge)) if gauge else None,
         stations=stations,
-        targets={n: _target(network.points.get(n, GamaPoint()), target_heights.get(n, 0.0)) for n in names},
-        differences=tuple(with_distinct_names(network.differences)),
+        targets={n: _make_target(network.points.get(n, GamaPoint()), target_heights.get(n, 0.0)) for n in names},
+        differences=tuple(differences_with_distinct_names(network.differences)),
     )
-    recording = recording_of_pointings(pointings, setup, notes=list(dict.fromkeys(network.notes)), file=network.file)
-    check_differences(recording, network.file)
+    recording = recording_from_pointings(pointings, setup, notes=list(dict.fromkeys(network.notes)), file=network.file)
+    check_reference_difference_ends(recording, network.file)
     return recording
 
 
-def _target(point: GamaPoint, height: float) -> Target:
+def _make_target(point: GamaPoint, height: float) -> Target:
     reference_keys = {
         "known_axes": point.fixed_axes,
         "known_sigma_mm": point.sigma,

@@ -10,10 +10,10 @@ from pydantic import ValidationError
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MILLIMETRE
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.pointings import SingleObservation, name_with_number
 from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Vector
-from ltsim.recordings.xml import MATRIX_SIZE_MESSAGE, XmlNode, band_matrix_entries, band_matrix_size
+from ltsim.recordings.xml import MATRIX_SIZE_MESSAGE, XmlNode, band_matrix_entries, band_matrix_value_count
 
 FIXED_SIGMA_MM = 1e-4
 """Standard deviation [mm] that is used for a coordinate declared as fixed."""
@@ -23,7 +23,7 @@ FIXED_SIGMA_MM = 1e-4
 class GamaPoint:
     """Point that the file declares: coordinates, role along each axis, precision."""
 
-    values: dict[str, float] = field(default_factory=dict)
+    coordinates_by_axis: dict[str, float] = field(default_factory=dict)
     """Coordinates [m] by axis."""
     fixed_axes: str = ""
     """Axes along which the point is fixed or has observed coordinates."""
@@ -39,12 +39,12 @@ class GamaPoint:
     @property
     def complete_coordinates(self) -> Vector | None:
         """Coordinates x, y, z [mm] of the point; None if any of them is missing."""
-        return self.coordinates_or_zeros if len(self.values) == 3 else None
+        return self.coordinates_or_zeros if len(self.coordinates_by_axis) == 3 else None
 
     @property
     def coordinates_or_zeros(self) -> Vector:
         """Coordinates x, y, z [mm] of the point; 0 for each that is missing."""
-        x, y, z = (round(self.values.get(axis, 0.0) / MILLIMETRE, 9) for axis in "xyz")
+        x, y, z = (round(self.coordinates_by_axis.get(axis, 0.0) / MILLIMETRE, 9) for axis in "xyz")
         return x, y, z
 
 
@@ -61,7 +61,7 @@ class GamaNetwork:
     default_sigmas: dict[str, str] = field(default_factory=dict)
     """Text of the default standard deviation in the file, by kind of observation."""
     points: dict[str, GamaPoint] = field(default_factory=dict)
-    n_direction_sets: Counter[str] = field(default_factory=Counter)
+    n_direction_sets_by_point: Counter[str] = field(default_factory=Counter)
     """Number of sets of directions at each point."""
     point_of_station: dict[str, str] = field(default_factory=dict)
     north_direction_deg: float = 0.0
@@ -82,13 +82,13 @@ class GamaNetwork:
 
         `with_directions` is True if the observations are a set of directions.
         """
-        self.n_direction_sets[point] += with_directions
-        name = name_with_number(point, max(self.n_direction_sets[point] - 1, 0))
+        self.n_direction_sets_by_point[point] += with_directions
+        name = name_with_number(point, max(self.n_direction_sets_by_point[point] - 1, 0))
         self.point_of_station[name] = point
         return name
 
 
-def drop_undetermined_heights(network: GamaNetwork) -> None:
+def drop_height_dependent_observations(network: GamaNetwork) -> None:
     """Removal, in place, of observations that need the height of a point that is adjusted in plan only.
 
     As in Gama, the heights of such points are then held fixed.
@@ -114,7 +114,7 @@ def drop_undetermined_heights(network: GamaNetwork) -> None:
         for difference in differences
     ]
     for name in plan_points:
-        network.points[name].values.setdefault("z", 0.0)
+        network.points[name].coordinates_by_axis.setdefault("z", 0.0)
         network.points[name].fixed_axes += "z"
     network.notes.append(
         f'{len(plan_points)} points are adjusted in plan only (adj="xy"): they have no heights, and '
@@ -148,7 +148,7 @@ def split_reference_lengths(network: GamaNetwork) -> tuple[list[GaugeDistance], 
     return gauge, other_observations
 
 
-def with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[ReferenceDifference]:
+def differences_with_distinct_names(differences: list[ReferenceDifference]) -> Iterator[ReferenceDifference]:
     """Reference differences with distinct names: those of the same two points (a line levelled twice) are numbered."""
     counts: Counter[str] = Counter()
     for difference in differences:
@@ -178,7 +178,7 @@ def covariance_entries(node: XmlNode) -> tuple[Ints, Ints, Floats]:
     if matrix is None:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
     n_rows, band = matrix.number("dim"), matrix.number("band")
-    size = band_matrix_size(matrix, n_rows, band)
+    size = band_matrix_value_count(matrix, n_rows, band)
     words = (matrix.element.text or "").split(maxsplit=size)
     if len(words) != size:
         raise matrix.location.error(MATRIX_SIZE_MESSAGE)
@@ -196,7 +196,7 @@ def read_differences(section: XmlNode, y_sign: float, apriori_sigma: float) -> t
     row, column, numbers = covariance_entries(section)
     wrong_child = next((child for child in children if child.tag != tag), None)
     if wrong_child is not None:
-        raise wrong_child.location.error(f"<{quoted_text(wrong_child.tag)}> is in <{section.tag}>, expected <{tag}>")
+        raise wrong_child.location.error(f"<{safe_excerpt(wrong_child.tag)}> is in <{section.tag}>, expected <{tag}>")
     if len(numbers) and row[-1] + 1 != size * len(children):
         raise section.location.error("the size of <cov-mat> does not match its observations")
     covariances = np.zeros((len(children), size, size))
@@ -216,8 +216,8 @@ def _sigma_of_difference(child: XmlNode, apriori_sigma: float) -> float:
     """
     attributes = [name for name in ("stdev", "dist") if name in child and child.tag == "dh"]
     if not attributes:
-        wanted = "stdev, dist or a <cov-mat>" if child.tag == "dh" else "a <cov-mat>"
-        raise child.location.error(f"no standard deviation is given for <{child.tag}>, expected one ({wanted})")
+        expected_text = "stdev, dist or a <cov-mat>" if child.tag == "dh" else "a <cov-mat>"
+        raise child.location.error(f"no standard deviation is given for <{child.tag}>, expected one ({expected_text})")
     value = max(child.number(attributes[0]), 0.0)
     return value if attributes[0] == "stdev" else apriori_sigma * float(np.sqrt(value))
 
@@ -242,9 +242,9 @@ def _reference_difference(child: XmlNode, y_sign: float, covariance: Floats) -> 
     try:
         return ReferenceDifference.model_validate({**end_names, "known_mm": vector, **precision})
     except ValidationError:
-        wanted = "values below 1e8 m, and a positive definite covariance matrix"
+        expected_text = "values below 1e8 m, and a positive definite covariance matrix"
         raise child.location.error(
-            f"the value of <{child.tag}> is too large, or its covariance is wrong, expected {wanted}"
+            f"the value of <{child.tag}> is too large, or its covariance is wrong, expected {expected_text}"
         ) from None
 
 

@@ -73,7 +73,7 @@ def _point_lines(recording: Recording) -> Iterator[str]:
     """
     names = dict.fromkeys([*recording.targets, *recording.setup.targets])
     has_datum = any(t.known_mm is not None or t.datum for t in recording.setup.targets.values())
-    first_setup_points = {} if has_datum else _first_setup_points(recording)
+    first_setup_points = {} if has_datum else _coordinates_in_first_setup(recording)
     observed_points = []
     for name in names:
         target = recording.target_setup(name)
@@ -114,7 +114,7 @@ def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
     yield f'<cov-mat dim="{len(axes)}" band="{band}">{band_text}</cov-mat></coordinates>'
 
 
-def _first_setup_points(recording: Recording) -> dict[str, Vector]:
+def _coordinates_in_first_setup(recording: Recording) -> dict[str, Vector]:
     """Coordinates [mm] in the frame of the first set-up, by name of each target it measured with all three readings."""
     points = (from_polar(to_face(recording.readings, recording.face)) / MILLIMETRE).round(3).tolist()
     complete_rows = np.flatnonzero((recording.station == 0) & np.all(recording.is_measured, axis=1))

@@ -19,7 +19,7 @@ import numpy as np
 from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import SourceLocation, quoted_text, read_lines
+from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt
 from ltsim.recordings.formats.field_book import FieldBook
 from ltsim.recordings.pointings import NOT_MEASURED
 from ltsim.recordings.recording import Recording
@@ -53,7 +53,7 @@ class _GsiBlock:
             if _PPM_PATTERN.fullmatch(text):
                 continue
             if match is None or (len(match[4]) == 16) != is_wide:
-                raise location.error(f"'{quoted_text(text)}' is not a word of GSI-{16 if is_wide else 8}")
+                raise location.error(f"'{safe_excerpt(text)}' is not a word of GSI-{16 if is_wide else 8}")
             words[match[1]] = (match[2], match[3] + match[4])
         return cls(words, location)
 
@@ -69,7 +69,7 @@ class _GsiBlock:
         if re.fullmatch(r"[+-]-+", digits):
             return NOT_MEASURED
         if re.fullmatch(r"[+-]\d+", digits, re.ASCII) is None:
-            raise self.location.error(f"found '{quoted_text(self.words[key][1])}', expected digits")
+            raise self.location.error(f"found '{safe_excerpt(self.words[key][1])}', expected digits")
         return float(digits)
 
     def length(self, key: str, default: float = 0.0) -> float:
@@ -79,7 +79,7 @@ class _GsiBlock:
         unit = self.words[key][0][-1]
         if unit not in GSI_LENGTH_FACTORS:
             raise self.location.error(
-                f"found the unit code '{quoted_text(unit)}' of a length, expected 0, 1, 6, 7 or 8"
+                f"found the unit code '{safe_excerpt(unit)}' of a length, expected 0, 1, 6, 7 or 8"
             )
         return self._number(key) * GSI_LENGTH_FACTORS[unit]
 
@@ -96,7 +96,7 @@ class _GsiBlock:
             minutes, seconds = divmod(rest, 1e3)
             return float(np.sign(value) * (degrees + minutes / 60 + seconds / 36_000) * DEGREE)
         if unit not in GSI_ANGLE_FACTORS and not np.isnan(value):
-            raise self.location.error(f"found the unit code '{quoted_text(unit)}' of an angle, expected 2, 3, 4 or 5")
+            raise self.location.error(f"found the unit code '{safe_excerpt(unit)}' of an angle, expected 2, 3, 4 or 5")
         return value * GSI_ANGLE_FACTORS.get(unit, NOT_MEASURED)
 
 
@@ -112,18 +112,20 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     Raises RecordError for a word that is malformed, or measurements before a station is named (``hints.station`` names
     one).
     """
-    file = FieldBook(path)
+    field_book = FieldBook(path)
     if hints.station is not None:
-        file.add_setup(hints.station, 0.0, None, SourceLocation(path))
+        field_book.add_setup(hints.station, 0.0, None, SourceLocation(path))
     lines = read_lines(path)
     survey = _GsiFileProperties.from_blocks(_blocks(lines, path))
     setup_code = survey.setup_code(path, is_line_broken=not lines[-1].strip())
     for block in _blocks(lines, path):
-        _process_block(block, file, setup_code)
+        _process_block(block, field_book, setup_code)
     notes = (
-        [f"{file.n_skipped} blocks are neither a station nor a measurement and are not used"] if file.n_skipped else []
+        [f"{field_book.n_skipped} blocks are neither a station nor a measurement and are not used"]
+        if field_book.n_skipped
+        else []
     )
-    return file.make_recording("a GSI file", *notes)
+    return field_book.make_recording("a GSI file", *notes)
 
 
 def _blocks(lines: Sequence[str], path: Path) -> Iterator[_GsiBlock]:
@@ -201,21 +203,21 @@ def _is_station(block: _GsiBlock) -> bool:
     return block.has_words("84", "85", "11") and not block.has_words("21")
 
 
-def _process_block(block: _GsiBlock, file: FieldBook, setup_code: str | None) -> None:
+def _process_block(block: _GsiBlock, field_book: FieldBook, setup_code: str | None) -> None:
     if block.has_words("41", "42") and block.name("41") == setup_code:
-        file.add_setup(block.name("42"), block.length("43"), None, block.location)
+        field_book.add_setup(block.name("42"), block.length("43"), None, block.location)
     elif _is_station(block):
         x, y, z = (block.length(key) / MILLIMETRE for key in ("84", "85", "86"))
-        file.add_setup(block.name("11"), block.length("88"), (x, y, z), block.location)
+        field_book.add_setup(block.name("11"), block.length("88"), (x, y, z), block.location)
     elif block.has_words("11") and any(block.has_words(key) for key in ("21", "22", "31", "32")):
-        _add_pointing(block, file)
+        _add_pointing(block, field_book)
     else:
-        file.n_skipped += 1
+        field_book.n_skipped += 1
 
 
-def _add_pointing(block: _GsiBlock, file: FieldBook) -> None:
+def _add_pointing(block: _GsiBlock, field_book: FieldBook) -> None:
     is_horizontal = not block.has_words("31")
-    file.add_pointing(
+    field_book.add_pointing(
         block.name("11"),
         block.location,
         distance=block.length("32" if is_horizontal else "31", NOT_MEASURED),

@@ -17,8 +17,8 @@ from ltsim.core.errors import RecordError
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import to_polar
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import quoted_text, single_line_title
-from ltsim.recordings.pointings import NOT_MEASURED, Pointing, declares_noise, recording_of_pointings
+from ltsim.recordings.files import safe_excerpt, single_line_title
+from ltsim.recordings.pointings import NOT_MEASURED, Pointing, has_all_sigma_columns, recording_from_pointings
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Setup
 from ltsim.recordings.specification import NO_NOISE_NOTE
@@ -26,7 +26,7 @@ from ltsim.recordings.xml import XmlNode, parse_xml
 
 ROOT_ELEMENT = "oiProjectData"
 """Root element of an OpenIndy project."""
-READINGS_BY_TYPE = {
+REQUIRED_QUANTITIES_BY_READING_TYPE = {
     "polar": ("distance", "azimuth", "zenith"),
     "direction": ("azimuth", "zenith"),
     "distance": ("distance",),
@@ -49,7 +49,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """
     root = parse_xml(path)
     if root.tag != ROOT_ELEMENT:
-        raise RecordError(f"the root is <{quoted_text(root.tag)}>, expected <{ROOT_ELEMENT}>", file=path)
+        raise RecordError(f"the root is <{safe_excerpt(root.tag)}>, expected <{ROOT_ELEMENT}>", file=path)
     named_nodes = [node for node in root.descendants("station", "geometry", "nominalGeometry") if node.get("name")]
     stations = {node.required_attribute("id"): node for node in named_nodes if node.tag == "station"}
     geometries = {node.required_attribute("id"): node for node in named_nodes if node.tag != "station"}
@@ -62,8 +62,8 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     pointings = [replace(p, time=p.time - first_time) for p in pointings]
     count_notes = [f"{count} {what}" for what, count in notes.items()]
     setup = Setup(title=single_line_title(root.get("name", path.stem)))
-    recording = recording_of_pointings(pointings, setup, notes=count_notes, file=path)
-    return recording if declares_noise(recording) else recording.replace(notes=(NO_NOISE_NOTE, *recording.notes))
+    recording = recording_from_pointings(pointings, setup, notes=count_notes, file=path)
+    return recording if has_all_sigma_columns(recording) else recording.replace(notes=(NO_NOISE_NOTE, *recording.notes))
 
 
 def _parse_pointing(
@@ -76,21 +76,21 @@ def _parse_pointing(
         raise node.location.error("the observation has no station")
     reading, reference = children["reading"], children["station"].required_attribute("ref")
     kind = reading.get("type")
-    if node.get("isValid") == "0" or kind not in READINGS_BY_TYPE:
+    if node.get("isValid") == "0" or kind not in REQUIRED_QUANTITIES_BY_READING_TYPE:
         notes[
-            f"readings of the type {quoted_text(kind)} are not used"
-            if kind not in READINGS_BY_TYPE
+            f"readings of the type {safe_excerpt(kind)} are not used"
+            if kind not in REQUIRED_QUANTITIES_BY_READING_TYPE
             else "readings are declared invalid and are not used"
         ] += 1
         return None
     if reference not in stations:
-        raise node.location.error(f"the reading refers to the station {quoted_text(reference)}, which does not exist")
+        raise node.location.error(f"the reading refers to the station {safe_excerpt(reference)}, which does not exist")
     measurements = {m.required_attribute("type"): m for m in reading.descendants("measurement")}
-    missing_names = [name for name in READINGS_BY_TYPE[kind] if name not in measurements]
+    missing_names = [name for name in REQUIRED_QUANTITIES_BY_READING_TYPE[kind] if name not in measurements]
     if missing_names:
         raise node.location.error(f"the {kind} reading has no {missing_names[0]}")
     distance, azimuth, elevation = _polar_reading(
-        {name: measurements[name].number("value", limit=1e6) for name in READINGS_BY_TYPE[kind]}
+        {name: measurements[name].number("value", limit=1e6) for name in REQUIRED_QUANTITIES_BY_READING_TYPE[kind]}
     )
     if distance <= 0:
         raise node.location.error(f"found a distance of {distance:g}, expected one above 0")

@@ -17,20 +17,22 @@ from ltsim.core.arrays import Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, AngleUnit, AzimuthSense, Hints, LengthUnit, VerticalKind
-from ltsim.recordings.files import quoted_text, read_lines, write_text
+from ltsim.recordings.files import read_lines, safe_excerpt, write_text
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.tables import reader as tables
-from ltsim.recordings.tables.cells import is_value
+from ltsim.recordings.tables.cells import is_numeric
 from ltsim.recordings.tables.sheets import head_rows
 
-SETTING_WORDS = {
+CONVENTION_WORDS = {
     name: get_args(kind) for name, kind in (("angle", AngleUnit), ("vertical", VerticalKind), ("azimuth", AzimuthSense))
 }
-SETTING_WORDS["length"] = get_args(LengthUnit)
+CONVENTION_WORDS["length"] = get_args(LengthUnit)
 """Permitted words of each convention that a comment can declare."""
-_SETTING_PATTERN = re.compile(r"#\s*(units|azimuth|vertical)\s*:\s*([\w-]+)(?:\s+(\w+))?\s*", re.IGNORECASE | re.ASCII)
+_CONVENTION_COMMENT_PATTERN = re.compile(
+    r"#\s*(units|azimuth|vertical)\s*:\s*([\w-]+)(?:\s+(\w+))?\s*", re.IGNORECASE | re.ASCII
+)
 """Pattern of a comment that declares units, the sense of the azimuth, or the kind of vertical angle."""
-_POLAR_PATTERN = re.compile(r"^#.*(polar|spherical|azimuth)", re.IGNORECASE | re.MULTILINE)
+_POLAR_COMMENT_PATTERN = re.compile(r"^#.*(polar|spherical|azimuth)", re.IGNORECASE | re.MULTILINE)
 """Pattern of a comment on polar data, by which the format is recognised."""
 
 
@@ -38,8 +40,8 @@ def recognises(path: Path, file_beginning: str) -> bool:
     """True if each of the first lines has two names (or, after a comment on polar data, one name) and three numbers."""
     data_rows = [row.fields for row in head_rows(file_beginning) if not row.is_comment]
     sample = data_rows[: max(1, min(6, len(data_rows) - 1))]
-    field_counts = (4, 5) if _POLAR_PATTERN.search(file_beginning) else (5,)
-    return bool(sample) and all(len(f) in field_counts and all(map(is_value, f[-3:])) for f in sample)
+    field_counts = (4, 5) if _POLAR_COMMENT_PATTERN.search(file_beginning) else (5,)
+    return bool(sample) and all(len(f) in field_counts and all(map(is_numeric, f[-3:])) for f in sample)
 
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
@@ -54,15 +56,15 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 def _hints_from_comments(lines: list[str], hints: Hints, file: Path) -> Hints:
     for line in islice(lines, 50):
-        match = _SETTING_PATTERN.fullmatch(line)
+        match = _CONVENTION_COMMENT_PATTERN.fullmatch(line)
         if match is None:
             continue
         key, value, second = match.group(1).lower(), match.group(2).lower(), (match.group(3) or "").lower()
         settings: dict[str, str] = {"angle": value, "length": second} if key == "units" else {key: value}
         for name, word in settings.items():
-            if word and word not in SETTING_WORDS[name]:
-                choices = ", ".join(SETTING_WORDS[name])
-                message = f"'{quoted_text(line)}' contains {quoted_text(word)}, expected one of {choices}"
+            if word and word not in CONVENTION_WORDS[name]:
+                choices = ", ".join(CONVENTION_WORDS[name])
+                message = f"'{safe_excerpt(line)}' contains {safe_excerpt(word)}, expected one of {choices}"
                 raise RecordError(message, file=file)
         undecided = {name: word for name, word in settings.items() if word and getattr(hints, name) is None}
         hints = replace(hints, **undecided)  # type: ignore[arg-type]

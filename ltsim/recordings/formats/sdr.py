@@ -15,7 +15,7 @@ import numpy as np
 from ltsim.core.errors import RecordError
 from ltsim.core.units import DEGREE, GON, MILLIMETRE, SI_PER_UNIT
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import SourceLocation, quoted_text, read_lines
+from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt
 from ltsim.recordings.formats.field_book import FieldBook
 from ltsim.recordings.pointings import NOT_MEASURED
 from ltsim.recordings.recording import Recording
@@ -51,7 +51,7 @@ class _Dialect:
         match = _HEADER_PATTERN.match(header)
         if match is None:
             raise location.error(
-                f"'{quoted_text(header)}' is not a header of SDR20 or SDR33, expected 00NMSDR20 or 00NMSDR33"
+                f"'{safe_excerpt(header)}' is not a header of SDR20 or SDR33, expected 00NMSDR20 or 00NMSDR33"
             )
         units = header[UNIT_CODES_SLICE].ljust(5, "1")
         for digit, units_of, what in (
@@ -60,7 +60,7 @@ class _Dialect:
         ):
             if digit not in units_of:
                 raise location.error(
-                    f"found the unit '{quoted_text(digit)}' of {what}, expected one of {', '.join(units_of)}"
+                    f"found the unit '{safe_excerpt(digit)}' of {what}, expected one of {', '.join(units_of)}"
                 )
         return cls(*FIELD_WIDTHS[match[1]], SDR_ANGLE_FACTORS[units[0]], SDR_LENGTH_FACTORS[units[1]], units[4] != "2")
 
@@ -141,7 +141,7 @@ def _read_observation(
     (station, target), cells = dialect.fields(line, 2, 3)
     if field_book.station and station != field_book.setups[field_book.station][0]:
         raise location.error(
-            f"the record names the station '{quoted_text(station)}', expected the station of the last record 02"
+            f"the record names the station '{safe_excerpt(station)}', expected the station of the last record 02"
         )
     distance, vertical, horizontal = (_parse_number(cell, location) for cell in cells)
     vertical *= dialect.angle_factor

@@ -22,7 +22,7 @@ from ltsim.core.errors import RecordError
 from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SI_PER_UNIT, UNITS_BY_SPELLING
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.conventions import NO_HINTS, Hints, StationPoseArrays
-from ltsim.recordings.files import SourceLocation, quoted_text, read_lines
+from ltsim.recordings.files import SourceLocation, read_lines, safe_excerpt
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Setup, Station
 from ltsim.recordings.specification import NO_NOISE_NOTE
@@ -43,7 +43,7 @@ SPATIALANALYZER_COLUMN_MAP = "target=Target,horizontal=Azimuth,vertical=Elevatio
 """Roles of the columns in the table of a set-up, in the notation of the option --columns."""
 PERMITTED_UNITS_BY_COLUMN = {"target": None, "azimuth": ANGLE_UNITS, "elevation": ANGLE_UNITS, "distance": LENGTH_UNITS}
 """Permitted units of each column that the table of a set-up must have; None for a column without unit."""
-RETAINED_COLUMNS = (*PERMITTED_UNITS_BY_COLUMN, "datetime", "offset1", "offset2")
+USED_COLUMNS = (*PERMITTED_UNITS_BY_COLUMN, "datetime", "offset1", "offset2")
 """Columns in the table of a set-up that are read; others are ignored."""
 _HEADING_PATTERN = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.MULTILINE)
 """Pattern of the heading of a table of observations."""
@@ -60,7 +60,7 @@ class _SetupSection:
     """Number of observations that the section declares; None if it declares none."""
     position: Floats | None = None
     """Position (3,) [m] of the instrument."""
-    rotation: Floats | None = None
+    rotation_angles: Floats | None = None
     """Rotation angles (3,) [rad] about the fixed axes x, y, z."""
     rows: list[SheetRow] = field(default_factory=list)
     """Heading row and data rows of the table of observations."""
@@ -73,11 +73,11 @@ class _SetupSection:
     @property
     def pose(self) -> StationPoseArrays | None:
         """Pose of the set-up: rotation to the network frame (3, 3), position (3,) [m]; None if the section has none."""
-        if self.position is None or self.rotation is None:
+        if self.position is None or self.rotation_angles is None:
             return None
         from scipy.spatial.transform import Rotation
 
-        return Rotation.from_euler("xyz", self.rotation).as_matrix(), self.position
+        return Rotation.from_euler("xyz", self.rotation_angles).as_matrix(), self.position
 
 
 def recognises(path: Path, file_beginning: str) -> bool:
@@ -128,7 +128,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     )
 
 
-def _read_cells(path: Path) -> Iterator[SheetRow]:
+def _read_sheet_rows(path: Path) -> Iterator[SheetRow]:
     """Rows of the file that are not empty, each with the number of its last line; raises RecordError."""
     lines = read_lines(path)
     heading = next((line for line in lines if _HEADING_PATTERN.match(line)), None)
@@ -154,7 +154,7 @@ def _read_setup_sections(path: Path) -> list[_SetupSection]:
     blocks: dict[tuple[str, str], _SetupSection] = {}
     block_of_row: _SetupSection | None = None
     section, n_observations = "", 0
-    for row in _read_cells(path):
+    for row in _read_sheet_rows(path):
         where, first = SourceLocation(path, row.line), row.fields[0].split("\n")[0]
         if first in ("Transform", "Observations"):
             section, heading = first, _parse_heading(row.fields[0], where)
@@ -174,7 +174,7 @@ def _read_setup_sections(path: Path) -> list[_SetupSection]:
     for block in blocks.values():
         if block.rows and block.n_declared_observations not in (None, len(block.rows) - 1):
             held = f"{block.n_declared_observations} observations but contains {len(block.rows) - 1}"
-            message = f"set-up {quoted_text(block.number)} declares {held}: the report is incomplete or was edited"
+            message = f"set-up {safe_excerpt(block.number)} declares {held}: the report is incomplete or was edited"
             raise RecordError(message, file=path)
     return list(blocks.values())
 
@@ -199,9 +199,9 @@ def _read_pose(block: _SetupSection, fields: Sequence[str], location: SourceLoca
         if unit in LENGTH_UNITS:
             block.position = values * SI_PER_UNIT[unit]
         elif unit in ANGLE_UNITS:
-            block.rotation = values * SI_PER_UNIT[unit]
+            block.rotation_angles = values * SI_PER_UNIT[unit]
         else:
-            raise location.error(f"the unit '{quoted_text(fields[0].strip('()'))}' of the pose is not supported")
+            raise location.error(f"the unit '{safe_excerpt(fields[0].strip('()'))}' of the pose is not supported")
 
 
 def _check_heading(fields: Sequence[str], location: SourceLocation) -> None:
@@ -214,20 +214,20 @@ def _check_heading(fields: Sequence[str], location: SourceLocation) -> None:
             raise location.error(message)
         if permitted is not None and units[0] not in permitted:
             message = (
-                f"found the unit '{quoted_text(units[0])}' in this heading, expected one of {', '.join(permitted)}"
+                f"found the unit '{safe_excerpt(units[0])}' in this heading, expected one of {', '.join(permitted)}"
             )
             raise location.error(message, required_title.capitalize())
 
 
 def _table_sheet_of_section(block: _SetupSection, name: str, sheet_rows: list[SheetRow], file: Path) -> TableSheet:
-    """Table of `sheet_rows` of the set-up `name`, with only the columns in `RETAINED_COLUMNS`.
+    """Table of `sheet_rows` of the set-up `name`, with only the columns in `USED_COLUMNS`.
 
     The titles of columns with offsets of reflectors are changed so that they end with the unit.
     """
     titles = {}
     for place, title in enumerate(block.rows[0].fields):
         word, unit = title_words_and_unit(title)
-        if word in RETAINED_COLUMNS:
+        if word in USED_COLUMNS:
             titles[place] = f"{word}_{unit}" if word.startswith("offset") else title
     body = [SheetRow(row.line, tuple(row.cell(place) for place in titles)) for row in sheet_rows]
     return TableSheet(file, (SheetRow(block.rows[0].line, tuple(titles.values())), *body), name)
@@ -250,16 +250,18 @@ def _prefix_ambiguous_points(
     pointings; `poses` are those of the stations by name.
     """
     sightings: dict[str, dict[str, list[tuple[str, Floats]]]] = {}
-    printed = table.pointings
+    pointings = table.pointings
     for station, target, group_name, point in zip(
-        printed.station, printed.target, group_names, from_polar(readings), strict=True
+        pointings.station, pointings.target, group_names, from_polar(readings), strict=True
     ):
         pose = poses[station]
         position = point if pose is None else pose[0] @ point + pose[1]
         sightings.setdefault(target, {}).setdefault(group_name, []).append((station, position))
     names = {name: _new_names_by_group(name, groups) for name, groups in sightings.items()}
     ambiguous_names = sorted(name for name, of in names.items() if any(new != name for new in of.values()))
-    printed.target = [names[target][group_name] for target, group_name in zip(printed.target, group_names, strict=True)]
+    pointings.target = [
+        names[target][group_name] for target, group_name in zip(pointings.target, group_names, strict=True)
+    ]
     if not ambiguous_names:
         return []
     examples = ", ".join(ambiguous_names[:4])

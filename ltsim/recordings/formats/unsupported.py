@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-OBSERVATIONS_ADVICE = (
+FIELD_BOOK_ADVICE = (
     "export GSI, SDR or a table of the observations (station, point, horizontal circle, zenith, distance)"
 )
 """Advice to a user whose file is a field book of a total station in an unsupported format."""
@@ -21,14 +21,14 @@ class UnsupportedFormat:
 
     name: str
     pattern: re.Pattern[str]
-    export_advice: str = OBSERVATIONS_ADVICE
+    export_advice: str = FIELD_BOOK_ADVICE
 
 
 _XML_PROLOGUE = r"\s*+(?:<\?xml[^>]*+>\s*+)?+(?:(?><!--.*?-->)\s*+)*+"
 """Pattern of what may precede the root element of an XML file: a declaration and comments."""
 
 
-def _make_format(name: str, pattern: str, export_advice: str = OBSERVATIONS_ADVICE) -> UnsupportedFormat:
+def _make_format(name: str, pattern: str, export_advice: str = FIELD_BOOK_ADVICE) -> UnsupportedFormat:
     return UnsupportedFormat(name, re.compile(pattern, re.DOTALL), export_advice)
 
 

@@ -21,9 +21,9 @@ _WORDS_AND_VALUE_PATTERN = re.compile(r"#?+\s*+([^:=]{1,60}?)\s*+[:=]\s*+(\S.*+)
 """Pattern of words and a value, separated by a colon or an equals sign. In the patterns of this module each run of
 blanks matches a single repetition: with two, the time would grow with the square of the number of blanks.
 """
-_WORD_PATTERN = re.compile(r"#?+\s*+([^\W\d_]++)(?:\s*+[:=;,]|(?=\s))\s*+(\S.*+)")
+_SINGLE_WORD_AND_VALUE_PATTERN = re.compile(r"#?+\s*+([^\W\d_]++)(?:\s*+[:=;,]|(?=\s))\s*+(\S.*+)")
 """Pattern of a line with a single word and a value, such as ``Station S1``."""
-_HEIGHT_PATTERN = re.compile(r"(.*?)(?<=[\s:=;,])(\d{1,5}(?:[.,]\d{1,6})?)\s*+(mm|cm|m|ft|in)?[\s;,]*+")
+_LINE_WITH_HEIGHT_PATTERN = re.compile(r"(.*?)(?<=[\s:=;,])(\d{1,5}(?:[.,]\d{1,6})?)\s*+(mm|cm|m|ft|in)?[\s;,]*+")
 """Pattern of a line that ends with a length and possibly its unit."""
 
 
@@ -69,7 +69,7 @@ class StationContext:
         if sign_match is not None and title_role(sign_match[1]) == "station":
             word, name = title_words_and_unit(sign_match[1])[0], sign_match[2]
         else:
-            word_match = _WORD_PATTERN.fullmatch(line)
+            word_match = _SINGLE_WORD_AND_VALUE_PATTERN.fullmatch(line)
             if word_match is None or title_role(word_match[1]) != "station":
                 return None
             word, name = title_words_and_unit(word_match[1])[0], word_match[2]
@@ -84,7 +84,7 @@ class StationContext:
 def _split_heights(line: str) -> tuple[str, list[tuple[TableColumn, str]]]:
     """Line without the heights at its end, and a list of the column and the text of each of these heights."""
     heights = []
-    while (match := _HEIGHT_PATTERN.fullmatch(line)) is not None:
+    while (match := _LINE_WITH_HEIGHT_PATTERN.fullmatch(line)) is not None:
         words = match[1].rstrip(" \t:=;,").split()
         for count in range(min(MAX_HEIGHT_TITLE_WORDS, len(words)), 0, -1):
             title = " ".join(words[-count:]).lstrip("#(,; ")

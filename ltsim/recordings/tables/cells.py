@@ -63,9 +63,9 @@ _PACKED_DEGREES_PATTERN = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
 """Pattern of degrees whose decimals are minutes and seconds."""
 _NUMBER_CHARACTERS_PATTERN = re.compile(r"[0-9.+eE-]*")
 """Pattern of texts with only the characters of decimal numbers."""
-_CLOCK_PATTERN = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
+_TIME_OF_DAY_PATTERN = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
 """Pattern of a time of day with colons, of 24 or 12 hours: ``8:00:20.5``, ``8:00 pm``."""
-_SPELLED_CLOCK_PATTERN = re.compile(
+_SPELLED_TIME_OF_DAY_PATTERN = re.compile(
     r"(\d{1,2})\s*h\s*(\d{1,2})(?:\s*m(?:in)?\s*(\d{1,2})(?:[.,](\d{1,9}))?\s*s?)?()", re.I
 )
 """Pattern of a time of day with letters: ``8h00m20.5s``, ``8h00``."""
@@ -106,8 +106,8 @@ def python_number_text(text: str) -> str:
     comma, point = text.rfind(","), text.rfind(".")
     if comma < 0:
         return text
-    group_separator = "." if comma > point else ","
-    return text.replace(group_separator, "").replace(",", ".") if point >= 0 else text.replace(",", ".", 1)
+    thousands_separator = "." if comma > point else ","
+    return text.replace(thousands_separator, "").replace(",", ".") if point >= 0 else text.replace(",", ".", 1)
 
 
 _GROUPED_PATTERN_BY_MARK = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:\{mark}\d{{3}})+", re.ASCII) for mark in ".,"}
@@ -119,7 +119,7 @@ _COMMA_AND_POINT_PATTERN_BY_MARK = {
 """Pattern of a number with comma and point, by the mark that separates its groups of three digits."""
 
 
-def thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object) -> str:
+def detect_thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object) -> str:
     """Thousands separator of the cells of a sheet, point or comma; '' if there is none.
 
     ``7.000,5`` in one cell shows that ``7.000`` in another cell is 7000. Raises RecordError, which names `file`, if
@@ -140,7 +140,7 @@ def thousands_separator(sheet_rows: Iterable[Sequence[str]], file: object) -> st
     return next(iter(cell_by_separator), "")
 
 
-def is_value(text: str) -> bool:
+def is_numeric(text: str) -> bool:
     """True if a cell is a number or an angle in degrees, minutes and seconds."""
     return len(text) <= MAX_VALUE_LENGTH and (
         is_number(text)
@@ -157,9 +157,9 @@ def split_unit_symbol(text: str) -> tuple[str, str] | None:
         return None
     centesimal_match = _CENTESIMAL_PATTERN.fullmatch(text)
     if centesimal_match is not None:
-        sign, whole, minutes, seconds = centesimal_match.groups()
+        sign, gons, minutes, seconds = centesimal_match.groups()
         parts = Decimal(minutes) * 100 + Decimal(seconds.replace(",", "."))
-        return f"{sign}{Decimal(whole) + parts / 10_000}", "gon"
+        return f"{sign}{Decimal(gons) + parts / 10_000}", "gon"
     marked_match = _NUMBER_WITH_UNIT_PATTERN.fullmatch(text)
     return None if marked_match is None else (marked_match[1], UNIT_BY_SYMBOL[marked_match[2].casefold()])
 
@@ -181,17 +181,17 @@ def is_sexagesimal(text: str) -> bool:
     return not is_number(python_number_text(text)) and _parse_sexagesimal(text) is not None
 
 
-def parse_number(text: str, group_separator: str = "") -> Decimal | None:
+def parse_number(text: str, thousands_separator: str = "") -> Decimal | None:
     """Exact value of a cell with a plain number; None for any other cell.
 
-    `group_separator` is the thousands separator of the sheet, '' for none.
+    `thousands_separator` is the thousands separator of the sheet, '' for none.
     """
     text = text.strip()
     if len(text) > MAX_VALUE_LENGTH:
         return None
     digits = python_number_text(
-        text.replace(group_separator, "")
-        if group_separator and _GROUPED_PATTERN_BY_MARK[group_separator].fullmatch(text)
+        text.replace(thousands_separator, "")
+        if thousands_separator and _GROUPED_PATTERN_BY_MARK[thousands_separator].fullmatch(text)
         else text
     )
     return Decimal(digits) if is_number(digits) else None
@@ -210,21 +210,21 @@ def plain_numbers(texts: Sequence[str]) -> Floats | None:
         return None
 
 
-def parse_value(text: str, group_separator: str = "") -> Decimal | None:
+def parse_number_or_angle(text: str, thousands_separator: str = "") -> Decimal | None:
     """Exact value of a cell with a number, or with an angle with minutes and seconds [deg]; None for any other cell.
 
-    `group_separator` is the thousands separator of the sheet, '' for none.
+    `thousands_separator` is the thousands separator of the sheet, '' for none.
     """
-    plain_number = parse_number(text, group_separator)
+    plain_number = parse_number(text, thousands_separator)
     return _parse_sexagesimal(text) if plain_number is None else plain_number
 
 
-def parse_quantity(text: str, group_separator: str = "") -> Decimal | None:
+def parse_number_or_angle_unless_time(text: str, thousands_separator: str = "") -> Decimal | None:
     """Exact value of a cell with a number, or an angle with minutes and seconds [deg]; None for a date or a time.
 
-    `group_separator` is the thousands separator of the sheet, '' for none.
+    `thousands_separator` is the thousands separator of the sheet, '' for none.
     """
-    return None if not is_number(text) and is_date_or_time(text) else parse_value(text, group_separator)
+    return None if not is_number(text) and is_date_or_time(text) else parse_number_or_angle(text, thousands_separator)
 
 
 def parse_packed_degrees(text: str) -> Decimal | None:
@@ -270,7 +270,7 @@ def parse_times(texts: Sequence[str], date_order: str | None = None) -> tuple[li
     text is no date or time, and (None, "?") if the order is ambiguous.
     """
     texts = [_without_apostrophe(text) for text in texts]
-    clocks = _convert_all(_parse_clock, texts)
+    clocks = _convert_all(_parse_time_of_day, texts)
     if clocks is not None:
         return _seconds_since_first([datetime.min + clock for clock in _unwrap_midnight(clocks)], has_date=False)
     orders = _DATE_ORDERS_12_HOURS if texts and texts[0][-2:].casefold() in ("am", "pm") else _DATE_ORDERS
@@ -296,18 +296,18 @@ def _convert_all(convert: Callable[[str], ValueType | None], texts: Sequence[str
 
 def is_date_or_time(text: str) -> bool:
     """True if a cell is a time of day, a date or both."""
-    return has_clock(text) or any(
+    return has_time_of_day(text) or any(
         _parse_date_and_time(_without_apostrophe(text), letters, None) is not None for letters in _DATE_ORDERS
     )
 
 
-def has_clock(text: str) -> bool:
+def has_time_of_day(text: str) -> bool:
     """True if a cell is a time of day, with or without a date."""
     plain_text = _without_apostrophe(text)
     return (
         ":" in plain_text or "h" in plain_text.lower() or _COMPACT_STAMP_PATTERN.fullmatch(plain_text) is not None
     ) and (
-        _parse_clock(plain_text) is not None
+        _parse_time_of_day(plain_text) is not None
         or any(_parse_date_and_time(plain_text, letters, None) is not None for letters in _DATE_ORDERS)
     )
 
@@ -335,8 +335,8 @@ def _unwrap_midnight(clocks: list[timedelta]) -> list[timedelta]:
     return unwrapped
 
 
-def _parse_clock(text: str) -> timedelta | None:
-    match = _CLOCK_PATTERN.fullmatch(text.strip()) or _SPELLED_CLOCK_PATTERN.fullmatch(text.strip())
+def _parse_time_of_day(text: str) -> timedelta | None:
+    match = _TIME_OF_DAY_PATTERN.fullmatch(text.strip()) or _SPELLED_TIME_OF_DAY_PATTERN.fullmatch(text.strip())
     if match is None:
         return None
     hours, minutes, seconds = (int(part or 0) for part in match.groups()[:3])
@@ -372,7 +372,7 @@ def _parse_date_and_time(text: str, letters: str, date_order: str | None) -> dat
     """
     day, _, clock_text = re.sub(r"(?<=\d)T(?=\d)", " ", _with_numeric_month(text.strip())).partition(" ")
     clock_text = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", clock_text.strip())
-    match, clock_time = _DATE_PATTERN.fullmatch(day), _parse_clock(clock_text) if clock_text else timedelta(0)
+    match, clock_time = _DATE_PATTERN.fullmatch(day), _parse_time_of_day(clock_text) if clock_text else timedelta(0)
     if match is None or clock_time is None or (len(match[1]) == 4) != (letters == "ymd"):
         return None
     is_excluded = letters == "mdy" if match[2] == "." else letters != "ymd" and date_order not in (None, letters)

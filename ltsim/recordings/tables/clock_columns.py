@@ -6,7 +6,7 @@ import numpy as np
 
 from ltsim.core.units import SI_PER_UNIT
 from ltsim.recordings.conventions import Hints
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.pointing_table import PointingTable
 
@@ -21,8 +21,8 @@ def with_time_column(table: PointingTable) -> PointingTable:
     if rounds is not None and table.pointings.every_round_has_single_pointing:
         table.columns = [replace(c, role="") if c is rounds else c for c in table.columns]
         table.notes.append(
-            f"'{quoted_text(rounds.title)}' is different for each pointing and not interpreted as the round; if it is "
-            f'the time, give --columns "time={quoted_text(rounds.title)}[s]"'
+            f"'{safe_excerpt(rounds.title)}' is different for each pointing and not interpreted as the round; if it is "
+            f'the time, give --columns "time={safe_excerpt(rounds.title)}[s]"'
         )
     if table.column(("time",)) is not None:
         return table
@@ -30,7 +30,7 @@ def with_time_column(table: PointingTable) -> PointingTable:
     for column in table.columns:
         texts = pointings.additional_cells.get(column.title, [])
         filled = [text for text in texts if text]
-        if not column.is_additional or column.role or not filled or not all(map(cells.has_clock, filled)):
+        if not column.is_additional or column.role or not filled or not all(map(cells.has_time_of_day, filled)):
             continue
         title = column.title
         pointings.date_and_time = [
@@ -41,7 +41,7 @@ def with_time_column(table: PointingTable) -> PointingTable:
         }
         table.columns = [replace(c, role="time", unit="") if c is column else c for c in table.columns]
         table.notes.append(
-            f"'{quoted_text(title)}' is interpreted as the time of each pointing, because its cells are times of day"
+            f"'{safe_excerpt(title)}' is interpreted as the time of each pointing, because its cells are times of day"
         )
         break
     return table
@@ -56,13 +56,13 @@ def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str
         return missing, "", []
     consequence = "the order of the rows replaces the time"
     if not all(texts):
-        return missing, "", [f"column '{quoted_text(column.title)}' is empty in some rows: {consequence}"]
+        return missing, "", [f"column '{safe_excerpt(column.title)}' is empty in some rows: {consequence}"]
     plain_times = cells.plain_numbers(texts)
     if plain_times is not None and column.role == "date":
         return (
             missing,
             "",
-            [f"column '{quoted_text(column.title)}' contains numbers of days without a time: {consequence}"],
+            [f"column '{safe_excerpt(column.title)}' contains numbers of days without a time: {consequence}"],
         )
     if plain_times is not None:
         return (plain_times * SI_PER_UNIT[column.unit or "s"]).tolist(), "", []
@@ -72,21 +72,21 @@ def pointing_times(table: PointingTable, hints: Hints) -> tuple[list[float], str
         return [float(number) * factor for number in times if number is not None], "", []
     seconds, start = cells.parse_times(texts, hints.date)
     if seconds is None and start:
-        question = f"the date '{quoted_text(texts[0])}' may begin with the day or with the month"
+        question = f"the date '{safe_excerpt(texts[0])}' may begin with the day or with the month"
         message = f"{question}; give --hint date=dmy or --hint date=mdy"
-        raise table.pointings.source_location(0).error(message, quoted_text(column.title))
+        raise table.pointings.source_location(0).error(message, safe_excerpt(column.title))
     if seconds is None:
-        reason = f"column '{quoted_text(column.title)}' contains no readable time ('{quoted_text(texts[0])}')"
+        reason = f"column '{safe_excerpt(column.title)}' contains no readable time ('{safe_excerpt(texts[0])}')"
         return missing, "", [f"{reason}: {consequence}"]
-    if not any(map(cells.has_clock, texts)):
-        return missing, "", [f"column '{quoted_text(column.title)}' contains dates without a time: {consequence}"]
+    if not any(map(cells.has_time_of_day, texts)):
+        return missing, "", [f"column '{safe_excerpt(column.title)}' contains dates without a time: {consequence}"]
     earliest = texts[int(np.argmin(seconds))]
     if hints.date is None and len({cells.parse_times([earliest], order)[1] for order in ("dmy", "mdy")} - {""}) > 1:
         day_order, other = (
             ("day and month", "mdy") if cells.parse_times([earliest], "dmy")[1] == start else ("month and day", "dmy")
         )
         note = (
-            f"the date in '{quoted_text(earliest)}' is interpreted as {day_order} (otherwise give --hint date={other})"
+            f"the date in '{safe_excerpt(earliest)}' is interpreted as {day_order} (otherwise give --hint date={other})"
         )
         return seconds, start, [note]
     return seconds, start, []

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ltsim.core.errors import RecordError
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.tables.header import (
     ANGLE_PART_ROLE,
     ANGLE_SYMBOLS,
@@ -15,9 +15,9 @@ from ltsim.recordings.tables.header import (
     reading_kind,
     split_title_and_unit,
 )
-from ltsim.recordings.tables.title_words import TITLE_WORDS
+from ltsim.recordings.tables.title_words import TITLES_BY_ROLE
 
-MAPPABLE_ROLES = tuple(dict.fromkeys((*TITLE_WORDS, *SIGMA_ROLES.values())))
+MAPPABLE_ROLES = tuple(dict.fromkeys((*TITLES_BY_ROLE, *SIGMA_ROLES.values())))
 """Roles that the option ``--columns`` accepts."""
 
 
@@ -58,7 +58,7 @@ def parse_assignments(assignments: str, file: object = None) -> list[tuple[str, 
             stem, face = stem[:-1], int(stem[-1])
         if not equals or stem not in MAPPABLE_ROLES or not title.strip():
             message = (
-                f"--columns {quoted_text(part, 60)}: expected ROLE=HEADER[UNIT] with a role among "
+                f"--columns {safe_excerpt(part, 60)}: expected ROLE=HEADER[UNIT] with a role among "
                 f"{', '.join(MAPPABLE_ROLES)}"
             )
             raise RecordError(message, file=file)
@@ -66,7 +66,7 @@ def parse_assignments(assignments: str, file: object = None) -> list[tuple[str, 
         if unit and unit not in UNITS_BY_ROLE.get(stem, ()):
             units = ", ".join(UNITS_BY_ROLE.get(stem, ("none",)))
             raise RecordError(
-                f"--columns {quoted_text(part, 60)}: expected one of the units {units} for {stem}", file=file
+                f"--columns {safe_excerpt(part, 60)}: expected one of the units {units} for {stem}", file=file
             )
         assignments_of_roles.append((stem, face, name, unit))
     return assignments_of_roles

@@ -7,7 +7,7 @@ from itertools import accumulate, pairwise, takewhile
 
 from ltsim.core.units import LENGTH_UNITS
 from ltsim.recordings.conventions import FULL_CIRCLE_BY_UNIT, AngleUnit
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
     ANGLE_SYMBOLS,
@@ -51,7 +51,7 @@ def unrecognised_header_sentence(sheet: TableSheet, is_readable_with: Callable[[
     has_header = header_row is not None and len(header_row.fields) == n_columns
     header_fields = header_row.fields if header_row is not None and has_header else ("",) * n_columns
     titles = tuple(_column_reference(i, header_fields) for i in range(n_columns))
-    header = f"the header {quoted_text(', '.join(header_fields), 80)}" if has_header else "a table without a header"
+    header = f"the header {safe_excerpt(', '.join(header_fields), 80)}" if has_header else "a table without a header"
     assignments = _likely_assignments(titles, [row for row in data_rows if len(row) == n_columns][:MAX_SAMPLE_ROWS])
     advice = next(filter(is_readable_with, assignments[:MAX_TRIED_ASSIGNMENTS]), None)
     if advice is not None:
@@ -84,10 +84,10 @@ def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str
     """
     columns: list[tuple[str, ...]] = list(zip(*first_rows, strict=True))
     time_columns = [
-        i for i, column in enumerate(columns) if any(column) and all(cells.has_clock(t) for t in column if t)
+        i for i, column in enumerate(columns) if any(column) and all(cells.has_time_of_day(t) for t in column if t)
     ]
     columns_without_time = [i for i in range(len(columns)) if i not in time_columns and any(columns[i])]
-    text_columns = [i for i in columns_without_time if not all(map(cells.is_value, columns[i]))]
+    text_columns = [i for i in columns_without_time if not all(map(cells.is_numeric, columns[i]))]
     face_columns = [
         i
         for i in columns_without_time
@@ -96,7 +96,7 @@ def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str
     number_columns = [
         i
         for i in columns_without_time
-        if i not in (*text_columns, *face_columns) and all(map(cells.is_value, columns[i]))
+        if i not in (*text_columns, *face_columns) and all(map(cells.is_numeric, columns[i]))
     ]
     if not text_columns:  # points that have number_columns for name_columns come first
         text_columns = [i for i in number_columns[:2] if all(cell.isdigit() for cell in columns[i])][
@@ -121,21 +121,25 @@ def _likely_assignments(titles: Sequence[str], first_rows: Sequence[Sequence[str
         for circle in ("horizontal" if normalised_title(titles[first[0]]).startswith(("hz", "hor")) else "azimuth",)
         for unit, kind in _possible_conventions(first, other, columns, titles)
         for length in (
-            _distance_columns("distance", [i for i in number_columns if i > other[-1]], titles, columns, first)
-            or _distance_columns("distance", [i for i in number_columns if i < first[0]][-1:], titles, columns, first)
+            _distance_assignments("distance", [i for i in number_columns if i > other[-1]], titles, columns, first)
+            or _distance_assignments(
+                "distance", [i for i in number_columns if i < first[0]][-1:], titles, columns, first
+            )
         )
     ]
     polar += [
         [f"horizontal={_joined_titles(first, titles)}[deg]", *length]
         for first in angles[:1]
         if _is_sexagesimal(first, columns) and not any(_is_sexagesimal(other, columns) for other in angles[1:])
-        for length in _distance_columns("flat", [i for i in number_columns if i > first[-1]], titles, columns, first)
+        for length in _distance_assignments(
+            "flat", [i for i in number_columns if i > first[-1]], titles, columns, first
+        )
     ]
     axes = [i for i in number_columns if _has_fraction(columns[i]) and list(columns[i]) != sorted(columns[i])]
     axes = axes[:3] if len(axes) >= len(COORDINATE_ROLES) else number_columns[:3]
     unit = "m" if max((_largest_magnitude(columns[i]) for i in axes), default=0) < MAX_LENGTH_IN_METRES else "mm"
     coordinate_readings = [f"{axis}={titles[i]}[{unit}]" for axis, i in zip(COORDINATE_ROLES, axes, strict=False)]
-    is_polar = any(_has_marked_angles(columns[i]) for i in number_columns)
+    is_polar = any(_has_sexagesimal_cells(columns[i]) for i in number_columns)
     is_complete = len(coordinate_readings) == len(COORDINATE_ROLES) and not is_polar
     readings_sets = [*polar, *([coordinate_readings] if is_complete else [])]
     return [",".join([*names_and_faces, *readings]) for readings in readings_sets]
@@ -155,7 +159,7 @@ def _angle_columns(number_columns: Sequence[int], columns: CellsByColumn) -> lis
             if _has_fraction(columns[part_columns[-1]]):
                 break
             part_columns.append(part_columns[-1] + 1)
-        is_angle_alone = _has_fraction(columns[i]) or _has_marked_angles(columns[i])
+        is_angle_alone = _has_fraction(columns[i]) or _has_sexagesimal_cells(columns[i])
         if (
             i not in used_columns
             and _largest_magnitude(columns[i]) <= FULL_CIRCLE_BY_UNIT["gon"]
@@ -192,7 +196,7 @@ def _possible_conventions(
     return [(unit, kind) for unit in units if lowest >= -FULL_CIRCLE_BY_UNIT[unit] / 4]
 
 
-def _distance_columns(
+def _distance_assignments(
     role: str, candidate_columns: Sequence[int], titles: Sequence[str], columns: CellsByColumn, angle: Sequence[int]
 ) -> list[list[str]]:
     """Assignment `role=title[unit]` for the first candidate column whose cells may be distances, as [[assignment]].
@@ -204,7 +208,7 @@ def _distance_columns(
         i
         for i in candidate_columns
         if _has_fraction(columns[i])
-        and not _has_marked_angles(columns[i])
+        and not _has_sexagesimal_cells(columns[i])
         and min(_column_numbers(columns[i]), default=Decimal(0)) > 0
     ]
     lengths = []
@@ -217,11 +221,11 @@ def _distance_columns(
 
 
 def _is_sexagesimal(angle: Sequence[int], columns: CellsByColumn) -> bool:
-    return len(angle) > 1 or _has_marked_angles(columns[angle[0]])
+    return len(angle) > 1 or _has_sexagesimal_cells(columns[angle[0]])
 
 
 @lru_cache(maxsize=1024)
-def _has_marked_angles(column: tuple[str, ...]) -> bool:
+def _has_sexagesimal_cells(column: tuple[str, ...]) -> bool:
     """True if any cell of a column is an angle in degrees, minutes and seconds."""
     return cells.plain_numbers(column) is None and any(map(cells.is_sexagesimal, column))
 
@@ -233,7 +237,7 @@ def _joined_titles(positions: Sequence[int], titles: Sequence[str]) -> str:
 
 @lru_cache(maxsize=1024)
 def _column_numbers(column: tuple[str, ...]) -> list[Decimal]:
-    return [number for cell in column if (number := cells.parse_value(cell)) is not None]
+    return [number for cell in column if (number := cells.parse_number_or_angle(cell)) is not None]
 
 
 def _largest_magnitude(column: tuple[str, ...]) -> Decimal:

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from ltsim.core.units import ANGLE_UNITS, LENGTH_UNITS, SMALL_ANGLE_UNITS, UNITS_BY_SPELLING
-from ltsim.recordings.files import SourceLocation, quoted_text
+from ltsim.recordings.files import SourceLocation, safe_excerpt
 from ltsim.recordings.tables.title_words import (
     COMMON_SIGMA_ROLE,
     EAST_ASIAN_LETTERS,
-    FOREIGN_TITLE_WORDS,
+    FOREIGN_TITLES_BY_LANGUAGE,
     NUMBER_TITLE_ENDINGS,
     STATION_TITLE_FIRST_WORDS,
     STATION_TITLE_LAST_WORDS,
-    TITLE_WORDS,
+    TITLES_BY_ROLE,
 )
 
 HORIZONTAL_ROLES = ("horizontal", "azimuth")
@@ -43,7 +43,7 @@ ROLE_BY_TITLE = {
     **{instrument + place: "station" for instrument in STATION_TITLE_FIRST_WORDS for place in STATION_TITLE_LAST_WORDS},
     **{
         word: role
-        for words in (TITLE_WORDS, *FOREIGN_TITLE_WORDS.values())
+        for words in (TITLES_BY_ROLE, *FOREIGN_TITLES_BY_LANGUAGE.values())
         for role, text in words.items()
         for word in text.split()
     },
@@ -52,7 +52,8 @@ ROLE_BY_TITLE = {
 UNITS_BY_ROLE = {
     **dict.fromkeys((*HORIZONTAL_ROLES, *VERTICAL_ROLES), ANGLE_UNITS),
     **dict.fromkeys(
-        (*DISTANCE_ROLES, *COORDINATE_ROLES, *HEIGHT_ROLES, COMMON_SIGMA_ROLE, "sigma_distance_mm"), LENGTH_UNITS
+        (*DISTANCE_ROLES, *COORDINATE_ROLES, *HEIGHT_ROLES, COMMON_SIGMA_ROLE, "sigma_distance_mm"),
+        LENGTH_UNITS,
     ),
     **dict.fromkeys((f"sigma_{axis}_mm" for axis in COORDINATE_ROLES), LENGTH_UNITS),
     **dict.fromkeys(("sigma_azimuth_arcsec", "sigma_elevation_arcsec"), SMALL_ANGLE_UNITS),
@@ -71,7 +72,7 @@ FALLBACK_TITLES = {
     "station": (*_SETUP_TITLES, *_OCCUPATION_TITLES),
 }
 """Titles, by role, that have this role only if no other title in the header has it."""
-FALLBACK_TITLE_ROLES = {"target": "", "station": "instrument_setup"}
+ROLES_OF_UNUSED_FALLBACK_TITLES = {"target": "", "station": "instrument_setup"}
 """Role ('' for none) of a column with a title in `FALLBACK_TITLES` if another column already has the role there. For
 example, in a table with a column of stations, a column of set-up numbers counts the occupations."""
 MAX_TITLE_LENGTH = 80
@@ -156,7 +157,7 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
     candidates = _join_angle_parts([_column_from_title(place, title) for place, title in enumerate(fields)])
     roles = {c.role for c in candidates}
     if roles & {*SIGMA_ROLES.values()} and sum(c.role == "distance" for c in candidates) > 1:
-        candidates = [_sigma_of_distance(c) for c in candidates]
+        candidates = [_with_distance_sigma_role(c) for c in candidates]
     if _count_reading_kinds(candidates) == 2 and not roles & {
         *VERTICAL_ROLES,
         "x",
@@ -176,7 +177,7 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
             assigned = _column_from_title(assigned.position, assigned.title, has_face=False)
         fallback = FALLBACK_TITLES.get(assigned.role, ())
         if title_words_and_unit(assigned.title)[0] in fallback and not titles_by_role[assigned.role] <= {*fallback}:
-            assigned = replace(assigned, role=FALLBACK_TITLE_ROLES[assigned.role])
+            assigned = replace(assigned, role=ROLES_OF_UNUSED_FALLBACK_TITLES[assigned.role])
         if assigned.role and (
             (assigned.role, assigned.face) in used_roles
             or (is_polar and assigned.role in (*COORDINATE_ROLES, COMMON_SIGMA_ROLE))
@@ -188,7 +189,7 @@ def _compute_header_columns(fields: tuple[str, ...]) -> list[TableColumn]:
     return distinct_titles(columns)
 
 
-def _sigma_of_distance(column: TableColumn) -> TableColumn:
+def _with_distance_sigma_role(column: TableColumn) -> TableColumn:
     """Column with the role of standard deviations of distances if its title is sD; any other column unchanged.
 
     It is used in tables with other distances; otherwise the title stands for slope distances (SD).
@@ -302,7 +303,7 @@ def unknown_unit_sentence(titles: Sequence[str]) -> str:
         units = UNITS_BY_ROLE.get(title_role(name), ())
         is_polar = title_role(name) in (*HORIZONTAL_ROLES, *VERTICAL_ROLES, *DISTANCE_ROLES)
         if is_polar and unit and unit not in (*units, *ANGLE_PART_UNITS, *LENGTH_UNITS):
-            wrong = f"the unit '{quoted_text(unit)}' of column '{quoted_text(title)}' is unknown"
+            wrong = f"the unit '{safe_excerpt(unit)}' of column '{safe_excerpt(title)}' is unknown"
             return f"{wrong}; convert it to one of {', '.join(units)}"
     return ""
 

@@ -5,7 +5,7 @@ import numpy as np
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import listing
 from ltsim.recordings.recording import HEIGHT_COLUMNS
-from ltsim.recordings.tables.pointing_table import PointingTable, indices_by_value
+from ltsim.recordings.tables.pointing_table import PointingTable, distinct_with_indices
 
 
 def covariates_with_instrument_heights(
@@ -23,7 +23,7 @@ def covariates_with_instrument_heights(
             continue
         filled, kind = heights.copy(), "instrument" if column == HEIGHT_COLUMNS[0] else "target"
         if kind == "instrument":
-            _, setup = indices_by_value(table.pointings.station)
+            _, setup = distinct_with_indices(table.pointings.station)
             for index in np.unique(setup[np.isnan(heights)]).tolist():
                 rows = setup == index
                 values = np.unique(heights[rows & np.isfinite(heights)])

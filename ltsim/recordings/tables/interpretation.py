@@ -28,7 +28,7 @@ from ltsim.core.units import (
 )
 from ltsim.geometry.polar import from_polar, to_polar, unit_vectors
 from ltsim.recordings.conventions import (
-    SENSE_UNKNOWN_NOTE,
+    AZIMUTH_SENSE_UNKNOWN_NOTE,
     AzimuthSense,
     Hints,
     PolarReadings,
@@ -39,7 +39,7 @@ from ltsim.recordings.conventions import (
     azimuth_sense_from_poses,
     length_unit_from_size,
 )
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.recording import SIGMA_COLUMNS
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
@@ -59,7 +59,7 @@ FULL_CIRCLE_DEG = 360
 """Full circle [deg]."""
 QUARTER_CIRCLE_DEG = 90
 """Quarter circle [deg]."""
-METRE_HEIGHT_RANGE = (0.2, 3.0)
+MEDIAN_HEIGHT_RANGE_IN_METRES = (0.2, 3.0)
 """Smallest and largest median of heights above survey marks, as numbers without unit, between which they show that the
 table is in metres."""
 PLAUSIBLE_HEIGHT_RANGES = (("m", 0.2, 5.0), ("mm", 100.0, 5000.0))
@@ -86,13 +86,13 @@ class ColumnInterpretation:
     horizontal_unit: str
     vertical_unit: str
     length_unit: str
-    vertical: VerticalKind
-    azimuth: AzimuthSense
+    vertical_kind: VerticalKind
+    azimuth_sense: AzimuthSense
     notes: tuple[str, ...] = ()
 
     def readings(self, pointings: UnconvertedPointings) -> Floats:
         """Raw ranges, azimuths and elevations (n, 3) [m, rad, rad] of n pointings, converted without rounding."""
-        clockwise, zenith = self.azimuth == "clockwise", self.vertical == "zenith"
+        clockwise, zenith = self.azimuth_sense == "clockwise", self.vertical_kind == "zenith"
 
         def azimuth(reading: Any, units_per_degree: Any) -> Any:
             return -reading % (FULL_CIRCLE_DEG * units_per_degree) if clockwise else reading
@@ -102,11 +102,13 @@ class ColumnInterpretation:
             return np.where(up < -QUARTER_CIRCLE_DEG * units_per_degree, up + FULL_CIRCLE_DEG * units_per_degree, up)
 
         polar = [
-            apply_exactly(pointings.digits_of_roles(DISTANCE_ROLES), unit_ratio(self.length_unit, "mm")),
+            apply_exactly(pointings.digit_texts_of_roles(DISTANCE_ROLES), unit_ratio(self.length_unit, "mm")),
             apply_exactly(
-                pointings.digits_of_roles(HORIZONTAL_ROLES), unit_ratio(self.horizontal_unit, "deg"), azimuth
+                pointings.digit_texts_of_roles(HORIZONTAL_ROLES), unit_ratio(self.horizontal_unit, "deg"), azimuth
             ),
-            apply_exactly(pointings.digits_of_roles(VERTICAL_ROLES), unit_ratio(self.vertical_unit, "deg"), elevation),
+            apply_exactly(
+                pointings.digit_texts_of_roles(VERTICAL_ROLES), unit_ratio(self.vertical_unit, "deg"), elevation
+            ),
         ]
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
@@ -145,14 +147,17 @@ def interpret_readings(
     polar = PolarReadings(
         station,
         target,
-        *(to_floats(pointings.digits_of_roles(kind)) for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)),
+        *(
+            to_floats(pointings.digit_texts_of_roles(kind))
+            for kind in (HORIZONTAL_ROLES, VERTICAL_ROLES, DISTANCE_ROLES)
+        ),
     )
     units, vertical, notes = _angle_conventions(columns, unit_by_kind, polar, hints, file)
     length, length_notes = _length_convention(unit_by_kind["distance"], polar, table, hints, file)
     interpretation = ColumnInterpretation(*units, length, vertical, "counter-clockwise")
-    azimuth, sense_notes = _azimuth_sense(table, interpretation, polar, poses, hints, file)
+    azimuth_sense, sense_notes = _azimuth_sense(table, interpretation, polar, poses, hints, file)
     all_notes = (*_missing_readings_notes(table), *notes, *length_notes, *sense_notes)
-    interpretation = replace(interpretation, azimuth=azimuth, notes=all_notes)
+    interpretation = replace(interpretation, azimuth_sense=azimuth_sense, notes=all_notes)
     return interpretation, interpretation.readings(pointings)
 
 
@@ -165,10 +170,10 @@ def _missing_readings_notes(table: PointingTable) -> list[str]:
     ):
         columns = [c for c in table.columns if c.is_additional and not c.role and _unit_in_title(c) in units]
         if columns and table.column(kind) is None:
-            title, titles = columns[0].title, ", ".join(f"'{quoted_text(c.title)}'" for c in columns)
+            title, titles = columns[0].title, ", ".join(f"'{safe_excerpt(c.title)}'" for c in columns)
             notes.append(
                 f"no column is recognised as {name}, so the recording contains none; if {titles} contains them, give "
-                f'--columns "{kind[0]}={quoted_text(title)}"'
+                f'--columns "{kind[0]}={safe_excerpt(title)}"'
             )
     return notes
 
@@ -232,10 +237,14 @@ def _length_convention(
         return "m", ["distances are interpreted as m (horizontal distances are written in metres)"]
     column = next((c for c in table.columns if c.role in HEIGHT_ROLES and not c.unit), None)
     height_texts = table.pointings.additional_cells.get(column.title, []) if column is not None else []
-    heights = [abs(float(height)) for height in map(cells.parse_value, height_texts) if height]
-    if column is not None and heights and METRE_HEIGHT_RANGE[0] < float(np.median(heights)) < METRE_HEIGHT_RANGE[1]:
+    heights = [abs(float(height)) for height in map(cells.parse_number_or_angle, height_texts) if height]
+    if (
+        column is not None
+        and heights
+        and MEDIAN_HEIGHT_RANGE_IN_METRES[0] < float(np.median(heights)) < MEDIAN_HEIGHT_RANGE_IN_METRES[1]
+    ):
         return "m", [
-            f"distances are interpreted as m ('{quoted_text(column.title)}' in the same table contains "
+            f"distances are interpreted as m ('{safe_excerpt(column.title)}' in the same table contains "
             "heights in metres)"
         ]
     message = f"distances of up to {longest:.6g} may be metres or millimetres; give --hint length=m or"
@@ -267,18 +276,18 @@ def _azimuth_sense(
             ]
     column = table.column(HORIZONTAL_ROLES)
     if table.is_positional or column is None:
-        raise RecordError(SENSE_UNKNOWN_NOTE, file=file)
+        raise RecordError(AZIMUTH_SENSE_UNKNOWN_NOTE, file=file)
     if column.role == "horizontal":
         circle = f"'{column.title}' is interpreted as a horizontal circle, clockwise"
         return "clockwise", [
             f"{circle}, which this file alone cannot show (otherwise give --hint azimuth=counter-clockwise)"
         ]
-    if interpretation.vertical == "elevation":
+    if interpretation.vertical_kind == "elevation":
         spherical = (
             "azimuths in tables with elevations are read as counter-clockwise (otherwise give --hint azimuth=clockwise)"
         )
         return "counter-clockwise", [spherical]
-    raise RecordError(SENSE_UNKNOWN_NOTE, file=file)
+    raise RecordError(AZIMUTH_SENSE_UNKNOWN_NOTE, file=file)
 
 
 def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -> tuple[ColumnInterpretation, Floats]:
@@ -286,7 +295,9 @@ def _readings_from_coordinates(table: PointingTable, hints: Hints, file: Path) -
 
     Raises RecordError if a coordinate is missing, or if the coordinates of several set-ups are in one frame.
     """
-    coordinates = np.stack([to_floats(table.pointings.digits_of_roles((axis,))) for axis in COORDINATE_ROLES], axis=1)
+    coordinates = np.stack(
+        [to_floats(table.pointings.digit_texts_of_roles((axis,))) for axis in COORDINATE_ROLES], axis=1
+    )
     rows, axes = np.nonzero(np.isnan(coordinates))
     if len(rows):
         raise table.pointings.source_location(int(rows[0])).error(
@@ -339,7 +350,7 @@ def sigmas_from_coordinates(table: PointingTable, readings: Floats, length: str)
         return {}
     pointings = table.pointings
     columns_of_numbers = [
-        map(cells.parse_value, pointings.texts(title), pointings.group_separator) for title, _ in titles
+        map(cells.parse_number_or_angle, pointings.texts(title), pointings.thousands_separator) for title, _ in titles
     ]
     pointings.additional_cells = {
         title: column for title, column in pointings.additional_cells.items() if title not in dict(titles)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.recordings.conventions import Hints
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import HORIZONTAL_ROLES, VERTICAL_ROLES, TableColumn
-from ltsim.recordings.tables.pointing_table import Digits, PointingTable, to_digits
+from ltsim.recordings.tables.pointing_table import DigitTexts, PointingTable, to_digit_texts
 
 MIN_PACKED_CELLS = 10
 """Smallest number of distinct angles in a column at which they count as packed (minutes and seconds in the decimals of
@@ -17,7 +17,7 @@ probability of 36 %, for ten of them with 4e-5."""
 MIN_PACKED_DIGITS = 4
 """Smallest number of decimals of a packed angle with minutes and seconds."""
 
-N_SAMPLE_CELLS = 1000
+N_CELLS_TESTED_FIRST = 1000
 """Number of cells of each column that are tested before all others, to save time."""
 
 
@@ -29,15 +29,19 @@ def with_unpacked_angles(table: PointingTable, hints: Hints) -> PointingTable:
     columns = [c for c in table.columns if c.role in (*HORIZONTAL_ROLES, *VERTICAL_ROLES)]
     if hints.angle is not None or not columns or any(c.unit for c in columns):
         return table
-    digits_by_role = {
-        c.role: table.pointings.digits_by_role[c.role] for c in columns if c.role in table.pointings.digits_by_role
+    digit_texts_by_role = {
+        c.role: table.pointings.digit_texts_by_role[c.role]
+        for c in columns
+        if c.role in table.pointings.digit_texts_by_role
     }
-    if not _are_packed(np.concatenate([digits[:N_SAMPLE_CELLS] for digits in digits_by_role.values()])):
+    if not _are_packed(np.concatenate([digits[:N_CELLS_TESTED_FIRST] for digits in digit_texts_by_role.values()])):
         return table
-    all_values = np.concatenate(list(digits_by_role.values()))
+    all_values = np.concatenate(list(digit_texts_by_role.values()))
     if not _are_packed(all_values):
         return table
-    table.pointings.digits_by_role |= {role: _decimal_degrees(digits) for role, digits in digits_by_role.items()}
+    table.pointings.digit_texts_by_role |= {
+        role: _decimal_degrees(digits) for role, digits in digit_texts_by_role.items()
+    }
     table.columns = [replace(c, unit="deg") if c in columns else c for c in table.columns]
     table.notes.append(
         f"the angles in {_titles_text(columns)} are interpreted as ddd.mmss: all {len(all_values)} have minutes and "
@@ -46,15 +50,17 @@ def with_unpacked_angles(table: PointingTable, hints: Hints) -> PointingTable:
     return table
 
 
-def _are_packed(digits: Digits) -> bool:
+def _are_packed(digits: DigitTexts) -> bool:
     """True if at least `MIN_PACKED_CELLS` distinct angles have decimals for minutes and seconds, all below 60."""
     distinct = [text for text in np.unique(digits).astype(str).tolist() if _n_decimals(text) >= MIN_PACKED_DIGITS]
     return len(distinct) >= MIN_PACKED_CELLS and all(cells.parse_packed_degrees(text) is not None for text in distinct)
 
 
-def _decimal_degrees(digits: Digits) -> Digits:
+def _decimal_degrees(digits: DigitTexts) -> DigitTexts:
     """Decimal degrees (n,), as digits, of n angles with minutes and seconds in their decimals; empty if missing."""
-    return to_digits([str(cells.parse_packed_degrees(text)) if text else "" for text in digits.astype(str).tolist()])
+    return to_digit_texts(
+        [str(cells.parse_packed_degrees(text)) if text else "" for text in digits.astype(str).tolist()]
+    )
 
 
 def _n_decimals(text: str) -> int:
@@ -62,4 +68,4 @@ def _n_decimals(text: str) -> int:
 
 
 def _titles_text(columns: list[TableColumn]) -> str:
-    return " and ".join(dict.fromkeys(f"'{quoted_text(c.title)}'" for c in columns))
+    return " and ".join(dict.fromkeys(f"'{safe_excerpt(c.title)}'" for c in columns))

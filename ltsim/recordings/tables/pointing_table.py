@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.recordings.files import SourceLocation, quoted_text
+from ltsim.recordings.files import SourceLocation, safe_excerpt
 from ltsim.recordings.tables.header import COORDINATE_ROLES, READING_ROLES, TableColumn
 
-Digits = NDArray[np.bytes_]
+DigitTexts = NDArray[np.bytes_]
 """Array (n,) of n numbers as texts of decimal digits in ASCII; an empty text for a missing number."""
 ValueType = TypeVar("ValueType")
 MAX_EXACT_FLOAT_PRODUCT = 2**51
@@ -32,12 +32,12 @@ ROWS_PER_BATCH = 8192
 """Number of rows that are converted at once, which limits the memory of intermediate results."""
 
 
-def to_digits(texts: Sequence[str]) -> Digits:
+def to_digit_texts(texts: Sequence[str]) -> DigitTexts:
     """Array (n,) of n texts of decimal digits, from a sequence of such texts."""
     return np.array(texts, dtype=np.bytes_)
 
 
-def to_floats(digits: Digits) -> Floats:
+def to_floats(digits: DigitTexts) -> Floats:
     """Floating-point numbers (n,) nearest to the n numbers in `digits`; NaN for a missing number."""
     numbers = np.full(len(digits), np.nan)
     filled = digits != b""
@@ -45,7 +45,7 @@ def to_floats(digits: Digits) -> Floats:
     return numbers
 
 
-def to_decimals(digits: Digits) -> Iterator[Decimal | None]:
+def to_decimals(digits: DigitTexts) -> Iterator[Decimal | None]:
     """Exact decimal number for each entry of `digits`; None for a missing number."""
     for start in range(0, len(digits), ROWS_PER_BATCH):
         for text in digits[start : start + ROWS_PER_BATCH].astype(np.str_).tolist():
@@ -53,7 +53,7 @@ def to_decimals(digits: Digits) -> Iterator[Decimal | None]:
 
 
 def apply_exactly(
-    digits: Digits, factor: Decimal, function: Callable[[Any, int], Any] = lambda products, unit: products
+    digits: DigitTexts, factor: Decimal, function: Callable[[Any, int], Any] = lambda products, unit: products
 ) -> Floats:
     """Floating-point numbers (n,) nearest to n exact values `function(digits * factor)`; NaN for a missing number.
 
@@ -70,7 +70,7 @@ def apply_exactly(
     return numbers
 
 
-def _scaled_integers(digits: Digits, n_decimals: int, multiplier: int, unit: int) -> NDArray[Any]:
+def _scaled_integers(digits: DigitTexts, n_decimals: int, multiplier: int, unit: int) -> NDArray[Any]:
     """Integers (n,): the n numbers in `digits`, times 10^`n_decimals`, times `multiplier`.
 
     They are int64 if floating-point arithmetic is exact, otherwise Python integers. `unit` is the integer that
@@ -84,7 +84,7 @@ def _scaled_integers(digits: Digits, n_decimals: int, multiplier: int, unit: int
     return np.array([*integers, None])[:-1]  # of Python's integers, which an array of them alone would cut
 
 
-def decimal_places(digits: Digits) -> Ints:
+def decimal_places(digits: DigitTexts) -> Ints:
     """Number of decimals (n,) of each of n numbers; negative for 12e3, which ends before the decimal point."""
     if np.any(np.char.find(digits, b"e") >= 0) or np.any(np.char.find(digits, b"E") >= 0):
         return np.array([-int(number.as_tuple().exponent) for number in to_decimals(digits) if number is not None])
@@ -109,9 +109,9 @@ class UnconvertedPointings:
 
     It is the number of the round in the table, with the day if the table gives one.
     """
-    group_separator: list[str] = field(default_factory=list)
+    thousands_separator: list[str] = field(default_factory=list)
     """Thousands separator in the sheet of each pointing, '' for none."""
-    digits_by_role: dict[str, Digits] = field(default_factory=dict)
+    digit_texts_by_role: dict[str, DigitTexts] = field(default_factory=dict)
     additional_cells: dict[str, list[str]] = field(default_factory=dict)
     """Cells of additional columns by title; '' for a row without a cell."""
 
@@ -127,18 +127,18 @@ class UnconvertedPointings:
 
         Raises RecordError for an invalid name, with its line.
         """
-        names, indices = indices_by_value(self.station if kind == "station" else self.target)
+        names, indices = distinct_with_indices(self.station if kind == "station" else self.target)
         _, first = np.unique(indices, return_index=True)
         for name, row in zip(names, first.tolist(), strict=True):
             self.source_location(row).name(name, kind, kind)
         return indices
 
-    def digits_of_roles(self, roles: Sequence[str]) -> Digits:
+    def digit_texts_of_roles(self, roles: Sequence[str]) -> DigitTexts:
         """Digits (n,) of the number in each of n rows, from the first column with one of these roles that has one."""
-        digits: Digits = np.zeros(len(self), dtype="S1")
+        digits: DigitTexts = np.zeros(len(self), dtype="S1")
         for role in roles:
-            if role in self.digits_by_role:
-                digits = np.where(digits == b"", self.digits_by_role[role], digits)
+            if role in self.digit_texts_by_role:
+                digits = np.where(digits == b"", self.digit_texts_by_role[role], digits)
         return digits
 
     @property
@@ -155,10 +155,10 @@ class UnconvertedPointings:
     def complete_columns(self) -> tuple[list[Any], ...]:
         """Columns in which every row has an entry (file, line, station, ...), in the order of the fields."""
         names = (self.station, self.target)
-        return (self.file, self.line, *names, self.face, self.date_and_time, self.round_label, self.group_separator)
+        return (self.file, self.line, *names, self.face, self.date_and_time, self.round_label, self.thousands_separator)
 
     @property
-    def source(self) -> list[str]:
+    def sources(self) -> list[str]:
         """File and line of each pointing, as n texts."""
         names = {key: file.name for key, file in dict(zip(map(id, self.file), self.file, strict=True)).items()}
         return [f"{names[key]}, line {line}" for key, line in zip(map(id, self.file), self.line, strict=True)]
@@ -167,9 +167,9 @@ class UnconvertedPointings:
         """Pointings at the indices `order`, in this order."""
         positions = list(order)
         list_columns: list[Any] = [[column[i] for i in positions] for column in self.complete_columns]
-        digits_by_role = {role: digits[positions] for role, digits in self.digits_by_role.items()}
+        digit_texts_by_role = {role: digits[positions] for role, digits in self.digit_texts_by_role.items()}
         additional_cells = {title: [column[i] for i in positions] for title, column in self.additional_cells.items()}
-        return UnconvertedPointings(*[*list_columns, digits_by_role, additional_cells])
+        return UnconvertedPointings(*[*list_columns, digit_texts_by_role, additional_cells])
 
 
 def join_pointings(tables: Sequence[UnconvertedPointings]) -> UnconvertedPointings:
@@ -179,21 +179,21 @@ def join_pointings(tables: Sequence[UnconvertedPointings]) -> UnconvertedPointin
     list_columns: list[Any] = [
         _concatenate(columns) for columns in zip(*(part.complete_columns for part in tables), strict=True)
     ]
-    roles = dict.fromkeys(role for part in tables for role in part.digits_by_role)
+    roles = dict.fromkeys(role for part in tables for role in part.digit_texts_by_role)
     titles = dict.fromkeys(title for part in tables for title in part.additional_cells)
-    digits_by_role = {
-        role: np.concatenate([part.digits_by_role.get(role, np.zeros(len(part), dtype="S1")) for part in tables])
+    digit_texts_by_role = {
+        role: np.concatenate([part.digit_texts_by_role.get(role, np.zeros(len(part), dtype="S1")) for part in tables])
         for role in roles
     }
     additional_cells = {title: _concatenate(part.texts(title) for part in tables) for title in titles}
-    return UnconvertedPointings(*[*list_columns, digits_by_role, additional_cells])
+    return UnconvertedPointings(*[*list_columns, digit_texts_by_role, additional_cells])
 
 
 def _concatenate(columns: Iterable[list[ValueType]]) -> list[ValueType]:
     return list(chain.from_iterable(columns))
 
 
-def indices_by_value(values: Iterable[ValueType]) -> tuple[list[ValueType], Ints]:
+def distinct_with_indices(values: Iterable[ValueType]) -> tuple[list[ValueType], Ints]:
     """Distinct values in order of their first occurrence, and index (n,) into these for each of n values."""
     index_by_value: dict[ValueType, int] = {}
     indices = [index_by_value.setdefault(value, len(index_by_value)) for value in values]
@@ -214,7 +214,7 @@ class PointingTable:
     """True if the roles of the columns follow from their positions, because there is no header."""
     has_unnamed_targets: bool = False
     """True if no row names its target."""
-    marks: dict[str, str] = field(default_factory=dict)
+    mark_by_setup: dict[str, str] = field(default_factory=dict)
     """Name of the survey mark under a set-up by the name of the set-up, if the names differ."""
     notes: list[str] = field(default_factory=list)
     cell_units: dict[str, str] = field(default_factory=dict)
@@ -230,9 +230,9 @@ class PointingTable:
         return {*COORDINATE_ROLES} <= {c.role for c in self.columns}
 
     @property
-    def mark(self) -> list[str]:
+    def mark_names(self) -> list[str]:
         """Name of the survey mark under the set-up of each pointing, n names."""
-        return [self.marks.get(station, station) for station in self.pointings.station]
+        return [self.mark_by_setup.get(station, station) for station in self.pointings.station]
 
     def add_header(self, columns: Sequence[TableColumn], file: object, row: int | None = None) -> None:
         """Addition of the columns of another header; additional columns may differ.
@@ -255,7 +255,7 @@ class PointingTable:
             earlier_unit = self.cell_units.setdefault(title, unit)
             if earlier_unit != unit:
                 message = f"has cells in {earlier_unit} and in {unit}, expected one unit"
-                raise SourceLocation(file, None).error(message, quoted_text(title))
+                raise SourceLocation(file, None).error(message, safe_excerpt(title))
 
     def add_sheet(self, sheet: PointingTable, file: object) -> None:
         """Addition of the columns and notes of another sheet, without its pointings; raises RecordError."""

@@ -11,9 +11,9 @@ from ltsim.geometry.polar import to_face
 from ltsim.recordings.air import NO_AIR_UNCERTAINTY
 from ltsim.recordings.conventions import NO_HINTS, Hints, rough_poses
 from ltsim.recordings.curvature import with_earth_curvature
-from ltsim.recordings.files import MAX_TEXT_LENGTH, quoted_text
+from ltsim.recordings.files import MAX_TEXT_LENGTH, safe_excerpt
 from ltsim.recordings.occupations import check_centring
-from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, declares_noise, recording_from_columns
+from ltsim.recordings.pointings import NOT_MEASURED, PointingColumns, has_all_sigma_columns, recording_from_columns
 from ltsim.recordings.recording import (
     DISTANCE_KIND_COLUMN,
     HEIGHT_COLUMNS,
@@ -42,8 +42,8 @@ from ltsim.recordings.tables.setups import (
     with_setups_over_marks,
 )
 from ltsim.recordings.tables.sheets import TABLE_SUFFIXES, ZIP_SIGNATURE, head_rows, is_table_folder, read_sheets
-from ltsim.recordings.tables.station_names import ambiguous_target_name_notes, require_station_names
-from ltsim.recordings.tables.unnamed_targets import name_targets_by_position, name_unnamed_targets
+from ltsim.recordings.tables.station_names import ambiguous_target_name_notes, require_single_unnamed_setup
+from ltsim.recordings.tables.unnamed_targets import name_targets_by_position, with_placeholder_target_name
 
 SETUP_FILE = "setup.toml"
 MAX_ROWS_IN_NOTE = 3
@@ -76,16 +76,16 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
 
     With `positional`, lines of names and three numbers are also read without a header. Raises RecordError.
     """
-    printed = read_pointing_table(read_sheets(path), hints, path, positional=positional)
-    table = name_unnamed_targets(with_unpacked_angles(with_time_column(printed), hints), hints, path)
-    table.pointings.target, renamed = common_target_names(table.pointings)
-    table.notes += renamed
-    table.marks = marks_with_other_spelling(table.pointings.station, table.pointings.target)
+    pointing_table = read_pointing_table(read_sheets(path), hints, path, positional=positional)
+    table = with_placeholder_target_name(with_unpacked_angles(with_time_column(pointing_table), hints), hints, path)
+    table.pointings.target, name_notes = common_target_names(table.pointings)
+    table.notes += name_notes
+    table.mark_by_setup = marks_with_other_spelling(table.pointings.station, table.pointings.target)
     setup = _read_setup(path, hints)
     poses = rough_poses(setup or Setup(), tuple(dict.fromkeys(table.pointings.station)))
     interpretation, readings = interpret_readings(table, poses, hints, path)
     table = name_targets_by_position(table, readings)
-    require_station_names(table, readings, path)
+    require_single_unnamed_setup(table, readings, path)
     table.notes += ambiguous_target_name_notes(table, readings)
     if setup is not None:
         recording = assemble_recording(table, interpretation, readings, setup, hints, path)
@@ -99,7 +99,7 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     air = NO_AIR_UNCERTAINTY if reason else None
     setup = Setup(title=path.stem[:MAX_TEXT_LENGTH], instrument=instrument, air=air)
     recording = assemble_recording(table, interpretation, readings, setup, hints, path)
-    return recording if declares_noise(recording) else recording.replace(notes=(noise, *recording.notes))
+    return recording if has_all_sigma_columns(recording) else recording.replace(notes=(noise, *recording.notes))
 
 
 def assemble_recording(
@@ -109,7 +109,7 @@ def assemble_recording(
 
     `interpretation` has the units and conventions; `setup` is the prior knowledge that is completed from the table.
     """
-    printed, missing_values = table.pointings, np.full(len(table.pointings), NOT_MEASURED)
+    pointings, missing_values = table.pointings, np.full(len(table.pointings), NOT_MEASURED)
     sigmas = sigmas_from_coordinates(table, readings, interpretation.length_unit)
     covariates, labels, column_notes = _additional_columns(table, interpretation)
     azimuth_sigma = covariates.get(SIGMA_COLUMNS[1], missing_values) * ARCSECOND
@@ -124,19 +124,19 @@ def assemble_recording(
         setup = setup.model_copy(update={"started": start_moment})
     covariates, height_notes = covariates_with_instrument_heights(table, covariates)
     height = np.stack([covariates.get(name, missing_values) for name in HEIGHT_COLUMNS], axis=1) * MILLIMETRE
-    unapplied = unapplied_heights_notes(table, readings, height)
-    if unapplied:
+    unapplied_notes = unapplied_heights_notes(table, readings, height)
+    if unapplied_notes:
         height_notes = []
         covariates = {name: column for name, column in covariates.items() if name not in HEIGHT_COLUMNS}
         sigma_mm = setup.height_above_mark_sigma_mm or HEAD_HEIGHT_SIGMA_MM
         setup = setup.model_copy(update={"height_above_mark_sigma_mm": sigma_mm, "curved": True})
         labels = _merged_labels(occupation_columns(table), labels)
     if time_notes and table.column(("date",)) is not None:  # a text where it is no clock
-        labels["date"] = printed.date_and_time
-    if "flat" in printed.digits_by_role:
-        slope = printed.digits_of_roles(("distance",))
+        labels["date"] = pointings.date_and_time
+    if "flat" in pointings.digit_texts_by_role:
+        slope = pointings.digit_texts_of_roles(("distance",))
         labels[DISTANCE_KIND_COLUMN] = np.where(
-            (printed.digits_by_role["flat"] != b"") & (slope == b""), "horizontal", ""
+            (pointings.digit_texts_by_role["flat"] != b"") & (slope == b""), "horizontal", ""
         ).tolist()
     note_groups = [
         table.notes,
@@ -147,18 +147,18 @@ def assemble_recording(
         time_notes,
         column_notes,
         height_notes,
-        unapplied,
+        unapplied_notes,
         _unread_lines_notes(table),
     ]
     columns = PointingColumns(
-        printed.station,
-        printed.target,
+        pointings.station,
+        pointings.target,
         np.array(faces, dtype=np.int64),
         readings,
         np.array(times),
         covariates | sigmas,
         labels,
-        printed.source,
+        pointings.sources,
     )
     return with_earth_curvature(
         recording_from_columns(columns, setup, notes=[n for notes in note_groups for n in notes], file=file)
@@ -229,12 +229,12 @@ def _additional_columns(
     }
     with_units = {c.title for c in columns if c.role in HEIGHT_COLUMNS or c.role.startswith("sigma_")}
     units = [
-        f"'{quoted_text(c.title)}' is interpreted as {c.role}"
+        f"'{safe_excerpt(c.title)}' is interpreted as {c.role}"
         + ("" if c.unit else f", in {numeric[c.title][1]}{_unit_reason(c.role, numeric[c.title][1], interpretation)}")
         for c in columns
         if c.title in with_units and c.title in numeric
     ]
-    names_text = ", ".join(f"'{quoted_text(names[c.title])}'" for c in columns if c.title not in with_units)
+    names_text = ", ".join(f"'{safe_excerpt(names[c.title])}'" for c in columns if c.title not in with_units)
     return (
         covariates,
         labels,
@@ -261,15 +261,15 @@ def _covariate_values(
     if not any(texts):
         return None
     bare_texts, cell_unit = cells.split_common_unit(texts) if column.role in UNITS_BY_ROLE else (texts, "")
-    column_numbers = cells.plain_numbers(bare_texts) if not any(pointings.group_separator) else None
+    column_numbers = cells.plain_numbers(bare_texts) if not any(pointings.thousands_separator) else None
     if column_numbers is None:
         column_numbers = np.full(len(texts), NOT_MEASURED)
-        for i, (text, group_separator) in enumerate(zip(bare_texts, pointings.group_separator, strict=True)):
+        for i, (text, thousands_separator) in enumerate(zip(bare_texts, pointings.thousands_separator, strict=True)):
             if text and text not in cells.MISSING_VALUE_TEXTS:
-                number = cells.parse_quantity(text, group_separator)
+                number = cells.parse_number_or_angle_unless_time(text, thousands_separator)
                 if number is None and column.role in HEIGHT_COLUMNS:
-                    message = f"found '{quoted_text(texts[i])}', expected a height, with the same unit in all cells"
-                    raise pointings.source_location(i).error(message, quoted_text(column.title))
+                    message = f"found '{safe_excerpt(texts[i])}', expected a height, with the same unit in all cells"
+                    raise pointings.source_location(i).error(message, safe_excerpt(column.title))
                 if number is None:
                     return None
                 column_numbers[i] = number
@@ -321,7 +321,7 @@ def total_station_reason(table: PointingTable, interpretation: ColumnInterpretat
         return ""
     if ranges.max() > MAX_TRACKER_RANGE_M:
         return f"its longest range is {ranges.max():.4g} m, beyond any laser tracker"
-    columns = [digits for role, digits in table.pointings.digits_by_role.items() if role in DISTANCE_ROLES]
+    columns = [digits for role, digits in table.pointings.digit_texts_by_role.items() if role in DISTANCE_ROLES]
     n_decimals = np.concatenate([decimal_places(digits[digits != b""]) for digits in columns])
     if len(n_decimals) < MIN_RANGES_FOR_RESOLUTION:
         return ""

@@ -8,7 +8,7 @@ from sys import intern
 
 import numpy as np
 
-from ltsim.recordings.files import MAX_TEXT_LENGTH, SourceLocation, quoted_text
+from ltsim.recordings.files import MAX_TEXT_LENGTH, SourceLocation, safe_excerpt
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
     DISTANCE_ROLES,
@@ -18,7 +18,7 @@ from ltsim.recordings.tables.header import (
     VERTICAL_ROLES,
     TableColumn,
 )
-from ltsim.recordings.tables.pointing_table import Digits, UnconvertedPointings, join_pointings, to_digits
+from ltsim.recordings.tables.pointing_table import DigitTexts, UnconvertedPointings, join_pointings, to_digit_texts
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
 
 MAX_READING_MAGNITUDE = 10**9
@@ -72,7 +72,7 @@ class RowBatchReader:
         if self.faces == (0,):
             return self._pointings_of_face(0, row_batch, table)
         pointings = join_pointings([self._pointings_of_face(face, row_batch, table) for face in self.faces])
-        angles = pointings.digits_of_roles((*HORIZONTAL_ROLES, *VERTICAL_ROLES)) != b""
+        angles = pointings.digit_texts_of_roles((*HORIZONTAL_ROLES, *VERTICAL_ROLES)) != b""
         by_row = np.arange(2 * len(row_batch)).reshape(2, -1).T.ravel()
         return pointings.take(by_row[angles[by_row]].tolist())
 
@@ -92,14 +92,14 @@ class RowBatchReader:
         ]
         self.lacks_station_names |= "" in stations
         faces = self._faces(cells_by_role["face"], row_batch.line) if "face" in cells_by_role else [0] * len(row_batch)
-        digits_by_role: dict[str, Digits] = {}
+        digit_texts_by_role: dict[str, DigitTexts] = {}
         for c in columns:
             if c.role in READING_ROLES:
                 digits = self._numbers(c.texts(table), c, row_batch.line)
                 filled = digits != b""
                 if filled.any():
-                    earlier_digits = digits_by_role.get(c.role)
-                    digits_by_role[c.role] = (
+                    earlier_digits = digit_texts_by_role.get(c.role)
+                    digit_texts_by_role[c.role] = (
                         digits if earlier_digits is None else np.where(filled, digits, earlier_digits)
                     )
         additional_cells = {c.title: self._texts(table[c.position], row_batch.line) for c in columns if c.is_additional}
@@ -112,7 +112,7 @@ class RowBatchReader:
             _joined_cells(cells_by_role.get("date"), cells_by_role.get("time")) or [*empty_cells],
             _joined_cells(cells_by_role.get("date"), cells_by_role.get("round")) or [*empty_cells],
             [self.sheet.thousands_separator] * len(row_batch),
-            digits_by_role,
+            digit_texts_by_role,
             additional_cells,
         )
 
@@ -121,10 +121,10 @@ class RowBatchReader:
         faces = {text: cells.parse_face(text) if text else 0 for text in {*texts}}
         for text, line in zip(texts, lines, strict=True) if None in faces.values() else ():
             if faces[text] is None:
-                raise self._source_location(line).error(f"found '{quoted_text(text)}', expected 1 or 2", "face")
+                raise self._source_location(line).error(f"found '{safe_excerpt(text)}', expected 1 or 2", "face")
         return [faces[text] or 0 for text in texts]
 
-    def _numbers(self, texts: Sequence[str], column: TableColumn, lines: Sequence[int]) -> Digits:
+    def _numbers(self, texts: Sequence[str], column: TableColumn, lines: Sequence[int]) -> DigitTexts:
         """Decimal digits (n,) of the readings in n cells of a column, as texts; empty for a missing reading.
 
         Cells with separators, units, or degrees with minutes and seconds are converted first. `lines` are the line
@@ -138,7 +138,7 @@ class RowBatchReader:
         if plain_values is not None and not np.any(
             (np.abs(plain_values) >= MAX_READING_MAGNITUDE) | (plain_values <= lower_bound)
         ):
-            return to_digits(texts)
+            return to_digit_texts(texts)
         numbers, unit = cells.split_common_unit(texts)
         if unit in UNITS_BY_ROLE[column.role] and column.unit in ("", unit):
             texts = numbers
@@ -147,27 +147,29 @@ class RowBatchReader:
         else:
             unit = ""
         if unit and self.cell_units.setdefault(column.title, unit) != unit:
-            what = f"found '{quoted_text(texts[0])}' in {unit}, expected one unit in all cells"
-            raise self._source_location(lines[0]).error(what, quoted_text(column.title))
-        return to_digits(
+            what = f"found '{safe_excerpt(texts[0])}' in {unit}, expected one unit in all cells"
+            raise self._source_location(lines[0]).error(what, safe_excerpt(column.title))
+        return to_digit_texts(
             [self._number(text, column, line) if text else "" for text, line in zip(texts, lines, strict=True)]
         )
 
     def _number(self, text: str, column: TableColumn, line: int) -> str:
-        """Digits of the number in one cell; raises RecordError."""
+        """Text of the digits of the number in one cell; raises RecordError."""
         packed = column.unit == "dms"
         exact_value = (
-            cells.parse_packed_degrees(text) if packed else cells.parse_value(text, self.sheet.thousands_separator)
+            cells.parse_packed_degrees(text)
+            if packed
+            else cells.parse_number_or_angle(text, self.sheet.thousands_separator)
         )
         location = self._source_location(line)
         if packed and exact_value is None:
             what = "degrees, minutes and seconds, such as 33°12'07.5\" or 33.12075"
-            raise location.error(f"found '{quoted_text(text)}', expected {what}", quoted_text(column.title))
+            raise location.error(f"found '{safe_excerpt(text)}', expected {what}", safe_excerpt(column.title))
         if exact_value is None or not abs(exact_value) < MAX_READING_MAGNITUDE:
-            raise location.error(f"found '{quoted_text(text)}', expected a number", quoted_text(column.title))
+            raise location.error(f"found '{safe_excerpt(text)}', expected a number", safe_excerpt(column.title))
         if column.role in DISTANCE_ROLES and not exact_value > 0:
-            what = f"found {quoted_text(text)}, expected a distance above 0, or an empty cell if none was measured"
-            raise location.error(what, quoted_text(column.title))
+            what = f"found {safe_excerpt(text)}, expected a distance above 0, or an empty cell if none was measured"
+            raise location.error(what, safe_excerpt(column.title))
         return str(exact_value)
 
     def _texts(self, texts: Sequence[str], lines: Sequence[int]) -> list[str]:

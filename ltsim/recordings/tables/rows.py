@@ -9,7 +9,7 @@ from functools import partial
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import MAX_TABLE_HEADERS
 from ltsim.recordings.conventions import Hints
-from ltsim.recordings.files import SourceLocation, is_number, quoted_text
+from ltsim.recordings.files import SourceLocation, is_number, safe_excerpt
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.blocks import StationContext
 from ltsim.recordings.tables.column_assignments import mapped_columns, parse_assignments
@@ -33,7 +33,7 @@ from ltsim.recordings.tables.pointing_table import (
 )
 from ltsim.recordings.tables.row_batches import RowBatch, RowBatchReader, pad_cells
 from ltsim.recordings.tables.sheets import SheetRow, TableSheet
-from ltsim.recordings.tables.title_words import SUMMARY_WORDS
+from ltsim.recordings.tables.title_words import SUMMARY_ROW_FIRST_WORDS
 
 POSITIONAL_ROLES = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of the columns of a table without header whose lines have names and three numbers."""
@@ -55,7 +55,7 @@ def read_pointing_table(
     has_polar = any(header and not has_named_coordinates(header) for header in headers)
     for sheet, start, header in zip(sheets, header_indices, headers, strict=True):
         if has_polar and header and has_named_coordinates(header):
-            name = quoted_text(sheet.station or sheet.file.name)
+            name = safe_excerpt(sheet.station or sheet.file.name)
             joined_table.notes.append(
                 f"the coordinates in '{name}' are not used (to use them, give --frame or --control)"
             )
@@ -85,7 +85,7 @@ def parse_header(row: SheetRow, hints: Hints, file: object = None) -> list[Table
     """Columns whose titles are the cells of `row`; None if the row is not a header."""
     if hints.columns is not None:
         return mapped_columns(row.fields, hints.columns, file) if any(row.fields) else None
-    if count_recognised_titles(row.fields) < MIN_HEADER_TITLES or any(map(cells.is_value, row.fields)):
+    if count_recognised_titles(row.fields) < MIN_HEADER_TITLES or any(map(cells.is_numeric, row.fields)):
         return None
     columns = header_columns(row.fields)
     return columns if is_header(columns, allows_unnamed=hints.station is not None) else None
@@ -102,8 +102,8 @@ def find_header(sheet: TableSheet, hints: Hints) -> int | None:
     If `hints.columns` assigns numbered columns of a table without header, it is the index of the first row minus 1.
     """
     if hints.columns is not None and sheet.rows:
-        asked = parse_assignments(hints.columns, sheet.file)
-        if all(title.isdigit() for *_, title, _ in asked):
+        assignments = parse_assignments(hints.columns, sheet.file)
+        if all(title.isdigit() for *_, title, _ in assignments):
             first = next((i for i, row in enumerate(sheet.rows) if not row.is_comment), 0)
             return first if not sheet.rows[first].n_numeric_fields else first - 1
     return next((i for i, row in enumerate(sheet.rows) if parse_header(row, hints, sheet.file) is not None), None)
@@ -138,7 +138,7 @@ class _SheetReader:
         """
         sheet_rows = self.sheet.rows
         for row in sheet_rows[: max(header_row, 0)]:
-            self._process_other_line(row)
+            self._process_line_without_pointing(row)
         if header_row < 0:
             numbered = SheetRow(0, tuple(str(i + 1) for i in range(len(sheet_rows[header_row + 1].fields))))
             self._start_header(parse_header(numbered, self.hints, self.sheet.file) or [], None)
@@ -182,7 +182,7 @@ class _SheetReader:
             if again is not None:
                 self._start_header(again, row.line)
             elif row.is_comment or not measured:
-                self._process_other_line(row)
+                self._process_line_without_pointing(row)
             elif i < last_index or not self.sheet.has_incomplete_end:
                 self._add_pointing(row)
             elif not self.hints.incomplete_tail:  # otherwise it may not be whole yet
@@ -204,19 +204,19 @@ class _SheetReader:
         if self._is_summary(fields):
             return False
         for place in self.reading_positions:
-            if place < len(fields) and (is_number(fields[place]) or cells.is_value(fields[place])):
+            if place < len(fields) and (is_number(fields[place]) or cells.is_numeric(fields[place])):
                 return True
         return False
 
     def _is_summary(self, fields: Sequence[str]) -> bool:
         """True for a row that begins with a word for a sum or mean, and has no target or not every reading."""
         first_text = next(filter(None, fields), "")
-        if first_text.rstrip(" :=").casefold() not in SUMMARY_WORDS.split():
+        if first_text.rstrip(" :=").casefold() not in SUMMARY_ROW_FIRST_WORDS.split():
             return False
         needed = [*self.reading_positions, *(c.position for c in self.columns if c.role == "target")]
         return any(place >= len(fields) or not fields[place] for place in needed)
 
-    def _process_other_line(self, row: SheetRow) -> None:
+    def _process_line_without_pointing(self, row: SheetRow) -> None:
         """Update of station and heights by a line that is no pointing; a line without either is noted as not used."""
         n_heights = len(self.block.height_columns)
         if self.block.read_line(row):
@@ -273,8 +273,8 @@ def _duplicate_role_warnings(columns: Sequence[TableColumn]) -> list[str]:
     title_by_role = {c.role: c.title for c in columns if c.role}
     unused_columns = [(c.title, title_role(title_words_and_unit(c.title)[0])) for c in columns if not c.role]
     return [
-        f"column '{quoted_text(title)}' is read as an additional column, because the {role} is in "
-        f"'{quoted_text(title_by_role[role])}'"
+        f"column '{safe_excerpt(title)}' is read as an additional column, because the {role} is in "
+        f"'{safe_excerpt(title_by_role[role])}'"
         for title, role in unused_columns
         if role in title_by_role
     ]

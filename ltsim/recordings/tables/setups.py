@@ -15,13 +15,13 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.notation import listing
 from ltsim.core.units import EARTH_RADIUS
 from ltsim.recordings.circle_orientations import circle_orientations, circle_rotation_note
-from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, quoted_text
+from ltsim.recordings.files import MAX_RECORDING_NAME_LENGTH, safe_excerpt
 from ltsim.recordings.pointings import name_with_number
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVELLING_SIGMA_ARCSEC, Setup, Station
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import HEIGHT_ROLES
-from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, indices_by_value
+from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, distinct_with_indices
 
 SPELLING_DIFFERENCES_TEXT = "case, blanks or leading zeros"
 """Differences of spelling in spite of which two names stand for one point, as text for notes."""
@@ -69,7 +69,7 @@ def common_target_names(pointings: UnconvertedPointings) -> tuple[list[str], lis
     If the names of all targets contain the name of their set-up, it is removed, provided that set-ups then have common
     targets. Names that differ only in case, blanks or leading zeros become one name if no set-up has both.
     """
-    sightings, row = indices_by_value(zip(pointings.station, pointings.target, strict=True))
+    sightings, row = distinct_with_indices(zip(pointings.station, pointings.target, strict=True))
     stations, targets = (list(names) for names in zip(*sightings, strict=True))
     notes = []
     plain_names = [_without_station_name(station, target) for station, target in sightings]
@@ -167,19 +167,23 @@ def split_occupations(
     """
     pointings = table.pointings
     occupations: Sequence[OccupationKey]
-    occupations, occupation_index = indices_by_value(zip(pointings.station, _occupation_numbers(table), strict=True))
+    occupations, occupation_index = distinct_with_indices(
+        zip(pointings.station, _occupation_labels(table), strict=True)
+    )
     distinct, code = occupations, occupation_index
     is_rotated, orientations = False, None
     if table.column(("round",)) is not None:
-        by_round, round_index = indices_by_value(zip(occupation_index.tolist(), pointings.round_label, strict=True))
+        by_round, round_index = distinct_with_indices(
+            zip(occupation_index.tolist(), pointings.round_label, strict=True)
+        )
         is_rotated = _has_rotated_circle(table, occupation_index, round_index, readings[:, 1], sigma)
         if is_rotated:
             distinct, code = [(*occupations[i], name) for i, name in by_round], round_index
     elif has_circle:
-        _, sight = indices_by_value(zip(occupation_index.tolist(), pointings.target, pointings.face, strict=True))
+        _, sight = distinct_with_indices(zip(occupation_index.tolist(), pointings.target, pointings.face, strict=True))
         orientations = circle_orientations(occupation_index, sight, readings)
         if orientations is not None:
-            by_number, code = indices_by_value(zip(occupation_index.tolist(), orientations.tolist(), strict=True))
+            by_number, code = distinct_with_indices(zip(occupation_index.tolist(), orientations.tolist(), strict=True))
             distinct = [(*occupations[i], str(number)) for i, number in by_number]
     marks = {station for station, *_ in distinct}
     if len(distinct) == len(marks):
@@ -189,7 +193,9 @@ def split_occupations(
     for station, *_ in distinct:
         names.append(name_with_number(station, counts[station]))
         counts[station] += 1
-    table.marks = {name: table.marks.get(key[0], key[0]) for key, name in zip(distinct, names, strict=True)}
+    table.mark_by_setup = {
+        name: table.mark_by_setup.get(key[0], key[0]) for key, name in zip(distinct, names, strict=True)
+    }
     pointings.station = [names[i] for i in code.tolist()]
     notes = []
     if len(occupations) > len(marks):
@@ -208,18 +214,18 @@ def split_occupations(
     return {n for key, n in zip(distinct, names, strict=True) if rounds[key[:2]] > 1} if is_split else set(), notes
 
 
-def _occupation_numbers(table: PointingTable) -> list[str]:
+def _occupation_labels(table: PointingTable) -> list[str]:
     """Text, for each pointing, that distinguishes its occupation from other occupations of the same survey mark."""
-    printed, column = table.pointings, table.column(("instrument_setup",))
+    pointings, column = table.pointings, table.column(("instrument_setup",))
     if column is not None:
-        return printed.texts(column.title)
+        return pointings.texts(column.title)
     if table.column(("date",)) is None:
-        return _occupation_numbers_by_height(table)
-    days = {moment: "" if cells.has_clock(moment) else moment for moment in {*printed.date_and_time}}
-    return [days[moment] for moment in printed.date_and_time]
+        return _occupation_labels_by_height(table)
+    days = {moment: "" if cells.has_time_of_day(moment) else moment for moment in {*pointings.date_and_time}}
+    return [days[moment] for moment in pointings.date_and_time]
 
 
-def _occupation_numbers_by_height(table: PointingTable) -> list[str]:
+def _occupation_labels_by_height(table: PointingTable) -> list[str]:
     """Number, as text, of the occupation of each pointing, from the height of the instrument.
 
     The height is constant within an occupation. If a height applies to few rows of a survey mark, or recurs, it may be
@@ -228,7 +234,7 @@ def _occupation_numbers_by_height(table: PointingTable) -> list[str]:
     column = table.column(("instrument_height_mm",))
     setup_numbers = [""] * len(table.pointings)
     rows_by_mark: dict[str, list[int]] = {}
-    for row, mark in enumerate(table.mark if column is not None else ()):
+    for row, mark in enumerate(table.mark_names if column is not None else ()):
         rows_by_mark.setdefault(mark, []).append(row)
     heights = table.pointings.texts(column.title) if column is not None else []
     for rows in rows_by_mark.values():
@@ -281,7 +287,7 @@ def with_setups_over_marks(
     heights = table.column(("instrument_height_mm",)) is not None
     targets = {*table.pointings.target}
     names = dict.fromkeys(table.pointings.station)
-    marks = {name: table.marks.get(name, name) for name in names}
+    marks = {name: table.mark_by_setup.get(name, name) for name in names}
     over_mark = Counter(marks.values())
     if heights or (levelled and _reciprocal_lines_agree(table, readings)):
         shared = {mark for mark in marks.values() if mark in targets or over_mark[mark] > 1}
@@ -333,7 +339,7 @@ def _reciprocal_lines_agree(table: PointingTable, readings: Floats) -> bool:
 
 def _marks_and_targets(table: PointingTable) -> Iterator[tuple[str, str]]:
     """Names of the survey mark under the station, and of the target, for each pointing."""
-    return zip(table.mark, table.pointings.target, strict=True)
+    return zip(table.mark_names, table.pointings.target, strict=True)
 
 
 def occupation_columns(table: PointingTable) -> dict[str, list[str]]:
@@ -343,7 +349,7 @@ def occupation_columns(table: PointingTable) -> dict[str, list[str]]:
     """
     pointings = table.pointings
     days = pointings.date_and_time if table.column(("time",)) is None else [""] * len(pointings)
-    setups = [f"{mark} {day}".strip() for mark, day in zip(table.mark, days, strict=True)]
+    setups = [f"{mark} {day}".strip() for mark, day in zip(table.mark_names, days, strict=True)]
     targets = [f"to {target} {day}".strip() for target, day in zip(pointings.target, days, strict=True)]
     return dict(zip(OCCUPATION_COLUMNS, (setups, targets), strict=True))
 
@@ -376,7 +382,7 @@ def unapplied_heights_notes(table: PointingTable, readings: Floats, height: Floa
         closure_without, closure_with = statistic(closures, axis=0)
         if not closure_without < MAX_MISCLOSURE_RATIO_WITHOUT_TO_WITH_HEIGHTS * closure_with:
             return []
-    names = " and ".join(f"'{quoted_text(c.title)}'" for c in table.columns if c.role in HEIGHT_ROLES)
+    names = " and ".join(f"'{safe_excerpt(c.title)}'" for c in table.columns if c.role in HEIGHT_ROLES)
     return [
         f"heights in {names} are not applied: {len(closures)} lines measured in both directions close within "
         f"{1e3 * closures[:, 0].max():.3g} mm without them, {1e3 * closures[:, 1].max():.4g} mm with them. "

@@ -25,8 +25,8 @@ from ltsim.core.limits import (
     MAX_WORKBOOK_CELLS,
     MAX_WORKBOOK_SHEETS,
 )
-from ltsim.recordings.files import SourceLocation, is_number, quoted_text, read_bytes, read_lines
-from ltsim.recordings.tables.cells import is_value, thousands_separator
+from ltsim.recordings.files import SourceLocation, is_number, read_bytes, read_lines, safe_excerpt
+from ltsim.recordings.tables.cells import detect_thousands_separator, is_numeric
 from ltsim.recordings.tables.workbook_archive import checked_archive
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
@@ -35,13 +35,13 @@ ZIP_SIGNATURE = b"PK\x03\x04"
 """First bytes of a workbook, which is a zip archive."""
 FIELD_SEPARATORS = ("\t", ";", ",", " ")
 """Possible separators of fields; the first has priority if several are equally likely."""
-N_SAMPLE_LINES = 400
+N_SEPARATOR_SAMPLE_LINES = 400
 """Number of lines from which the separator is detected."""
-MAX_SAMPLE_CHARACTERS = 100_000
+MAX_SEPARATOR_SAMPLE_CHARACTERS = 100_000
 """Number of characters from which the separator is detected."""
 
 
-_BLANK_BEFORE_UNIT = re.compile(r"(?<=\S)[ \t]+(?=[(\[][^\s()\[\]]+[)\]](?:\s|$))")
+_BLANKS_BEFORE_UNIT_PATTERN = re.compile(r"(?<=\S)[ \t]+(?=[(\[][^\s()\[\]]+[)\]](?:\s|$))")
 """Blanks between a title and its unit in brackets."""
 
 
@@ -55,7 +55,7 @@ class SheetRow(NamedTuple):
     @property
     def n_numeric_fields(self) -> int:
         """Number of fields that contain a number or an angle."""
-        return sum(map(is_value, self.fields))
+        return sum(map(is_numeric, self.fields))
 
     def cell(self, position: int) -> str:
         """Text of the field at `position`, from 0; '' if the row is shorter."""
@@ -67,7 +67,7 @@ class SheetRow(NamedTuple):
             raise SourceLocation(file, self.line).error(f"{len(self.fields)} fields, expected {width} as in the header")
 
     def __str__(self) -> str:
-        return quoted_text(" ".join(field for field in self.fields if field), 30)
+        return safe_excerpt(" ".join(field for field in self.fields if field), 30)
 
 
 class TextRows(Sequence[SheetRow]):
@@ -132,7 +132,7 @@ class TableSheet:
     def thousands_separator(self) -> str:
         """Thousands separator of the numbers, '' for none; raises RecordError for two different ones."""
         number_rows = self.rows.rows_with_comma_and_point if isinstance(self.rows, TextRows) else self.rows
-        return thousands_separator((row.fields for row in number_rows), self.file)
+        return detect_thousands_separator((row.fields for row in number_rows), self.file)
 
     def require_complete_end(self, width: int, *, requires_line_break: bool = False) -> None:
         """Check that the last line is complete; raises RecordError.
@@ -222,25 +222,28 @@ def _detect_separator(lines: Sequence[str]) -> str:
     then by the order of `FIELD_SEPARATORS`.
     """
     lines_and_offsets = zip(
-        lines[:N_SAMPLE_LINES], accumulate(map(len, lines[:N_SAMPLE_LINES]), initial=0), strict=False
+        lines[:N_SEPARATOR_SAMPLE_LINES],
+        accumulate(map(len, lines[:N_SEPARATOR_SAMPLE_LINES]), initial=0),
+        strict=False,
     )
     sample = [
         line
         for line, before in lines_and_offsets
-        if before < MAX_SAMPLE_CHARACTERS and line.strip() and line.lstrip()[0] != "#"
+        if before < MAX_SEPARATOR_SAMPLE_CHARACTERS and line.strip() and line.lstrip()[0] != "#"
     ]
     if sample and all(line.count("\t") == sample[0].count("\t") > 2 for line in sample):
         return "\t"
     width = {s: max((len(_split_fields(line, s)) for line in sample[:1]), default=0) for s in FIELD_SEPARATORS[:3]}
     return max(
-        FIELD_SEPARATORS, key=lambda s: (_count_values(sample, s, 3), _count_values(sample, s, 2), width.get(s, 0))
+        FIELD_SEPARATORS,
+        key=lambda s: (_max_numeric_field_count(sample, s, 3), _max_numeric_field_count(sample, s, 2), width.get(s, 0)),
     )
 
 
-def _count_values(lines: Sequence[str], separator: str, min_columns: int) -> int:
+def _max_numeric_field_count(lines: Sequence[str], separator: str, min_columns: int) -> int:
     """Largest count of numeric fields in lines of one width, among lines with at least `min_columns` fields."""
     wide_rows = [fields for fields in (_split_fields(line, separator) for line in lines) if len(fields) >= min_columns]
-    is_number_cell = is_number if separator == "," else is_value
+    is_number_cell = is_number if separator == "," else is_numeric
     counts: Counter[int] = Counter()
     for fields in wide_rows:
         counts[len(fields)] += sum(map(is_number_cell, fields))
@@ -250,7 +253,7 @@ def _count_values(lines: Sequence[str], separator: str, min_columns: int) -> int
 def _split_fields(line: str, separator: str) -> tuple[str, ...]:
     """Fields of one line, without the quotes of CSV."""
     if separator == " ":
-        return tuple(_BLANK_BEFORE_UNIT.sub("", line).split() if "[" in line or "(" in line else line.split())
+        return tuple(_BLANKS_BEFORE_UNIT_PATTERN.sub("", line).split() if "[" in line or "(" in line else line.split())
     plain_fields = tuple(map(str.strip, line.split(separator)))
     if '"' in line and any('"' in text and text != '"' for text in plain_fields):  # a sign of seconds is no quote
         try:
@@ -261,7 +264,7 @@ def _split_fields(line: str, separator: str) -> tuple[str, ...]:
     return plain_fields
 
 
-def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+def read_small_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     """Header of a small user-written table, and line number and cells by title of each of its rows.
 
     Raises RecordError if a title occurs twice, or a row has more or fewer cells than the header.
@@ -273,7 +276,7 @@ def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]
     duplicate_title = next((name for name in header.fields if header.fields.count(name) > 1), None)
     if duplicate_title is not None:
         raise SourceLocation(path, header.line).error(
-            "this column appears twice in the header", quoted_text(duplicate_title)
+            "this column appears twice in the header", safe_excerpt(duplicate_title)
         )
     for row in rows:
         row.check_width(len(header.fields), path)
@@ -348,7 +351,7 @@ def _read_workbook_sheets(book: Any, file: Path) -> list[tuple[str, list[Workboo
         sheet.reset_dimensions()  # the size that the file declares need not be true
         lines: list[WorkbookRow] = []
         for number, values in enumerate(sheet.iter_rows(values_only=True), start=1):
-            where = f"up to row {number} of sheet {quoted_text(sheet.title)}, the limit for reading"
+            where = f"up to row {number} of sheet {safe_excerpt(sheet.title)}, the limit for reading"
             rows, cells = rows + 1, cells + len(values)
             if rows > MAX_TEXT_LINES or cells > MAX_WORKBOOK_CELLS:
                 what = f"holds more than {MAX_TEXT_LINES} rows or {MAX_WORKBOOK_CELLS} cells {where}"

@@ -7,11 +7,11 @@ import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 from ltsim.recordings.tables.header import title_words_and_unit
-from ltsim.recordings.tables.pointing_table import PointingTable, indices_by_value
+from ltsim.recordings.tables.pointing_table import PointingTable, distinct_with_indices
 
-MAX_SPREADS_WITHIN_SETUP = (0.1, 0.02)
+MAX_RANGE_AND_ELEVATION_SPREAD = (0.1, 0.02)
 """Median differences of the ranges [m] and of the elevations [rad] to one target, above which a table without station
 names has several set-ups. Reflectors, faces and drifts change readings by less, and set-ups at different positions by
 more (0.02 rad is 0.1 m at 5 m)."""
@@ -22,29 +22,31 @@ MIN_ROWS_PER_SETUP = 3
 """Smallest mean number of rows per distinct text of a column at which it can count as the column of set-up names."""
 
 
-class UnnamedStationsError(RecordError):
+class UnrecognisedStationColumnError(RecordError):
     """Error for a table with a column, of unknown title, that has the names of its set-ups."""
 
 
-def require_station_names(table: PointingTable, readings: Floats, file: object) -> None:
+def require_single_unnamed_setup(table: PointingTable, readings: Floats, file: object) -> None:
     """Check that a table without station names is from one set-up: ranges and elevations of each target agree.
 
     `readings` (n, 3) are ranges, azimuths and elevations of n pointings [m, rad, rad]. If several set-ups measured
-    them, UnnamedStationsError is raised, which names the column with the names of the set-ups, or RecordError without
-    such a column.
+    them, UnrecognisedStationColumnError is raised, which names the column with the names of the set-ups, or
+    RecordError without such a column.
     """
     if not table.lacks_station_names:
         return
-    targets = indices_by_value(table.pointings.target)[1]
+    targets = distinct_with_indices(table.pointings.target)[1]
     elevation = np.where(np.abs(readings[:, 2]) > np.pi / 2, np.pi - readings[:, 2], readings[:, 2])
-    for values, limit, unit in zip((readings[:, 0], elevation), MAX_SPREADS_WITHIN_SETUP, ("m", "rad"), strict=True):
+    for values, limit, unit in zip(
+        (readings[:, 0], elevation), MAX_RANGE_AND_ELEVATION_SPREAD, ("m", "rad"), strict=True
+    ):
         spread = _median_spread(values, targets)
         if spread <= limit:
             continue
         names: list[tuple[int, bool, str]] = []
         for title, texts in table.pointings.additional_cells.items():
-            distinct, of_value = indices_by_value(texts)
-            groups = indices_by_value(zip(of_value.tolist(), targets.tolist(), strict=True))[1]
+            distinct, of_value = distinct_with_indices(texts)
+            groups = distinct_with_indices(zip(of_value.tolist(), targets.tolist(), strict=True))[1]
             if (
                 1 < len(distinct) <= len(texts) / MIN_ROWS_PER_SETUP
                 and _median_spread(values, groups) < MAX_SPREAD_RATIO_OF_STATION_COLUMN * spread
@@ -55,9 +57,9 @@ def require_station_names(table: PointingTable, readings: Floats, file: object) 
         if names:
             count, _, title = min(names)
             message = (
-                f"{fault}; column '{quoted_text(title)}' may name {count} stations: give --columns \"station={title}\""
+                f"{fault}; column '{safe_excerpt(title)}' may name {count} stations: give --columns \"station={title}\""
             )
-            raise UnnamedStationsError(message, file=file)
+            raise UnrecognisedStationColumnError(message, file=file)
         advice = "add a column station, or give --hint station=NAME if it is a single set-up"
         message = f"{fault}, so it has several set-ups; {advice}"
         raise RecordError(message, file=file)
@@ -68,16 +70,16 @@ def ambiguous_target_name_notes(table: PointingTable, readings: Floats) -> list[
 
     `readings` (n, 3) are ranges, azimuths and elevations of n pointings [m, rad, rad].
     """
-    sights, groups = indices_by_value(zip(table.pointings.station, table.pointings.target, strict=True))
+    sights, groups = distinct_with_indices(zip(table.pointings.station, table.pointings.target, strict=True))
     spread = _median_spread(readings[:, 0], groups)
-    if spread <= MAX_SPREADS_WITHIN_SETUP[0]:
+    if spread <= MAX_RANGE_AND_ELEVATION_SPREAD[0]:
         return []
     finite = np.isfinite(readings[:, 0])
     low, high = np.full(len(sights), np.inf), np.full(len(sights), -np.inf)
     np.minimum.at(low, groups[finite], readings[finite, 0])
     np.maximum.at(high, groups[finite], readings[finite, 0])
     worst_station = int(np.argmax(high - low))
-    station, target = (quoted_text(name) for name in sights[worst_station])
+    station, target = (safe_excerpt(name) for name in sights[worst_station])
     return [
         f"the name of a target stands for several positions: the distances from '{station}' to '{target}' differ by "
         f"{high[worst_station] - low[worst_station]:.3g} m; if it names a reflector that moved, name each point"

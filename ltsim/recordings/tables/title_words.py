@@ -9,7 +9,7 @@ EAST_ASIAN_LETTERS = "\u3040-\u30ff\u3400-\u9fff\uac00-\ud7a3"
 
 COMMON_SIGMA_ROLE = "sigma_mm"
 """Role of a column with one standard deviation for all three coordinates."""
-TITLE_WORDS = {
+TITLES_BY_ROLE = {
     "station": "station stn st setup standpunkt stp stand standort stationname stationid stationnr stationno "
     "stationnumber stationpoint stationpointid setuppoint setuppointid standpunktnr standpunktnummer "
     "standpunktname atstation occupied occupiedpoint occupiedstation occpt occpoint "
@@ -52,12 +52,12 @@ TITLE_WORDS = {
     "relative_humidity_pct": "relativehumidity humidity luftfeuchte luftfeuchtigkeit",
 }
 """English and German titles by the role of the column, separated by blanks."""
-SUMMARY_WORDS = (
+SUMMARY_ROW_FIRST_WORDS = (
     "sum total count mean average avg median min max minimum maximum std stddev rms summe gesamt anzahl mittel "
     "mittelwert somme moyenne nombre suma media promedio somma totale numero"
 )
 """Words, separated by blanks, with which a row of sums or means of the rows above begins."""
-FOREIGN_TITLE_WORDS = {
+FOREIGN_TITLES_BY_LANGUAGE = {
     "French": {
         "station": "stationne pointstation pointstationne numerodestation stationinstrument stationdelinstrument "
         "positioninstrument positiondelinstrument miseenstation",

@@ -10,14 +10,14 @@ from ltsim.core.errors import RecordError
 from ltsim.core.notation import listing
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.conventions import Hints
-from ltsim.recordings.files import quoted_text
-from ltsim.recordings.tables.cells import is_value
-from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, indices_by_value
+from ltsim.recordings.files import safe_excerpt
+from ltsim.recordings.tables.cells import is_numeric
+from ltsim.recordings.tables.pointing_table import PointingTable, UnconvertedPointings, distinct_with_indices
 
 MAX_SAME_POSITION_DISTANCE_TO_RANGE = 3e-4
 """Largest distance between two measured points that count as the same position, divided by the largest range: 1 mm at 3
 m, more than the repeatability of a robot."""
-MIN_ROWS_FOR_POSITIONS = 3
+MIN_ROWS_OF_MOVING_TARGET = 3
 """Smallest number of rows, and of different positions, with one target name from which it counts as a moving target."""
 MAX_COINCIDENT_DISTANCE_M = 1e-3
 """Largest distance [m] between targets that count as the same point: reflectors have diameters of 12.7 mm and more."""
@@ -33,7 +33,7 @@ class UnnamedTargetsError(RecordError):
     """Error for a table of several set-ups whose rows name no targets."""
 
 
-def name_unnamed_targets(table: PointingTable, hints: Hints, file: object) -> PointingTable:
+def with_placeholder_target_name(table: PointingTable, hints: Hints, file: object) -> PointingTable:
     """Table in which all rows have the target name `UNNAMED_TARGET`, in place, if no row names its target.
 
     Raises UnnamedTargetsError for a table of several set-ups without target names, because common targets of the
@@ -47,9 +47,9 @@ def name_unnamed_targets(table: PointingTable, hints: Hints, file: object) -> Po
         raise UnnamedTargetsError(message, file=file)
     titles = [] if hints.station is not None else _possible_name_titles(table)
     if titles:
-        listed = listing([f"'{title}'" for title in titles], MAX_COINCIDENT_NAMES_IN_NOTE)
+        titles_text = listing([f"'{title}'" for title in titles], MAX_COINCIDENT_NAMES_IN_NOTE)
         message = (
-            f'names no points, and {listed} may contain names; give --columns "target={titles[-1]}", or --hint '
+            f'names no points, and {titles_text} may contain names; give --columns "target={titles[-1]}", or --hint '
             "station=NAME if one target moved and one set-up measured it"
         )
         raise UnnamedTargetsError(message, file=file)
@@ -63,9 +63,9 @@ def _possible_name_titles(table: PointingTable) -> list[str]:
     titles = []
     for column in table.columns:
         distinct = {*table.pointings.texts(column.title)} if column.is_additional and not column.role else set()
-        are_names = all(text.isdigit() or not is_value(text) for text in distinct)
+        are_names = all(text.isdigit() or not is_numeric(text) for text in distinct)
         if are_names and not column.unit and "" not in distinct and 1 < len(distinct) < len(table.pointings):
-            titles.append(quoted_text(column.title))
+            titles.append(safe_excerpt(column.title))
     return titles
 
 
@@ -80,14 +80,14 @@ def name_targets_by_position(table: PointingTable, readings: Floats) -> Pointing
     if len(names) > 1 or len(stations) > 1:
         return table
     is_named = not table.has_unnamed_targets
-    if is_named and len(table.pointings) < MIN_ROWS_FOR_POSITIONS:
+    if is_named and len(table.pointings) < MIN_ROWS_OF_MOVING_TARGET:
         return table
     position_numbers = _position_numbers(readings)
     n_positions = int(position_numbers.max()) + 1
-    if is_named and n_positions < MIN_ROWS_FOR_POSITIONS:
+    if is_named and n_positions < MIN_ROWS_OF_MOVING_TARGET:
         return table
     table.pointings.target = [f"{UNNAMED_TARGET}-{place + 1}" for place in position_numbers.tolist()]
-    naming_text = f"has one name ('{quoted_text(names.pop())}') for all of its rows" if is_named else "names no points"
+    naming_text = f"has one name ('{safe_excerpt(names.pop())}') for all of its rows" if is_named else "names no points"
     table.notes.append(
         f"the table {naming_text}: its {len(position_numbers)} rows are {n_positions} positions of a target that moves "
         "(a robot, a T-MAC), "
@@ -105,8 +105,8 @@ def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats)
     tolerance = min(
         MAX_COINCIDENT_DISTANCE_M, MAX_SAME_POSITION_DISTANCE_TO_RANGE * float(np.nanmax(readings[:, 0], initial=0.0))
     )
-    targets, target = indices_by_value(pointings.target)
-    sights = np.column_stack([indices_by_value(pointings.station)[1], target])
+    targets, target = distinct_with_indices(pointings.target)
+    sights = np.column_stack([distinct_with_indices(pointings.station)[1], target])
     complete = np.isfinite(points).all(axis=1)
     if not complete.any() or not tolerance:
         return []
@@ -117,7 +117,7 @@ def _coincident_targets_notes(pointings: UnconvertedPointings, readings: Floats)
     if len(shared) < MIN_COINCIDENT_POSITIONS:
         return []
     examples = [targets[i] for i in sights[box == shared[0], 1].tolist()]
-    names = listing([f"'{quoted_text(name)}'" for name in examples], MAX_COINCIDENT_NAMES_IN_NOTE)
+    names = listing([f"'{safe_excerpt(name)}'" for name in examples], MAX_COINCIDENT_NAMES_IN_NOTE)
     return [
         f"separate targets have the same position at one set-up {len(shared)} times, such as {names}: if these are "
         "shots of one point, give them one name"

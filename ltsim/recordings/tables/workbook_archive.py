@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import BYTES_PER_MIB, MAX_WORKBOOK_BYTES, MAX_WORKBOOK_PARTS
-from ltsim.recordings.xml import check_xml_part
+from ltsim.recordings.xml import check_workbook_xml
 
 
 def checked_archive(file: Path, workbook_archive: io.BytesIO) -> io.BytesIO:
@@ -30,7 +30,7 @@ def checked_archive(file: Path, workbook_archive: io.BytesIO) -> io.BytesIO:
             with archive.open(part) as stream:
                 content = stream.read(part.file_size + 1)
             if part.filename.lower().endswith(".xml") or b"<" in content.lstrip()[:4]:  # after any byte-order mark
-                check_xml_part(content, file)
+                check_workbook_xml(content, file)
             copy.writestr(part.filename, content)
     checked.seek(0)
     return checked

@@ -5,7 +5,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from ltsim.core.errors import InputError
-from ltsim.recordings.files import quoted_text
+from ltsim.recordings.files import safe_excerpt
 
 
 def builtin_names() -> tuple[str, ...]:
@@ -20,7 +20,7 @@ def builtin_path(scenario_name: str) -> Path:
     if scenario_name not in names:
         near = difflib.get_close_matches(scenario_name, names, n=3, cutoff=0.5) or names
         message = "there is no such file, and no built-in scenario of this name"
-        raise InputError(f"{quoted_text(scenario_name)}: {message}; did you mean {', '.join(near)}?")
+        raise InputError(f"{safe_excerpt(scenario_name)}: {message}; did you mean {', '.join(near)}?")
     return Path(str(files(__name__) / f"{scenario_name}.toml"))
 
 
