@@ -172,7 +172,7 @@ def state_of(found: Adjustment) -> dict[str, object]:
     recording = found.recording
     return {
         "set_ups": len(recording.stations), "targets": len(recording.targets), "pointings": len(recording),
-        "left_out": int(found.is_rejected.sum()), "dof": found.dof, "sigma0": f"{found.sigma0:.4f}",
+        "left_out": int(found.is_rejected_reading.sum()), "dof": found.dof, "sigma0": f"{found.sigma0:.4f}",
         "outliers_w": len(found.flagged_readings()),
         "outliers_tau": len(found.flagged_readings(uses_estimated_noise=True)),
     }  # fmt: skip
@@ -181,7 +181,7 @@ def state_of(found: Adjustment) -> dict[str, object]:
 def what_does_not_fit(found: Adjustment) -> Rows:
     """Readings left out, with the error they show against the network without them."""
     rows: Rows = []
-    for i, j in np.argwhere(found.is_rejected):
+    for i, j in np.argwhere(found.is_rejected_reading):
         miss, range_ = found.residuals[i, j], found.recording.readings[i, 0]
         rows.append({
             "row": int(i) + 1, "set_up": int(found.recording.station[i]) + 1, "reading": OBSERVABLES[j],

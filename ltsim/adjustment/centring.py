@@ -44,7 +44,7 @@ class MarkOccupation:
 
 
 @dataclass(frozen=True)
-class CentringErrors:
+class CentringErrorEstimates:
     """Centring errors of k occupations, and the global test of the adjustment with them."""
 
     adjustment_without_centring: Adjustment
@@ -56,9 +56,9 @@ class CentringErrors:
     heights."""
     covariance: Floats
     """Covariance of the components of each of the k `shifts` [m^2], (k, 3, 3) or in plan (k, 2, 2)."""
-    chi2: float
+    chi2_with_centring: float
     """Chi-square of the adjustment with the centring errors."""
-    dof: int
+    dof_with_centring: int
     """Degrees of freedom of the adjustment with the centring errors."""
     noisy_targets: tuple[str, ...]
     """Names of the targets whose readings are weighted by their estimated noise."""
@@ -92,7 +92,7 @@ class CentringErrors:
         )
         before, after = (
             f"{self.adjustment_without_centring.chi2:.1f}/{self.adjustment_without_centring.dof}",
-            f"{self.chi2:.1f}/{self.dof}",
+            f"{self.chi2_with_centring:.1f}/{self.dof_with_centring}",
         )
         return (
             f"centring errors (tripod not re-occupied at the same point): {'; '.join(self.descriptions)}; "
@@ -122,7 +122,7 @@ def repeated_occupations(recording: Recording, station_mark_names: tuple[str, ..
     return all_occupations
 
 
-def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
+def estimate_centring_errors(adjustment: Adjustment) -> CentringErrorEstimates | None:
     """Centring errors of a network; None if no shift is significant, or if the global test passes without shifts."""
     if not adjustment.solution.has_converged or adjustment.dof < 1 or adjustment.p_value > GLOBAL_TEST_LEVEL:
         return None
@@ -170,7 +170,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrors | None:
         * chi2
         / dof
     )
-    return CentringErrors(
+    return CentringErrorEstimates(
         adjustment, tuple(candidates[i] for i in occupations), displacements, spread, chi2, dof, noisy
     )
 

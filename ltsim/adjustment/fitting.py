@@ -285,7 +285,7 @@ def fit_horizontal_network(
     has_control = np.isfinite(control_coordinates[used]).all(axis=1)
     if has_control.sum() < 2 and not len(along):
         return None
-    shape = _xy_shape(first, second, bearing, along, length, len(used))
+    shape = _complex_xy_coordinates(first, second, bearing, along, length, len(used))
     if shape is None:
         return None
     places, is_in_frame = np.full(control_coordinates.shape, np.nan), bool(has_control.sum() > 1)
@@ -360,7 +360,7 @@ def _xy_design(start_indices: Ints, end_indices: Ints, bearings: Floats, length_
     return np.concatenate([design[:, 1:].reshape(-1, n_coordinates), np.zeros((n_coordinates, n_coordinates))])
 
 
-def _xy_shape(
+def _complex_xy_coordinates(
     start_indices: Ints, end_indices: Ints, bearings: Floats, length_rows: Ints, lengths: Floats, n_points: int
 ) -> np.ndarray[tuple[int], np.dtype[np.complex128]] | None:
     """Horizontal coordinates of points as complex numbers x + iy, the first at 0; None if the shape is undetermined.

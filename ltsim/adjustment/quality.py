@@ -88,7 +88,7 @@ def _require_consistent_control(adjustment: Adjustment) -> None:
     if not (alone.solution.has_converged and MIN_MISFIT_RATIO * alone.sigma0 < adjustment.sigma0):
         return
     gap = 1e3 * float(np.abs(adjustment.state.target_points[control.point_indices] - control.declared_points).max())
-    is_complete = control.declared_components.all(axis=1)
+    is_complete = control.is_declared_coordinate.all(axis=1)
     points = alone.state.target_points[control.point_indices[is_complete]]
     raise NetworkError(
         f"the known points contradict the readings (sigma0 {adjustment.sigma0:.3g}, without them {alone.sigma0:.3g}; "

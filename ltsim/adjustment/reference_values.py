@@ -33,7 +33,7 @@ class ReferenceValue:
     """Kind of the reference value."""
     name: str
     """Name of the target or station, or names of both ends of a length or difference, such as `A-B`."""
-    declared_components: str
+    declared_axes: str
     """Axes of the declared coordinates of a point or difference, for example `xy`; empty for other kinds."""
     sigma: Floats
     """Declared standard deviations of the q components, (q,) [m, rad or 1]."""
@@ -79,7 +79,7 @@ def reference_values(problem: NetworkProblem, state: NetworkState) -> Iterator[R
     )
     for kind, controls, called, under, here in by_name:
         for i, place in enumerate(controls.point_indices.tolist()):
-            axes = controls.declared_components[i]
+            axes = controls.is_declared_coordinate[i]
             root = controls.whitening_matrices[i][np.ix_(axes, axes)]
             sigma = np.linalg.norm(np.linalg.inv(root), axis=1)
             given_axes = "".join(axis for axis, is_axis in zip("xyz", axes, strict=True) if is_axis)

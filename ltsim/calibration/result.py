@@ -112,7 +112,7 @@ def outlier_rows(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
         k = int(np.argmax(np.abs(whitened[i])))
         residual, w = adjustment.residuals[i, k], float(whitened[i, k])
         outliers.append(row(i, k, residual, w, pointing_excluded=True, excluded=True))
-    single = adjustment.is_rejected & ~adjustment.is_gross_pointing[:, None]
+    single = adjustment.is_rejected_reading & ~adjustment.is_gross_pointing[:, None]
     single &= _has_estimated_error(adjustment, whitened)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(whitened[at[0], at[1]])):
         outliers.append(row(i, k, adjustment.residuals[i, k], float(whitened[i, k]), excluded=True))
@@ -178,13 +178,13 @@ def reference_value_entries(adjustment: Adjustment) -> tuple[ReferenceValueEntry
     for test, k in ((each, k) for each in adjustment.reference_tests for k in range(len(each.error))):
         unit, factor = ERROR_UNITS.get(test.kind, ("mm", MILLIMETRE))
         is_scalar, is_tested = (
-            len(test.error) == 1 and not test.declared_components,
+            len(test.error) == 1 and not test.declared_axes,
             bool(np.isfinite(test.sigma_error[k])),
         )
         entry = ReferenceValueEntry(
             kind=test.kind,
             name=test.name,
-            component="" if is_scalar else (test.declared_components or "xy")[k],
+            component="" if is_scalar else (test.declared_axes or "xy")[k],
             residual=float(test.residual[k]) / factor,
             error=float(test.error[k]) / factor,
             sigma_error=float(test.sigma_error[k]) / factor if is_tested else None,
@@ -257,7 +257,7 @@ def frame_text(adjustment: Adjustment) -> str:
     control_rows, flat = problem.control_rows, adjustment.is_height_undetermined[problem.control_rows.point_indices]
     control = [
         recording.targets[i]
-        for i in control_rows.point_indices[control_rows.declared_components[:, :2].any(axis=1) | ~flat]
+        for i in control_rows.point_indices[control_rows.is_declared_coordinate[:, :2].any(axis=1) | ~flat]
     ]
     control += [problem.marks.mark_names[i] for i in problem.control_rows_of_marks.point_indices]
     levelled = [recording.stations[i] for i in problem.level_rows.station_indices]
@@ -321,7 +321,7 @@ def criteria_entry(
     The correction removes the estimated effects and, if `corrects_reflectors` is set, the incidence errors of the
     reflectors, as in `correct`. Other estimated errors remain.
     """
-    use: Bools = np.asarray(~adjustment.is_rejected.any(axis=1))
+    use: Bools = np.asarray(~adjustment.is_rejected_reading.any(axis=1))
     recording = _recording_with_reference_smr(recording, adjustment)
     try:
         if not construction.n_parameters:

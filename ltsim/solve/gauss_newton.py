@@ -17,7 +17,7 @@ MAX_ITERATIONS = 60
 the error to 0.74 of the previous one or less, it is below `MAX_ROUNDING_ERROR` (1.5e-8) after 60 steps; an iteration
 that needs more steps counts as not convergent.
 """
-MAX_ALTERNATIONS = 6
+MAX_DECISION_CHANGES = 6
 """Largest number of alternations between an estimate and a decision that depends on it: outliers, noise factors,
 widened priors, selected causes. The alternation ends when the decision does not change; if decisions repeat in a cycle,
 the last one counts.
@@ -32,7 +32,7 @@ converged."""
 MAX_SQUARED_STEP_FOR_REUSE = 1.0
 """Squared length of a step, in units of the standard deviations of the unknowns, below which the next step uses the
 same design matrix."""
-MAX_PREDICTED_STEP_FRACTION = 1e-4
+MAX_PREDICTED_STEP_TO_TOLERANCE_RATIO = 1e-4
 """Ratio of the predicted squared length of the next step to `SQUARED_STEP_TOLERANCE` below which the next step is not
 computed. Its length is then below a millionth of a standard deviation."""
 MAX_NEGLIGIBLE_DAMPING = 1e-5
@@ -128,7 +128,11 @@ def solve(problem: LeastSquaresProblem[PointT], start_point: PointT, *, max_iter
         if not damping and length < MAX_SQUARED_ROUNDING_STEP and length > previous_length / 4:
             return Solution(x, system.sum_of_squares, iteration, TerminationStatus.CONVERGED, factor, system)
         # The ratio of the next step to this one is predicted as the ratio of this step to the previous one.
-        sure = length * length < MAX_PREDICTED_STEP_FRACTION * SQUARED_STEP_TOLERANCE * previous_length < float("inf")
+        sure = (
+            length * length
+            < MAX_PREDICTED_STEP_TO_TOLERANCE_RATIO * SQUARED_STEP_TOLERANCE * previous_length
+            < float("inf")
+        )
         trial, previous_length, near = (
             problem.retract(x, step),
             length,

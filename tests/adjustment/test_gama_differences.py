@@ -255,7 +255,7 @@ def test_a_wrong_difference_is_named_and_the_readings_stay(
     told = [test.sentence for test in found.rejected_references]
     assert len(told) == bool(name)
     assert all(name in sentence and "as the readings show: excluded" in sentence for sentence in told)
-    assert not found.is_rejected.any()
+    assert not found.is_rejected_reading.any()
     assert found.sigma0 == pytest.approx(1.0, abs=0.3)
 
 
@@ -476,6 +476,6 @@ def test_of_a_bad_angle_and_a_mark_that_explain_the_same_the_angle_goes(tmp_path
     recording = read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf"))
     found = adjust(recording, robust=True)
     assert not adjust(recording).rejected_references and not found.rejected_references
-    rows, columns = np.nonzero(found.is_rejected)
+    rows, columns = np.nonzero(found.is_rejected_reading)
     assert {recording.stations[s] for s in recording.station[rows]} == {"D"}
     assert set(columns.tolist()) == {1}

@@ -91,10 +91,10 @@ def test_esa_adjusts_and_what_does_not_fit_is_found():
     assert found.solution.has_converged
     assert found.sigma0 == pytest.approx(1.0, abs=0.01)
     assert not found.flagged_readings()
-    rows = {int(i) + 1 for i in np.flatnonzero(found.is_rejected.any(axis=1))}
+    rows = {int(i) + 1 for i in np.flatnonzero(found.is_rejected_reading.any(axis=1))}
     assert {42, 199, 361, 362} <= rows
     assert 41 not in rows
-    assert found.is_rejected.sum() < 20
+    assert found.is_rejected_reading.sum() < 20
     for row in (199, 362):
         assert found.residuals[row - 1, 2] * found.recording.readings[row - 1, 0] == pytest.approx(0.07, abs=0.002)
 

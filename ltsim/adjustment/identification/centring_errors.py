@@ -145,7 +145,7 @@ def _local_log_evidence_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, r
     free = displacement.ravel() - motion @ np.linalg.lstsq(motion, displacement.ravel())[0]
     components = len(free) - motion.shape[1]
     variance = float(free @ free) / components
-    saved = _robust_misfit_cost(fit, fit.whitened_residuals[rows][used]) - _robust_misfit_cost(
+    saved = _negative_log_evidence(fit, fit.whitened_residuals[rows][used]) - _negative_log_evidence(
         fit, (residual / sigma)[used]
     )
     strength = np.linalg.eigvalsh(normal).clip(0.0)
@@ -154,7 +154,7 @@ def _local_log_evidence_gain_and_sigma(fit: NetworkFit, place: _CentringPlace, r
     return gain, float(np.sqrt(variance))
 
 
-def _robust_misfit_cost(fit: NetworkFit, whitened_residuals: Floats) -> float:
+def _negative_log_evidence(fit: NetworkFit, whitened_residuals: Floats) -> float:
     """Negative log evidence of the whitened residuals (r,) of r readings.
 
     Each residual counts as noise or as an outlier, whichever is more likely.

@@ -110,7 +110,7 @@ class CauseHypothesis:
     """Logarithm of the prior odds of this hypothesis relative to no error."""
     model_change: ModelChange
     """Change of the model by the cause."""
-    name: str = ""
+    error_description: str = ""
     """Name of a wrong reference value, or sentence on wrongly recorded pointings; else empty."""
     rows: tuple[int, ...] = ()
     """Row numbers, from 1, of wrongly recorded pointings; empty for other kinds."""

@@ -311,7 +311,7 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
             continue
         use = c.affected_rows[fit.problem_with_all_readings.is_used_reading[c.affected_rows, 0]]
         g = c.family.design[use, 0, 0] / fit.problem.sigma[use, 0]
-        r = aside.residuals_of(fit.recording)[use, 0] / fit.problem.sigma[use, 0]
+        r = aside.residuals_of_recording(fit.recording)[use, 0] / fit.problem.sigma[use, 0]
         acts = g != 0.0
         if not acts.any():
             continue
@@ -324,11 +324,11 @@ def _distance_trial_hypotheses(fit: NetworkFit, candidates: Sequence[ShiftCandid
 
 def _fit_without_distances(fit: NetworkFit, rows: Ints) -> NetworkFit | None:
     """New fit without the distances of the pointings `rows`; None if the network needs these distances."""
-    readings = fit.network.recording.readings.copy()
+    readings = fit.fit_input.recording.readings.copy()
     readings[rows, 0] = np.nan
-    network = replace(fit.network, recording=fit.network.recording.with_readings(readings))
+    fit_input = replace(fit.fit_input, recording=fit.fit_input.recording.with_readings(readings))
     try:
-        return NetworkFit.from_start(network, fit.hypotheses)
+        return NetworkFit.from_start(fit_input, fit.hypotheses)
     except NetworkError:
         return None
 
@@ -358,7 +358,7 @@ def _reference_hypotheses(fit: NetworkFit, adjustment: Adjustment) -> list[Scree
         tests = {(t.kind, t.name): t for t in reference_tests(problem, solution)}
     offers = []
     for h in reference_omissions(fit):
-        test = tests.get((h.acts_on, h.name))
+        test = tests.get((h.acts_on, h.error_description))
         if test is not None and test.rank:
             offers.append((_log_evidence_gain(test.chi2_drop, test.rank) + h.log_prior, h))
     return offers
