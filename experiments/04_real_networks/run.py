@@ -210,7 +210,7 @@ def ring(out: Path) -> None:
     recording = read(RECORDINGS / RING)
     space = ResidualSpace.from_adjustment(adjust(recording, misalignment_construction()))
     left = np.full(space.is_used_reading.shape, np.nan)
-    left[space.is_used_reading] = space.residuals[: int(space.is_used_reading.sum())]
+    left[space.is_used_reading] = space.whitened_residuals[: int(space.is_used_reading.sum())]
     distance, tracker = recording.readings[:, 0], recording.instrument
     half = np.zeros(len(recording), dtype=int)
     for owner in np.unique(tracker):

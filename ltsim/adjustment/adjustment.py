@@ -349,7 +349,7 @@ class Adjustment(Result):
         held = self.problem.undetermined_unknowns.fixed_pose_components
         covariance[held[:, :, None] | held[:, None, :]] = np.nan
         over = self.problem.marks.target_indices
-        flat = np.flatnonzero((over >= 0) & self.is_height_undetermined[over])
+        flat = np.flatnonzero((over >= 0) & self.is_height_undetermined_target[over])
         covariance[flat, 2] = covariance[flat, :, 2] = np.nan
         return covariance
 
@@ -360,18 +360,19 @@ class Adjustment(Result):
         covariance = np.empty((len(unknowns.target_columns), 3, 3))
         is_retained = unknowns.target_columns[:, 0] < unknowns.n_retained
         covariance[is_retained] = self.factorised_normals.covariance_submatrices(unknowns.target_columns[is_retained])
-        blocks = self.factorised_normals.block_covariance()
+        blocks = self.factorised_normals.eliminated_covariances()
         covariance[~is_retained] = blocks[(unknowns.target_columns[~is_retained][:, 0] - unknowns.n_retained) // 3]
         if self.datum is not None:
             covariance = self.datum.transform_covariance(covariance, unknowns.target_columns)
             diagonal = np.arange(3)  # a coordinate fixed by the datum has variance 0, up to rounding
             covariance[:, diagonal, diagonal] = np.maximum(covariance[:, diagonal, diagonal], 0.0)
         covariance[self.problem.undetermined_unknowns.is_unmeasured_target] = np.nan
-        covariance[self.is_height_undetermined, 2] = covariance[self.is_height_undetermined, :, 2] = np.nan
+        flat = self.is_height_undetermined_target
+        covariance[flat, 2] = covariance[flat, :, 2] = np.nan
         return covariance
 
     @cached_property
-    def is_height_undetermined(self) -> Bools:
+    def is_height_undetermined_target(self) -> Bools:
         """Flags (T,), True for those of the T targets whose height is undetermined."""
         plan = [self.recording.target_setup(name).plan_only for name in self.recording.targets]
         return np.asarray(self.problem.undetermined_unknowns.is_height_undetermined_target | np.array(plan, dtype=bool))

@@ -54,7 +54,7 @@ class CentringErrorEstimates:
     shifts: Floats
     """Shifts of the k occupations [m], (k, 3); in plan only, (k, 2), if the model contains errors of instrument
     heights."""
-    covariance: Floats
+    shift_covariances: Floats
     """Covariance of the components of each of the k `shifts` [m^2], (k, 3, 3) or in plan (k, 2, 2)."""
     chi2_with_centring: float
     """Chi-square of the adjustment with the centring errors."""
@@ -67,7 +67,7 @@ class CentringErrorEstimates:
     def shift_lengths_and_sigmas(self) -> list[tuple[float, float]]:
         """Length of each shift and its standard deviation, both in metres."""
         lengths = np.linalg.norm(self.shifts, axis=1)
-        sigma = np.sqrt(np.einsum("ki,kij,kj->k", self.shifts, self.covariance, self.shifts)) / lengths
+        sigma = np.sqrt(np.einsum("ki,kij,kj->k", self.shifts, self.shift_covariances, self.shifts)) / lengths
         return list(zip(lengths.tolist(), sigma.tolist(), strict=True))
 
     @property
@@ -153,7 +153,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrorEstimates |
             or not special.fdtrc(rank, dof - rank, ratio) * len(candidates) < SINGLE_TEST_LEVEL
         ):
             break
-        if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residuals)[0]) < height_sigma:
+        if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.whitened_residuals)[0]) < height_sigma:
             break
         space, chi2, dof = space.with_design_columns(shifts[best]), chi2 - drop, dof - rank
         occupations.append(best)
@@ -161,7 +161,7 @@ def estimate_centring_errors(adjustment: Adjustment) -> CentringErrorEstimates |
         return None
     columns = whole.project(np.hstack([shifts[i] for i in occupations]))
     cofactor = np.linalg.pinv(columns.T @ columns)
-    displacements = (cofactor @ (columns.T @ whole.residuals)).reshape(-1, axes)
+    displacements = (cofactor @ (columns.T @ whole.whitened_residuals)).reshape(-1, axes)
     occupation_indices = range(len(occupations))
     spread = (
         cofactor.reshape(len(occupation_indices), axes, len(occupation_indices), axes)[

@@ -92,11 +92,11 @@ def _require_consistent_control(adjustment: Adjustment) -> None:
     points = alone.state.target_points[control.point_indices[is_complete]]
     raise NetworkError(
         f"the known points contradict the readings (sigma0 {adjustment.sigma0:.3g}, without them {alone.sigma0:.3g}; "
-        f"largest difference {gap:.3g} mm): {_control_error_cause(points, control.declared_points[is_complete])}"
+        f"largest difference {gap:.3g} mm): {_control_error_cause_text(points, control.declared_points[is_complete])}"
     )
 
 
-def _control_error_cause(network_points: Floats, control_points: Floats) -> str:
+def _control_error_cause_text(network_points: Floats, control_points: Floats) -> str:
     """Text on the usual cause of differences of k control points (k, 3) [m] from network points (k, 3) [m].
 
     The cause is another scale, a mirror image, equal coordinates, or single wrong points.

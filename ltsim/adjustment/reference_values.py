@@ -17,7 +17,7 @@ ReferenceKind = Literal["point", "difference", "length", "level", "yaw", "mark",
 """Kind of reference value."""
 MIN_SIGMA_RELATIVE_TO_READINGS = 0.3
 """Smallest standard deviation of a tested reference value, divided by the median standard deviation of the readings."""
-REMOVING_UPDATES_BY_KIND: dict[str, dict[str, object]] = {
+STATION_UPDATES_REMOVING_REFERENCE: dict[str, dict[str, object]] = {
     "level": {"levelled": False, "yaw_sigma_arcsec": None},
     "yaw": {"yaw_sigma_arcsec": None},
     "mark": {"over": None},
@@ -149,8 +149,8 @@ def drop_reference(recording: Recording, reference_value: ReferenceValue) -> Rec
         change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=cleared)}
     elif reference_value.kind == "difference":
         change = {"differences": tuple(difference for difference in setup.differences if difference.label != name)}
-    elif reference_value.kind in REMOVING_UPDATES_BY_KIND:
-        cleared = REMOVING_UPDATES_BY_KIND[reference_value.kind]
+    elif reference_value.kind in STATION_UPDATES_REMOVING_REFERENCE:
+        cleared = STATION_UPDATES_REMOVING_REFERENCE[reference_value.kind]
         change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=cleared)}}
     else:
         cleared = {"known_mm": None, "approximate_mm": setup.targets[name].known_mm}

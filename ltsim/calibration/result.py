@@ -83,7 +83,7 @@ def station_poses(adjustment: Adjustment, covariance: Floats | None = None) -> t
     spread = adjustment.pose_covariance if covariance is None else covariance
     sigma = np.sqrt(np.maximum(np.einsum("sii->si", spread), 0.0))
     state, over = adjustment.state, adjustment.problem.marks.target_indices
-    flat = (over >= 0) & adjustment.is_height_undetermined[over]
+    flat = (over >= 0) & adjustment.is_height_undetermined_target[over]
     return tuple(
         StationPose(
             name=name,
@@ -254,7 +254,10 @@ def frame_text(adjustment: Adjustment) -> str:
     problem, recording = adjustment.problem, adjustment.recording
     free = problem.free_motions.shape[1]
     first_station = recording.stations[0]
-    control_rows, flat = problem.control_rows, adjustment.is_height_undetermined[problem.control_rows.point_indices]
+    control_rows, flat = (
+        problem.control_rows,
+        adjustment.is_height_undetermined_target[problem.control_rows.point_indices],
+    )
     control = [
         recording.targets[i]
         for i in control_rows.point_indices[control_rows.is_declared_coordinate[:, :2].any(axis=1) | ~flat]
@@ -272,7 +275,7 @@ def frame_text(adjustment: Adjustment) -> str:
     definition = f"is {_datum_text(adjustment, first_station)}"
     if adjustment.datum is not None:
         definition += f", standard deviations by inner constraints over {listing(adjustment.datum.point_names)}"
-    if free == 6 or not (points or zeros or not adjustment.is_height_undetermined.all()):
+    if free == 6 or not (points or zeros or not adjustment.is_height_undetermined_target.all()):
         return definition.removeprefix("is ")
     if not control and not problem.difference_rows.names:
         return f"{', x '.join([f'z is defined by the levels of {listing(levelled)}', *zeros])}; the rest {definition}"
@@ -360,7 +363,7 @@ def _handedness_notes(adjustment: Adjustment) -> tuple[str, ...]:
 
 def _undetermined_height_notes(adjustment: Adjustment) -> tuple[str, ...]:
     """Note on the targets whose height is undetermined."""
-    names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.is_height_undetermined)]
+    names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.is_height_undetermined_target)]
     return (f"no reading determines the height of {listing(names)}: adjusted in plan only",) if names else ()
 
 

@@ -107,7 +107,7 @@ class SparseElimination:
         normal = gram_matrix(iterate_row_batches(design, self.column_scales), design.shape[1])
         n_blocks = (normal.shape[0] - n_retained) // 3
         blocks = _diagonal_blocks(normal[n_retained:, n_retained:], n_blocks) + damping * np.eye(3)
-        self._block_inverses, self._smallest_block_pivot = block_inverse(blocks)
+        self._block_inverses, self._smallest_block_pivot = block_inverses_and_smallest_pivot(blocks)
         across = normal[:n_retained, n_retained:]
         self._elimination_coefficients = sp.csc_array(across @ _block_diagonal(self._block_inverses))
         schur = normal[:n_retained, :n_retained] - self._elimination_coefficients @ across.T
@@ -237,7 +237,7 @@ def dense_rows(matrix: sp.csr_array, first_row: int, end_row: int, columns: Ints
     return dense.reshape(end_row - first_row, width)[:, :-1], columns
 
 
-def block_inverse(blocks: Floats) -> tuple[Floats, float]:
+def block_inverses_and_smallest_pivot(blocks: Floats) -> tuple[Floats, float]:
     """Inverses (E, 3, 3) of E symmetric blocks (E, 3, 3), and the smallest pivot of their Cholesky factorisations.
 
     Raises LinAlgError if a block is not positive definite.
@@ -367,7 +367,7 @@ class BlockFactor:
         return self._elimination.inverse_submatrices(columns) * scale[:, :, None] * scale[:, None, :]
 
     @single_threaded
-    def block_covariance(self) -> Floats:
+    def eliminated_covariances(self) -> Floats:
         """Covariance matrices (E, 3, 3) of the three unknowns of each of E eliminated blocks."""
         scale = self._column_scales[self._system.n_retained :].reshape(-1, 3)
         return self._elimination.inverse_blocks_and_leverage[0] * scale[:, :, None] * scale[:, None, :]

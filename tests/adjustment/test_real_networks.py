@@ -48,7 +48,7 @@ def test_a_network_held_by_a_point_in_plan_and_one_in_space_agrees_with_gama():
 def test_a_network_in_plan_has_the_sigma0_of_an_independent_adjustment():
     found = adjust(read(DATA / "field" / "praha_hrad1010.gkf"))
     assert found.solution.has_converged
-    assert found.is_height_undetermined.all()
+    assert found.is_height_undetermined_target.all()
     assert np.isnan(found.target_covariance[:, 2]).all()
     assert np.isfinite(found.target_covariance[:, :2, :2]).all()
     assert found.sigma0 == pytest.approx(0.97, abs=0.005)
@@ -66,7 +66,7 @@ def test_a_local_tie_names_the_tripod_of_the_second_day_and_places_what_directio
     assert spread.max() < 0.3e-3
     assert moved.noisy_targets == ("WARK",)
     assert not found.undetermined_targets
-    assert np.flatnonzero(found.is_height_undetermined).tolist() == [found.recording.targets.index("WARK")]
+    assert np.flatnonzero(found.is_height_undetermined_target).tolist() == [found.recording.targets.index("WARK")]
     without = found.recording.select(found.recording.target != found.recording.targets.index("WARK"))
     marks = adjust(without)
     assert marks.dof == 562

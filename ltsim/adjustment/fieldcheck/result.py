@@ -134,7 +134,7 @@ class SetupCheck(ValueEquality):
     """Half two-face differences; None if no target was measured on both faces."""
     occupation: StationOccupation | None
     """Least-squares adjustment of the repeated pointings of this set-up; None if no target was measured twice."""
-    rows: Ints
+    row_numbers: Ints
     """Row numbers (n,) of the n pointings of the set-up in the whole recording, from 1."""
     motions: tuple[StationMotion, ...] = ()
     """Motions of the station that were detected during the occupation."""
@@ -216,7 +216,7 @@ class Check(ResultFile):
                 2 * [MICROMETRE, ARCSECOND, ARCSECOND]
             )
             for at, size, over in zip(
-                setup.rows[faces.uncorrected_pairs.rows], sizes.tolist(), faces.exceeds_limit, strict=True
+                setup.row_numbers[faces.uncorrected_pairs.rows], sizes.tolist(), faces.exceeds_limit, strict=True
             ):
                 target = recording.targets[recording.target[at[0] - 1]]
                 rows.append([setup.station, target, *at.tolist(), *size, "no" if over.any() else "yes"])

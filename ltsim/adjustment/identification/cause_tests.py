@@ -145,7 +145,7 @@ def _accepted_test(fit: NetworkFit, selected_hypothesis: SelectedHypothesis) -> 
         statistic=drop,
         dof=rank,
         p_value=p,
-        rows=h.rows if len(h.rows) <= MAX_LISTED_OUTLIERS else (),
+        rows=h.row_numbers if len(h.row_numbers) <= MAX_LISTED_OUTLIERS else (),
         probability=share[0],
         alternatives=alternatives,
         sentence=cause_sentence(fit, h),
