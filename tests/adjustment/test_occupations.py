@@ -110,7 +110,7 @@ def test_readings_of_a_tripod_beside_its_mark_are_mended_with_its_size_told() ->
     found = adjust(local_tie(2, (1.5, 1.0, 0.0)))
     mended, (told,) = correct_centring(found)
     assert (told.effect_name, told.targets) == ("target-moved", ("P4",))
-    assert told.size == pytest.approx(np.hypot(1.5e-3, 1.0e-3), abs=4 * told.sigma)
+    assert told.displacement == pytest.approx(np.hypot(1.5e-3, 1.0e-3), abs=4 * told.displacement_sigma)
     again = adjust_from_state(mended, start_state=found.state)
     assert again.sigma0 == pytest.approx(1.0, abs=0.15)
     assert estimate_centring_errors(again) is None

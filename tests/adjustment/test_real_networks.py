@@ -61,7 +61,7 @@ def test_a_local_tie_names_the_tripod_of_the_second_day_and_places_what_directio
     assert [(one.mark, one.role, one.day) for one in moved.occupations] == [("WAN3", "target", "2015-03-16")]
     turn = np.radians(156.5)  # azimuth of the network's x axis, WAN3 to WANE
     axes = np.array([[np.sin(turn), np.cos(turn)], [-np.cos(turn), np.sin(turn)]])
-    spread = np.sqrt(np.diag(axes.T @ moved.covariance[0] @ axes))
+    spread = np.sqrt(np.diag(axes.T @ moved.shift_covariances[0] @ axes))
     assert np.all(np.abs(moved.shifts[0] @ axes - [1.5e-3, 1.0e-3]) < 2.0 * spread)
     assert spread.max() < 0.3e-3
     assert moved.noisy_targets == ("WARK",)
