@@ -44,7 +44,7 @@ TESTED_UNIT_ERRORS = (
 because any shrunk network seems to fit."""
 
 
-def require_usable(adjustment: Adjustment) -> None:
+def require_usable_adjustment(adjustment: Adjustment) -> None:
     """Check that an adjustment is usable: units and known points are consistent, and most pointings are in use.
 
     Raises NetworkError for inconsistent observations, and ConvergenceError if the adjustment has no solution.

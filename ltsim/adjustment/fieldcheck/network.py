@@ -11,7 +11,7 @@ from ltsim.adjustment.blunders import detect_blunders
 from ltsim.adjustment.centring import estimate_centring_errors
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.fieldcheck.result import BonferroniFamily, CheckItem, two_sided_chi2_p_value
-from ltsim.adjustment.quality import network_warnings, require_usable
+from ltsim.adjustment.quality import network_warnings, require_usable_adjustment
 from ltsim.adjustment.reference_tests import scaled_reference_tests
 from ltsim.adjustment.reference_values import ReferenceKind
 from ltsim.adjustment.significance import GLOBAL_TEST_LEVEL, MIN_CHECKED_REDUNDANCY, MIN_DOF_FOR_ESTIMATED_NOISE
@@ -44,7 +44,7 @@ def adjust_for_check(recording: Recording, motions: Sequence[StationMotion]) -> 
         plain = adjust(
             recording, effects=motions, robust=bool(motions), tested_reference_kinds=EXCLUDABLE_REFERENCE_KINDS
         )
-        require_usable(plain)
+        require_usable_adjustment(plain)
     except (NetworkError, ConvergenceError) as problem:
         return problem
     return plain

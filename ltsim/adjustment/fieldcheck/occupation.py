@@ -209,7 +209,7 @@ class StationOccupation:
         others[row] = False
         return float(np.linalg.norm(points[row] - points[others].mean(axis=0))) if others.any() else float("nan")
 
-    def target_point_sigma(self, target: int) -> float:
+    def target_repeatability(self, target: int) -> float:
         """Standard deviation [m] of a target's repeated points, rms over the axes; NaN with fewer than two points."""
         points = from_polar(self.recording.readings[self.row_mask & np.asarray(self.recording.target == target)])
         points = points[np.isfinite(points).all(axis=1)]

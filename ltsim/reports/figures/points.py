@@ -146,7 +146,7 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
     """Draw half two-face differences divided by their limits, by target, with the stations side by side."""
     names: list[str] = []
     n_drawn, recording = 0, check.arrays.recording
-    for setup in check.arrays.setups:
+    for setup in check.arrays.setup_checks:
         if setup.two_face_differences is None:
             continue
         ratios = (
@@ -186,7 +186,7 @@ def _draw_two_face_differences(ax: Axes, check: Check) -> None:
 def _draw_misfit_over_time(ax: Axes, check: Check) -> None:
     """Draw the rms whitened residual of each pointing over time, with the intervals in which a tracker moved."""
     seconds_per_unit, unit = (60.0, "time [min]") if check.arrays.recording.has_clock else (1.0, "pointing")
-    for i, setup in enumerate(check.arrays.setups):
+    for i, setup in enumerate(check.arrays.setup_checks):
         if setup.occupation is None:
             continue
         misfit = np.sqrt(np.mean(setup.occupation.whitened_residuals**2, axis=1))
