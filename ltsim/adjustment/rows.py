@@ -142,9 +142,9 @@ class ControlRows:
                 roots[i][at] = np.linalg.inv(np.linalg.cholesky(covariance + min_sigma**2 * np.eye(len(covariance))))
         return self if np.array_equal(roots, self.whitening_matrices) else replace(self, whitening_matrices=roots)
 
-    def whitened_residuals(self, places: Floats) -> Floats:
-        """Whitened residuals (c,) of the c known coordinates, for the adjusted k points `places` (k, 3) [m]."""
-        gap = np.where(self.is_declared_coordinate, self.declared_points - places, 0.0)
+    def whitened_residuals(self, adjusted_points: Floats) -> Floats:
+        """Whitened residuals (c,) of the c known coordinates, for k `adjusted_points` (k, 3) [m]."""
+        gap = np.where(self.is_declared_coordinate, self.declared_points - adjusted_points, 0.0)
         return np.einsum("kij,kj->ki", self.whitening_matrices, gap)[self.is_declared_coordinate]
 
     def derivatives(self) -> Floats:
@@ -152,13 +152,13 @@ class ControlRows:
         return self.whitening_matrices[self.is_declared_coordinate]
 
 
-def _declared_coordinates(places: Sequence[Target | ReferenceDifference]) -> tuple[Floats, Bools, Floats]:
+def _declared_coordinates(entries: Sequence[Target | ReferenceDifference]) -> tuple[Floats, Bools, Floats]:
     """Coordinates (k, 3) [m] of k points or differences, flags (k, 3) of known ones, whitening matrices (k, 3, 3)."""
-    axes = np.array([[axis in entry.known_axes for axis in "xyz"] for entry in places], dtype=bool).reshape(-1, 3)
+    axes = np.array([[axis in entry.known_axes for axis in "xyz"] for entry in entries], dtype=bool).reshape(-1, 3)
     roots = np.array(
-        [_whitening_matrix(entry, given_axes) for entry, given_axes in zip(places, axes, strict=True)]
+        [_whitening_matrix(entry, given_axes) for entry, given_axes in zip(entries, axes, strict=True)]
     ).reshape(-1, 3, 3)
-    return np.array([entry.known_mm for entry in places], dtype=np.float64).reshape(-1, 3) * MILLIMETRE, axes, roots
+    return np.array([entry.known_mm for entry in entries], dtype=np.float64).reshape(-1, 3) * MILLIMETRE, axes, roots
 
 
 def _whitening_matrix(target: Target | ReferenceDifference, is_declared_coordinate: Bools) -> Floats:
